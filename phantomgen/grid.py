@@ -1,0 +1,54 @@
+"""The voxel grid of a volume."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from spectra.errors import InputError
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A regular grid of voxels, every triple in array order (z, y, x).
+
+    Parameters
+    ----------
+    shape : number of voxels
+    spacing : distance between voxel centres [mm]
+    origin : centre of voxel (0, 0, 0) [mm]
+    """
+
+    shape: tuple[int, int, int]
+    spacing: tuple[float, float, float]
+    origin: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        if min(self.shape) < 1:
+            raise InputError(f"a grid needs at least one voxel along each axis, got shape {self.shape}")
+        if min(self.spacing) <= 0:
+            raise InputError(f"the voxel spacing must be positive, got {self.spacing} mm")
+
+    @classmethod
+    def cube(cls, voxels: int, size: float) -> "Grid":
+        """Cube of `voxels`^3 voxels and edge length `size` [mm], centred on the isocentre."""
+        spacing = size / voxels
+        first = (spacing - size) / 2
+        return cls((voxels,) * 3, (spacing,) * 3, (first,) * 3)
+
+    @property
+    def voxel_volume(self) -> float:
+        """Volume of one voxel [mm^3]."""
+        return float(np.prod(self.spacing))
+
+    def axis(self, name: str) -> Float[np.ndarray, " voxel"]:
+        """Voxel centres along axis ``"x"``, ``"y"`` or ``"z"`` [mm]."""
+        i = "zyx".index(name)
+        return self.origin[i] + self.spacing[i] * np.arange(self.shape[i])
+
+    @property
+    def affine(self) -> Float[np.ndarray, "4 4"]:
+        """Matrix from (x, y, z) voxel index to (x, y, z) position [mm]."""
+        matrix = np.diag([*self.spacing[::-1], 1.0])
+        matrix[:3, 3] = self.origin[::-1]
+        return matrix

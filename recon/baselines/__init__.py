@@ -1,0 +1,1 @@
+"""Classical reconstructions, one method per file."""

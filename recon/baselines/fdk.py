@@ -1,0 +1,66 @@
+"""Filtered back-projection of cone-beam data (Feldkamp, Davis, Kress 1984, doi:10.1364/JOSAA.1.000612)."""
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.geometry import Geometry
+from phantomgen.grid import Grid
+from recon.ops.backproject import backproject
+from spectra.errors import GeometryError
+
+
+def fdk(
+    line_integrals: Float[np.ndarray, "view basis row column"], geometry: Geometry, grid: Grid, hann: float = 1.0
+) -> Float[np.ndarray, "basis z y x"]:
+    """Volumes [1/mm] of line integrals [no unit] on a full circular orbit of evenly spaced views.
+
+    Parameters
+    ----------
+    line_integrals : one image per view and basis
+    geometry : circular orbit about the z axis
+    grid : the volume to reconstruct
+    hann : where the Hann window that tames the ramp filter reaches zero, in Nyquist frequencies; ``inf`` for none
+
+    Raises
+    ------
+    GeometryError
+        When the geometry is not a circular orbit of at least two views.
+    """
+    if geometry.kind != "circular" or len(geometry) < 2:
+        raise GeometryError(f"FDK needs a circular orbit of at least two views, got {geometry!r}")
+    sod = np.linalg.norm(geometry.source[:, :2], axis=1)
+    height = np.einsum("vi,vi->v", geometry.panel_center - geometry.source, geometry.normals())
+    sdd = np.abs(height)
+    pitch = geometry.panel.column_pitch * sod[0] / sdd[0]  # at the isocentre
+    filtered = _ramp(line_integrals * _cosines(geometry)[:, None], pitch, hann)
+    return backproject(filtered, geometry, grid, sod / sdd) * np.float32(2 * np.pi / len(geometry))
+
+
+def _cosines(geometry: Geometry) -> Float[np.ndarray, "view row column"]:
+    """Cosine of the angle between each ray and the panel's normal."""
+    rows, columns = geometry.panel.rows, geometry.panel.columns
+    out = np.empty((len(geometry), rows, columns), np.float32)
+    for i, (frame, normal) in enumerate(zip(geometry.ray_frames(), geometry.normals(), strict=True)):
+        x, y = np.arange(columns)[None, :, None], np.arange(rows)[:, None, None]
+        rays = frame[1] + x * frame[2] + y * frame[3]
+        out[i] = np.abs(rays @ normal) / np.linalg.norm(rays, axis=-1)
+    return out
+
+
+def _ramp(
+    images: Float[np.ndarray, "view basis row column"], pitch: float, hann: float
+) -> Float[np.ndarray, "view basis row column"]:
+    """Half the band-limited ramp filter along rows, sampled in space (Kak & Slaney 1988, eq. 3.61), zero-padded."""
+    from scipy.fft import irfft, next_fast_len, rfft  # noqa: PLC0415 - a quarter of a second nobody else pays
+
+    columns = images.shape[-1]
+    size = next_fast_len(2 * columns, real=True)
+    steps = np.minimum(np.arange(size), size - np.arange(size))
+    kernel = np.zeros(size)
+    kernel[0] = 1 / (8 * pitch)
+    odd = steps % 2 == 1
+    kernel[odd] = -1 / (2 * np.pi**2 * pitch * steps[odd] ** 2)
+    frequency = np.arange(size // 2 + 1) / (size / 2)
+    window = np.where(frequency < hann, 0.5 + 0.5 * np.cos(np.pi * frequency / hann), 0.0) if np.isfinite(hann) else 1.0
+    response = (rfft(kernel).real * window).astype(np.float32)
+    return np.stack([irfft(rfft(view, size) * response, size)[..., :columns] for view in images])

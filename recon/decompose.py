@@ -1,0 +1,30 @@
+"""From counts to basis line integrals for whole scans."""
+
+import numpy as np
+from jaxtyping import Float
+
+from recon.measurements import Measurements
+from recon.ops.decompose import decompose
+
+
+def decompose_views(
+    measurements: Measurements, dispersion: float = 0.0
+) -> tuple[Float[np.ndarray, "view basis row column"], Float[np.ndarray, "basis basis"]]:
+    """Maximum-likelihood line integrals of every view, and their mean Fisher matrix.
+
+    Parameters
+    ----------
+    measurements : views to decompose, at any binning
+    dispersion : relative model error that is added to the Poisson variance
+    """
+    views, channels, rows, columns = measurements.counts.shape
+    bases = len(measurements.transmission.columns)
+    images = np.empty((views, bases, rows, columns), np.float32)
+    fisher = np.zeros((bases, bases))
+    for view in range(views):
+        counts = measurements.counts[view].reshape(channels, -1).T
+        gains = (measurements.exposure[view] * measurements.gains).reshape(channels, -1).T
+        lengths, information = decompose(counts, gains, measurements.transmission, dispersion)
+        images[view] = lengths.T.reshape(bases, rows, columns)
+        fisher += information.mean(axis=0) / views
+    return images, fisher

@@ -1,0 +1,132 @@
+"""The fit: Gaussians follow the gradient of the likelihood of the counts, all channels at once.
+
+Two kinds of unknowns, two kinds of steps. Given the geometry the model is linear in the coefficients up to the
+exponential of Beer's law, so they take second-order steps (`recon.curvature`) with momentum, projected on
+what is physical: no negative coefficient in the raw basis. Centres, scales and rotations follow Adam.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from recon.curvature import coefficient_curvature
+from recon.gaussians import Gaussians
+from recon.losses import deviance
+from recon.measurements import Measurements
+from recon.ops.rasterize import rasterize
+from recon.recipe import Recipe
+from spectra.ops.transmit import transmit
+
+GEOMETRY = ("centres", "log_scales", "quaternions")
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a callback is told after every step."""
+
+    step: int
+    steps: int
+    seconds: float
+    deviance: float
+    gaussians: Gaussians
+
+
+def fit(
+    start: Gaussians,
+    measurements: Measurements,
+    voxel: float,
+    recipe: Recipe,
+    on_step: Callable[[Progress], None] = lambda progress: None,
+) -> Gaussians:
+    """Improve Gaussians until the recipe's sweeps are used up.
+
+    Parameters
+    ----------
+    start : first guess, for instance from `recon.initialize.initialize`
+    measurements : training views, unbinned
+    voxel : edge of a voxel of the reconstruction grid [mm]
+    recipe : hyper-parameters
+    on_step : called after every step
+
+    Returns
+    -------
+    The fitted Gaussians. The same start, measurements and recipe give the same bits, whatever the thread count.
+    """
+    gaussians = start.detached()
+    geometry = [getattr(gaussians, name).requires_grad_() for name in GEOMETRY]
+    coefficients = gaussians.coefficients.requires_grad_()
+    rates = [recipe.centre_rate * voxel, recipe.shape_rate, recipe.shape_rate]
+    groups = [{"params": [p], "lr": r} for p, r in zip(geometry, rates, strict=True)]
+    adam = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15)
+    velocity = torch.zeros_like(coefficients)
+    began = time.perf_counter()
+    steps = sum(_steps(len(measurements), recipe))
+    done = 0
+    for stage, length in zip(recipe.stages, _steps(len(measurements), recipe), strict=True):
+        data = measurements.binned(stage.binning)
+        per_sweep = max(len(data) // recipe.views_per_step, 1)
+        inverse = None
+        for step, views in enumerate(_subsets(len(data), per_sweep, length)):
+            if step % round(recipe.curvature_sweeps * per_sweep) == 0:
+                inverse = _inverse_curvature(gaussians, data, recipe)
+            fraction = done / steps
+            warm = done < recipe.warm_up * per_sweep
+            for group, rate in zip(adam.param_groups, rates, strict=True):
+                group["lr"] = 0.0 if warm else rate * recipe.final_rate**fraction
+            adam.zero_grad()
+            coefficients.grad = None
+            loss = _mean_deviance(gaussians, data[views], recipe.dispersion)
+            loss.backward()
+            adam.step()
+            counts = np.prod(data.counts.shape)  # from the mean deviance of a few views to the likelihood of all
+            pull = torch.einsum("gmn,gn->gm", inverse, coefficients.grad) * float(counts / 2)
+            rate = recipe.coefficient_rate * min(1.0, 10 ** (1 - 2 * fraction))
+            _project_step(coefficients, velocity, pull, rate, recipe.momentum)
+            done += 1
+            seconds = time.perf_counter() - began
+            on_step(Progress(done, steps, seconds, loss.item(), gaussians))
+    return gaussians.detached()
+
+
+def _steps(views: int, recipe: Recipe) -> list[int]:
+    """Steps of each stage."""
+    per_sweep = max(views // recipe.views_per_step, 1)
+    return [max(round(stage.sweeps * per_sweep), 1) for stage in recipe.stages]
+
+
+def _subsets(views: int, per_sweep: int, steps: int) -> Iterator[np.ndarray]:
+    """Evenly spread subsets of the views, one after the other in an order that jumps around the orbit."""
+    stride = next(s for s in range(max(int(0.38 * per_sweep), 1), per_sweep + 1) if np.gcd(s, per_sweep) == 1)
+    for step in range(steps):
+        yield np.arange(step * stride % per_sweep, views, per_sweep)
+
+
+def _mean_deviance(gaussians: Gaussians, data: Measurements, dispersion: float) -> Tensor:
+    panel = data.geometry.panel
+    parts = (*(getattr(gaussians, name) for name in GEOMETRY), gaussians.coefficients)
+    images = rasterize(*parts, torch.from_numpy(data.geometry.ray_frames()), panel.rows, panel.columns)
+    gains = torch.from_numpy(data.gains * data.exposure[:, None, None, None].astype(np.float32))
+    expected = transmit(images.movedim(1, -1).contiguous(), data.transmission).movedim(-1, 1) * gains
+    return deviance(torch.from_numpy(data.counts), expected, dispersion).mean()
+
+
+def _inverse_curvature(gaussians: Gaussians, data: Measurements, recipe: Recipe) -> Tensor:
+    """Inverse blocks of the coefficients' curvature, from a fifth of the views."""
+    some = data[np.arange(0, len(data), 5)]
+    blocks = coefficient_curvature(gaussians, some, recipe.dispersion) * (len(data) / len(some))
+    diagonal = torch.diagonal(blocks, dim1=1, dim2=2)
+    floor = 1e-4 * diagonal + 1e-6 * diagonal.mean(dim=0)  # a Gaussian that no ray meets stays where it is
+    return torch.linalg.inv(blocks + torch.diag_embed(floor))
+
+
+@torch.no_grad()
+def _project_step(coefficients: Tensor, velocity: Tensor, pull: Tensor, rate: float, momentum: float) -> None:
+    """Heavy-ball step, in place, that ends at non-negative coefficients."""
+    moved = coefficients + momentum * velocity - (1 - momentum) * rate * pull
+    moved.clamp_(min=0)
+    velocity.copy_(moved - coefficients)
+    coefficients.copy_(moved)

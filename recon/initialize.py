@@ -1,0 +1,179 @@
+"""First Gaussians, placed by what volumes of the bases show: dense along edges, sparse inside."""
+
+from typing import no_type_check
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from numba import njit
+from scipy.ndimage import gaussian_filter, map_coordinates, minimum_filter
+from scipy.spatial import cKDTree
+
+from phantomgen.grid import Grid
+from recon.gaussians import Gaussians
+from recon.ops.voxelize import voxelize
+
+SMOOTHING = 1.0  # voxels; standard deviation of the Gaussian that tames noise before edges are looked for
+BACKGROUND = 0.1  # a voxel below this fraction of the typical signal is empty
+EDGE = 4.0  # a gradient this many times the median is an edge
+COARSEST = 3.5  # largest spacing over the smallest
+GROWTH = 0.3  # how fast the spacing may grow with the distance from an edge
+OVERLAP = 0.65  # standard deviation of a Gaussian over the distance to its neighbours
+FLATNESS = 0.5  # thickness of a Gaussian on a full edge over its width
+
+
+def initialize(
+    volumes: Float[np.ndarray, "basis z y x"],
+    fisher: Float[np.ndarray, "basis basis"],
+    grid: Grid,
+    spacing: float,
+    basis_names: tuple[str, ...],
+    seed: int,
+) -> Gaussians:
+    """Place Gaussians where the volumes hold something.
+
+    Signal and edges are measured in units of noise (volumes whitened by the mean Fisher matrix), so that the choice of
+    bases does not matter. Points keep a distance of `spacing` along edges, growing inwards; scales come from the
+    distance to the neighbours; coefficients are the volumes' values divided by the sum of all Gaussians there.
+
+    Parameters
+    ----------
+    volumes : estimate of each basis [1/mm]
+    fisher : mean Fisher matrix of the rays' line integrals
+    grid : grid of `volumes`
+    spacing : distance between Gaussians along edges [mm]
+    basis_names : names of the bases
+    seed : of the placement
+    """
+    smooth = np.stack([gaussian_filter(v, SMOOTHING) for v in volumes])
+    white = np.einsum("nm,mzyx->nzyx", np.linalg.cholesky(fisher).T, volumes)
+    occupied = _occupied(white)
+    tensor = _structure(white)
+    distance = _sizing(tensor, occupied, grid, spacing)
+    voxel = _blue_noise(occupied, distance / min(grid.spacing), seed)
+    centres = (np.array(grid.origin) + voxel * np.array(grid.spacing))[:, ::-1].copy()
+    scales = _neighbour_distance(centres, default=spacing) * OVERLAP
+    normals, edge = _normals(tensor, occupied, voxel)
+    thickness = FLATNESS**edge
+    flat = np.stack([thickness**-0.25, thickness**-0.25, thickness**0.75], axis=1)
+    parts = (
+        torch.from_numpy(centres).float(),
+        torch.log(torch.from_numpy(scales[:, None] * flat)).float(),
+        torch.from_numpy(_turn_z_to(normals)).float(),
+    )
+    values = np.stack([map_coordinates(v, voxel.T, order=1, mode="nearest") for v in np.maximum(smooth, 0)], axis=1)
+    crowd = voxelize(*parts, torch.ones(len(centres), 1), grid)[0]
+    overlap = map_coordinates(crowd, voxel.T, order=1, mode="nearest")
+    coefficients = values / np.maximum(overlap, 0.5)[:, None]
+    return Gaussians(*parts, torch.from_numpy(coefficients).float(), basis_names)
+
+
+def _occupied(white: Float[np.ndarray, "basis z y x"]) -> Bool[np.ndarray, "z y x"]:
+    signal = np.sqrt(sum(gaussian_filter(w, SMOOTHING) ** 2 for w in white))
+    occupied = signal > BACKGROUND * np.percentile(signal, 99)
+    return occupied if occupied.any() else np.ones_like(occupied)
+
+
+def _structure(white: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "pair z y x"]:
+    """Sum over bases of the products of gradients, in the order xx, yy, zz, xy, xz, yz."""
+    out = np.zeros((6, *white.shape[1:]), np.float32)
+    for w in white:
+        z, y, x = np.gradient(gaussian_filter(w, SMOOTHING))
+        for i, product in enumerate((x * x, y * y, z * z, x * y, x * z, y * z)):
+            out[i] += product
+    return out
+
+
+def _strength(
+    tensor: Float[np.ndarray, "pair z y x"], occupied: Bool[np.ndarray, "z y x"]
+) -> Float[np.ndarray, "z y x"]:
+    """Length of the gradient over its median inside the object."""
+    edges = np.sqrt(tensor[:3].sum(axis=0))
+    return edges / max(np.median(edges[occupied]), 1e-30)
+
+
+def _sizing(
+    tensor: Float[np.ndarray, "pair z y x"], occupied: Bool[np.ndarray, "z y x"], grid: Grid, finest: float
+) -> Float[np.ndarray, "z y x"]:
+    """Wanted distance between Gaussians [mm]: `finest` at edges, growing away from them."""
+    distance = finest * EDGE / np.maximum(_strength(tensor, occupied), 1e-6)
+    distance = np.clip(distance, finest, COARSEST * finest)
+    step = GROWTH * min(grid.spacing)
+    for _ in range(int(np.ceil((COARSEST - 1) * finest / step))):
+        distance = np.minimum(distance, minimum_filter(distance, size=3) + step)
+    return distance
+
+
+def _normals(
+    tensor: Float[np.ndarray, "pair z y x"], occupied: Bool[np.ndarray, "z y x"], voxel: Float[np.ndarray, "point 3"]
+) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, " point"]]:
+    """Direction (x, y, z) across the edge at each point, and how much of an edge is there, 0 to 1."""
+    index = tuple(np.clip(np.round(voxel).astype(int).T, 0, np.array(occupied.shape)[:, None] - 1))
+    xx, yy, zz, xy, xz, yz = (gaussian_filter(t, SMOOTHING)[index] for t in tensor)
+    matrices = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
+    edge = np.clip(_strength(tensor, occupied)[index] / EDGE, 0, 1)
+    return np.linalg.eigh(matrices)[1][:, :, 2], edge
+
+
+def _turn_z_to(normals: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 4"]:
+    """Quaternions (w, x, y, z) of the shortest rotation from +z to each normal."""
+    up = np.where(normals[:, 2:] < 0, -normals, normals)
+    quaternions = np.stack([1 + up[:, 2], -up[:, 1], up[:, 0], np.zeros(len(up))], axis=1)
+    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _throw_darts(voxels, offsets, distances, shape, taken):
+    """Accept points in order, unless one is already closer than the candidate's distance; all in voxels."""
+    accepted = np.empty(len(voxels), np.int64)
+    count = 0
+    for i in range(len(voxels)):
+        reach = int(np.ceil(distances[i])) + 1
+        z, y, x = voxels[i]
+        free = True
+        for a in range(max(z - reach, 0), min(z + reach + 1, shape[0])):
+            for b in range(max(y - reach, 0), min(y + reach + 1, shape[1])):
+                for c in range(max(x - reach, 0), min(x + reach + 1, shape[2])):
+                    j = taken[a, b, c]
+                    if j < 0:
+                        continue
+                    dz = a - z + offsets[j, 0] - offsets[i, 0]
+                    dy = b - y + offsets[j, 1] - offsets[i, 1]
+                    dx = c - x + offsets[j, 2] - offsets[i, 2]
+                    if dz * dz + dy * dy + dx * dx < distances[i] ** 2:
+                        free = False
+                        break
+                if not free:
+                    break
+            if not free:
+                break
+        if free:
+            taken[z, y, x] = i
+            accepted[count] = i
+            count += 1
+    return accepted[:count]
+
+
+def _blue_noise(
+    occupied: Bool[np.ndarray, "z y x"], distance: Float[np.ndarray, "z y x"], seed: int
+) -> Float[np.ndarray, "point 3"]:
+    """Points (z, y, x) [voxels] in occupied voxels that keep their distance; the finest regions are filled first."""
+    rng = np.random.default_rng(seed)
+    voxels = np.argwhere(occupied)
+    offsets = rng.uniform(-0.5, 0.5, voxels.shape)
+    distances = distance[occupied]
+    order = np.lexsort([rng.random(len(voxels)), np.round(distances, 1)])
+    taken = np.full(occupied.shape, -1)
+    voxels, offsets = voxels[order], offsets[order]
+    kept = _throw_darts(voxels, offsets, distances[order], np.array(occupied.shape), taken)
+    return voxels[kept] + offsets[kept]
+
+
+def _neighbour_distance(points: Float[np.ndarray, "point 3"], default: float) -> Float[np.ndarray, " point"]:
+    """Root mean square distance to the six nearest points [mm]; `default` for a lonely one."""
+    neighbours = min(6, len(points) - 1)
+    if neighbours == 0:
+        return np.full(len(points), default)
+    distances = cKDTree(points).query(points, k=neighbours + 1)[0][:, 1:]
+    return np.sqrt((distances**2).mean(axis=1))

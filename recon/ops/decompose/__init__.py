@@ -1,0 +1,72 @@
+"""Decompose: from counts to line integrals, ray by ray, by maximum likelihood."""
+
+import numpy as np
+from jaxtyping import Float
+
+from recon.ops.decompose import cpu
+from spectra.errors import InputError
+from spectra.threads import run_parallel
+from spectra.transmission import Transmission
+
+CHUNK = 8192  # rays per piece of work
+PRIOR = 1e-2  # inverse variance of a prior centred on zero; only rays without photons feel it
+LARGEST_STEP = 1.0  # of a line integral in one iteration
+
+
+def decompose(
+    counts: Float[np.ndarray, "ray channel"],
+    gains: Float[np.ndarray, "ray channel"],
+    transmission: Transmission,
+    dispersion: float = 0.0,
+    iterations: int = 30,
+    tolerance: float = 1e-4,
+) -> tuple[Float[np.ndarray, "ray basis"], Float[np.ndarray, "ray basis basis"]]:
+    """Maximum-likelihood line integrals of every basis, and their Fisher matrices.
+
+    Parameters
+    ----------
+    counts : measured counts; zeros are data like any other
+    gains : open-beam counts of the pixel over those of `transmission`
+    transmission : columns are the basis functions
+    dispersion : relative model error; the variance is Y + (dispersion Y)^2
+    iterations, tolerance : a ray is done after so many steps, or when its step is below `tolerance` (no unit)
+
+    Returns
+    -------
+    line integrals (no unit), and their inverse covariance at the solution
+
+    Raises
+    ------
+    InputError
+        With fewer channels than bases, since then the problem has no single solution.
+
+    References
+    ----------
+    Roessl & Proksa 2007, doi:10.1088/0031-9155/52/15/020 (maximum likelihood in photon-counting spectral CT).
+    """
+    bases = len(transmission.columns)
+    if len(transmission) < bases:
+        raise InputError(f"{len(transmission)} channels cannot tell {bases} bases apart; use at most as many bases")
+    counts, gains = (np.ascontiguousarray(x, dtype=np.float64) for x in (counts, gains))
+    lengths = _log_linear(counts, gains, transmission)
+    fishers = np.empty((*lengths.shape, bases))
+
+    def piece(first: int) -> None:
+        cpu.decompose(
+            counts, gains, transmission.columns, transmission.weights, transmission.starts, dispersion, PRIOR,
+            iterations, tolerance, LARGEST_STEP, first, min(first + CHUNK, len(counts)), lengths, fishers,
+        )  # fmt: skip
+
+    for _ in run_parallel(piece, range(0, len(counts), CHUNK)):
+        pass
+    return lengths, fishers
+
+
+def _log_linear(
+    counts: Float[np.ndarray, "ray channel"], gains: Float[np.ndarray, "ray channel"], transmission: Transmission
+) -> Float[np.ndarray, "ray basis"]:
+    """Start: least squares on log projections with the open-beam mean of each basis in each channel, kept positive."""
+    open_beam = transmission.open_beam
+    projections = -np.log(np.maximum(counts, 0.5) / np.maximum(gains * open_beam, 0.5))
+    means = transmission.log_projection_and_slopes(np.zeros(len(transmission.columns)))[1]
+    return np.ascontiguousarray(np.clip(projections @ np.linalg.pinv(means).T, 0.0, 20.0))

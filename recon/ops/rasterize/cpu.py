@@ -1,0 +1,333 @@
+"""Numba kernels of the rasterizer.
+
+Three passes. `footprints` reduces a Gaussian seen in a view to 13 numbers; `forward` adds footprints to a band of image
+rows (each pixel sums its Gaussians in their order, so the result does not depend on bands or threads); `backward`
+gathers, per Gaussian, the sums over its pixels and carries them back to centre, whitening matrix and coefficients.
+
+In pixels (x, y) from the projected centre the integral is
+    |d| amplitude E^-1/2 exp(-N / (2 E)),  N = (l11 x + l21 y)^2 + (l22 y)^2,
+    E = 1 + e1 x + e2 y + e3 x^2 + e4 x y + e5 y^2
+where N / E <= cutoff^2 bounds the footprint. N is kept as its Cholesky form, which does not cancel in float32.
+"""
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+from recon.ops.simd import WIDTH, exp_negative, load, minimum, ramp, splat, square_root, store, total, where_less
+
+XC, YC, L11, L21, L22, E1, E2, E3, E4, E5, AMPLITUDE, ROW_0, ROW_1 = range(13)
+FOOTPRINT_SIZE = 13
+f4 = np.float32
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def whitening(log_scales, quaternions, first, last, matrices):
+    """Write A = S^-1 R^T of Gaussians `first` to `last` into `matrices` (gaussian, 3, 3)."""
+    for g in range(first, last):
+        w, x, y, z = quaternions[g, 0], quaternions[g, 1], quaternions[g, 2], quaternions[g, 3]
+        n = 2.0 / (w * w + x * x + y * y + z * z)
+        for i in range(3):
+            s = math.exp(-log_scales[g, i])
+            if i == 0:
+                a, b, c = 1 - n * (y * y + z * z), n * (x * y + w * z), n * (x * z - w * y)
+            elif i == 1:
+                a, b, c = n * (x * y - w * z), 1 - n * (x * x + z * z), n * (y * z + w * x)
+            else:
+                a, b, c = n * (x * z + w * y), n * (y * z - w * x), 1 - n * (x * x + y * y)
+            matrices[g, i, 0], matrices[g, i, 1], matrices[g, i, 2] = s * a, s * b, s * c
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def whitening_backward(log_scales, quaternions, matrices, cotangents, first, last, to_log_scales, to_quaternions):
+    """Carry `cotangents` of the whitening matrices back to logarithmic scales and unnormalised quaternions."""
+    r = np.empty((3, 3))
+    for g in range(first, last):
+        for i in range(3):
+            s = math.exp(-log_scales[g, i])
+            change = 0.0
+            for j in range(3):
+                change -= matrices[g, i, j] * cotangents[g, i, j]
+                r[j, i] = s * cotangents[g, i, j]
+            to_log_scales[g, i] = change
+        w, x, y, z = quaternions[g, 0], quaternions[g, 1], quaternions[g, 2], quaternions[g, 3]
+        length = math.sqrt(w * w + x * x + y * y + z * z)
+        w, x, y, z = w / length, x / length, y / length, z / length
+        gw = 2 * (x * (r[2, 1] - r[1, 2]) + y * (r[0, 2] - r[2, 0]) + z * (r[1, 0] - r[0, 1]))
+        gx = 2 * (y * (r[0, 1] + r[1, 0]) + z * (r[0, 2] + r[2, 0]) + w * (r[2, 1] - r[1, 2]))
+        gy = 2 * (x * (r[0, 1] + r[1, 0]) + z * (r[1, 2] + r[2, 1]) + w * (r[0, 2] - r[2, 0]))
+        gz = 2 * (x * (r[0, 2] + r[2, 0]) + y * (r[1, 2] + r[2, 1]) + w * (r[1, 0] - r[0, 1]))
+        gx -= 4 * x * (r[1, 1] + r[2, 2])
+        gy -= 4 * y * (r[0, 0] + r[2, 2])
+        gz -= 4 * z * (r[0, 0] + r[1, 1])
+        radial = gw * w + gx * x + gy * y + gz * z
+        to_quaternions[g, 0] = (gw - radial * w) / length
+        to_quaternions[g, 1] = (gx - radial * x) / length
+        to_quaternions[g, 2] = (gy - radial * y) / length
+        to_quaternions[g, 3] = (gz - radial * z) / length
+
+
+@njit(inline="always")
+@no_type_check
+def _apply(a, x, out):
+    for i in range(3):
+        out[i] = a[i, 0] * x[0] + a[i, 1] * x[1] + a[i, 2] * x[2]
+
+
+@njit(inline="always")
+@no_type_check
+def _cross(a, b, out):
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
+
+
+@njit(inline="always")
+@no_type_check
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _project(centre, matrix, frame, inverse, box, w):
+    """Fill the scratch vectors `w` of one Gaussian in one view; returns False where it cannot be seen.
+
+    Rows of `w`: 0 offset, 1 u, 2 vx, 3 vy, 4 u x vx, 5 u x vy, 6 v at the centre, 7 (xc, yc, lambda),
+    8 narrow covariance, 9 wide precision, 10 (D0, mass kept, 0), 11 (e1, e2, e3), 12 (e4, e5, 0).
+    """
+    for i in range(3):
+        w[0, i] = centre[i] - frame[0, i]
+    _apply(inverse, w[0], w[7])
+    depth = w[7, 2]
+    if not 0 < depth < 1:
+        return False
+    w[7, 0] /= depth
+    w[7, 1] /= depth
+    _apply(matrix, w[0], w[1])
+    _apply(matrix, frame[2], w[2])
+    _apply(matrix, frame[3], w[3])
+    _cross(w[1], w[2], w[4])
+    _cross(w[1], w[3], w[5])
+    for i in range(3):
+        w[6, i] = w[1, i] / depth
+    d0 = _dot(w[6], w[6])
+    volume = _dot(w[4], w[3])  # det[u, vx, vy]; det of the precision without cancellation
+    det = depth * depth * volume * volume / d0
+    c11, c12, c22 = _dot(w[5], w[5]) / d0 / det, -_dot(w[4], w[5]) / d0 / det, _dot(w[4], w[4]) / d0 / det
+    det_wide = 1 / det + box * (c11 + c22) + box * box
+    w[8, 0], w[8, 1], w[8, 2] = c11, c12, c22
+    w[9, 0], w[9, 1], w[9, 2] = (c22 + box) / det_wide, -c12 / det_wide, (c11 + box) / det_wide
+    w[10, 0], w[10, 1] = d0, 1 / math.sqrt(det * det_wide)
+    w[11, 0], w[11, 1], w[11, 2] = 2 * _dot(w[6], w[2]) / d0, 2 * _dot(w[6], w[3]) / d0, _dot(w[2], w[2]) / d0
+    w[12, 0], w[12, 1] = 2 * _dot(w[2], w[3]) / d0, _dot(w[3], w[3]) / d0
+    return math.isfinite(det_wide) and det > 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def footprints(centres, matrices, frame, inverse, box, cutoff, rows, first, last, out):
+    """Write the 13 numbers of Gaussians `first` to `last` in one view into `out`; `box` is the pixel's variance."""
+    w = np.empty((13, 3))
+    k2 = cutoff * cutoff
+    for g in range(first, last):
+        out[g, ROW_0] = out[g, ROW_1] = f4(0)
+        if not _project(centres[g], matrices[g], frame, inverse, box, w):
+            continue
+        p11, p12, p22 = w[9, 0], w[9, 1], w[9, 2]
+        e1, e2, e3, e4, e5 = w[11, 0], w[11, 1], w[11, 2], w[12, 0], w[12, 1]
+        q11, q12, q22 = p11 - k2 * e3, p12 - k2 * e4 / 2, p22 - k2 * e5
+        det = q11 * q22 - q12 * q12
+        low, high = 0.0, float(rows)
+        if q11 > 0 and det > 0:  # an ellipse; otherwise the bound is open and all rows are visited
+            middle = w[7, 1] + k2 / 2 * (q11 * e2 - q12 * e1) / det
+            square = k2 + k2 * k2 / 4 * (q22 * e1 * e1 - 2 * q12 * e1 * e2 + q11 * e2 * e2) / det
+            half = math.sqrt(square * q11 / det)
+            low, high = max(low, math.ceil(middle - half)), min(high, math.floor(middle + half) + 1)
+        if high <= low:
+            continue
+        out[g, XC], out[g, YC] = w[7, 0], w[7, 1]
+        out[g, L11], out[g, L21] = math.sqrt(p11), p12 / math.sqrt(p11)
+        out[g, L22] = 1 / math.sqrt(w[8, 2] + box)
+        out[g, E1], out[g, E2], out[g, E3], out[g, E4], out[g, E5] = e1, e2, e3, e4, e5
+        out[g, AMPLITUDE] = w[10, 1] * math.sqrt(2 * math.pi / w[10, 0])
+        out[g, ROW_0], out[g, ROW_1] = low, high
+
+
+@njit(inline="always")
+@no_type_check
+def _row_span(p, dy, k2, columns):
+    """First and one past the last column in which N <= k2 E on the row `dy` pixels from the centre."""
+    a = p[L11] * p[L11] - k2 * p[E3]
+    b = p[L11] * p[L21] * dy - f4(0.5) * k2 * (p[E1] + p[E4] * dy)
+    c = (p[L21] * p[L21] + p[L22] * p[L22]) * dy * dy - k2 * (f4(1) + dy * (p[E2] + dy * p[E5]))
+    if a <= 0:
+        return 0, columns
+    inside = b * b - a * c
+    if inside < 0:
+        return 0, 0
+    half = math.sqrt(inside)
+    low = min(max(p[XC] - (b + half) / a, f4(0)), f4(columns))
+    high = min(max(p[XC] + (half - b) / a, f4(-1)), f4(columns - 1))
+    return int(math.ceil(low)), int(math.floor(high)) + 1
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@no_type_check
+def forward(table, coefficients, lengths, cutoff, columns, row_first, row_last, image):
+    """Add footprints to rows `row_first` to `row_last` of `image` (basis, row, padded column), times |d|."""
+    bases, rows, stride = image.shape
+    k2 = f4(cutoff * cutoff)
+    for g in range(table.shape[0]):
+        p = table[g]
+        for r in range(max(int(p[ROW_0]), row_first), min(int(p[ROW_1]), row_last)):
+            dy = f4(r) - p[YC]
+            low, high = _row_span(p, dy, k2, columns)
+            shear, across = p[L21] * dy, p[L22] * dy
+            flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
+            for base in range(low, high, WIDTH):
+                x = ramp(f4(base) - p[XC])
+                inverse = f4(1) / ((x * p[E3] + tilt) * x + flat)
+                along = x * p[L11] + shear
+                q = (along * along + across * across) * inverse
+                value = square_root(inverse) * exp_negative(minimum(q, k2) * f4(-0.5)) * p[AMPLITUDE]
+                value = where_less(q, k2, value)
+                for m in range(bases):
+                    at = (m * rows + r) * stride + base
+                    store(image, at, load(image, at) + value * coefficients[g, m])
+    for m in range(bases):
+        for r in range(row_first, row_last):
+            for c in range(columns):
+                image[m, r, c] *= lengths[r, c]
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@no_type_check
+def _gather(p, coefficients, cotangent, k2, columns, sums, to_coefficients):
+    """Sums over one Gaussian's pixels: see `backward` for their meaning."""
+    bases, rows, stride = cotangent.shape
+    zero = splat(f4(0))
+    w0, ax, ay, axx, axy, ayy = zero, zero, zero, zero, zero, zero
+    b0, bx, by, bxx, bxy, byy = zero, zero, zero, zero, zero, zero
+    for r in range(int(p[ROW_0]), int(p[ROW_1])):
+        dy = f4(r) - p[YC]
+        low, high = _row_span(p, dy, k2, columns)
+        shear, across = p[L21] * dy, p[L22] * dy
+        flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
+        for base in range(low, high, WIDTH):
+            x = ramp(f4(base) - p[XC])
+            inverse = f4(1) / ((x * p[E3] + tilt) * x + flat)
+            along = x * p[L11] + shear
+            q = (along * along + across * across) * inverse
+            value = square_root(inverse) * exp_negative(minimum(q, k2) * f4(-0.5)) * p[AMPLITUDE]
+            value = where_less(q, k2, value)
+            pull = zero
+            for m in range(bases):
+                incoming = load(cotangent, (m * rows + r) * stride + base)
+                pull = pull + incoming * coefficients[m]
+                store(to_coefficients, m * WIDTH, load(to_coefficients, m * WIDTH) + incoming * value)
+            pull = pull * value
+            alpha = pull * inverse * f4(-0.5)
+            beta = alpha - alpha * q
+            w0 = w0 + pull
+            step, step_y = alpha * x, alpha * dy
+            ax, ay, axx, axy, ayy = ax + step, ay + step_y, axx + step * x, axy + step * dy, ayy + step_y * dy
+            step, step_y = beta * x, beta * dy
+            b0, bx, by = b0 + beta, bx + step, by + step_y
+            bxx, bxy, byy = bxx + step * x, bxy + step * dy, byy + step_y * dy
+    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = (
+        total(w0),
+        total(ax),
+        total(ay),
+        total(axx),
+        total(axy),
+        total(ayy),
+    )
+    sums[6], sums[7], sums[8], sums[9], sums[10], sums[11] = (
+        total(b0),
+        total(bx),
+        total(by),
+        total(bxx),
+        total(bxy),
+        total(byy),
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _chain(w, s, box, matrix, frame, inverse, t, to_centre, to_matrix):
+    """Carry pixel sums `s` back to centre and whitening matrix, the steps of `_project` in reverse."""
+    xc, yc, depth = w[7, 0], w[7, 1], w[7, 2]
+    c11, c12, c22 = w[8, 0], w[8, 1], w[8, 2]
+    p11, p12, p22 = w[9, 0], w[9, 1], w[9, 2]
+    d0 = w[10, 0]
+    e1, e2, e3, e4, e5 = w[11, 0], w[11, 1], w[11, 2], w[12, 0], w[12, 1]
+    # wide precision P: -P G P, and the logarithm of the mass kept: (narrow precision - P) / 2
+    g11 = p11 * p11 * s[3] + 2 * p11 * p12 * s[4] + p12 * p12 * s[5]
+    g12 = p11 * p12 * s[3] + (p11 * p22 + p12 * p12) * s[4] + p12 * p22 * s[5]
+    g22 = p12 * p12 * s[3] + 2 * p12 * p22 * s[4] + p22 * p22 * s[5]
+    det = c11 * c22 - c12 * c12
+    h11 = -g11 + s[0] / 2 * (c22 / det - p11)
+    h12 = -g12 + s[0] / 2 * (-c12 / det - p12)
+    h22 = -g22 + s[0] / 2 * (c11 / det - p22)
+    # narrow covariance C back to its precision: -C H C, then divided by D0 to the products of u x vx and u x vy
+    n11 = -(c11 * c11 * h11 + 2 * c11 * c12 * h12 + c12 * c12 * h22) / d0
+    n12 = -(c11 * c12 * h11 + (c11 * c22 + c12 * c12) * h12 + c12 * c22 * h22) / d0
+    n22 = -(c12 * c12 * h11 + 2 * c12 * c22 * h12 + c22 * c22 * h22) / d0
+    to_d0 = -(n11 * c22 - 2 * n12 * c12 + n22 * c11) / det
+    to_d0 -= (e1 * s[7] + e2 * s[8] + e3 * s[9] + e4 * s[10] + e5 * s[11] + s[0] / 2) / d0
+    to_xc = -2 * (p11 * s[1] + p12 * s[2]) - (e1 * s[6] + 2 * e3 * s[7] + e4 * s[8])
+    to_yc = -2 * (p12 * s[1] + p22 * s[2]) - (e2 * s[6] + e4 * s[7] + 2 * e5 * s[8])
+    u, vx, vy, a, b, v = w[1], w[2], w[3], w[4], w[5], w[6]
+    for i in range(3):
+        t[0, i] = 2 * (n11 * a[i] + n12 * b[i])
+        t[1, i] = 2 * (n12 * a[i] + n22 * b[i])
+    _cross(vx, t[0], t[2])
+    _cross(vy, t[1], t[3])
+    _cross(t[0], u, t[4])
+    _cross(t[1], u, t[5])
+    to_depth = -(xc * to_xc + yc * to_yc) / depth
+    for i in range(3):
+        to_v = 2 * (to_d0 * v[i] + (s[7] * vx[i] + s[8] * vy[i]) / d0)
+        t[4, i] += 2 * (s[7] * v[i] + s[9] * vx[i] + s[10] * vy[i]) / d0
+        t[5, i] += 2 * (s[8] * v[i] + s[10] * vx[i] + s[11] * vy[i]) / d0
+        t[2, i] += t[3, i] + to_v / depth
+        to_depth -= to_v * v[i] / depth
+    for j in range(3):
+        to_centre[j] += (to_xc * inverse[0, j] + to_yc * inverse[1, j]) / depth + to_depth * inverse[2, j]
+        for i in range(3):
+            to_centre[j] += matrix[i, j] * t[2, i]
+            to_matrix[i, j] += t[2, i] * w[0, j] + t[4, i] * frame[2, j] + t[5, i] * frame[3, j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def backward(
+    centres, matrices, coefficients, frames, inverses, tables, cotangents, box, cutoff, columns, first, last,
+    to_centres, to_matrices, to_coefficients,
+):  # fmt: skip
+    """Gradients of Gaussians `first` to `last`, summed over views in order.
+
+    `cotangents` (view, basis, row, padded column) come multiplied by |d|. With v the value of a pixel, w = v times its
+    pull, alpha = -w / (2 E) belongs to N, beta = alpha (1 - N / E) to E; the sums over pixels are
+    w, alpha (x, y, x^2, x y, y^2) and beta (1, x, y, x^2, x y, y^2).
+    """
+    bases = coefficients.shape[1]
+    k2 = f4(cutoff * cutoff)
+    w, t, sums = np.zeros((13, 3)), np.empty((6, 3)), np.empty(12)
+    lanes = np.empty(bases * WIDTH, np.float32)
+    for g in range(first, last):
+        for view in range(frames.shape[0]):
+            p = tables[view, g]
+            if p[ROW_1] <= p[ROW_0]:
+                continue
+            lanes[:] = f4(0)
+            _gather(p, coefficients[g], cotangents[view], k2, columns, sums, lanes)
+            for m in range(bases):
+                to_coefficients[g, m] += total(load(lanes, m * WIDTH))
+            _project(centres[g], matrices[g], frames[view], inverses[view], box, w)
+            _chain(w, sums, box, matrices[g], frames[view], inverses[view], t, to_centres[g], to_matrices[g])

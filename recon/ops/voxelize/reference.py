@@ -1,0 +1,29 @@
+"""Sum of Gaussians on a voxel grid, dense and in float64: the truth that the kernel is tested against."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.ops.rasterize.reference import rotation
+
+
+def voxelize(
+    centres: Float[Tensor, "gaussian 3"],
+    log_scales: Float[Tensor, "gaussian 3"],
+    quaternions: Float[Tensor, "gaussian 4"],
+    coefficients: Float[Tensor, "gaussian basis"],
+    axes: tuple[Float[Tensor, " z"], Float[Tensor, " y"], Float[Tensor, " x"]],
+    voxel: tuple[float, float, float],
+) -> Float[Tensor, "basis z y x"]:
+    """Value of every basis in voxels centred on `axes`, averaged over boxes of edges `voxel` (z, y, x) [mm].
+
+    Averaging over a box adds edge^2 / 12 to the covariance along each axis and keeps the mass.
+    """
+    turn = rotation(quaternions)
+    narrow = turn @ torch.diag_embed(torch.exp(2 * log_scales)) @ turn.mT
+    wide = narrow + torch.diag(torch.tensor(voxel[::-1], dtype=narrow.dtype) ** 2 / 12)
+    mass_kept = torch.sqrt(torch.linalg.det(narrow) / torch.linalg.det(wide))
+    z, y, x = torch.meshgrid(*axes, indexing="ij")
+    delta = torch.stack([x, y, z], -1)[..., None, :] - centres
+    square = torch.einsum("zyxni,nij,zyxnj->zyxn", delta, torch.linalg.inv(wide), delta)
+    return torch.einsum("zyxn,n,nm->mzyx", torch.exp(-square / 2), mass_kept, coefficients)

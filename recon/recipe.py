@@ -1,0 +1,63 @@
+"""Every number that steers a fit, in one place."""
+
+from dataclasses import dataclass, fields
+
+from spectra.errors import InputError
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A part of the fit at one binning of the detector.
+
+    Parameters
+    ----------
+    binning : pixels along each axis that are summed into one
+    sweeps : times every training view is used
+    """
+
+    binning: int
+    sweeps: float
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Hyper-parameters of a fit; lengths in voxels of the reconstruction grid unless said otherwise.
+
+    Parameters
+    ----------
+    stages : binnings and how long each lasts
+    views_per_step : views whose gradients make one step
+    spacing : distance between Gaussians along edges
+    dispersion : relative model error added to the Poisson variance, so that partial volume at edges does not rule
+    node_tolerance : largest error of the log counts that compressing the energy grid may cause
+    centre_rate : first step of a coordinate
+    shape_rate : first step of a log-scale and of a quaternion's component [no unit]
+    final_rate : last step over first
+    coefficient_rate : step of the coefficients over the step that full curvature would take
+    momentum : of the coefficients
+    curvature_sweeps : sweeps between two evaluations of the coefficients' curvature
+    warm_up : sweeps in which only coefficients move
+    seed : of the placement and of the order of views
+    """
+
+    stages: tuple[Stage, ...] = (Stage(2, 10.0),)
+    views_per_step: int = 3
+    spacing: float = 1.4
+    dispersion: float = 0.01
+    node_tolerance: float = 1e-3
+    centre_rate: float = 0.06
+    shape_rate: float = 0.015
+    final_rate: float = 0.05
+    coefficient_rate: float = 0.7
+    momentum: float = 0.9
+    curvature_sweeps: float = 2.0
+    warm_up: float = 0.5
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name not in ("stages", "seed", "warm_up", "momentum", "dispersion") and value <= 0:
+                raise InputError(f"recipe {field.name} must be positive, got {value}")
+        if not self.stages:
+            raise InputError("a recipe needs at least one stage")

@@ -1,0 +1,193 @@
+"""Few energy nodes in place of many.
+
+The counts of a channel, sum_k w_k exp(-B_k . L), are wanted only for line integrals L in a box that the scene can
+reach. There a handful of free nodes (weight and columns) does as well as hundreds: a Gauss rule for sums of
+exponentials. A non-negative least-squares fit over the given nodes finds a sparse start, nodes are then merged two by
+two, and after every merge all weights and columns are refined by Levenberg-Marquardt steps on the log counts. Columns
+stay inside the range they have in the channel, weights stay positive, so extrapolation outside the box is tame.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.optimize import nnls
+
+_SAMPLES, _FRESH = 400, 2000
+_STEPS = 60
+_MOST_REFINED = 16
+_DAMPING, _HIGHEST_DAMPING, _TINY = 1e-3, 1e8, 1e-14
+# Products (rows x columns x columns) up to which OpenBLAS stays on one thread.
+_ONE_THREAD = 262144
+
+
+class Nodes(NamedTuple):
+    """Weights (K,) and columns (K, M) of a channel's nodes, columns scaled to the box."""
+
+    weights: Float[np.ndarray, " node"]
+    columns: Float[np.ndarray, "node basis"]
+
+
+def compress_channel(
+    weights: Float[np.ndarray, " node"],
+    columns: Float[np.ndarray, "basis node"],
+    box: Float[np.ndarray, "2 basis"],
+    tolerance: float,
+    rng: np.random.Generator,
+) -> tuple[Float[np.ndarray, " few"], Float[np.ndarray, "basis few"], float]:
+    """Fewest nodes found whose log counts err by at most `tolerance` in the box.
+
+    Parameters
+    ----------
+    weights, columns : nodes of one channel
+    box : smallest and largest line integrals
+    tolerance : largest error of log counts
+    rng : source of the sampled line integrals
+
+    Returns
+    -------
+    weights and columns of the new nodes, and their worst log error on rays that were not fitted; the nodes handed in,
+    and error 0, where no fewer would do
+    """
+    scale = np.maximum(np.abs(box).max(axis=0), np.finfo(float).tiny)
+    full = Nodes(weights, columns.T * scale)
+    if len(weights) < 2:
+        return weights, columns, 0.0
+    fitted, fresh = (sample_box(box / scale, count, rng) for count in (_SAMPLES, _FRESH))
+    wanted = log_counts(full, fitted), log_counts(full, fresh)
+    for nodes in _ever_more(full, fitted, wanted[0], tolerance / 2):
+        error = float(np.abs(log_counts(nodes, fresh) - wanted[1]).max())
+        if error <= tolerance and len(nodes.weights) < len(weights):
+            return nodes.weights, (nodes.columns / scale).T, error
+    return weights, columns, 0.0
+
+
+def sample_box(
+    box: Float[np.ndarray, "2 basis"], count: int, rng: np.random.Generator
+) -> Float[np.ndarray, "ray basis"]:
+    """Corners of the box, and points drawn denser towards its faces, where polynomial-like fits err most."""
+    basis = box.shape[1]
+    corners = np.stack(np.meshgrid(*([0.0, 1.0] for _ in range(basis)), indexing="ij"), axis=-1).reshape(-1, basis)
+    inside = (1 - np.cos(np.pi * rng.random((count, basis)))) / 2
+    return box[0] + np.concatenate([corners, inside]) * (box[1] - box[0])
+
+
+def log_counts(nodes: Nodes, rays: Float[np.ndarray, "ray basis"]) -> Float[np.ndarray, " ray"]:
+    """Log of sum_k w_k exp(-c_k . L)."""
+    return _log_shares(nodes, rays)[0]
+
+
+def _log_shares(
+    nodes: Nodes, rays: Float[np.ndarray, "ray basis"]
+) -> tuple[Float[np.ndarray, " ray"], Float[np.ndarray, "ray node"]]:
+    """Log counts, and each node's share of the counts."""
+    exponent = -_attenuation(nodes, rays)
+    shift = exponent.max(axis=1, keepdims=True)
+    parts = nodes.weights * np.exp(exponent - shift)
+    total = parts.sum(axis=1, keepdims=True)
+    return (shift + np.log(total))[:, 0], parts / total
+
+
+def _attenuation(nodes: Nodes, rays: Float[np.ndarray, "ray basis"]) -> Float[np.ndarray, "ray node"]:
+    """Exponents c_k . L, without BLAS, whose threads cost more than this product."""
+    return np.einsum("rm,km->rk", rays, nodes.columns)
+
+
+def _ever_more(
+    full: Nodes, rays: Float[np.ndarray, "ray basis"], wanted: Float[np.ndarray, " ray"], goal: float
+) -> Iterator[Nodes]:
+    """Yield ever larger sets of refined nodes, and last the sparse set that the merging started from."""
+    limits = full.columns.min(axis=0), full.columns.max(axis=0)
+    levels = [_sparse(full, rays, wanted)]
+    while len(levels[-1].weights) > 1:
+        levels.append(_with_closest_merged(levels[-1], rays))
+    for nodes in reversed(levels[max(1, len(levels) - _MOST_REFINED) :]):
+        yield _refined(nodes, rays, wanted, limits, goal)
+    yield levels[0]
+
+
+def _sparse(full: Nodes, rays: Float[np.ndarray, "ray basis"], wanted: Float[np.ndarray, " ray"]) -> Nodes:
+    """Few of the given nodes with new weights, by non-negative least squares on the relative counts."""
+    relative = np.exp(-_attenuation(full, rays) - wanted[:, None]) * full.weights.max()
+    weights = nnls(relative, np.ones(len(rays)))[0]
+    chosen = weights > 0
+    return Nodes(weights[chosen] * full.weights.max(), full.columns[chosen])
+
+
+def _with_closest_merged(nodes: Nodes, rays: Float[np.ndarray, "ray basis"]) -> Nodes:
+    """Two neighbours become their mean: the pair whose merging changes the worst log counts least, to second order."""
+    w, c = nodes
+    shares = _log_shares(nodes, rays)[1] + np.finfo(float).tiny
+    spread = np.diff(_attenuation(nodes, rays), axis=1) ** 2
+    change = spread * shares[:, 1:] * shares[:, :-1] / (shares[:, 1:] + shares[:, :-1])
+    i = int(np.argmin(change.max(axis=0)))
+    mean = (w[i] * c[i] + w[i + 1] * c[i + 1]) / (w[i] + w[i + 1])
+    weights = np.concatenate([w[:i], [w[i] + w[i + 1]], w[i + 2 :]])
+    return Nodes(weights, np.concatenate([c[:i], mean[None], c[i + 2 :]]))
+
+
+def _refined(
+    nodes: Nodes,
+    rays: Float[np.ndarray, "ray basis"],
+    wanted: Float[np.ndarray, " ray"],
+    limits: tuple[Float[np.ndarray, " basis"], Float[np.ndarray, " basis"]],
+    goal: float,
+) -> Nodes:
+    """Levenberg-Marquardt steps on all weights and columns, until all errors are below `goal`.
+
+    Weights move as logarithms, so that they stay positive; columns stay within `limits`.
+    """
+    damping = _DAMPING
+    log_fit, shares = _log_shares(nodes, rays)
+    for _ in range(_STEPS):
+        error = wanted - log_fit
+        if np.abs(error).max() < goal or damping > _HIGHEST_DAMPING:
+            break
+        slopes = np.concatenate([shares[:, :, None], -shares[:, :, None] * rays[:, None, :]], axis=2)
+        slopes = slopes.reshape(len(rays), -1)
+        gradient = np.einsum("rp,r->p", slopes, error)
+        blocked = _blocked(nodes, gradient, limits)
+        slopes[:, blocked], gradient[blocked] = 0.0, 0.0
+        normal = _gram(slopes)
+        normal[np.diag_indices_from(normal)] *= 1 + damping
+        normal[np.diag_indices_from(normal)] += _TINY
+        trial = _moved(nodes, np.linalg.solve(normal, gradient), limits)
+        trial_fit, trial_shares = _log_shares(trial, rays)
+        better = np.sum((wanted - trial_fit) ** 2) < np.sum(error**2)
+        damping *= 0.2 if better else 5.0
+        if better:
+            nodes, log_fit, shares = trial, trial_fit, trial_shares
+    return nodes
+
+
+def _blocked(
+    nodes: Nodes,
+    gradient: Float[np.ndarray, " parameter"],
+    limits: tuple[Float[np.ndarray, " basis"], Float[np.ndarray, " basis"]],
+) -> Bool[np.ndarray, " parameter"]:
+    """Parameters that stand at a limit and would cross it."""
+    pull = gradient.reshape(len(nodes.weights), -1)[:, 1:]
+    columns = ((nodes.columns <= limits[0]) & (pull <= 0)) | ((nodes.columns >= limits[1]) & (pull >= 0))
+    return np.concatenate([np.zeros((len(columns), 1), dtype=bool), columns], axis=1).ravel()
+
+
+def _gram(matrix: Float[np.ndarray, "ray parameter"]) -> Float[np.ndarray, "parameter parameter"]:
+    """``matrix.T @ matrix`` in pieces that BLAS keeps on one thread: waking others takes longer than the work."""
+    rays, parameters = matrix.shape
+    rows = max(1, _ONE_THREAD // parameters**2)
+    padded = np.zeros((-(-rays // rows) * rows, parameters))
+    padded[:rays] = matrix
+    pieces = padded.reshape(-1, rows, parameters)
+    return (pieces.transpose(0, 2, 1) @ pieces).sum(axis=0)
+
+
+def _moved(
+    nodes: Nodes,
+    step: Float[np.ndarray, " parameter"],
+    limits: tuple[Float[np.ndarray, " basis"], Float[np.ndarray, " basis"]],
+) -> Nodes:
+    """Nodes after a step of the parameters (log weight, columns), node by node."""
+    change = step.reshape(len(nodes.weights), -1)
+    weights = nodes.weights * np.exp(np.clip(change[:, 0], -1.0, 1.0))
+    return Nodes(weights, np.clip(nodes.columns + change[:, 1:], *limits))

@@ -1,0 +1,40 @@
+"""Everything this project raises on purpose.
+
+==================  ==========================================================================
+Raise               when
+==================  ==========================================================================
+`InputError`        a value handed to a function or an option is wrong
+`SceneError`        a scene file is wrong; carries file, line, column and key
+`DatasetError`      a dataset file is damaged, of a newer schema, or lacks something
+`GeometryError`     a scan geometry cannot be what the caller means
+`NotInstalledError` an optional dependency is missing; names the command that installs it
+`Error`             never directly: it is what a command line catches
+==================  ==========================================================================
+
+Messages are one sentence: what is wrong, where, the value found, and what would be right.
+A command line turns an `Error` into that sentence and exit code 1; anything else is a bug and shows its traceback.
+"""
+
+
+class Error(Exception):
+    """Root of all errors raised on purpose."""
+
+
+class InputError(Error, ValueError):
+    """A value handed in is wrong."""
+
+
+class SceneError(Error, ValueError):
+    """A scene file is wrong; the message starts with ``file:line:column``."""
+
+
+class DatasetError(Error, ValueError):
+    """A dataset file is damaged, too new, or incomplete."""
+
+
+class GeometryError(Error, ValueError):
+    """A scan geometry is impossible or degenerate."""
+
+
+class NotInstalledError(Error, ImportError):
+    """An optional dependency is missing."""

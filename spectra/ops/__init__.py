@@ -1,0 +1,1 @@
+"""Numerical operators on arrays, one folder each."""

@@ -1,0 +1,60 @@
+"""The one place that decides how many threads work.
+
+Kernels are single-threaded numba functions that release the GIL; `run_parallel` hands independent pieces of work to
+one pool. Each piece writes to its own output, so results do not depend on the number of threads.
+"""
+
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
+from typing import TypeVar
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+_state: dict[str, ThreadPoolExecutor | int | None] = {"pool": None, "count": None}
+
+
+def available_threads() -> int:
+    """Threads this process may use: ``OMP_NUM_THREADS`` if set, else the processors it is allowed to run on."""
+    wish = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
+    if wish.isdigit() and int(wish) > 0:
+        return int(wish)
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def thread_count() -> int:
+    """Number of threads in use."""
+    count = _state["count"]
+    return count if isinstance(count, int) else available_threads()
+
+
+def set_threads(count: int | None) -> None:
+    """Use `count` threads from here on, in our kernels and in torch; ``None`` means all that are available."""
+    pool = _state["pool"]
+    if isinstance(pool, ThreadPoolExecutor):
+        pool.shutdown()
+    _state.update(pool=None, count=count)
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(thread_count())
+
+
+def run_parallel(task: Callable[[T], R], items: Iterable[T], ahead: int = 2) -> Iterator[R]:
+    """Yield ``task(item)`` for every item, in order, with at most `ahead` results per thread waiting to be taken."""
+    threads = thread_count()
+    if threads == 1:
+        yield from map(task, items)
+        return
+    pool = _state["pool"]
+    if not isinstance(pool, ThreadPoolExecutor):
+        pool = _state["pool"] = ThreadPoolExecutor(threads, thread_name_prefix="kernel")
+    source = iter(items)
+    waiting = [pool.submit(task, item) for item in islice(source, ahead * threads)]
+    while waiting:
+        result = waiting.pop(0).result()
+        waiting.extend(pool.submit(task, item) for item in islice(source, 1))
+        yield result
