@@ -20,6 +20,7 @@ from recon.measurements import Measurements
 from recon.ops.rasterize import rasterize
 from recon.recipe import Recipe
 from spectra.ops.transmit import transmit
+from spectra.threads import without_other_pools
 
 GEOMETRY = ("centres", "log_scales", "quaternions")
 
@@ -35,6 +36,7 @@ class Progress:
     gaussians: Gaussians
 
 
+@without_other_pools()
 def fit(
     start: Gaussians,
     measurements: Measurements,

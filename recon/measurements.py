@@ -1,12 +1,17 @@
 """What the reconstructor sees: counts, open beam, geometry and the spectral model of some of the views."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from phantomgen.dataset import Dataset
 from phantomgen.geometry import Geometry
+from spectra.errors import InputError
 from spectra.transmission import Transmission
+
+
+HARDENING = 1.5  # a hardened beam is attenuated less per line integral than the open beam, so boxes get this much room
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,10 +21,12 @@ class Measurements:
     Parameters
     ----------
     counts : measured counts minus dark, float32
-    gains : open-beam counts of each pixel over those that `transmission` expects, float32
+    gains : open-beam counts of each pixel over those that `transmission` expects, float32; 0 where a pixel or a
+        channel is blind
     exposure : tube output of each view relative to the flat frames
     geometry : poses of the views
     transmission : columns are the basis functions
+    basis_names : names of the basis functions
     """
 
     counts: Float[np.ndarray, "view channel row column"]
@@ -27,28 +34,72 @@ class Measurements:
     exposure: Float[np.ndarray, " view"]
     geometry: Geometry
     transmission: Transmission
+    basis_names: tuple[str, ...]
 
     def __len__(self) -> int:
         return len(self.counts)
 
     def __getitem__(self, views: slice | list[int] | np.ndarray) -> "Measurements":
         """Some of the views."""
-        return Measurements(
-            self.counts[views], self.gains, self.exposure[views], self.geometry[views], self.transmission
+        return replace(
+            self, counts=self.counts[views], exposure=self.exposure[views], geometry=self.geometry[views]
         )
 
     def binned(self, factor: int) -> "Measurements":
         """The same scan with `factor` x `factor` pixels summed into one."""
         if factor == 1:
             return self
-        geometry = self.geometry.binned(factor)
-        return Measurements(
-            _sum_blocks(self.counts, factor),
-            _sum_blocks(self.gains, factor),
-            self.exposure,
-            geometry,
-            self.transmission,
+        return replace(
+            self,
+            counts=_sum_blocks(self.counts, factor),
+            gains=_sum_blocks(self.gains, factor),
+            geometry=self.geometry.binned(factor),
         )
+
+    def compressed(self, tolerance: float) -> tuple["Measurements", float]:
+        """The same scan with few energy nodes, and the worst error of the log counts that this causes.
+
+        The box of line integrals in which the error holds is read off the data: no line integral of a basis can exceed
+        what the least attenuated channel allows.
+        """
+        open_beam = np.maximum(self.gains * self.transmission.open_beam[:, None, None], 0.5)
+        projections = np.log(open_beam / np.maximum(self.counts, 0.5))
+        largest = np.maximum(np.quantile(projections[:, :, ::4, ::4], 0.999, axis=(0, 2, 3)), 0.1)
+        slopes = self.transmission.log_projection_and_slopes(np.zeros(len(self.basis_names)))[1]
+        with np.errstate(divide="ignore"):
+            high = HARDENING * (largest[:, None] / slopes).min(axis=0)
+        high = np.where(np.isfinite(high), high, 1.0)
+        few, error = self.transmission.compress(-0.05 * high, high, tolerance)
+        return replace(self, transmission=few), error
+
+
+
+def read_measurements(dataset: Dataset, views: Int[np.ndarray, " view"], bases: int | None = None) -> Measurements:
+    """Measurements of some views of a dataset, in the first `bases` of its basis functions (default all).
+
+    Raises
+    ------
+    InputError
+        When the dataset has fewer basis functions, or fewer channels than bases.
+    """
+    names = dataset.spectra.basis.names
+    count = len(names) if bases is None else bases
+    if count > len(names):
+        raise InputError(f"{dataset.path} has the bases {', '.join(names)}: {count} were asked for")
+    whole = dataset.spectra.transmission()
+    if len(whole) < count:
+        raise InputError(f"{len(whole)} channels cannot tell {count} bases apart: use --bases {len(whole)} or fewer")
+    transmission = replace(whole, columns=whole.columns[:count])
+    open_beam = transmission.open_beam[:, None, None]
+    gains = np.divide(dataset.flat, open_beam, out=np.zeros_like(dataset.flat), where=open_beam > 0)
+    return Measurements(
+        counts=np.maximum(dataset.load(views) - dataset.dark, 0).astype(np.float32),
+        gains=np.maximum(gains, 0).astype(np.float32),
+        exposure=dataset.exposure[views],
+        geometry=dataset.geometry[views],
+        transmission=transmission,
+        basis_names=tuple(names[:count]),
+    )
 
 
 def _sum_blocks(images: Float[np.ndarray, "... row column"], factor: int) -> Float[np.ndarray, "... row column"]:

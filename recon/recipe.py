@@ -11,7 +11,7 @@ class Stage:
 
     Parameters
     ----------
-    binning : pixels along each axis that are summed into one
+    binning : pixels along each axis that are summed into one, in units of the binning that matches pixels to voxels
     sweeps : times every training view is used
     """
 
@@ -40,7 +40,7 @@ class Recipe:
     seed : of the placement and of the order of views
     """
 
-    stages: tuple[Stage, ...] = (Stage(2, 10.0),)
+    stages: tuple[Stage, ...] = (Stage(1, 10.0),)
     views_per_step: int = 3
     spacing: float = 1.4
     dispersion: float = 0.01

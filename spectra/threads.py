@@ -1,13 +1,15 @@
 """The one place that decides how many threads work.
 
 Kernels are single-threaded numba functions that release the GIL; `run_parallel` hands independent pieces of work to
-one pool. Each piece writes to its own output, so results do not depend on the number of threads.
+one pool. Each piece writes to its own output, so results do not depend on the number of threads. The pools of torch and
+of linear algebra libraries would compete with ours, spinning while they wait (a fit then takes five times as long), so
+long computations run inside `without_other_pools`.
 """
 
 import os
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from itertools import islice
 from typing import TypeVar
 
@@ -34,13 +36,20 @@ def thread_count() -> int:
 
 
 def set_threads(count: int | None) -> None:
-    """Use `count` threads from here on, in our kernels and in torch; ``None`` means all that are available."""
+    """Use `count` threads from here on; ``None`` means all that are available."""
     pool = _state["pool"]
     if isinstance(pool, ThreadPoolExecutor):
         pool.shutdown()
     _state.update(pool=None, count=count)
-    if "torch" in sys.modules:
-        sys.modules["torch"].set_num_threads(thread_count())
+
+
+@contextmanager
+def without_other_pools() -> Iterator[None]:
+    """Keep OpenMP and linear algebra libraries to one thread for a while; also a decorator."""
+    from threadpoolctl import threadpool_limits  # noqa: PLC0415 - nobody pays for it at import
+
+    with threadpool_limits(limits=1):
+        yield
 
 
 def run_parallel(task: Callable[[T], R], items: Iterable[T], ahead: int = 2) -> Iterator[R]:

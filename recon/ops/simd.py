@@ -88,6 +88,22 @@ def ramp(typingctx, first):
     return float32x8(types.float32), codegen
 
 
+@intrinsic
+def count_from(typingctx, first):
+    """The integers `first`, `first` + 1, ... `first` + 7 as float32, exactly, however the compiler orders sums."""
+
+    def codegen(context, builder, signature, args):
+        integers = ir.VectorType(ir.IntType(32), WIDTH)
+        undefined = ir.Constant(integers, ir.Undefined)
+        one = builder.insert_element(
+            undefined, builder.trunc(args[0], ir.IntType(32)), ir.Constant(ir.IntType(32), 0)
+        )
+        all_equal = builder.shuffle_vector(one, undefined, ir.Constant(integers, [0] * WIDTH))
+        return builder.sitofp(builder.add(all_equal, ir.Constant(integers, list(range(WIDTH)))), _VECTOR)
+
+    return float32x8(types.int64), codegen
+
+
 def _pointer(context, builder, signature, args):
     array = context.make_array(signature.args[0])(context, builder, args[0])
     element = builder.gep(array.data, [args[1]])
@@ -173,7 +189,10 @@ f4 = np.float32
 @njit(inline="always")
 @no_type_check
 def exp_negative(x):
-    """exp(x) for x in [-12.5, 0], relative error below 2e-6: the Taylor polynomial of exp(x / 16), squared four times."""
+    """exp(x) for x in [-12.5, 0], error below 1e-6: the Taylor polynomial of exp(x / 16), squared four times.
+
+    The relative error is below 2e-6 down to -3, 2e-5 at -6.9 and 1.2e-3 at -12.5.
+    """
     t = x * f4(1 / 16)
     p = t * f4(1 / 720) + f4(1 / 120)
     p = p * t + f4(1 / 24)

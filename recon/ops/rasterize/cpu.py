@@ -20,6 +20,9 @@ from recon.ops.simd import WIDTH, exp_negative, load, minimum, ramp, splat, squa
 
 XC, YC, L11, L21, L22, E1, E2, E3, E4, E5, AMPLITUDE, ROW_0, ROW_1 = range(13)
 FOOTPRINT_SIZE = 13
+SCRATCH = 15  # rows of the scratch array of one Gaussian in one view
+NARROWEST = 1 / 12  # variance of a pixel [pixel^2]
+NEGLIGIBLE = 18.0  # exp(-18) is below the resolution of float32
 f4 = np.float32
 
 
@@ -92,13 +95,42 @@ def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
+@njit(inline="always")
+@no_type_check
+def _lattice_mass(w, box, out):
+    """Sum of a footprint of unit mass over all pixels, and its gradient.
+
+    By Poisson summation 1 + 2 sum_k exp(-2 pi^2 k^T C k) cos(2 pi k.x) over half of the nearest lattice neighbours k.
+    `out`: sum, derivative in xc, yc, and in the covariance's entries 11, 12 (half of both), 22.
+    """
+    out[0] = 1.0
+    out[1:] = 0.0
+    if box < NARROWEST:  # pixels that do not average have no mass to keep
+        return
+    for n in range(4):
+        i, j = (1.0, 0.0) if n == 0 else (n - 2.0, 1.0)
+        exponent = 2 * math.pi**2 * (i * i * (w[8, 0] + box) + 2 * i * j * w[8, 1] + j * j * (w[8, 2] + box))
+        if exponent > NEGLIGIBLE:
+            continue
+        decay, phase = 2 * math.exp(-exponent), 2 * math.pi * (i * w[7, 0] + j * w[7, 1])
+        wave, slope = decay * math.cos(phase), -2 * math.pi * decay * math.sin(phase)
+        out[0] += wave
+        out[1] += i * slope
+        out[2] += j * slope
+        wave *= -2 * math.pi**2
+        out[3] += i * i * wave
+        out[4] += i * j * wave
+        out[5] += j * j * wave
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def _project(centre, matrix, frame, inverse, box, w):
     """Fill the scratch vectors `w` of one Gaussian in one view; returns False where it cannot be seen.
 
     Rows of `w`: 0 offset, 1 u, 2 vx, 3 vy, 4 u x vx, 5 u x vy, 6 v at the centre, 7 (xc, yc, lambda),
-    8 narrow covariance, 9 wide precision, 10 (D0, mass kept, 0), 11 (e1, e2, e3), 12 (e4, e5, 0).
+    8 narrow covariance, 9 wide precision, 10 (D0, mass kept, 0), 11 (e1, e2, e3), 12 (e4, e5, 0),
+    13 and 14 the sum over pixels and its gradient.
     """
     for i in range(3):
         w[0, i] = centre[i] - frame[0, i]
@@ -122,7 +154,8 @@ def _project(centre, matrix, frame, inverse, box, w):
     det_wide = 1 / det + box * (c11 + c22) + box * box
     w[8, 0], w[8, 1], w[8, 2] = c11, c12, c22
     w[9, 0], w[9, 1], w[9, 2] = (c22 + box) / det_wide, -c12 / det_wide, (c11 + box) / det_wide
-    w[10, 0], w[10, 1] = d0, 1 / math.sqrt(det * det_wide)
+    _lattice_mass(w, box, w[13:].reshape(6))
+    w[10, 0], w[10, 1] = d0, 1 / (math.sqrt(det * det_wide) * w[13, 0])
     w[11, 0], w[11, 1], w[11, 2] = 2 * _dot(w[6], w[2]) / d0, 2 * _dot(w[6], w[3]) / d0, _dot(w[2], w[2]) / d0
     w[12, 0], w[12, 1] = 2 * _dot(w[2], w[3]) / d0, _dot(w[3], w[3]) / d0
     return math.isfinite(det_wide) and det > 0
@@ -132,7 +165,7 @@ def _project(centre, matrix, frame, inverse, box, w):
 @no_type_check
 def footprints(centres, matrices, frame, inverse, box, cutoff, rows, first, last, out):
     """Write the 13 numbers of Gaussians `first` to `last` in one view into `out`; `box` is the pixel's variance."""
-    w = np.empty((13, 3))
+    w = np.empty((SCRATCH, 3))
     k2 = cutoff * cutoff
     for g in range(first, last):
         out[g, ROW_0] = out[g, ROW_1] = f4(0)
@@ -271,17 +304,18 @@ def _chain(w, s, box, matrix, frame, inverse, t, to_centre, to_matrix):
     g12 = p11 * p12 * s[3] + (p11 * p22 + p12 * p12) * s[4] + p12 * p22 * s[5]
     g22 = p12 * p12 * s[3] + 2 * p12 * p22 * s[4] + p22 * p22 * s[5]
     det = c11 * c22 - c12 * c12
-    h11 = -g11 + s[0] / 2 * (c22 / det - p11)
-    h12 = -g12 + s[0] / 2 * (-c12 / det - p12)
-    h22 = -g22 + s[0] / 2 * (c11 / det - p22)
+    per_mass = -s[0] / w[13, 0]
+    h11 = -g11 + s[0] / 2 * (c22 / det - p11) + per_mass * w[14, 0]
+    h12 = -g12 + s[0] / 2 * (-c12 / det - p12) + per_mass * w[14, 1]
+    h22 = -g22 + s[0] / 2 * (c11 / det - p22) + per_mass * w[14, 2]
     # narrow covariance C back to its precision: -C H C, then divided by D0 to the products of u x vx and u x vy
     n11 = -(c11 * c11 * h11 + 2 * c11 * c12 * h12 + c12 * c12 * h22) / d0
     n12 = -(c11 * c12 * h11 + (c11 * c22 + c12 * c12) * h12 + c12 * c22 * h22) / d0
     n22 = -(c12 * c12 * h11 + 2 * c12 * c22 * h12 + c22 * c22 * h22) / d0
     to_d0 = -(n11 * c22 - 2 * n12 * c12 + n22 * c11) / det
     to_d0 -= (e1 * s[7] + e2 * s[8] + e3 * s[9] + e4 * s[10] + e5 * s[11] + s[0] / 2) / d0
-    to_xc = -2 * (p11 * s[1] + p12 * s[2]) - (e1 * s[6] + 2 * e3 * s[7] + e4 * s[8])
-    to_yc = -2 * (p12 * s[1] + p22 * s[2]) - (e2 * s[6] + e4 * s[7] + 2 * e5 * s[8])
+    to_xc = -2 * (p11 * s[1] + p12 * s[2]) - (e1 * s[6] + 2 * e3 * s[7] + e4 * s[8]) + per_mass * w[13, 1]
+    to_yc = -2 * (p12 * s[1] + p22 * s[2]) - (e2 * s[6] + e4 * s[7] + 2 * e5 * s[8]) + per_mass * w[13, 2]
     u, vx, vy, a, b, v = w[1], w[2], w[3], w[4], w[5], w[6]
     for i in range(3):
         t[0, i] = 2 * (n11 * a[i] + n12 * b[i])
@@ -318,7 +352,7 @@ def backward(
     """
     bases = coefficients.shape[1]
     k2 = f4(cutoff * cutoff)
-    w, t, sums = np.zeros((13, 3)), np.empty((6, 3)), np.empty(12)
+    w, t, sums = np.zeros((SCRATCH, 3)), np.empty((6, 3)), np.empty(12)
     lanes = np.empty(bases * WIDTH, np.float32)
     for g in range(first, last):
         for view in range(frames.shape[0]):

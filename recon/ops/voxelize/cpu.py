@@ -1,8 +1,9 @@
 """Numba kernels of the voxelizer.
 
-`shapes` reduces a Gaussian to 12 numbers in voxel units; `fill` adds all Gaussians to a slab of slices, each voxel in
+`shapes` reduces a Gaussian to 15 numbers in voxel units; `fill` adds all Gaussians to a slab of slices, each voxel in
 the order of the Gaussians. In voxels (x, y, z) from the centre the exponent is half of
-(u11 x + u12 y + u13 z)^2 + (u22 y + u23 z)^2 + (u33 z)^2, cut off where it exceeds cutoff^2.
+(u11 x + u12 y + u13 z)^2 + (u22 y + u23 z)^2 + (u33 z)^2, cut off where it exceeds cutoff^2. A centre is kept as
+the voxel it lies in and the offset from there, so that a part of a grid rounds like the whole.
 """
 
 import math
@@ -11,22 +12,42 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from recon.ops.simd import WIDTH, exp_negative, load, minimum, ramp, store, where_less
+from recon.ops.rasterize.cpu import NARROWEST, NEGLIGIBLE
+from recon.ops.simd import WIDTH, count_from, exp_negative, load, minimum, splat, store, where_less
 
-X, Y, Z, U11, U12, U13, U22, U23, U33, AMPLITUDE, HALF_Z, HALF_Y = range(12)
-SHAPE_SIZE = 12
+X, Y, Z, U11, U12, U13, U22, U23, U33, AMPLITUDE, HALF_Z, HALF_Y, VOXEL_X, VOXEL_Y, VOXEL_Z = range(15)
+SHAPE_SIZE = 15
+FARTHEST = 2.0**22  # voxels from the grid's corner; integers are exact in float32 up to four times as much
+SLACK = 0.01  # voxels that rows are longer than the ellipsoid at either end; `where_less` has the last word
 f4 = np.float32
+
+
+@njit(inline="always")
+@no_type_check
+def _lattice_mass(x, c, box):
+    """Sum of a density of unit mass over all voxels: 1 + 2 sum_k exp(-2 pi^2 k^T C k) cos(2 pi k.x), nearest k."""
+    mass = 1.0
+    if box < NARROWEST:  # voxels that do not average have no mass to keep
+        return mass
+    for n in range(14, 27):
+        k0, k1, k2 = n // 9 - 1.0, n // 3 % 3 - 1.0, n % 3 - 1.0
+        square = k0 * (k0 * c[0, 0] + 2 * k1 * c[0, 1] + 2 * k2 * c[0, 2])
+        square += k1 * (k1 * c[1, 1] + 2 * k2 * c[1, 2]) + k2 * k2 * c[2, 2]
+        exponent = 2 * math.pi**2 * square
+        if exponent < NEGLIGIBLE:
+            mass += 2 * math.exp(-exponent) * math.cos(2 * math.pi * (k0 * x[0] + k1 * x[1] + k2 * x[2]))
+    return mass
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def shapes(centres, matrices, origin, spacing, box, cutoff, first, last, out):
-    """Write the 12 numbers of Gaussians `first` to `last` into `out`.
+    """Write the 15 numbers of Gaussians `first` to `last` into `out`.
 
     `matrices` are the whitening matrices A = S^-1 R^T, so the covariance is (A^T A)^-1; `origin` and `spacing` are
     (x, y, z) [mm]; `box` is the variance of a voxel in voxels^2.
     """
-    c = np.empty((3, 3))
+    c, x, voxel = np.empty((3, 3)), np.empty(3), np.empty(3)
     for g in range(first, last):
         a = matrices[g]
         norms = np.empty(3)
@@ -47,15 +68,27 @@ def shapes(centres, matrices, origin, spacing, box, cutoff, first, last, out):
         l22 = math.sqrt(c[1, 1] - l23 * l23)
         l12 = (c[0, 1] - l13 * l23) / l22
         l11 = math.sqrt(c[0, 0] - l12 * l12 - l13 * l13)
-        out[g, X] = (centres[g, 0] - origin[0]) / spacing[0]
-        out[g, Y] = (centres[g, 1] - origin[1]) / spacing[1]
-        out[g, Z] = (centres[g, 2] - origin[2]) / spacing[2]
+        for i in range(3):
+            x[i] = (centres[g, i] - origin[i]) / spacing[i]
+            voxel[i] = min(max(math.floor(x[i] + 0.5), -FARTHEST), FARTHEST)
+            x[i] -= voxel[i]
+        out[g, X], out[g, Y], out[g, Z] = x[0], x[1], x[2]
+        out[g, VOXEL_X], out[g, VOXEL_Y], out[g, VOXEL_Z] = voxel[0], voxel[1], voxel[2]
         out[g, U11], out[g, U22], out[g, U33] = 1 / l11, 1 / l22, 1 / l33
         out[g, U12] = -l12 / (l11 * l22)
         out[g, U23] = -l23 / (l22 * l33)
         out[g, U13] = (l12 * l23 - l13 * l22) / (l11 * l22 * l33)
-        out[g, AMPLITUDE] = math.sqrt(narrow) / (l11 * l22 * l33)
+        out[g, AMPLITUDE] = math.sqrt(narrow) / (l11 * l22 * l33 * _lattice_mass(x, c, box))
         out[g, HALF_Z], out[g, HALF_Y] = cutoff * l33, cutoff * l22
+
+
+@njit(inline="always")
+@no_type_check
+def _span(middle, half, voxel, first, last):
+    """First and one past the last index in [first, last) within `half` of `middle`, which is measured from `voxel`."""
+    low = min(max(middle - half - f4(SLACK), f4(first - voxel)), f4(last - voxel))
+    high = min(max(middle + half + f4(SLACK), f4(first - voxel - 1)), f4(last - voxel - 1))
+    return voxel + int(math.ceil(low)), voxel + int(math.floor(high)) + 1
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
@@ -66,26 +99,22 @@ def fill(table, coefficients, cutoff, columns, first, last, volume):
     k2 = f4(cutoff * cutoff)
     for g in range(table.shape[0]):
         p = table[g]
-        z_low = max(first, int(math.ceil(max(p[Z] - p[HALF_Z], f4(-1)))))
-        z_high = min(last, int(math.floor(min(p[Z] + p[HALF_Z], f4(slices)))) + 1)
-        for z in range(z_low, z_high):
-            dz = f4(z) - p[Z]
+        nx, ny, nz = int(p[VOXEL_X]), int(p[VOXEL_Y]), int(p[VOXEL_Z])
+        for z in range(*_span(p[Z], p[HALF_Z], nz, first, last)):
+            dz = f4(z - nz) - p[Z]
             rest_z = k2 - (p[U33] * dz) ** 2
             half = math.sqrt(max(rest_z, f4(0))) / p[U22]
             middle = p[Y] - p[U23] * dz / p[U22]
-            y_low = max(0, int(math.ceil(max(middle - half, f4(-1)))))
-            y_high = min(rows, int(math.floor(min(middle + half, f4(rows)))) + 1)
-            for y in range(y_low, y_high):
-                dy = f4(y) - p[Y]
+            for y in range(*_span(middle, half, ny, 0, rows)):
+                dy = f4(y - ny) - p[Y]
                 slope = p[U22] * dy + p[U23] * dz
                 rest = max(rest_z - slope * slope, f4(0))
                 shear = p[U12] * dy + p[U13] * dz
                 half = math.sqrt(rest) / p[U11]
                 middle = p[X] - shear / p[U11]
-                low = max(0, int(math.ceil(max(middle - half, f4(-1)))))
-                high = min(columns, int(math.floor(min(middle + half, f4(columns)))) + 1)
+                low, high = _span(middle, half, nx, 0, columns)
                 for base in range(low, high, WIDTH):
-                    along = (ramp(f4(base) - p[X])) * p[U11] + shear
+                    along = (count_from(base - nx) - splat(p[X])) * p[U11] + shear
                     q = along * along + (k2 - rest)
                     value = where_less(q, k2, exp_negative(minimum(q, k2) * f4(-0.5)) * p[AMPLITUDE])
                     for m in range(bases):

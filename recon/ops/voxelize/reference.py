@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.ops.rasterize.reference import rotation
+from recon.ops.rasterize.reference import lattice_mass, rotation
 
 
 def voxelize(
@@ -17,12 +17,15 @@ def voxelize(
 ) -> Float[Tensor, "basis z y x"]:
     """Value of every basis in voxels centred on `axes`, averaged over boxes of edges `voxel` (z, y, x) [mm].
 
-    Averaging over a box adds edge^2 / 12 to the covariance along each axis and keeps the mass.
+    Averaging over a box adds edge^2 / 12 to the covariance along each axis and keeps the mass, also of a Gaussian that
+    is too narrow for the voxels to sample evenly.
     """
     turn = rotation(quaternions)
     narrow = turn @ torch.diag_embed(torch.exp(2 * log_scales)) @ turn.mT
     wide = narrow + torch.diag(torch.tensor(voxel[::-1], dtype=narrow.dtype) ** 2 / 12)
     mass_kept = torch.sqrt(torch.linalg.det(narrow) / torch.linalg.det(wide))
+    pitch, first = torch.tensor(voxel[::-1], dtype=narrow.dtype), torch.stack([axis[0] for axis in reversed(axes)])
+    mass_kept = mass_kept / lattice_mass((centres - first) / pitch, wide / (pitch[:, None] * pitch))
     z, y, x = torch.meshgrid(*axes, indexing="ij")
     delta = torch.stack([x, y, z], -1)[..., None, :] - centres
     square = torch.einsum("zyxni,nij,zyxnj->zyxn", delta, torch.linalg.inv(wide), delta)

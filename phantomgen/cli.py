@@ -1,0 +1,239 @@
+"""The command ``phantomgen``: parse, call, print.
+
+Results go to stdout, progress and warnings to stderr. Exit codes: 0 done, 1 an error in one sentence, 2 wrong usage,
+3 finished but a check failed, 130 interrupted.
+"""
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from spectra.errors import Error
+
+
+class Commands(click.Group):
+    """Turns errors raised on purpose into one sentence and an exit code."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command."""
+        try:
+            return super().invoke(ctx)
+        except Error as error:
+            if ctx.meta.get("debug"):
+                raise
+            click.echo(f"Error: {error}", err=True)
+            ctx.exit(1)
+        except KeyboardInterrupt:
+            click.echo("Interrupted; nothing was left half-written.", err=True)
+            ctx.exit(130)
+
+
+def debug_option(command: Callable) -> Callable:
+    """Add ``--debug``."""
+
+    def remember(ctx: click.Context, _: click.Parameter, value: bool) -> None:
+        ctx.find_root().meta["debug"] = value
+
+    help_text = "Show the traceback of an error."
+    return click.option("--debug", is_flag=True, expose_value=False, callback=remember, help=help_text)(command)
+
+
+def json_option(command: Callable) -> Callable:
+    """Add ``--json``."""
+    return click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")(command)
+
+
+def print_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
+    """Print the version; imports nothing heavy unless asked."""
+    if value:
+        from phantomgen.dataset_writer import program_version
+
+        click.echo(f"phantomgen {program_version()}")
+        ctx.exit()
+
+
+@click.group(
+    cls=Commands,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="\b\nExamples:\n  phantomgen make --preset kedge\n  phantomgen presets show kedge > my.yaml",
+)
+@click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=print_version, help="Print it.")
+def main() -> None:
+    """Make spectral-CT scans of phantoms whose truth is known.
+
+    A scene (shapes, materials, source, detector, orbit) becomes one HDF5 file: photon counts per view, channel and
+    pixel, all that a reconstructor may know, and the truth to judge it against.
+    """
+
+
+@main.command(
+    epilog="\b\nExamples:\n  phantomgen make --preset kedge --views 150 --seed 1\n"
+    "  phantomgen make my.yaml --set objects.1.radius=12 -o thick.h5"
+)
+@click.argument("scene", required=False, type=click.Path(dir_okay=False))
+@click.option("--preset", metavar="NAME", help="A scene that comes with the program; see `phantomgen presets`.")
+@click.option("-o", "--out", type=click.Path(dir_okay=False), help="Output [default: <name of the scene>.h5].")
+@click.option("--views", type=click.IntRange(min=1), help="Number of training views.")
+@click.option("--test-views", type=click.IntRange(min=0), help="Number of test views.")
+@click.option("--voxels", type=click.IntRange(min=1), help="Voxels along each edge of the volume.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the noise.")
+@click.option("--noise/--no-noise", default=None, help="Poisson counts, or their means.")
+@click.option("--set", "settings", metavar="PATH=VALUE", multiple=True, help="Override any value of the scene.")
+@click.option("--keep", type=click.Choice(["expected"]), multiple=True, help="Store the noise-free counts as well.")
+@click.option("--verify", is_flag=True, help="Check all edge pixels of three views against brute force (minutes).")
+@click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
+@click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
+@click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
+@json_option
+@debug_option
+def make(
+    scene: str | None,
+    preset: str | None,
+    out: str | None,
+    views: int | None,
+    test_views: int | None,
+    voxels: int | None,
+    seed: int | None,
+    noise: bool | None,
+    settings: tuple[str, ...],
+    keep: tuple[str, ...],
+    verify: bool,
+    overwrite: bool,
+    threads: int | None,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Simulate the scan of SCENE, a YAML file, or of a preset.
+
+    Prints what the scan took, and how far its expected counts are from a finer computation.
+    """
+    if (scene is None) == (preset is None):
+        raise click.UsageError("name either a scene file or a preset: phantomgen make --preset kedge")
+    options = {
+        "geometry.views": views,
+        "geometry.test_views": test_views,
+        "volume.voxels": voxels,
+        "seed": seed,
+        "noise": None if noise is None else str(noise).lower(),
+    }
+    overrides = [*(f"{path}={value}" for path, value in options.items() if value is not None), *settings]
+    summary = _make(scene, preset, overrides, out, overwrite, "expected" in keep, verify, threads, quiet or as_json)
+    for warning in summary.warnings:
+        click.echo(f"Warning: {warning}", err=True)
+    click.echo(json.dumps(summary.to_dict()) if as_json else summary.text)
+
+
+def _make(
+    scene: str | None,
+    preset: str | None,
+    overrides: list[str],
+    out: str | None,
+    overwrite: bool,
+    keep_expected: bool,
+    verify: bool,
+    threads: int | None,
+    quiet: bool,
+) -> Any:
+    """Read the scene, then simulate; the output is checked before anything slow is imported."""
+    from phantomgen.dataset_writer import check_output
+    from phantomgen.scene_yaml import SceneFile
+    from spectra.threads import set_threads
+
+    start = time.perf_counter()
+    file = SceneFile.preset(preset, overrides) if preset else SceneFile.read(scene or "", overrides)
+    path = Path(out or f"{file.model.name}.h5")
+    check_output(path, overwrite)
+    set_threads(threads)
+    from phantomgen.scene import load_scene
+    from phantomgen.simulate import simulate
+
+    scan = load_scene(file)
+    ready = time.perf_counter() - start
+    summary = simulate(scan, path, overwrite=overwrite, keep_expected=keep_expected, verify=verify, progress=not quiet)
+    return replace(summary, seconds={"scene": ready, **summary.seconds})
+
+
+@main.group(
+    invoke_without_command=True,
+    epilog="\b\nExamples:\n  phantomgen presets\n  phantomgen presets show kedge > my.yaml",
+)
+@click.pass_context
+def presets(ctx: click.Context) -> None:
+    """List the scenes that come with the program, or show one."""
+    if ctx.invoked_subcommand is not None:
+        return
+    from phantomgen.scene_yaml import preset_summaries
+
+    for name, summary in preset_summaries().items():
+        click.echo(f"{name:<14}{summary}")
+
+
+@presets.command(
+    "show", epilog="\b\nExamples:\n  phantomgen presets show kedge\n  phantomgen presets show kedge > my.yaml"
+)
+@click.argument("name")
+@debug_option
+def presets_show(name: str) -> None:
+    """Print the YAML of preset NAME, to start a scene of your own."""
+    from phantomgen.scene_yaml import SceneFile
+
+    click.echo(SceneFile.preset(name).text, nl=False)
+
+
+@main.command(epilog="\b\nExamples:\n  phantomgen info kedge.h5\n  phantomgen info kedge.h5 --json")
+@click.argument("file", type=click.Path(dir_okay=False))
+@json_option
+@debug_option
+def info(file: str, as_json: bool) -> None:
+    """Say what a dataset holds."""
+    from phantomgen.dataset_info import describe, describe_text
+
+    description = describe(Path(file))
+    for warning in description.pop("warnings"):
+        click.echo(f"Warning: {warning}", err=True)
+    click.echo(json.dumps(description) if as_json else describe_text(description))
+
+
+@main.command(epilog="\b\nExamples:\n  phantomgen validate kedge.h5\n  phantomgen validate scan.h5 --air 0:16,0:256")
+@click.argument("file", type=click.Path(dir_okay=False))
+@click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
+@json_option
+@debug_option
+def validate(file: str, air: str | None, as_json: bool) -> None:
+    """Check a dataset whole: shapes, units, values, splits.
+
+    Exits with 3 when something is wrong.
+    """
+    from phantomgen.dataset_check import validate as check
+
+    problems = check(file, air)
+    if as_json:
+        click.echo(json.dumps({"file": file, "valid": not problems, "problems": problems}))
+    else:
+        click.echo("\n".join(problems) if problems else f"{file} is valid")
+    sys.exit(3 if problems else 0)
+
+
+@main.command(epilog="\b\nExamples:\n  phantomgen schema\n  phantomgen schema --scene > scene.schema.json")
+@click.option("--scene", is_flag=True, help="Print the JSON Schema of scene files, for completion in editors.")
+@debug_option
+def schema(scene: bool) -> None:
+    """Print the layout of a dataset, or the schema of scene files."""
+    if scene:
+        from phantomgen.schema import json_schema
+
+        click.echo(json.dumps(json_schema(), indent=1))
+        return
+    from phantomgen.dataset_layout import TABLE
+
+    click.echo(TABLE, nl=False)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,64 @@
+"""What every command line of this project shares: errors as sentences, exit codes, common options."""
+
+from collections.abc import Callable
+from typing import Any
+
+import click
+
+from spectra.errors import Error
+
+
+class Commands(click.Group):
+    """Turns errors raised on purpose into one sentence and an exit code."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command."""
+        try:
+            return super().invoke(ctx)
+        except Error as error:
+            if ctx.meta.get("debug"):
+                raise
+            click.echo(f"Error: {error}", err=True)
+            ctx.exit(1)
+        except KeyboardInterrupt:
+            click.echo("Interrupted; nothing was left half-written.", err=True)
+            ctx.exit(130)
+
+
+def debug_option(command: Callable) -> Callable:
+    """Add ``--debug``."""
+
+    def remember(ctx: click.Context, _: click.Parameter, value: bool) -> None:
+        ctx.find_root().meta["debug"] = value
+
+    help_text = "Show the traceback of an error."
+    return click.option("--debug", is_flag=True, expose_value=False, callback=remember, help=help_text)(command)
+
+
+def json_option(command: Callable) -> Callable:
+    """Add ``--json``."""
+    return click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")(command)
+
+
+def version_option(program: str) -> Callable[[Callable], Callable]:
+    """Add ``--version`` to `program`."""
+
+    def show(ctx: click.Context, _: click.Parameter, value: bool) -> None:
+        if value:
+            click.echo(f"{program} {program_version()}")
+            ctx.exit()
+
+    help_text = "Print the version."
+    return click.option(
+        "--version", is_flag=True, is_eager=True, expose_value=False, callback=show, help=help_text
+    )
+
+
+def program_version() -> str:
+    """Version of this distribution; ``0`` in a source tree that is not installed."""
+    from importlib import metadata  # noqa: PLC0415
+
+    try:
+        return metadata.version("spectral-ct")
+    except metadata.PackageNotFoundError:
+        return "0"

@@ -1,0 +1,381 @@
+"""Reading a dataset: measured counts, geometry and spectra, lazily; never the truth.
+
+Errors are sentences, also for files that are cut off, of a newer schema, or without a flat field. `Truth` has a module
+of its own, so that a reconstructor which imports this one cannot see it by accident.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+
+from phantomgen.dataset_layout import SCHEMA, SCHEMA_VERSION, array_at, group_at, text_of
+from phantomgen.geometry import Geometry
+from phantomgen.grid import Grid
+from phantomgen.panel import Panel
+from spectra.basis import Basis
+from spectra.errors import DatasetError, InputError
+from spectra.transmission import Transmission
+
+Region = tuple[slice, slice]
+DETECTOR = "/entry/instrument/detector"
+FLAT, DARK = "/entry/instrument/flat/data", "/entry/instrument/dark/data"
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """All that a reconstructor may know about energies.
+
+    Parameters
+    ----------
+    energy : mean energy of each bin [keV]
+    edges : bin edges [keV]
+    source : incident photons per pixel and view at the panel centre, per bin
+    response : counts per photon
+    basis : raw basis functions
+    basis_values : the basis functions at `energy`, as stored
+    channels : channel names
+    lower, upper : limits of each channel [keV]
+    """
+
+    energy: Float[np.ndarray, " energy"]
+    edges: Float[np.ndarray, " energy_plus_1"]
+    source: Float[np.ndarray, " energy"]
+    response: Float[np.ndarray, "channel energy"]
+    basis: Basis
+    basis_values: Float[np.ndarray, "basis energy"]
+    channels: tuple[str, ...]
+    lower: Float[np.ndarray, " channel"]
+    upper: Float[np.ndarray, " channel"]
+
+    @property
+    def weights(self) -> Float[np.ndarray, "channel energy"]:
+        """Counts per bin and channel with nothing in the beam, source x response."""
+        return self.source * self.response
+
+    @property
+    def effective_energy(self) -> Float[np.ndarray, " channel"]:
+        """Mean energy of what each channel counts in the open beam [keV]; NaN for a channel that counts nothing."""
+        counts = self.weights.sum(axis=1)
+        return np.where(counts > 0, self.weights @ self.energy, np.nan) / np.where(counts > 0, counts, 1.0)
+
+    def transmission(self) -> Transmission:
+        """Line integrals of the basis coefficients to expected counts."""
+        return Transmission.from_spectrum(self.weights, self.basis_values, self.channels)
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """An open dataset; close it, or use it in a ``with`` statement.
+
+    Parameters
+    ----------
+    path, file : the file
+    air : rows and columns of the panel that see nothing but air, used in place of flats
+    """
+
+    path: Path
+    file: h5py.File = field(repr=False)
+    air: Region | None = None
+
+    def __enter__(self) -> "Dataset":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self.file.close()
+
+    def __repr__(self) -> str:
+        views, channels, rows, columns = self.counts.shape
+        edges = self.spectra.edges
+        shape = f"{views} views x {channels} channels x {rows} x {columns}"
+        return f"Dataset({self.name}: {shape}, {edges[0]:g}..{edges[-1]:g} keV)"
+
+    @property
+    def name(self) -> str:
+        """Title of the scan."""
+        return str(self._value("/entry/title"))
+
+    @property
+    def counts(self) -> h5py.Dataset:
+        """Measured counts, (view, channel, row, column), still in the file; `load` checks what it reads."""
+        return array_at(self.file, f"{DETECTOR}/data")
+
+    def load(
+        self, views: Sequence[int] | Int[np.ndarray, " view"] | None = None
+    ) -> Shaped[np.ndarray, "v c row column"]:
+        """Counts of some views (default all) in memory.
+
+        Raises
+        ------
+        DatasetError
+            When a count is negative or not a number, or the file is damaged.
+        """
+        chosen = range(self.counts.shape[0]) if views is None else [int(v) for v in views]
+        loaded = np.empty((len(chosen), *self.counts.shape[1:]), self.counts.dtype)
+        for i, view in enumerate(chosen):
+            loaded[i] = self._image(self.counts, view)
+            check_counts(loaded[i], f"view {view} of {self.path}")
+        return loaded
+
+    @cached_property
+    def geometry(self) -> Geometry:
+        """Poses of all views."""
+        kind = str(self._value("/entry/geometry/kind"))
+        if kind == "parallel":
+            raise DatasetError(f"{self.path} is a parallel-beam scan, which this version cannot read")
+        panel = Panel(
+            *self.counts.shape[2:],
+            pitch=(float(self._value(f"{DETECTOR}/y_pixel_size")), float(self._value(f"{DETECTOR}/x_pixel_size"))),
+        )
+        return Geometry(
+            source=self._value("/entry/geometry/source"),
+            panel_center=self._value("/entry/geometry/panel_center"),
+            column_step=self._value("/entry/geometry/column_step"),
+            row_step=self._value("/entry/geometry/row_step"),
+            panel=panel,
+            angles=-np.deg2rad(self._value("/entry/sample/rotation_angle")),
+            kind=kind,
+        )
+
+    @cached_property
+    def spectra(self) -> Spectra:
+        """Energy grid, source, response and basis."""
+        table = {name: self._value(f"/entry/spectra/{name}") for name in _SPECTRA}
+        channels = tuple(text_of(name) for name in self._value("/entry/data/channel"))
+        limits = [f"{DETECTOR}/{name}_channel" for name in channels]
+        return Spectra(
+            energy=table["energy"],
+            edges=table["energy_edges"],
+            source=table["source"],
+            response=table["response"],
+            basis=Basis.from_table(table),
+            basis_values=table["basis"],
+            channels=channels,
+            lower=np.array([float(self._value(f"{group}/threshold_energy")) for group in limits]),
+            upper=np.array([float(self._value(f"{group}/upper_energy")) for group in limits]),
+        )
+
+    @cached_property
+    def grid(self) -> Grid:
+        """The volume asked for."""
+        shape, spacing, origin = (
+            self._value(f"/entry/reconstruction_grid/{n}") for n in ("shape", "spacing", "origin")
+        )
+        return Grid(tuple(map(int, shape)), tuple(map(float, spacing)), tuple(map(float, origin)))  # type: ignore[arg-type]
+
+    @cached_property
+    def splits(self) -> dict[str, Int[np.ndarray, " view"]]:
+        """Indices of the views in ``train``, ``test`` and ``val`` of the default scheme."""
+        group = group_at(self.file, "/entry/splits")
+        scheme = text_of(group.attrs.get("default", next(iter(group), "")))
+        parts = {name: self._value(f"/entry/splits/{scheme}/{name}") for name in ("train", "test", "val")}
+        for name, views in parts.items():
+            if len(views) and not (views.min() >= 0 and views.max() < self.counts.shape[0]):
+                raise DatasetError(
+                    f"{self.path}: split {scheme}/{name} names a view outside 0..{self.counts.shape[0] - 1}"
+                )
+        return {name: views.astype(np.int64) for name, views in parts.items()}
+
+    @cached_property
+    def exposure(self) -> Float[np.ndarray, " view"]:
+        """Tube output per view, relative to the flats."""
+        return np.asarray(self._value("/entry/exposure/scale"), dtype=np.float64)
+
+    @cached_property
+    def dark(self) -> Float[np.ndarray, "channel row column"]:
+        """Mean counts without beam."""
+        frames = self.file.get(DARK)
+        if not isinstance(frames, h5py.Dataset) or frames.shape[0] == 0:
+            return np.zeros(self.counts.shape[1:])
+        return self._mean(frames, "dark")
+
+    @cached_property
+    def flat(self) -> Float[np.ndarray, "channel row column"]:
+        """Mean open-beam counts at exposure 1, dark counts subtracted.
+
+        Raises
+        ------
+        DatasetError
+            When the file has no flats and no region of air was named.
+        """
+        if self.air is not None:
+            return self._air_level(self.air)
+        return self._mean(array_at(self.file, FLAT), "flat") - self.dark
+
+    def _air_level(self, air: Region) -> Float[np.ndarray, "channel row column"]:
+        """One open-beam level per channel from a region of air in all views."""
+        total = np.zeros(self.counts.shape[1])
+        for view, scale in enumerate(self.exposure):
+            counts = self._image(self.counts, view)
+            check_counts(counts, f"view {view} of {self.path}")
+            total += (counts - self.dark)[:, air[0], air[1]].mean(axis=(1, 2)) / scale
+        level = total / len(self.exposure)
+        return np.broadcast_to(level[:, None, None], self.counts.shape[1:]).copy()
+
+    def _mean(self, frames: h5py.Dataset, what: str) -> Float[np.ndarray, "channel row column"]:
+        """Mean of all frames."""
+        total = np.zeros(frames.shape[1:])
+        for frame in range(frames.shape[0]):
+            counts = self._image(frames, frame)
+            check_counts(counts, f"{what} {frame} of {self.path}")
+            total += counts
+        return total / frames.shape[0]
+
+    def _image(self, frames: h5py.Dataset, frame: int) -> Shaped[np.ndarray, "channel row column"]:
+        """All channels of one frame."""
+        with damaged_file(self.path):
+            return frames[frame]
+
+    def _value(self, name: str) -> Any:
+        """Content of a small dataset; text as ``str``."""
+        dataset = array_at(self.file, name)
+        with damaged_file(self.path):
+            value = dataset[()]
+        return text_of(value) if isinstance(value, bytes) else value
+
+
+_SPECTRA = (
+    "energy",
+    "energy_edges",
+    "source",
+    "response",
+    "basis",
+    "basis_name",
+    "basis_kind",
+    "edge_energy",
+    "edge_width",
+    "element",
+    "reference_energy",
+)
+
+
+def open_dataset(path: Path | str, air: Region | str | None = None) -> Dataset:
+    """Open a dataset for reading.
+
+    Parameters
+    ----------
+    path : of the file
+    air : ``"r0:r1,c0:c1"`` or two slices: a part of the panel that sees only air, in place of missing flats
+
+    Raises
+    ------
+    DatasetError
+        When the file is missing, cut off, of another kind or a newer schema, inconsistent, or without flats.
+    """
+    path = Path(path)
+    file = open_file(path)
+    try:
+        dataset = Dataset(path, file, parse_region(air) if isinstance(air, str) else air)
+        _check_consistent(dataset)
+    except BaseException:
+        file.close()
+        raise
+    return dataset
+
+
+def open_file(path: Path) -> h5py.File:
+    """Open the file and check that it is one of ours, of a version that can be read."""
+    if not path.is_file():
+        raise DatasetError(f"there is no dataset {path}")
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        reason = "it is cut off" if "truncated" in str(error) else "it is damaged or not an HDF5 file"
+        raise DatasetError(f"{path} cannot be read: {reason}") from None
+    try:
+        _check_version(file, path)
+    except DatasetError:
+        file.close()
+        raise
+    return file
+
+
+def parse_region(text: str) -> Region:
+    """``"r0:r1,c0:c1"`` as two slices of rows and columns."""
+    try:
+        (r0, r1), (c0, c1) = ((int(n) for n in part.split(":")) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"a region of air is written r0:r1,c0:c1, such as 0:16,0:256, got {text!r}") from None
+    if not (0 <= r0 < r1 and 0 <= c0 < c1):
+        raise InputError(f"a region of air needs rows and columns that ascend from at least 0, got {text!r}")
+    return slice(r0, r1), slice(c0, c1)
+
+
+def check_counts(counts: Shaped[np.ndarray, "..."], where: str) -> None:
+    """Refuse counts that cannot be counts."""
+    smallest = counts.min(initial=0)
+    if np.isnan(smallest) or np.isinf(counts.max(initial=0)):
+        raise DatasetError(f"{where} holds a value that is not a number; repair or leave out that view")
+    if smallest < 0:
+        raise DatasetError(f"{where} holds negative counts, down to {smallest:g}; store raw counts, with darks apart")
+
+
+@contextmanager
+def damaged_file(path: Path) -> Iterator[None]:
+    """Turn what HDF5 says about unreadable bytes into one sentence."""
+    try:
+        yield
+    except OSError:
+        raise DatasetError(f"{path} is damaged: a part of it cannot be read") from None
+
+
+def _check_version(file: h5py.File, path: Path) -> None:
+    """Refuse other files and newer major versions; a newer minor version only adds things."""
+    if text_of(file.attrs.get("schema", "")) != SCHEMA:
+        raise DatasetError(f"{path} is not a {SCHEMA} dataset: its root has no attribute schema={SCHEMA!r}")
+    version = text_of(file.attrs.get("schema_version", ""))
+    major = version.split(".")[0]
+    if not major.isdigit():
+        raise DatasetError(f"{path} states no schema version")
+    if int(major) > SCHEMA_VERSION[0]:
+        known = ".".join(map(str, SCHEMA_VERSION))
+        raise DatasetError(
+            f"{path} has schema version {version}, this program knows {known}: update it by "
+            "'pip install --upgrade spectral-ct'"
+        )
+
+
+def _check_consistent(dataset: Dataset) -> None:
+    """Refuse arrays that do not belong together, before any long work."""
+    shape = dataset.counts.shape
+    if len(shape) != 4 or 0 in shape[1:]:
+        raise DatasetError(f"{dataset.path}: counts have shape {shape}, expected (view, channel, row, column)")
+    spectra, views = dataset.spectra, shape[0]
+    lengths = {"source": len(dataset.geometry.source), "exposure scale": len(dataset.exposure)}
+    for name, length in lengths.items():
+        if length != views:
+            raise DatasetError(f"{dataset.path}: there are {views} views but {length} entries of {name}")
+    if spectra.response.shape != (shape[1], len(spectra.energy)) or len(spectra.channels) != shape[1]:
+        raise DatasetError(f"{dataset.path}: the response has shape {spectra.response.shape} for {shape[1]} channels")
+    if not dataset.exposure.min(initial=1.0) > 0:
+        raise DatasetError(f"{dataset.path}: the exposure scale of a view is not positive")
+    _check_open_beam(dataset)
+
+
+def _check_open_beam(dataset: Dataset) -> None:
+    """Refuse a file without flats, unless a region of air on the panel was named."""
+    _, channels, rows, columns = dataset.counts.shape
+    if dataset.air is not None:
+        if dataset.air[0].stop > rows or dataset.air[1].stop > columns:
+            raise InputError(f"the region of air reaches beyond the panel of {rows} x {columns} pixels")
+        return
+    flats = dataset.file.get(FLAT)
+    if not isinstance(flats, h5py.Dataset) or flats.shape[0] == 0:
+        raise DatasetError(
+            f"{dataset.path} has no flat field in {FLAT}: name a part of the panel that sees only air by "
+            "--air rows,columns, such as --air 0:16,0:256"
+        )
+    if flats.shape[1:] != (channels, rows, columns):
+        raise DatasetError(
+            f"{dataset.path}: flats have shape {flats.shape}, expected (F, {channels}, {rows}, {columns})"
+        )

@@ -1,0 +1,92 @@
+"""A dataset in words and numbers."""
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from phantomgen.dataset import DARK, FLAT, Dataset, open_dataset
+from phantomgen.dataset_check import newer_minor
+from phantomgen.dataset_layout import array_at, group_at, text_of
+
+
+def describe(path: Path) -> dict[str, Any]:
+    """What a dataset holds, as values that JSON knows; ``warnings`` holds sentences."""
+    anywhere = (slice(0, 1), slice(0, 1))  # a file without flats can be described, too
+    with open_dataset(path, air=anywhere) as dataset:
+        spectra, grid, panel = dataset.spectra, dataset.grid, dataset.geometry.panel
+        newer = newer_minor(dataset)
+        return {
+            "file": str(path),
+            "bytes": path.stat().st_size,
+            "name": dataset.name,
+            "shape": list(map(int, dataset.counts.shape)),
+            "dtype": str(dataset.counts.dtype),
+            "units": str(dataset.counts.attrs.get("units", "")),
+            "pitch_mm": list(panel.pitch),  # type: ignore[arg-type]
+            "orbit": dataset.geometry.kind,
+            "sod_mm": float(np.linalg.norm(dataset.geometry.source[0])),
+            "sdd_mm": float(np.linalg.norm(dataset.geometry.source[0] - dataset.geometry.panel_center[0])),
+            "channels": _channels(dataset),
+            "energies": len(spectra.energy),
+            "range_keV": [float(spectra.edges[0]), float(spectra.edges[-1])],
+            "photons": float(spectra.source.sum()),
+            "basis": list(spectra.basis.names),
+            "views": {name: len(views) for name, views in dataset.splits.items()},
+            "flats": _frames(dataset, FLAT),
+            "darks": _frames(dataset, DARK),
+            "grid": {"shape": list(grid.shape), "spacing_mm": list(grid.spacing), "origin_mm": list(grid.origin)},
+            "truth": sorted(map(str, group_at(dataset.file, "truth"))) if "truth" in dataset.file else [],
+            "nxtomo": sorted(name for name in map(str, dataset.file) if name.startswith("nxtomo_")),
+            "made_by": _made_by(dataset),
+            "warnings": [newer] if newer else [],
+        }
+
+
+def describe_text(info: dict[str, Any]) -> str:
+    """The same for people."""
+    views, channels, rows, columns = info["shape"]
+    lines = [
+        f"{info['file']}: {info['name']}, {info['bytes'] / 1e6:.1f} MB",
+        f"counts     {views} views x {channels} channels x {rows} x {columns} pixels, {info['dtype']}",
+        f"views      {', '.join(f'{count} {name}' for name, count in info['views'].items())}",
+        f"frames     {info['flats']} flats, {info['darks']} darks",
+        f"geometry   {info['orbit']}, SOD {info['sod_mm']:g} mm, SDD {info['sdd_mm']:g} mm, "
+        f"pixels of {info['pitch_mm'][1]:g} x {info['pitch_mm'][0]:g} mm",
+        f"channels   {', '.join('{name} {lower_keV:g}..{upper_keV:g} keV'.format(**c) for c in info['channels'])}",
+        f"spectrum   {info['energies']} bins, {info['range_keV'][0]:g}..{info['range_keV'][1]:g} keV, "
+        f"{info['photons']:g} photons per pixel and view",
+        f"basis      {', '.join(info['basis'])}",
+        f"volume     {' x '.join(map(str, info['grid']['shape']))} voxels of "
+        f"{' x '.join(f'{s:g}' for s in info['grid']['spacing_mm'])} mm (z, y, x)",
+        f"truth      {', '.join(info['truth']) or 'none'}",
+        f"NXtomo     {', '.join(info['nxtomo']) or 'none: it knows integer counts only'}",
+        f"made by    {info['made_by']}",
+    ]
+    return "\n".join(lines)
+
+
+def _channels(dataset: Dataset) -> list[dict[str, Any]]:
+    """Name, limits and open-beam counts of each channel."""
+    spectra = dataset.spectra
+    counts = spectra.weights.sum(axis=1)
+    return [
+        {"name": name, "lower_keV": float(lower), "upper_keV": float(upper), "open_beam_counts": float(level)}
+        for name, lower, upper, level in zip(spectra.channels, spectra.lower, spectra.upper, counts, strict=True)
+    ]
+
+
+def _frames(dataset: Dataset, name: str) -> int:
+    """Number of flats or darks."""
+    frames = dataset.file.get(name)
+    return int(frames.shape[0]) if isinstance(frames, h5py.Dataset) else 0
+
+
+def _made_by(dataset: Dataset) -> str:
+    """Program, version, date and seed of the first process."""
+    process = dataset.file.get("entry/process_1_simulate")
+    if not isinstance(process, h5py.Group):
+        return "unknown"
+    program, version, date = (text_of(array_at(process, name)[()]) for name in ("program", "version", "date"))
+    return f"{program} {version} on {date}, seed {int(array_at(process, 'seed')[()])}"

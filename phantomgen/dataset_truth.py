@@ -1,0 +1,139 @@
+"""What was really scanned: basis volumes, material fractions and materials, in ``/truth`` of a dataset."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+from jaxtyping import Float, Float32, Int, UInt16
+
+from phantomgen.dataset import damaged_file, open_file
+from phantomgen.dataset_layout import FRACTION_SCALE, array_at, group_at, new_group, put, put_note, text_of
+from phantomgen.grid import Grid
+from spectra.materials import Material
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Truth on a grid.
+
+    Parameters
+    ----------
+    grid : the voxels
+    basis_names : names of the basis functions
+    volumes : basis coefficients, averaged over each voxel [1/mm]
+    material_names : names of the materials, background left out
+    coefficients : of the materials in the basis [1/mm]
+    fractions : part of each voxel that each material fills, 65535 = all
+    scene : the scene as YAML
+    """
+
+    grid: Grid
+    basis_names: tuple[str, ...]
+    volumes: Float32[np.ndarray, "basis z y x"]
+    material_names: tuple[str, ...]
+    coefficients: Float[np.ndarray, "material basis"]
+    fractions: UInt16[np.ndarray, "material z y x"]
+    scene: str = ""
+
+    @classmethod
+    def of(
+        cls,
+        grid: Grid,
+        basis_names: tuple[str, ...],
+        material_names: tuple[str, ...],
+        coefficients: Float[np.ndarray, "material basis"],
+        fractions: Float32[np.ndarray, "material z y x"],
+        scene: str,
+    ) -> "Truth":
+        """From fractions between 0 and 1."""
+        volumes = np.zeros((len(basis_names), *grid.shape), np.float32)
+        for row, fraction in zip(coefficients, fractions, strict=True):
+            for basis in np.flatnonzero(row):
+                volumes[basis] += np.float32(row[basis]) * fraction
+        scaled = np.rint(np.clip(fractions, 0.0, 1.0) * FRACTION_SCALE).astype(np.uint16)
+        return cls(grid, basis_names, volumes, material_names, coefficients, scaled, scene)
+
+    def __repr__(self) -> str:
+        return f"Truth({', '.join(self.basis_names)}: {' x '.join(map(str, self.grid.shape))} voxels)"
+
+    @property
+    def labels(self) -> Int[np.ndarray, "z y x"]:
+        """What fills most of each voxel: 0 the background, i + 1 material i."""
+        filled = self.fractions.sum(axis=0, dtype=np.int64)
+        background = np.maximum(FRACTION_SCALE - filled, 0)
+        dtype = np.uint8 if len(self.fractions) < 255 else np.uint16
+        labels = np.zeros(self.grid.shape, dtype)
+        largest = background.astype(np.int64)
+        for i, fraction in enumerate(self.fractions):
+            more = fraction > largest
+            labels[more] = i + 1
+            largest[more] = fraction[more]
+        return labels
+
+
+def write_truth(file: h5py.File, truth: Truth, materials: tuple[Material, ...]) -> None:
+    """Write ``/truth``."""
+    group = new_group(file, "truth", "NXentry", default="basis")
+    _write_basis(group, truth)
+    _put_volume(group, "fractions", truth.fractions).attrs["scale"] = 1 / FRACTION_SCALE
+    _put_volume(group, "labels", truth.labels)
+    table = new_group(group, "materials", "NXcollection")
+    put(table, "name", np.array([m.name for m in materials], dtype=object))
+    put(table, "density", np.array([m.density if m.density else np.nan for m in materials]), "g/cm^3")
+    put(table, "composition", np.array([_composition(m) for m in materials], dtype=object))
+    put(table, "coefficients", truth.coefficients, "1/mm")
+    grid = new_group(group, "grid", "NXcollection")
+    write_grid(grid, truth.grid)
+    put(grid, "affine", truth.grid.affine, "mm")
+    put_note(group, "scene", truth.scene, "application/yaml")
+
+
+def write_grid(group: h5py.Group, grid: Grid) -> None:
+    """Write a grid, triples in array order (z, y, x)."""
+    put(group, "shape", np.array(grid.shape, dtype=np.int32))
+    put(group, "spacing", np.array(grid.spacing), "mm")
+    put(group, "origin", np.array(grid.origin), "mm")
+
+
+def read_truth(path: Path | str) -> Truth | None:
+    """The truth of a dataset, or None where the file has none."""
+    path = Path(path)
+    with open_file(path) as file, damaged_file(path):
+        if "truth" not in file:
+            return None
+        group = group_at(file, "truth")
+        shape, spacing, origin = (array_at(group, f"grid/{name}")[()] for name in ("shape", "spacing", "origin"))
+        return Truth(
+            grid=Grid(tuple(map(int, shape)), tuple(map(float, spacing)), tuple(map(float, origin))),  # type: ignore[arg-type]
+            basis_names=tuple(array_at(group, "basis/basis").asstr()[()]),
+            volumes=array_at(group, "basis/data")[()],
+            material_names=tuple(array_at(group, "materials/name").asstr()[()]),
+            coefficients=array_at(group, "materials/coefficients")[()],
+            fractions=array_at(group, "fractions")[()],
+            scene=text_of(array_at(group, "scene/data")[()]) if "scene" in group else "",
+        )
+
+
+def _write_basis(group: h5py.Group, truth: Truth) -> None:
+    """Write the basis volumes as the default plot."""
+    data = new_group(group, "basis", "NXdata", signal="data", axes=("basis", "z", "y", "x"))
+    data.attrs["default_slice"] = [truth.basis_names[0], str(truth.grid.shape[0] // 2), ".", "."]
+    _put_volume(data, "data", truth.volumes).attrs["units"] = "1/mm"
+    put(data, "basis", np.array(truth.basis_names, dtype=object))
+    for axis in "zyx":
+        put(data, axis, truth.grid.axis(axis), "mm")
+
+
+def _put_volume(group: h5py.Group, name: str, volume: np.ndarray) -> h5py.Dataset:
+    """Write a volume, one slice per chunk."""
+    chunks = (*(1,) * (volume.ndim - 2), *volume.shape[-2:])
+    return group.create_dataset(name, data=volume, chunks=chunks, compression="gzip", compression_opts=1, shuffle=True)
+
+
+def _composition(material: Material) -> str:
+    """Composition as text, empty for explicit coefficients."""
+    if isinstance(material.composition, str) or material.composition is None:
+        return material.composition or ""
+    return json.dumps(dict(material.composition))

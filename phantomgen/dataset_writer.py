@@ -1,0 +1,225 @@
+"""Writing a dataset: beside its final name first, renamed when complete, removed when not."""
+
+import json
+import os
+import platform
+import time
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from jaxtyping import Int
+
+from phantomgen.dataset import Spectra
+from phantomgen.dataset_aliases import write_aliases
+from phantomgen.dataset_layout import (
+    FRAME,
+    SCHEMA,
+    SCHEMA_VERSION,
+    array_at,
+    group_at,
+    new_frames,
+    new_group,
+    put,
+    put_note,
+)
+from phantomgen.dataset_truth import Truth, write_grid, write_truth
+from phantomgen.geometry import Geometry
+from phantomgen.grid import Grid
+from spectra.errors import InputError
+from spectra.materials import Material
+
+Splits = dict[str, Int[np.ndarray, " view"]]
+_PACKAGES = ("numpy", "scipy", "h5py", "numba", "xraylib", "spekpy", "pydantic")
+
+
+class DatasetWriter:
+    """A dataset that is being written; use it in a ``with`` statement.
+
+    Parameters
+    ----------
+    path : final name; ``<path>.part`` until complete
+    overwrite : replace a file that exists
+    """
+
+    def __init__(self, path: Path | str, overwrite: bool = False) -> None:
+        self.path = Path(path)
+        self.part = self.path.with_name(self.path.name + ".part")
+        check_output(self.path, overwrite)
+
+    def __enter__(self) -> "DatasetWriter":
+        try:
+            self.file = h5py.File(self.part, "w")
+        except OSError as error:
+            reason = os.strerror(error.errno) if error.errno else "the file system refuses"
+            raise InputError(f"{self.part} cannot be written: {reason}") from None
+        _write_root(self.file)
+        return self
+
+    def __exit__(self, kind: type | None, *exception: object) -> None:
+        self.file.close()
+        if kind is None:
+            os.replace(self.part, self.path)
+        else:
+            self.part.unlink(missing_ok=True)
+
+    def write_scan(
+        self, title: str, geometry: Geometry, spectra: Spectra, grid: Grid, splits: Splits, scheme: str
+    ) -> None:
+        """Everything about the scan but its counts."""
+        entry = new_group(self.file, "entry", "NXentry", default="data")
+        put(entry, "title", title)
+        entry["start_time"] = h5py.SoftLink("/entry/process_1_simulate/date")
+        _write_geometry(entry, geometry)
+        _write_sample(entry, geometry, title)
+        _write_spectra(entry, spectra)
+        put(new_group(entry, "exposure", "NXcollection"), "scale", np.ones(len(geometry)))
+        group = new_group(entry, "splits", "NXcollection", default=scheme)
+        for name, views in splits.items():
+            put(group.require_group(scheme), name, np.asarray(views, dtype=np.int32))
+        group[scheme].attrs["NX_class"] = "NXcollection"
+        write_grid(new_group(entry, "reconstruction_grid", "NXcollection"), grid)
+
+    def write_instrument(self, geometry: Geometry, spectra: Spectra, source: dict[str, tuple[Any, str | None]]) -> None:
+        """Detector and source.
+
+        Parameters
+        ----------
+        geometry, spectra : of the scan
+        source : further fields of NXsource as (value, unit)
+        """
+        instrument = new_group(group_at(self.file, "entry"), "instrument", "NXinstrument")
+        detector = new_group(instrument, "detector", "NXdetector")
+        put(detector, "x_pixel_size", geometry.panel.column_pitch, "mm")
+        put(detector, "y_pixel_size", geometry.panel.row_pitch, "mm")
+        put(detector, "distance", float(np.linalg.norm(geometry.panel_center[0])), "mm")
+        for name, lower, upper in zip(spectra.channels, spectra.lower, spectra.upper, strict=True):
+            channel = new_group(detector, f"{name}_channel", "NXdetector_channel")
+            put(channel, "threshold_energy", float(lower), "keV")
+            put(channel, "upper_energy", float(upper), "keV")
+        group = new_group(instrument, "source", "NXsource")
+        for name, (value, units) in {"probe": ("x-ray", None), **source}.items():
+            put(group, name, value, units)
+
+    def new_counts(
+        self, shape: tuple[int, int, int, int], flats: int, darks: int, noise: bool
+    ) -> dict[str, h5py.Dataset]:
+        """Empty arrays ``data``, ``flat`` and ``dark``, to be filled by `write_image`."""
+        dtype = np.int32 if noise else np.float32
+        instrument = group_at(self.file, "entry/instrument")
+        data = new_frames(group_at(instrument, "detector"), "data", shape, dtype, "counts")
+        flat = new_frames(new_group(instrument, "flat", "NXdetector"), "data", (flats, *shape[1:]), dtype, "counts")
+        dark = new_frames(new_group(instrument, "dark", "NXdetector"), "data", (darks, *shape[1:]), dtype, "counts")
+        return {"data": data, "flat": flat, "dark": dark}
+
+    def new_expected(self, shape: tuple[int, int, int, int]) -> h5py.Dataset:
+        """Empty array for the counts without noise, in the truth."""
+        return new_frames(group_at(self.file, "truth"), "expected", shape, np.float32, "counts")
+
+    def write_truth(self, truth: Truth, materials: tuple[Material, ...]) -> None:
+        """Write the truth."""
+        write_truth(self.file, truth, materials)
+
+    def write_process(self, command: str, seed: int) -> None:
+        """How the file was made; nothing about the object."""
+        process = new_group(group_at(self.file, "entry"), "process_1_simulate", "NXprocess")
+        put(process, "program", "phantomgen")
+        put(process, "version", program_version())
+        put(process, "date", _date())
+        put(process, "sequence_index", 1)
+        put(process, "command", command)
+        put(process, "seed", np.uint64(seed))
+        put_note(process, "environment", json.dumps(_environment(), indent=1), "application/json")
+
+    def finish(self, spectra: Spectra) -> None:
+        """Add the default plot and the views of the file that other programs look for."""
+        data = new_group(
+            group_at(self.file, "entry"), "data", "NXdata", signal="data", axes=("view", "channel", ".", ".")
+        )
+        data.attrs["default_slice"] = [".", spectra.channels[0], ".", "."]
+        data["data"] = h5py.SoftLink("/entry/instrument/detector/data")
+        put(data, "view", np.arange(array_at(self.file, "entry/instrument/detector/data").shape[0], dtype=np.int32))
+        put(data, "channel", np.array(spectra.channels, dtype=object))
+        write_aliases(self.file, spectra)
+
+
+def check_output(path: Path, overwrite: bool) -> None:
+    """Refuse an output that exists or has no folder, before any work is done."""
+    if path.is_dir():
+        raise InputError(f"the output {path} is a folder: name a file in it, such as {path / 'scan.h5'}")
+    if path.exists() and not overwrite:
+        raise InputError(f"the output {path} exists: choose another name by --out, or add --overwrite")
+    if not path.parent.is_dir():
+        raise InputError(f"the folder {path.parent} for the output {path.name} does not exist")
+
+
+def program_version() -> str:
+    """Version of this distribution; ``0`` in a source tree that is not installed."""
+    try:
+        return metadata.version("spectral-ct")
+    except metadata.PackageNotFoundError:
+        return "0"
+
+
+def _write_root(file: h5py.File) -> None:
+    """Root attributes."""
+    file.attrs.update(
+        {
+            "NX_class": "NXroot",
+            "default": "entry",
+            "creator": "phantomgen",
+            "creator_version": program_version(),
+            "schema": SCHEMA,
+            "schema_version": ".".join(map(str, SCHEMA_VERSION)),
+            "HDF5_Version": h5py.version.hdf5_version,
+            "h5py_version": h5py.version.version,
+        }
+    )
+
+
+def _write_geometry(entry: h5py.Group, geometry: Geometry) -> None:
+    """Poses as vectors."""
+    group = new_group(entry, "geometry", "NXcollection", frame=FRAME)
+    put(group, "kind", geometry.kind)
+    for name in ("source", "panel_center", "column_step", "row_step"):
+        put(group, name, getattr(geometry, name), "mm")
+
+
+def _write_sample(entry: h5py.Group, geometry: Geometry, title: str) -> None:
+    """Rotation of the sample: the source at angle a is the sample at -a."""
+    sample = new_group(entry, "sample", "NXsample")
+    put(sample, "name", title)
+    put(sample, "rotation_angle", 0.0 - np.rad2deg(geometry.angles), "degree")
+
+
+def _write_spectra(entry: h5py.Group, spectra: Spectra) -> None:
+    """Energy grid, source, response and basis."""
+    group = new_group(entry, "spectra", "NXdata", signal="channel", axes=(".", "energy"))
+    put(group, "energy", spectra.energy, "keV")
+    put(group, "energy_edges", spectra.edges, "keV")
+    put(group, "source", spectra.source, "photons")
+    put(group, "response", spectra.response, "1")
+    put(group, "channel", spectra.weights, "counts")
+    put(group, "basis", spectra.basis_values, "1")
+    energies = {"edge_energy", "edge_width", "normalisation_energy", "reference_energy"}
+    for name, value in spectra.basis.to_dict().items():
+        put(
+            group,
+            name,
+            np.array(value, dtype=object) if isinstance(value, list) else value,
+            "keV" if name in energies else None,
+        )
+
+
+def _date() -> str:
+    """Time of writing in UTC, or that of ``SOURCE_DATE_EPOCH``, so that a file can be made again byte by byte."""
+    seconds = os.environ.get("SOURCE_DATE_EPOCH", "")
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(int(seconds) if seconds.isdigit() else None))
+
+
+def _environment() -> dict[str, str]:
+    """Versions of what took part."""
+    versions = {name: metadata.version(name) for name in _PACKAGES}
+    return {"python": platform.python_version(), "platform": platform.platform(), **versions}

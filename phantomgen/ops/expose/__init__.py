@@ -1,0 +1,140 @@
+"""Expected counts of one view, averaged over the area of each pixel.
+
+A pixel averages *intensities*, not line integrals. Where nothing happens inside a pixel one ray and the curvature of its
+neighbours give the average; where a silhouette passes the pixel is split along it. `expose_brute` is the same average
+over a plain n x n grid of rays.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int64, UInt8
+
+from phantomgen.ops.expose.classes import CLASSES, CROSSED, EMPTY, KINKED, NEAR, SMOOTH
+from phantomgen.ops.trace import checked_solids
+from spectra.errors import InputError
+
+__all__ = ["CLASSES", "CROSSED", "EMPTY", "KINKED", "NEAR", "SMOOTH", "Exposed", "expose", "expose_brute"]
+
+
+# Gauss nodes across and along a silhouette for pixels of growing contrast.
+RULES = ((3, 2), (4, 3), (6, 4), (9, 6))
+
+
+class Exposed(NamedTuple):
+    """Expected counts of a view, the class of each pixel, and how many rays each class took."""
+
+    counts: Float[np.ndarray, "channel row column"]
+    classes: UInt8[np.ndarray, "row column"]
+    rays: Int64[np.ndarray, " class"]
+
+
+def expose(
+    frame: Float[np.ndarray, "4 3"],
+    rows: int,
+    columns: int,
+    solids: tuple[np.ndarray, np.ndarray, np.ndarray],
+    attenuation: Float[np.ndarray, "material node"],
+    weights: Float[np.ndarray, " node"],
+    starts: Int64[np.ndarray, " boundary"],
+    background: int = -1,
+    rules: tuple[tuple[int, int], ...] = RULES,
+    reach: float = 5.0,
+) -> Exposed:
+    """Expected counts of all pixels of one view, each averaged over the pixel's area.
+
+    Parameters
+    ----------
+    frame : source, vector from there to the centre of pixel (0, 0), column step, row step (x, y, z) [mm]
+    rows, columns : size of the panel
+    solids : kinds (shape,), local maps (shape, 3, 4) and material indices (shape,), lowest priority first
+    attenuation : linear attenuation of each material at each spectral node [1/mm]
+    weights : photons times response at each node
+    starts : channel c owns the nodes ``starts[c]`` to ``starts[c + 1]``
+    background : material outside all shapes, -1 for none
+    rules : Gauss nodes across and along a silhouette, per smooth part of a pixel, for growing contrast
+    reach : width of the band inside a tangent where one ray per pixel does not do [pixel]
+    """
+    from phantomgen.ops.expose.cpu import expose_view  # noqa: PLC0415 - numba only where it computes
+    from phantomgen.ops.silhouette.quadrature import make_room, make_rules  # noqa: PLC0415
+
+    view = _View.of(frame, solids, attenuation, weights, starts, background)
+    gauss, pixels = make_rules(*rules), (rows, columns)
+    out, rays = np.empty((len(starts) - 1, *pixels)), np.zeros(CLASSES, dtype=np.int64)
+    classes, guess = np.empty(pixels, dtype=np.uint8), np.zeros(pixels, dtype=np.uint8)
+    maps = (classes, guess, np.zeros(pixels, dtype=np.int64), np.empty((rows * columns, 3), dtype=np.int64))
+    outline = (view.outline.forms, view.outline.shapes, view.outline.roots)
+    expose_view(
+        *view.shapes,
+        outline,
+        float(reach),
+        view.spectrum,
+        tuple(gauss),
+        tuple(make_room(gauss)),
+        view.ray,
+        maps,
+        np.empty_like(out),
+        out,
+        rays,
+    )
+    return Exposed(out, classes, rays)
+
+
+def expose_brute(
+    frame: Float[np.ndarray, "4 3"],
+    pixels: Int64[np.ndarray, "pixel 2"],
+    solids: tuple[np.ndarray, np.ndarray, np.ndarray],
+    attenuation: Float[np.ndarray, "material node"],
+    weights: Float[np.ndarray, " node"],
+    starts: Int64[np.ndarray, " boundary"],
+    background: int = -1,
+    n: int = 256,
+) -> Float[np.ndarray, "pixel channel"]:
+    """Expected counts of some pixels (row, column), each the mean over n x n rays on a regular grid of midpoints."""
+    from phantomgen.ops.expose.cpu import expose_pixels  # noqa: PLC0415
+
+    view = _View.of(frame, solids, attenuation, weights, starts, background)
+    pixels = np.ascontiguousarray(pixels, dtype=np.int64)
+    out = np.empty((len(starts) - 1, *(pixels.max(axis=0, initial=0) + 1)))
+    places = (np.arange(n) + 0.5) / n - 0.5
+    grid = np.array([(a, b, 1 / n**2) for b in places for a in places])
+    maps = (np.empty(out.shape[1:], dtype=np.int64), np.empty((1, 3), dtype=np.int64))
+    expose_pixels(*view.shapes, view.spectrum, grid, view.ray, pixels, maps, out)
+    return out[:, pixels[:, 0], pixels[:, 1]].T
+
+
+class _View(NamedTuple):
+    """Arguments of one view as the kernels want them."""
+
+    shapes: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]
+    outline: Any
+    spectrum: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+    ray: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+    @classmethod
+    def of(
+        cls,
+        frame: np.ndarray,
+        solids: tuple[np.ndarray, np.ndarray, np.ndarray],
+        attenuation: np.ndarray,
+        weights: np.ndarray,
+        starts: np.ndarray,
+        background: int,
+    ) -> "_View":
+        """Check and arrange the arguments of `expose`."""
+        from phantomgen.ops.silhouette.forms import cone_silhouettes  # noqa: PLC0415
+        from phantomgen.ops.trace.cpu import event_room, solid_table  # noqa: PLC0415
+
+        frame, attenuation, weights = (np.ascontiguousarray(a, dtype=np.float64) for a in (frame, attenuation, weights))
+        starts = np.ascontiguousarray(starts, dtype=np.int64)
+        if attenuation.ndim != 2 or weights.shape != attenuation.shape[1:] or not 0 <= starts[-1] <= len(weights):
+            raise InputError(
+                f"attenuation {attenuation.shape}, weights {weights.shape} and channel starts {starts.tolist()} "
+                "do not match"
+            )
+        kinds, locals_, materials = checked_solids(*solids, len(attenuation), background)
+        air = np.array([weights[a:b].sum() for a, b in zip(starts[:-1], starts[1:], strict=True)])
+        outline = cone_silhouettes(frame, kinds, locals_)
+        ray = (np.empty(len(kinds), np.int64), event_room(len(kinds)), np.empty(len(attenuation)), np.empty(len(air)))
+        shapes = (frame, solid_table(kinds, locals_, materials), locals_, outline.bounds, int(background))
+        return cls(shapes, outline, (attenuation, weights, starts, air), ray)

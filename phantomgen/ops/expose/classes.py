@@ -1,0 +1,22 @@
+"""How a pixel's average is taken, in order of growing effort.
+
+=========  ================================================  =======================================================
+class      where                                             rule
+=========  ================================================  =======================================================
+`EMPTY`    no shape projects near the pixel                  the counts of a ray without attenuation
+`SMOOTH`   away from silhouettes                             centre, and second differences over the four neighbours
+`NEAR`     up to a few pixels inside a tangent, or beside a  Gauss nodes in the tangent's own variable
+           pixel that is crossed, or on the panel's border
+`CROSSED`  a silhouette passes                               split along it, Gauss nodes on each side
+`KINKED`   the order of shapes along the ray changes though  regular grid of rays
+           no silhouette passes: surfaces of two shapes
+           intersect there
+=========  ================================================  =======================================================
+"""
+
+EMPTY = 0
+SMOOTH = 1
+NEAR = 2
+CROSSED = 3
+KINKED = 4
+CLASSES = 5

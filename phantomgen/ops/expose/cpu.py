@@ -1,0 +1,260 @@
+"""Pixel averages of expected counts in numba, one view at a time.
+
+Every pixel gets the cheapest rule that is good enough there; `phantomgen.ops.expose.classes` lists them.
+"""
+
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+from phantomgen.ops.expose.classes import CROSSED, EMPTY, KINKED, NEAR, SMOOTH
+from phantomgen.ops.silhouette.quadrature import CONICS, grid_nodes, may_vanish, shift_form, square_nodes
+from phantomgen.ops.trace.cpu import set_origin, trace_ray
+from spectra.ops.transmit.cpu import expected_ray
+
+_KINK_GRID = 8
+# Ratios of counts in neighbouring pixels from which on the next stronger rule is taken; differences over neighbours
+# serve below the first one only.
+_CONTRASTS = (1.35, 3.0, 12.0)
+
+
+@njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _pixel_range(low, high, count):
+    """Indices of pixels that the range low .. high touches, as a half-open range."""
+    return int(max(0.0, min(count, np.floor(low + 0.5)))), int(max(0.0, min(count, np.ceil(high + 0.5))))
+
+
+@njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _touches(bounds, s, u, v):
+    """Whether the pixel (u, v) meets the bounds of a shape."""
+    inside_u = bounds[s, 0] - 0.5 <= u <= bounds[s, 1] + 0.5
+    return inside_u and bounds[s, 2] - 0.5 <= v <= bounds[s, 3] + 0.5
+
+
+@njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _is_near(local, i, root, reach):
+    """Whether the pixel's centre lies inside a tangent conic and closer to it than `reach` (to first order)."""
+    slopes = local[i, 1] * local[i, 1] + local[i, 2] * local[i, 2]
+    return root > 0.0 and local[i, 0] > 0.0 and local[i, 0] * local[i, 0] < reach * reach * slopes
+
+
+@njit(error_model="numpy")
+@no_type_check
+def _send_rays(frame, table, bounds, background, spectrum, jobs, count, nodes, ray, remember, target, signatures):
+    """Write the average counts of pixels.
+
+    Parameters
+    ----------
+    jobs, count : row, column and index after the last node of each pixel; how many pixels
+    nodes : offset from the centre in column and row, and weight, of each ray
+    ray : scratch: indices of shapes, events, path lengths, counts of one ray
+    remember : whether to write the signature of each pixel's last ray
+    target : counts (channel, row, column)
+    """
+    attenuation, weights, starts, air = spectrum
+    active, events, lengths, counts = ray
+    first = np.int64(0)
+    for job in range(count):
+        row, column, last = jobs[job, 0], jobs[job, 1], jobs[job, 2]
+        shapes = np.int64(0)  # a plain 0 is a type of its own to numba, which would compile callees once more
+        for s in range(table.shape[0]):
+            if _touches(bounds, s, float(column), float(row)):
+                active[shapes] = s
+                shapes += 1
+        for c in range(air.size):
+            target[c, row, column] = 0.0
+        signature = 0
+        for i in range(first, last):
+            u, v, weight = column + nodes[i, 0], row + nodes[i, 1], nodes[i, 2]
+            dx = frame[1, 0] + u * frame[2, 0] + v * frame[3, 0]
+            dy = frame[1, 1] + u * frame[2, 1] + v * frame[3, 1]
+            dz = frame[1, 2] + u * frame[2, 2] + v * frame[3, 2]
+            signature = trace_ray(table, background, dx, dy, dz, active, shapes, events, lengths)
+            if signature == 0 and background < 0:
+                for c in range(air.size):
+                    target[c, row, column] += weight * air[c]
+            else:
+                expected_ray(lengths, attenuation, weights, starts, counts)
+                for c in range(air.size):
+                    target[c, row, column] += weight * counts[c]
+        if remember:
+            signatures[row, column] = signature
+        first = last
+
+
+@njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _classify(forms, shapes, roots, bounds, background, reach, local, classes):
+    """Raise the class of each pixel as far as bounds and silhouettes decide it."""
+    rows, columns = classes.shape
+    if background >= 0:
+        for row in range(rows):
+            for column in range(columns):
+                classes[row, column] = SMOOTH
+    for s in range(bounds.shape[0]):
+        first, last = _pixel_range(bounds[s, 0], bounds[s, 1], columns)
+        top, bottom = _pixel_range(bounds[s, 2], bounds[s, 3], rows)
+        for row in range(top, bottom):
+            for column in range(first, last):
+                classes[row, column] = max(classes[row, column], SMOOTH)
+    row_0 = np.int64(0)
+    for f in range(shapes.size):
+        s = shapes[f]
+        first, last = _pixel_range(bounds[s, 0], bounds[s, 1], columns)
+        top, bottom = _pixel_range(bounds[s, 2], bounds[s, 3], rows)
+        for row in range(top, bottom):
+            for column in range(first, last):
+                if classes[row, column] == CROSSED:
+                    continue
+                shift_form(forms, f, float(column), float(row), local, row_0)
+                if may_vanish(local, row_0):
+                    classes[row, column] = CROSSED
+                elif _is_near(local, row_0, roots[f], reach):
+                    classes[row, column] = NEAR
+
+
+@njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _gather(forms, shapes, roots, bounds, reach, u, v, local):
+    """Collect the conics that cross the pixel (u, v), and the tangents that pass near it; return how many."""
+    found = np.int64(0)
+    for f in range(shapes.size):
+        if not _touches(bounds, shapes[f], u, v):
+            continue
+        shift_form(forms, f, u, v, local, found)
+        if may_vanish(local, found) or _is_near(local, found, roots[f], reach):
+            local[found, 7] = roots[f]
+            found += 1
+            if found > CONICS:
+                break
+    return found
+
+
+@njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _settled(classes, signatures, level, row, column):
+    """Class of a pixel in the light of the rays through its and its neighbours' centres.
+
+    A pixel whose neighbour, not crossed either, has another sequence of owners is KINKED; a smooth one is NEAR if it
+    lacks a neighbour to take differences with, or if its contrast is high.
+    """
+    rows, columns = classes.shape
+    kind = classes[row, column]
+    if kind in (EMPTY, CROSSED):
+        return kind
+    if level > 0:
+        kind = NEAR
+    for i in range(4):
+        r, c = row + (i == 0) - (i == 1), column + (i == 2) - (i == 3)
+        if not (0 <= r < rows and 0 <= c < columns) or classes[r, c] == CROSSED:
+            kind = max(kind, NEAR)
+        elif signatures[r, c] != signatures[row, column]:
+            return KINKED
+    return kind
+
+
+@njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _contrast_level(centres, air, row, column):
+    """How many of the limits `_CONTRASTS` the counts of a pixel and its neighbours exceed in the worst channel."""
+    level = np.int64(0)
+    for channel in range(air.size):
+        low = high = centres[channel, row, column]
+        for i in range(4):
+            r, c = row + (i == 0) - (i == 1), column + (i == 2) - (i == 3)
+            if 0 <= r < centres.shape[1] and 0 <= c < centres.shape[2]:
+                low, high = min(low, centres[channel, r, c]), max(high, centres[channel, r, c])
+        low = max(low, 1e-30 * air[channel])
+        while level < 3 and high > low * _CONTRASTS[level]:
+            level += 1
+    return level
+
+
+@njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _curved(centres, channel, row, column):
+    """Average over a pixel of a function that is smooth over its four neighbours, known at their centres.
+
+    Midpoint value plus 1/24 of the second differences: exact for cubic polynomials.
+    """
+    middle = centres[channel, row, column]
+    around = centres[channel, row - 1, column] + centres[channel, row + 1, column]
+    around += centres[channel, row, column - 1] + centres[channel, row, column + 1]
+    return middle + (around - 4.0 * middle) / 24.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def expose_view(
+    frame, table, locals_, bounds, background, outline, reach, spectrum, rules, room, ray, maps, centres, out, rays
+):
+    """Average expected counts over all pixels of one view.
+
+    Parameters
+    ----------
+    table, locals_, bounds, background : the shapes; table gets the source as origin
+    outline : forms, shapes and roots of the silhouettes
+    reach : width [pixel] of the band inside a tangent where pixels are near
+    spectrum : attenuation per material and node, weights, starts, counts without attenuation
+    rules, room : levels of Gauss rules; scratch for conics, splits and nodes
+    ray : scratch of `_send_rays`
+    maps : per pixel its class (written), a first guess of that (zero on entry), signature (zero on entry), and jobs
+    centres : scratch: counts of the rays through centres (channel, row, column)
+    out : counts (channel, row, column), written
+    rays : number of rays traced per class, (class,), added to
+    """
+    forms, shapes, roots = outline
+    rule_nodes, rule_sizes = rules
+    local, lines, nodes = room
+    classes, guess, signatures, jobs = maps
+    air = spectrum[3]
+    rows, columns = classes.shape
+    set_origin(table, locals_, frame[0, 0], frame[0, 1], frame[0, 2])
+    _classify(forms, shapes, roots, bounds, background, reach, local, guess)
+    # The first round sends rays through centres, the second one completes the pixels that need more.
+    for completing in range(2):
+        target = out if completing else centres
+        count = filled = np.int64(0)
+        for row in range(rows):
+            for column in range(columns):
+                kind = guess[row, column]
+                if completing and kind != EMPTY:
+                    level = _contrast_level(centres, air, row, column)
+                    kind = _settled(guess, signatures, level, row, column)
+                classes[row, column] = kind
+                if kind == EMPTY or (completing and kind == SMOOTH):
+                    for c in range(air.size):
+                        target[c, row, column] = _curved(centres, c, row, column) if kind == SMOOTH else air[c]
+                    continue
+                begun = filled
+                if not completing or kind == KINKED:
+                    filled = grid_nodes(nodes, begun, _KINK_GRID if completing else 1)
+                else:
+                    conics = _gather(forms, shapes, roots, bounds, reach, float(column), float(row), local)
+                    filled = square_nodes(local, conics, rule_nodes[level], rule_sizes[level], lines, nodes, begun)
+                rays[kind] += filled - begun
+                jobs[count, 0], jobs[count, 1], jobs[count, 2] = row, column, filled
+                count += 1
+                if filled > nodes.shape[0] // 2:
+                    _send_rays(
+                        frame, table, bounds, background, spectrum, jobs, count, nodes, ray, not completing, target, signatures
+                    )
+                    count = filled = np.int64(0)
+        _send_rays(
+            frame, table, bounds, background, spectrum, jobs, count, nodes, ray, not completing, target, signatures
+        )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def expose_pixels(frame, table, locals_, bounds, background, spectrum, nodes, ray, pixels, maps, out):
+    """Average over the same nodes in each of some pixels (row, column), written to ``out[:, row, column]``."""
+    signatures, job = maps
+    set_origin(table, locals_, frame[0, 0], frame[0, 1], frame[0, 2])
+    for i in range(pixels.shape[0]):
+        job[0, 0], job[0, 1], job[0, 2] = pixels[i, 0], pixels[i, 1], nodes.shape[0]
+        _send_rays(frame, table, bounds, background, spectrum, job, np.int64(1), nodes, ray, False, out, signatures)

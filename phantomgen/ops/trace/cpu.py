@@ -1,0 +1,210 @@
+"""Exact path lengths in numba, one ray after the other.
+
+A ray is ``origin + t direction``, 0 <= t <= 1. `trace_ray` is the device function that other kernels call; its origin
+comes in local coordinates, because many rays share one.
+"""
+
+from math import sqrt
+from typing import no_type_check
+
+import numpy as np
+from jaxtyping import Float, Int64
+from numba import njit
+
+from phantomgen.ops.primitives import BALL, CYLINDER
+
+# One row of a table of solids: what a ray needs to know about a shape, side by side in memory. Few arrays and inlined
+# functions: numba counts references to each array that a function is handed, which costs more than a chord.
+KIND, MATERIAL, ORIGIN, MAP, WIDTH = 0, 1, 2, 5, 14
+# Rows of the scratch for the events along one ray.
+ENTER, LEAVE, OWNER, CUT, PIECE, EVENT_ROWS = 0, 1, 2, 3, 4, 5
+
+
+def solid_table(
+    kinds: Int64[np.ndarray, " shape"], locals_: Float[np.ndarray, "shape 3 4"], materials: Int64[np.ndarray, " shape"]
+) -> Float[np.ndarray, "shape 14"]:
+    """Shapes as rows of kind, material, the rays' origin in local coordinates (to be filled in), linear map."""
+    table = np.zeros((len(kinds), WIDTH))
+    table[:, KIND], table[:, MATERIAL] = kinds, materials
+    table[:, MAP:] = locals_[:, :, :3].reshape(-1, 9)
+    return table
+
+
+def event_room(shapes: int) -> Float[np.ndarray, "5 event"]:
+    """Scratch for the events along a ray that meets all shapes."""
+    return np.empty((EVENT_ROWS, 2 * shapes + 1))
+
+
+@njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _slab(position, slope, first, last):
+    """Part of ``first <= t <= last`` where ``-1 <= position + t slope < 1``."""
+    if slope == 0.0:
+        return (first, last) if -1.0 <= position < 1.0 else (1.0, 0.0)
+    low, high = (-1.0 - position) / slope, (1.0 - position) / slope
+    if low > high:
+        low, high = high, low
+    return max(first, low), min(last, high)
+
+
+@njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _between_roots(a, b, discriminant, outside):
+    """Interval where ``a t^2 + 2 b t + c < 0``; without curvature (a = 0) everything or nothing."""
+    if a == 0.0:
+        return (1.0, 0.0) if outside else (0.0, 1.0)
+    if discriminant <= 0.0:
+        return 1.0, 0.0
+    root = sqrt(discriminant)
+    return max(0.0, (-b - root) / a), min(1.0, (-b + root) / a)
+
+
+@njit(forceinline=True, error_model="numpy")
+@no_type_check
+def chord(kind, ox, oy, oz, dx, dy, dz):
+    """Interval of t in [0, 1] inside a unit primitive, in local coordinates; empty when the first is not smaller.
+
+    Discriminants stand as squares of the direction minus squares of the moment ``o x d`` (Lagrange's identity), which
+    keeps the digits that ``b^2 - a c`` loses for a distant source.
+    """
+    mz = ox * dy - oy * dx
+    if kind == BALL:
+        mx, my = oy * dz - oz * dy, oz * dx - ox * dz
+        a = dx * dx + dy * dy + dz * dz
+        outside = ox * ox + oy * oy + oz * oz >= 1.0
+        return _between_roots(a, ox * dx + oy * dy + oz * dz, a - mx * mx - my * my - mz * mz, outside)
+    if kind == CYLINDER:
+        a = dx * dx + dy * dy
+        first, last = _between_roots(a, ox * dx + oy * dy, a - mz * mz, ox * ox + oy * oy >= 1.0)
+        return _slab(oz, dz, first, last)
+    first, last = _slab(ox, dx, 0.0, 1.0)
+    first, last = _slab(oy, dy, first, last)
+    return _slab(oz, dz, first, last)
+
+
+@njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _collect(table, dx, dy, dz, active, count, events):
+    """Fill `events` with those of the active shapes that the ray meets, in order of priority; return how many."""
+    hits = 0
+    for i in range(count):
+        s = active[i]
+        first, last = chord(
+            table[s, KIND],
+            table[s, 2],
+            table[s, 3],
+            table[s, 4],
+            table[s, 5] * dx + table[s, 6] * dy + table[s, 7] * dz,
+            table[s, 8] * dx + table[s, 9] * dy + table[s, 10] * dz,
+            table[s, 11] * dx + table[s, 12] * dy + table[s, 13] * dz,
+        )
+        if first < last:
+            events[ENTER, hits] = first
+            events[LEAVE, hits] = last
+            events[OWNER, hits] = s
+            hits += 1
+    return hits
+
+
+@njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _sort_cuts(events, hits):
+    """Write all ends of the hits to the row of cuts, ascending."""
+    for i in range(2 * hits):
+        value = events[i % 2, i // 2]
+        at = i
+        while at > 0 and events[CUT, at - 1] > value:
+            events[CUT, at] = events[CUT, at - 1]
+            at -= 1
+        events[CUT, at] = value
+
+
+@njit(forceinline=True, error_model="numpy")
+@no_type_check
+def owned_pieces(table, dx, dy, dz, active, count, events):
+    """Cut the ray where its owner changes.
+
+    Afterwards ``events[PIECE, i]`` owns the ray from ``events[CUT, i]`` to ``events[CUT, i + 1]``; -1: nobody.
+
+    Parameters
+    ----------
+    table : shapes as `solid_table` makes them, with the ray's origin filled in
+    dx, dy, dz : direction [mm]
+    active, count : indices of the shapes that the ray may meet, ascending; how many of them
+
+    Returns
+    -------
+    Number of pieces; 0 for a ray that meets nothing.
+    """
+    hits = _collect(table, dx, dy, dz, active, count, events)
+    if hits == 0:
+        return 0
+    _sort_cuts(events, hits)
+    pieces = 0
+    for i in range(2 * hits - 1):
+        low, high = events[CUT, i], events[CUT, i + 1]
+        if high <= low:
+            continue
+        owner = -1.0
+        for h in range(hits - 1, -1, -1):
+            if events[ENTER, h] <= low and events[LEAVE, h] >= high:
+                owner = events[OWNER, h]
+                break
+        if pieces > 0 and events[PIECE, pieces - 1] == owner:
+            events[CUT, pieces] = high
+        else:
+            events[PIECE, pieces] = owner
+            events[CUT, pieces] = low
+            events[CUT, pieces + 1] = high
+            pieces += 1
+    return pieces
+
+
+@njit(forceinline=True, error_model="numpy")
+@no_type_check
+def trace_ray(table, background, dx, dy, dz, active, count, events, lengths):
+    """Write the path length per material of one ray, in mm.
+
+    Parameters
+    ----------
+    background : material of what no shape owns, -1 for none
+
+    Returns
+    -------
+    A number that names the sequence of owners along the ray, 0 for a ray that meets nothing.
+    """
+    for m in range(lengths.size):
+        lengths[m] = 0.0
+    pieces = owned_pieces(table, dx, dy, dz, active, count, events)
+    norm = sqrt(dx * dx + dy * dy + dz * dz)
+    signature = 0
+    covered = 0.0
+    for i in range(pieces):
+        owner = int(events[PIECE, i])
+        signature = signature * 1000003 + owner + 2
+        if owner >= 0:
+            part = (events[CUT, i + 1] - events[CUT, i]) * norm
+            lengths[int(table[owner, MATERIAL])] += part
+            covered += part
+    if background >= 0:
+        lengths[background] += norm - covered
+    return signature
+
+
+@njit(forceinline=True, error_model="numpy")
+@no_type_check
+def set_origin(table, locals_, x, y, z):
+    """Write the point (x, y, z), where rays begin, to the table in local coordinates of each shape."""
+    for s in range(table.shape[0]):
+        for i in range(3):
+            table[s, ORIGIN + i] = locals_[s, i, 0] * x + locals_[s, i, 1] * y + locals_[s, i, 2] * z + locals_[s, i, 3]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def trace_rays(table, locals_, background, origins, directions, active, events, out):
+    """Path length per material of many rays, (R, 3) and (R, 3) -> (R, material)."""
+    for ray in range(directions.shape[0]):
+        set_origin(table, locals_, origins[ray, 0], origins[ray, 1], origins[ray, 2])
+        dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
+        trace_ray(table, background, dx, dy, dz, active, active.size, events, out[ray])

@@ -1,0 +1,286 @@
+"""From a scene file to what `simulate` runs: objects, materials, geometry, source, detector and basis."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import radians
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from phantomgen import schema
+from phantomgen.geometry import Geometry
+from phantomgen.grid import Grid
+from phantomgen.panel import Panel
+from phantomgen.scene_yaml import SceneFile, closest, preset_names
+from phantomgen.shapes import Box, Cylinder, Ellipsoid, Shape, ShapeArrays, Sphere
+from spectra.attenuation import edge_energy, mass_fractions, symbol
+from spectra.basis import Basis, BasisFunction
+from spectra.detector import Detector
+from spectra.materials import Material
+from spectra.source import Filter, Source
+
+# An element belongs to a K-edge function when its own edge is this close [keV].
+_SAME_EDGE = 0.5
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Objects in vacuum; later ones override earlier ones where they overlap.
+
+    Parameters
+    ----------
+    objects : shapes with the index of their material
+    materials : those that an object consists of, in the order of the file
+    """
+
+    objects: tuple[tuple[Shape, int], ...]
+    materials: tuple[Material, ...]
+
+    @property
+    def arrays(self) -> ShapeArrays:
+        """The objects as arrays for kernels."""
+        return ShapeArrays.of(self.objects)
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Everything that `simulate` needs.
+
+    Parameters
+    ----------
+    name : of the scene
+    scene : what is scanned
+    geometry : poses of all views, training views first
+    splits : indices of the views in ``train``, ``test`` and ``val``
+    source, detector : photons, and the channels that count them
+    basis : raw basis functions that the scene needs
+    grid : voxels of the truth and of the volume asked for
+    seed, noise : key of the Poisson noise, and whether there is any
+    flats, darks : number of open-beam frames and of frames without beam
+    source_fields : what a file says about the tube, as (value, unit)
+    text : the resolved scene as YAML
+    """
+
+    name: str
+    scene: Scene
+    geometry: Geometry
+    splits: Mapping[str, Int[np.ndarray, " view"]]
+    source: Source
+    detector: Detector
+    basis: Basis
+    grid: Grid
+    seed: int
+    noise: bool
+    flats: int
+    darks: int
+    source_fields: Mapping[str, tuple[float | str, str | None]]
+    text: str
+
+    def __repr__(self) -> str:
+        objects, channels = len(self.scene.objects), len(self.detector)
+        return f"Scan({self.name}: {objects} objects, {self.geometry!r}, {channels} channels, basis {self.basis.names})"
+
+    @property
+    def scheme(self) -> str:
+        """Name of the split of views, such as ``sparse75``."""
+        return f"sparse{len(self.splits['train'])}"
+
+
+def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> Scan:
+    """Read a scene.
+
+    Parameters
+    ----------
+    scene : name of a preset, or path of a scene file
+    overrides : ``path=value`` with dotted paths, such as ``geometry.views=180``
+
+    Raises
+    ------
+    SceneError
+        With file, line, column and key of what is wrong.
+    """
+    file = scene if isinstance(scene, SceneFile) else _find(scene, overrides)
+    model = file.model
+    source = _source(file)
+    detector = _detector(file, source)
+    materials = {name: _material(file, name) for name in model.materials}
+    used = tuple(name for name in materials if any(item.material == name for item in model.objects))
+    basis = _basis(file, [materials[name] for name in used], detector)
+    _check_coefficients(file, materials, basis)
+    geometry, splits = _geometry(file)
+    return Scan(
+        name=model.name,
+        scene=Scene(_objects(file, used), tuple(materials[name] for name in used)),
+        geometry=geometry,
+        splits=splits,
+        source=source,
+        detector=detector,
+        basis=_needed(basis, [materials[name] for name in used]),
+        grid=Grid.cube(model.volume.voxels, model.volume.size),
+        seed=model.seed,
+        noise=model.noise,
+        flats=model.flats,
+        darks=model.darks,
+        source_fields=_source_fields(model.source),
+        text=file.resolved,
+    )
+
+
+def circular_angles(views: int, test_views: int) -> Float[np.ndarray, " view"]:
+    """Source angles [rad]: training views at i 360/views degrees, then test views at (j + 1/2) 360/test_views."""
+    train = np.arange(views) * (360.0 / views)
+    test = (np.arange(test_views) + 0.5) * (360.0 / max(test_views, 1))
+    return np.deg2rad(np.concatenate([train, test]))
+
+
+def _find(scene: str | Path, overrides: Sequence[str]) -> SceneFile:
+    """A preset where the name is one, else a file."""
+    if isinstance(scene, str) and scene in preset_names():
+        return SceneFile.preset(scene, overrides)
+    if not Path(scene).exists() and Path(scene).suffix not in {".yaml", ".yml", ".json"}:
+        return SceneFile.preset(str(scene), overrides)
+    return SceneFile.read(scene, overrides)
+
+
+def _source(file: SceneFile) -> Source:
+    """The source; a tube takes SpekPy about a second."""
+    model = file.model.source
+    with file.at("source"):
+        if isinstance(model, schema.MonochromaticModel):
+            return Source.monochromatic(model.energy, model.photons)
+        filters = [_filter(file, i, sheet) for i, sheet in enumerate(model.filters)]
+        return Source.tube(model.kvp, model.photons, model.angle, filters, model.anode)
+
+
+def _filter(file: SceneFile, index: int, model: schema.FilterModel) -> Filter:
+    """One flat filter."""
+    with file.at("source", "filters", index):
+        return Filter(Material(_composition_name(model.composition), model.density, model.composition), model.thickness)
+
+
+def _source_fields(model: schema.TubeModel | schema.MonochromaticModel) -> dict[str, tuple[float | str, str | None]]:
+    """What a file says about the source."""
+    if isinstance(model, schema.MonochromaticModel):
+        return {"type": ("Synchrotron X-ray Source", None)}
+    return {
+        "type": ("Fixed Tube X-ray", None),
+        "voltage": (model.kvp, "kV"),
+        "target_material": (model.anode, None),
+        "focal_spot": (0.0, "mm"),
+    }
+
+
+def _detector(file: SceneFile, source: Source) -> Detector:
+    """The detector; its last channel ends with the source."""
+    model = file.model.detector
+    with file.at("detector"):
+        sensor = Material(_composition_name(model.composition), model.density, model.composition)
+        with file.at("detector", "thresholds"):
+            return Detector.photon_counting(model.thresholds, source.maximum, sensor, model.thickness)
+
+
+def _material(file: SceneFile, name: str) -> Material:
+    """One material of the scene."""
+    model = file.model.materials[name]
+    with file.at("materials", name):
+        return Material(name, model.density, model.composition, model.coefficients)
+
+
+def _composition_name(composition: str | Mapping[str, float]) -> str:
+    """A name for a material that has only a composition."""
+    return composition if isinstance(composition, str) else " ".join(composition)
+
+
+def _basis(file: SceneFile, materials: Sequence[Material], detector: Detector) -> Basis:
+    """The basis of the file, or photoelectric, Compton and one element function per K edge that channels see."""
+    models = file.model.basis
+    if models is None:
+        kinds = [BasisFunction("photoelectric"), BasisFunction("compton")]
+        return Basis((*kinds, *(BasisFunction("element", element=e) for e in _edge_elements(materials, detector))))
+    functions = []
+    for i, model in enumerate(models):
+        with file.at("basis", i):
+            functions.append(_function(model))
+    with file.at("basis"):
+        return Basis(tuple(functions))
+
+
+def _function(
+    model: schema.PlainFunctionModel | schema.EdgeFunctionModel | schema.ElementFunctionModel,
+) -> BasisFunction:
+    """One basis function."""
+    if isinstance(model, schema.EdgeFunctionModel):
+        return BasisFunction(model.type, edge_energy=model.edge, edge_width=model.width, element=model.element)
+    return BasisFunction(model.type, element=getattr(model, "element", None))
+
+
+def _edge_elements(materials: Sequence[Material], detector: Detector) -> list[str]:
+    """Elements whose K edge lies between the lowest threshold and the highest energy."""
+    low, high = detector.channels[0].lower, detector.channels[-1].upper
+    numbers = {number for m in materials if m.composition is not None for number, _ in mass_fractions(m.composition)}
+    edges = {name: edge_energy(name) for name in map(symbol, numbers)}
+    return sorted((e for e, edge in edges.items() if low < edge < high), key=edges.__getitem__)
+
+
+def _needed(basis: Basis, materials: Sequence[Material]) -> Basis:
+    """The basis without K-edge functions that no material uses."""
+    functions = tuple(f for f in basis.functions if f.edge_energy is None or any(_uses(m, f) for m in materials))
+    return Basis(functions, basis.reference_energy)
+
+
+def _uses(material: Material, function: BasisFunction) -> bool:
+    """Whether a material has a coefficient for a K-edge function, or an edge where the function has its own."""
+    if material.coefficients is not None:
+        return material.coefficients.get(function.name, 0.0) > 0
+    edge = float(function.edge_energy or 0.0)
+    return bool(material.k_edges(edge - _SAME_EDGE, edge + _SAME_EDGE))
+
+
+def _check_coefficients(file: SceneFile, materials: Mapping[str, Material], basis: Basis) -> None:
+    """Refuse coefficients of functions that are not in the basis, also of materials that no object uses."""
+    for name, material in materials.items():
+        if material.coefficients is None:
+            continue
+        for function in material.coefficients:
+            if function not in basis.names:
+                raise file.error(
+                    ("materials", name, "coefficients", function),
+                    f"there is no basis function {function!r}{closest(function, basis.names)}",
+                )
+
+
+def _objects(file: SceneFile, used: Sequence[str]) -> tuple[tuple[Shape, int], ...]:
+    """Shapes with the index of their material."""
+    objects = []
+    for i, model in enumerate(file.model.objects):
+        with file.at("objects", i):
+            objects.append((_shape(model), used.index(model.material)))
+    return tuple(objects)
+
+
+def _shape(model: schema.SphereModel | schema.EllipsoidModel | schema.CylinderModel | schema.BoxModel) -> Shape:
+    """One shape."""
+    if isinstance(model, schema.SphereModel):
+        return Sphere(model.center, model.radius)
+    if isinstance(model, schema.EllipsoidModel):
+        return Ellipsoid(model.center, model.radii, _radians(model.rotation))
+    if isinstance(model, schema.CylinderModel):
+        return Cylinder(model.center, model.radius, model.length, model.axis)
+    return Box(model.center, model.size, _radians(model.rotation))
+
+
+def _radians(degrees: schema.Vector) -> schema.Vector:
+    """Three angles [rad]."""
+    x, y, z = (radians(angle) for angle in degrees)
+    return x, y, z
+
+
+def _geometry(file: SceneFile) -> tuple[Geometry, dict[str, Int[np.ndarray, " view"]]]:
+    """Poses of training views, then test views, and the split that says so."""
+    orbit, panel = file.model.geometry, file.model.panel
+    angles = circular_angles(orbit.views, orbit.test_views)
+    with file.at("geometry"):
+        geometry = Geometry.circular(orbit.sod, orbit.sdd, angles, Panel(panel.rows, panel.columns, panel.pitch))
+    views = np.arange(len(angles))
+    return geometry, {"train": views[: orbit.views], "test": views[orbit.views :], "val": views[:0]}

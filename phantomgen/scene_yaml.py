@@ -1,0 +1,242 @@
+"""Reading a scene file: YAML text to a checked model, every complaint with file, line, column and key."""
+
+import difflib
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from phantomgen import schema
+from phantomgen.schema import SceneModel
+from spectra.errors import Error, SceneError
+
+Location = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class SceneFile:
+    """Text of a scene, where it came from, and the values that override it.
+
+    Parameters
+    ----------
+    name : shown in messages
+    text : YAML
+    overrides : ``path=value`` with a dotted path, such as ``geometry.views=180`` or ``objects.0.radius=40``
+    """
+
+    name: str
+    text: str
+    overrides: tuple[str, ...] = ()
+
+    @classmethod
+    def read(cls, path: Path | str, overrides: Sequence[str] = ()) -> "SceneFile":
+        """From a file."""
+        try:
+            return cls(str(path), Path(path).read_text(encoding="utf-8"), tuple(overrides))
+        except OSError as error:
+            raise SceneError(f"{path} cannot be read as a scene: {error.strerror}") from None
+        except UnicodeDecodeError:
+            raise SceneError(f"{path} cannot be read as a scene: it is not UTF-8 text") from None
+
+    @classmethod
+    def preset(cls, name: str, overrides: Sequence[str] = ()) -> "SceneFile":
+        """From a scene that comes with this package."""
+        if name not in preset_names():
+            raise SceneError(f"unknown preset {name!r}: choose from {', '.join(preset_names())}")
+        text = resources.files("phantomgen").joinpath("presets", f"{name}.yaml").read_text(encoding="utf-8")
+        return cls(f"{name}.yaml", text, tuple(overrides))
+
+    @cached_property
+    def model(self) -> SceneModel:
+        """The checked scene."""
+        values = self.values
+        try:
+            model = SceneModel.model_validate(values)
+        except ValidationError as error:
+            found = min(
+                error.errors(), key=lambda e: e["type"] != "extra_forbidden"
+            )  # a misspelt key explains the rest
+            location = (*found["loc"], "type") if found["type"].startswith("union_tag") else found["loc"]
+            raise self.error(location, _sentence(found)) from None
+        for i, item in enumerate(model.objects):
+            if item.material not in model.materials:
+                hint = closest(item.material, model.materials)
+                raise self.error(("objects", i, "material"), f"unknown material {item.material!r}{hint}")
+        return model
+
+    @cached_property
+    def values(self) -> dict[str, Any]:
+        """The mapping in the file, with the overrides put in."""
+        if not isinstance(self._root, yaml.MappingNode):
+            raise SceneError(f"{self.name}:1:1: a scene is a mapping of keys to values that starts with 'version: 1'")
+        values = yaml.safe_load(self.text)
+        for override in self.overrides:
+            _override(values, override)
+        return values
+
+    @property
+    def resolved(self) -> str:
+        """The scene as YAML, overrides and defaults included."""
+        data = self.model.model_dump(mode="json", exclude_none=True)
+        return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120)
+
+    def error(self, location: Location, message: str) -> SceneError:
+        """An error that says where in the file its cause stands, or which override put it there."""
+        key = ".".join(_keys(self.values, location))
+        for override in self.overrides:
+            path = override.partition("=")[0].strip()
+            if key == path or key.startswith(f"{path}."):
+                return SceneError(f"--set {override}: {key} - {message}")
+        return SceneError(f"{self.name}:{_mark(self._root, location)}: {key}{' - ' if key else ''}{message}")
+
+    @contextmanager
+    def at(self, *location: str | int) -> Iterator[None]:
+        """Give errors of physics and geometry their place in the file."""
+        try:
+            yield
+        except SceneError:
+            raise
+        except Error as error:
+            raise self.error(location, str(error)) from None
+
+    @cached_property
+    def _root(self) -> yaml.Node | None:
+        """The parsed file with line numbers."""
+        try:
+            root = yaml.compose(self.text, Loader=yaml.SafeLoader)
+            yaml.safe_load(self.text)
+        except yaml.MarkedYAMLError as error:
+            mark = error.problem_mark
+            place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
+            raise SceneError(f"{self.name}:{place}: {error.problem}") from None
+        except yaml.YAMLError as error:
+            raise SceneError(f"{self.name}:1:1: {str(error).splitlines()[0]}") from None
+        _refuse_repeats(root, self.name)
+        return root
+
+
+def preset_names() -> list[str]:
+    """Names of the scenes that come with this package."""
+    files = resources.files("phantomgen").joinpath("presets").iterdir()
+    return sorted(f.name.removesuffix(".yaml") for f in files if f.name.endswith(".yaml"))
+
+
+def preset_summaries() -> dict[str, str]:
+    """First sentence of the comment that opens each preset."""
+    comments = {}
+    for name in preset_names():
+        lines = [line[1:].strip() for line in SceneFile.preset(name).text.splitlines() if line.startswith("#")]
+        comments[name] = " ".join(lines).partition(". ")[0].rstrip(".") + "."
+    return comments
+
+
+def closest(word: str, known: Iterable[str]) -> str:
+    """A hint at the known word that is meant, or at all of them."""
+    known = list(known)
+    near = difflib.get_close_matches(word, known, 1)
+    return f"; did you mean {near[0]!r}?" if near else f": choose from {', '.join(known)}"
+
+
+def _sentence(error: Any) -> str:
+    """What pydantic found, in words for somebody who writes a scene."""
+    kind, got = error["type"], error.get("input")
+    if kind in {"missing", "union_tag_not_found"}:
+        return "is missing"
+    if kind == "extra_forbidden":
+        return f"unknown key{_hint(str(error['loc'][-1]))}"
+    if kind == "union_tag_invalid":
+        return f"unknown type {error['ctx']['tag']!r}: choose from {error['ctx']['expected_tags']}"
+    text = error["msg"][0].lower() + error["msg"][1:]
+    return f"{text}, got {got!r}" if isinstance(got, str | int | float | bool | None) else text
+
+
+def _hint(key: str) -> str:
+    """A hint at the key that is meant, where one is close."""
+    models = [m for m in vars(schema).values() if isinstance(m, type) and issubclass(m, BaseModel)]
+    near = difflib.get_close_matches(key, {name for model in models for name in model.model_fields}, 1)
+    return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def _override(values: dict[str, Any], override: str) -> None:
+    """Put the value of ``path=value`` in its place."""
+    path, equals, text = override.partition("=")
+    if not equals or not path.strip():
+        raise SceneError(f"--set {override}: write path=value, such as geometry.views=180")
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError:
+        raise SceneError(f"--set {override}: {text!r} is not a YAML value") from None
+    holder, rest = values, path.strip()
+    while True:
+        key, rest = _next_key(holder, rest, override)
+        if not rest:
+            holder[key] = value
+            return
+        holder = holder[key]
+
+
+def _next_key(holder: Any, path: str, override: str) -> tuple[Any, str]:
+    """First key of a dotted path and what follows it; a key that is there may hold dots itself."""
+    first, _, rest = path.partition(".")
+    if isinstance(holder, list):
+        if not first.isdigit() or int(first) >= len(holder):
+            raise SceneError(f"--set {override}: {first!r} is no entry of a list of {len(holder)}, counted from 0")
+        return int(first), rest
+    if not isinstance(holder, dict):
+        raise SceneError(f"--set {override}: there is no key {first!r} in a single value")
+    known = [key for key in map(str, holder) if path == key or path.startswith(f"{key}.")]
+    if known:
+        key = max(known, key=len)
+        return key, path[len(key) + 1 :]
+    if rest:
+        raise SceneError(f"--set {override}: there is no {first!r}{closest(first, map(str, holder))}")
+    return first, ""
+
+
+def _keys(values: Any, location: Location) -> list[str]:
+    """`location` without the tags of unions, which pydantic adds and the file does not have."""
+    keys = []
+    for part in location:
+        if isinstance(values, dict):
+            if part not in values and part == values.get("type"):
+                continue
+            values = values.get(part)
+        elif isinstance(values, list | tuple) and isinstance(part, int):
+            values = values[part] if part < len(values) else None
+        else:
+            continue
+        keys.append(str(part))
+    return keys
+
+
+def _mark(node: yaml.Node | None, location: Location) -> str:
+    """``line:column`` of the deepest part of `location` that stands in the file, counted from 1."""
+    deepest = node
+    for part in location:
+        if isinstance(node, yaml.MappingNode):
+            value = next((v for k, v in node.value if k.value == str(part)), None)
+            deepest = node = value or node
+        elif isinstance(node, yaml.SequenceNode) and isinstance(part, int) and part < len(node.value):
+            deepest = node = node.value[part]
+    return "1:1" if deepest is None else f"{deepest.start_mark.line + 1}:{deepest.start_mark.column + 1}"
+
+
+def _refuse_repeats(node: yaml.Node | None, name: str) -> None:
+    """Refuse a key that stands twice in one mapping; YAML would silently take the last one."""
+    if isinstance(node, yaml.SequenceNode):
+        for item in node.value:
+            _refuse_repeats(item, name)
+    if isinstance(node, yaml.MappingNode):
+        seen = set()
+        for key, value in node.value:
+            if key.value in seen:
+                place = f"{key.start_mark.line + 1}:{key.start_mark.column + 1}"
+                raise SceneError(f"{name}:{place}: the key {key.value!r} stands twice in one mapping")
+            seen.add(key.value)
+            _refuse_repeats(value, name)

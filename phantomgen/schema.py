@@ -1,0 +1,184 @@
+"""The scene file as models: what may stand in it, checked key by key.
+
+Lengths in mm, energies in keV, angles in degrees. Every model refuses keys it does not know. `scene_yaml` gives the
+errors a file, a line and a column; `scene` turns the models into physics.
+"""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, PositiveInt
+
+Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Size = tuple[PositiveFloat, PositiveFloat, PositiveFloat]
+NonNegativeInt = Annotated[int, Field(ge=0)]
+Composition = str | dict[str, FiniteFloat]
+
+
+class Model(BaseModel):
+    """Common settings: immutable, no unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class FilterModel(Model):
+    """A flat filter: formula or mass fractions, density [g/cm^3] where it is not known, thickness [mm]."""
+
+    composition: Composition
+    density: PositiveFloat | None = None
+    thickness: Annotated[FiniteFloat, Field(ge=0)]
+
+
+class TubeModel(Model):
+    """A reflection tube; photons are incident per pixel and view at the panel centre, behind the filters."""
+
+    type: Literal["tube"]
+    kvp: PositiveFloat
+    anode: str = "tungsten"
+    angle: PositiveFloat = 12.0
+    filters: tuple[FilterModel, ...] = ()
+    photons: PositiveFloat
+
+
+class MonochromaticModel(Model):
+    """All photons at one energy."""
+
+    type: Literal["monochromatic"]
+    energy: PositiveFloat
+    photons: PositiveFloat
+
+
+class PhotonCountingModel(Model):
+    """An ideal photon-counting detector; a channel reaches from its threshold to the next."""
+
+    type: Literal["photon_counting"]
+    thresholds: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)]
+    composition: Composition = "CdTe"
+    density: PositiveFloat | None = None
+    thickness: PositiveFloat = 1.6
+
+
+class CircularModel(Model):
+    """Circular orbit: training views at i 360/views degrees, test views at (j + 1/2) 360/test_views degrees."""
+
+    type: Literal["circular"]
+    sod: PositiveFloat
+    sdd: PositiveFloat
+    views: PositiveInt
+    test_views: NonNegativeInt = 0
+
+
+class PanelModel(Model):
+    """The pixel grid; one pitch [mm] for square pixels, else (between rows, between columns)."""
+
+    rows: PositiveInt
+    columns: PositiveInt
+    pitch: PositiveFloat | tuple[PositiveFloat, PositiveFloat]
+
+
+class VolumeModel(Model):
+    """The cube that truth is given on and that is asked for: voxels along each edge, edge length [mm]."""
+
+    voxels: PositiveInt
+    size: PositiveFloat
+
+
+class PlainFunctionModel(Model):
+    """A basis function without an edge."""
+
+    type: Literal["photoelectric", "compton"]
+
+
+class EdgeFunctionModel(Model):
+    """A K-edge function at an energy, or at the K edge of an element; the width is that of the logistic function."""
+
+    type: Literal["step", "sigmoid"]
+    edge: PositiveFloat | None = None
+    element: str | None = None
+    width: Annotated[FiniteFloat, Field(ge=0)] = 0.0
+
+
+class ElementFunctionModel(Model):
+    """The attenuation curve of one element."""
+
+    type: Literal["element"]
+    element: str
+
+
+class MaterialModel(Model):
+    """Either a composition (formula, NIST name or mass fractions) with a density, or basis coefficients [1/mm]."""
+
+    composition: Composition | None = None
+    density: PositiveFloat | None = None
+    coefficients: dict[str, Annotated[FiniteFloat, Field(ge=0)]] | None = None
+
+
+class ObjectModel(Model):
+    """Common keys of objects: the name of a material, and the centre (x, y, z) [mm]."""
+
+    material: str
+    center: Vector = (0.0, 0.0, 0.0)
+
+
+class SphereModel(ObjectModel):
+    """A ball."""
+
+    type: Literal["sphere"]
+    radius: PositiveFloat
+
+
+class EllipsoidModel(ObjectModel):
+    """Half axes [mm] along x, y, z, turned about x, then y, then z [degree]."""
+
+    type: Literal["ellipsoid"]
+    radii: Size
+    rotation: Vector = (0.0, 0.0, 0.0)
+
+
+class CylinderModel(ObjectModel):
+    """A capped cylinder along any axis; one radius, or two for an elliptic one."""
+
+    type: Literal["cylinder"]
+    radius: PositiveFloat | tuple[PositiveFloat, PositiveFloat]
+    length: PositiveFloat
+    axis: Vector = (0.0, 0.0, 1.0)
+
+
+class BoxModel(ObjectModel):
+    """Full edge lengths [mm] along x, y, z, turned about x, then y, then z [degree]."""
+
+    type: Literal["box"]
+    size: Size
+    rotation: Vector = (0.0, 0.0, 0.0)
+
+
+SourceModel = Annotated[TubeModel | MonochromaticModel, Field(discriminator="type")]
+FunctionModel = Annotated[PlainFunctionModel | EdgeFunctionModel | ElementFunctionModel, Field(discriminator="type")]
+ShapeModel = Annotated[SphereModel | EllipsoidModel | CylinderModel | BoxModel, Field(discriminator="type")]
+
+
+class SceneModel(Model):
+    """One scene file: what is scanned, with what, and how the truth is wanted.
+
+    Later objects override earlier ones where they overlap. Basis functions left out are chosen from the materials; a
+    K-edge function that no object needs is left out of the dataset.
+    """
+
+    version: Literal[1]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    source: SourceModel
+    detector: PhotonCountingModel
+    geometry: CircularModel
+    panel: PanelModel
+    volume: VolumeModel
+    basis: tuple[FunctionModel, ...] | None = None
+    materials: dict[str, MaterialModel]
+    objects: Annotated[tuple[ShapeModel, ...], Field(min_length=1)]
+    seed: NonNegativeInt = 0
+    noise: bool = True
+    flats: PositiveInt = 50
+    darks: NonNegativeInt = 1
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema of a scene file, for completion in editors."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **SceneModel.model_json_schema()}

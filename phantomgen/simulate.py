@@ -1,0 +1,230 @@
+"""From a scan to its dataset: expected counts view by view, noise, truth, and an error measured on the way."""
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.dataset_layout import pack_image, write_image
+from phantomgen.dataset_truth import Truth
+from phantomgen.dataset_writer import DatasetWriter
+from phantomgen.noise import Stream, poisson_counts
+from phantomgen.ops.expose import expose
+from phantomgen.ops.voxelize_shapes import fractions
+from phantomgen.scene import Scan
+from phantomgen.simulate_check import MeasuredError, full_check, quick_check
+from phantomgen.simulate_coverage import coverage_warnings, sampled_lengths
+from phantomgen.simulate_spectra import compressed_transmission, material_coefficients, reconstructor_spectra
+from spectra.threads import run_parallel
+from spectra.transmission import Transmission
+
+Images = Float[np.ndarray, "channel row column"]
+Packed = list[list[bytes]]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a simulation made, what it took, and how wrong it is.
+
+    Parameters
+    ----------
+    path : the dataset
+    shape : views, channels, rows, columns
+    size : of the file [byte]
+    seconds : wall time per stage
+    nodes : energy nodes per channel
+    node_error : worst error of log counts that few nodes instead of many bins add
+    error : expected counts against brute force
+    warnings : sentences about what the scan cuts off
+    """
+
+    path: Path
+    shape: tuple[int, int, int, int]
+    size: int
+    seconds: dict[str, float]
+    nodes: tuple[int, ...]
+    node_error: float
+    error: MeasuredError
+    warnings: list[str] = field(default_factory=list)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON: all numbers under stable keys."""
+        return {
+            "path": str(self.path),
+            "shape": list(self.shape),
+            "bytes": self.size,
+            "seconds": {**self.seconds, "total": sum(self.seconds.values())},
+            "nodes": list(self.nodes),
+            "node_error": self.node_error,
+            "error": self.error.to_dict(),
+            "warnings": self.warnings,
+        }
+
+    @property
+    def text(self) -> str:
+        """For people."""
+        views, channels, rows, columns = self.shape
+        stages = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in self.seconds.items())
+        return "\n".join(
+            [
+                f"{self.path}: {views} views x {channels} channels x {rows} x {columns}, {self.size / 1e6:.1f} MB",
+                f"time     {sum(self.seconds.values()):.1f} s: {stages}",
+                f"energies {' + '.join(map(str, self.nodes))} nodes, worst log error {self.node_error:.1e}",
+                f"error    {self.error}",
+                f"next     recon fit {self.path}",
+            ]
+        )
+
+
+class Stopwatch:
+    """Wall time per stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time spent inside to stage `name`."""
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+def simulate(
+    scan: Scan,
+    out: Path | str,
+    *,
+    overwrite: bool = False,
+    keep_expected: bool = False,
+    verify: bool = False,
+    progress: bool = False,
+) -> Summary:
+    """Simulate a scan and write its dataset.
+
+    Parameters
+    ----------
+    scan : what is scanned, with what
+    out : name of the dataset; it appears there when complete
+    overwrite : replace a file that exists
+    keep_expected : store the counts without noise in the truth as well
+    verify : measure the error on all edge pixels of three views, not on a sample
+    progress : show a progress bar on stderr
+
+    Returns
+    -------
+    what it took, and the error of the expected counts
+    """
+    watch = Stopwatch()
+    with DatasetWriter(out, overwrite) as writer:
+        with watch.stage("spectrum"):
+            transmission, node_error = compressed_transmission(scan, sampled_lengths(scan))
+            spectra = reconstructor_spectra(scan)
+            warnings = coverage_warnings(scan)
+        writer.write_scan(scan.name, scan.geometry, spectra, scan.grid, dict(scan.splits), scan.scheme)
+        writer.write_instrument(scan.geometry, spectra, dict(scan.source_fields))
+        writer.write_process("phantomgen make", scan.seed)
+        with watch.stage("truth"):
+            writer.write_truth(_truth(scan), scan.scene.materials)
+        with watch.stage("views"):
+            _write_counts(writer, scan, transmission, keep_expected, progress)
+        with watch.stage("check"):
+            error = (full_check if verify else quick_check)(scan, transmission)
+        writer.finish(spectra)
+    return Summary(
+        path=writer.path,
+        shape=_shape(scan),
+        size=writer.path.stat().st_size,
+        seconds=watch.seconds,
+        nodes=tuple(b - a for a, b in pairwise(transmission.starts.tolist())),
+        node_error=node_error,
+        error=error,
+        warnings=warnings,
+    )
+
+
+def expected_view(scan: Scan, transmission: Transmission, view: int) -> Images:
+    """Expected counts of one view, averaged over each pixel's area."""
+    shapes, panel = scan.scene.arrays, scan.geometry.panel
+    return expose(
+        scan.geometry.ray_frames()[view],
+        panel.rows,
+        panel.columns,
+        (shapes.kinds, shapes.locals_, shapes.materials),
+        transmission.columns,
+        transmission.weights,
+        transmission.starts,
+    ).counts
+
+
+def _shape(scan: Scan) -> tuple[int, int, int, int]:
+    """Views, channels, rows, columns."""
+    return len(scan.geometry), len(scan.detector), scan.geometry.panel.rows, scan.geometry.panel.columns
+
+
+def _truth(scan: Scan) -> Truth:
+    """Material fractions and basis volumes."""
+    shapes, names = scan.scene.arrays, tuple(m.name for m in scan.scene.materials)
+    filled = fractions(scan.grid, shapes.kinds, shapes.locals_, shapes.materials, len(names))
+    return Truth.of(scan.grid, scan.basis.names, names, material_coefficients(scan), filled, scan.text)
+
+
+def _write_counts(
+    writer: DatasetWriter, scan: Scan, transmission: Transmission, keep_expected: bool, progress: bool
+) -> None:
+    """Expose all views and flats; darks stay zero, as an ideal detector counts nothing without beam."""
+    shape = _shape(scan)
+    arrays = writer.new_counts(shape, scan.flats, scan.darks, scan.noise)
+    kept = writer.new_expected(shape) if keep_expected else None
+
+    def projection(view: int) -> tuple[Packed, Packed]:
+        mean = expected_view(scan, transmission, view)
+        return _packed(scan, mean, view, Stream.PROJECTION), _packed_means(mean) if keep_expected else []
+
+    open_beam = np.broadcast_to(transmission.open_beam[:, None, None], shape[1:])
+
+    def flat(frame: int) -> Packed:
+        return _packed(scan, open_beam, frame, Stream.FLAT)
+
+    for view, (counts, means) in _shown(projection, range(shape[0]), "views", progress):
+        _put(arrays["data"], view, counts)
+        if kept is not None:
+            _put(kept, view, means)
+    for frame, counts in _shown(flat, range(scan.flats), "flats", progress):
+        _put(arrays["flat"], frame, counts)
+
+
+def _packed(scan: Scan, mean: Images, frame: int, stream: Stream) -> Packed:
+    """Counts of one frame, ready for the file."""
+    if not scan.noise:
+        return _packed_means(mean)
+    return [pack_image(poisson_counts(image, scan.seed, frame, c, stream)) for c, image in enumerate(mean)]
+
+
+def _packed_means(mean: Images) -> Packed:
+    """Counts without noise, ready for the file."""
+    return [pack_image(image.astype(np.float32)) for image in mean]
+
+
+def _put(dataset: h5py.Dataset, frame: int, packed: Packed) -> None:
+    """Write all channels of one frame."""
+    for channel, image in enumerate(packed):
+        write_image(dataset, frame, channel, image)
+
+
+def _shown(task: Callable[[int], Any], items: Iterable[int], name: str, progress: bool) -> Iterator[tuple[int, Any]]:
+    """Results of `task` in order, computed in parallel, with a progress bar where somebody can see it."""
+    from tqdm import tqdm  # noqa: PLC0415
+
+    items = list(items)
+    bar = tqdm(total=len(items), desc=name, unit="", leave=False, disable=None if progress else True)
+    with bar:
+        for item, result in zip(items, run_parallel(task, items), strict=True):
+            bar.update()
+            yield item, result

@@ -1,0 +1,156 @@
+"""How wrong the expected counts are: against a regular grid of rays per pixel and ten times finer energy bins.
+
+The yardstick shares the exact chords with the simulator, and neither its way of averaging over a pixel nor its energy
+nodes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from phantomgen.ops.expose import NEAR, expose, expose_brute
+from phantomgen.ops.trace import trace
+from phantomgen.scene import Scan
+from phantomgen.simulate_coverage import sampled_lengths
+from phantomgen.simulate_spectra import STEP, TOLERANCE, compressed_transmission, fine_transmission
+from spectra.threads import run_parallel
+from spectra.transmission import Transmission
+
+SUB_RAYS = 256
+FINER = 10
+_QUICK_PIXELS, _QUICK_RAYS = 24, 2000
+_FULL_VIEWS, _FULL_RAYS = 3, 100_000
+_PIXELS_PER_PIECE = 8
+# Log projections are compared where at least this part of the open beam is left; below it there is nothing to measure.
+_LEAST = 1e-12
+
+Errors = Float[np.ndarray, " value"]
+Counts = Float[np.ndarray, "sample channel"]
+Pixels = Int[np.ndarray, "pixel 2"]
+
+
+@dataclass(frozen=True)
+class MeasuredError:
+    """Error of the log projection.
+
+    Parameters
+    ----------
+    edge_rms, edge_worst : of edge pixels, against `sub_rays` x `sub_rays` rays and finer energies
+    edge_pixels, views : how many pixels, of how many views
+    ray_rms, ray_worst : of single rays, against `FINER` times finer energy bins
+    rays : how many rays
+    sub_rays : per pixel and axis
+    """
+
+    edge_rms: float
+    edge_worst: float
+    edge_pixels: int
+    views: int
+    ray_rms: float
+    ray_worst: float
+    rays: int
+    sub_rays: int = SUB_RAYS
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return dict(vars(self))
+
+    def __str__(self) -> str:
+        return (
+            f"log projection against {self.sub_rays} x {self.sub_rays} sub-rays and {FINER}x energies:\n"
+            f"         {self.edge_pixels} edge pixels of {self.views} views rms {self.edge_rms:.1e}, worst "
+            f"{self.edge_worst:.1e}; {self.rays} random rays rms {self.ray_rms:.1e}, worst {self.ray_worst:.1e}"
+        )
+
+
+def quick_check(scan: Scan, transmission: Transmission) -> MeasuredError:
+    """On a seeded sample of edge pixels and rays, in about a second."""
+    return _check(scan, transmission, _QUICK_PIXELS, _QUICK_RAYS)
+
+
+def full_check(scan: Scan, transmission: Transmission) -> MeasuredError:
+    """On all edge pixels of three views and 1e5 rays."""
+    return _check(scan, transmission, None, _FULL_RAYS)
+
+
+def _check(scan: Scan, transmission: Transmission, pixels_per_scan: int | None, rays: int) -> MeasuredError:
+    """Errors of edge pixels and of rays; all edge pixels where no number of them is given."""
+    rng = np.random.default_rng(scan.seed)
+    views = np.linspace(0, len(scan.geometry) - 1, min(_FULL_VIEWS, len(scan.geometry))).round().astype(int)
+    yardstick = compressed_transmission(scan, sampled_lengths(scan), STEP / FINER, TOLERANCE / FINER)[0]
+    share = None if pixels_per_scan is None else -(-pixels_per_scan // len(views))
+    edges = [_edge_errors(scan, transmission, yardstick, int(view), share, rng) for view in views]
+    edge = np.concatenate(edges)
+    ray = _ray_errors(scan, transmission, rays, rng)
+    counted = len(edge) // len(scan.detector)
+    return MeasuredError(*_rms_and_worst(edge), counted, len(views), *_rms_and_worst(ray), rays)
+
+
+def _edge_errors(
+    scan: Scan,
+    transmission: Transmission,
+    yardstick: Transmission,
+    view: int,
+    count: int | None,
+    rng: np.random.Generator,
+) -> Errors:
+    """Errors of all edge pixels of a view, or of `count` of them."""
+    frame, panel = scan.geometry.ray_frames()[view], scan.geometry.panel
+    found = expose(frame, panel.rows, panel.columns, *_arguments(scan, transmission))
+    pixels = np.argwhere(found.classes >= NEAR)
+    if count is not None and len(pixels) > count:
+        pixels = pixels[rng.choice(len(pixels), count, replace=False)]
+    brute = _brute(scan, yardstick, frame, pixels)
+    counts = found.counts[:, pixels[:, 0], pixels[:, 1]].T
+    return _log_error(counts, transmission, brute, yardstick)
+
+
+def _brute(scan: Scan, yardstick: Transmission, frame: Float[np.ndarray, "4 3"], pixels: Pixels) -> np.ndarray:
+    """Counts of pixels from a regular grid of rays, in parallel pieces."""
+
+    def piece(part: Pixels) -> np.ndarray:
+        return expose_brute(frame, part, *_arguments(scan, yardstick), n=SUB_RAYS)
+
+    parts = [pixels[first : first + _PIXELS_PER_PIECE] for first in range(0, len(pixels), _PIXELS_PER_PIECE)]
+    return np.concatenate([np.empty((0, len(scan.detector))), *run_parallel(piece, parts)])
+
+
+def _ray_errors(scan: Scan, transmission: Transmission, count: int, rng: np.random.Generator) -> Errors:
+    """Errors of random rays of random views, against all bins of the finer energy grid."""
+    frames, panel = scan.geometry.ray_frames(), scan.geometry.panel
+    frame = frames[rng.integers(len(frames), size=count)]
+    column, row = rng.uniform(-0.5, panel.columns - 0.5, count), rng.uniform(-0.5, panel.rows - 0.5, count)
+    directions = frame[:, 1] + column[:, None] * frame[:, 2] + row[:, None] * frame[:, 3]
+    shapes = scan.scene.arrays
+    lengths = trace(frame[:, 0], directions, shapes.kinds, shapes.locals_, shapes.materials, len(scan.scene.materials))
+    lengths = lengths[lengths.any(axis=1)]
+    exact = fine_transmission(scan, STEP / FINER)
+    return _log_error(transmission.expected(lengths), transmission, exact.expected(lengths), exact)
+
+
+def _arguments(scan: Scan, transmission: Transmission) -> Sequence[Any]:
+    """Shapes and energies as `expose` takes them."""
+    shapes = scan.scene.arrays
+    solids = (shapes.kinds, shapes.locals_, shapes.materials)
+    return solids, transmission.columns, transmission.weights, transmission.starts
+
+
+def _log_error(counts: Counts, transmission: Transmission, exact: Counts, yardstick: Transmission) -> Errors:
+    """Difference of log projections, where anything is left to measure."""
+    left, wanted = counts / _level(transmission), exact / _level(yardstick)
+    seen = (left > _LEAST) & (wanted > _LEAST)
+    ratio = np.divide(left, wanted, out=np.ones_like(left), where=seen)
+    return np.log(ratio).ravel()
+
+
+def _level(transmission: Transmission) -> Float[np.ndarray, " channel"]:
+    """Open-beam counts; infinite for a blind channel, whose counts then are nothing."""
+    return np.where(transmission.open_beam > 0, transmission.open_beam, np.inf)
+
+
+def _rms_and_worst(errors: Errors) -> tuple[float, float]:
+    """Root mean square and largest size."""
+    return float(np.sqrt(np.mean(errors**2))) if len(errors) else 0.0, float(np.abs(errors).max(initial=0.0))

@@ -1,0 +1,121 @@
+"""The two energy grids of a scan: a fine one to simulate with, a coarse one to tell the reconstructor.
+
+The simulator works on attenuation curves of materials, exact ones where a composition is given; the reconstructor
+only gets bins and basis functions. Where all materials are explicit coefficients, nodes are sought in the space of
+basis functions, which has fewer dimensions, and then translated.
+"""
+
+from math import ceil
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.dataset import Spectra
+from phantomgen.scene import Scan
+from spectra.energies import Energies
+from spectra.transmission import Transmission
+
+# Bin width of the simulator [keV], and the worst error of log counts that its nodes may add.
+STEP = 0.125
+TOLERANCE = 1e-5
+RECONSTRUCTOR_BINS = 128
+# Above so many columns the search for nodes samples its box too thinly, and all bins are kept.
+_MOST_COLUMNS = 6
+# Sampled rays may miss the longest path of all.
+_MARGIN = 1.1
+
+
+def fine_transmission(scan: Scan, step: float = STEP) -> Transmission:
+    """Path lengths per material [mm] to expected counts, on bins of `step` keV."""
+    energies, weights = _weights(scan, ceil(_range(scan) / step))
+    return Transmission.from_spectrum(weights, _curves(scan, energies), scan.detector.names)
+
+
+def compressed_transmission(
+    scan: Scan,
+    lengths: Float[np.ndarray, "ray material"],
+    step: float = STEP,
+    tolerance: float = TOLERANCE,
+) -> tuple[Transmission, float]:
+    """The same with few nodes.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    lengths : path lengths of rays that meet every object [mm]; they span the box of what can be reached
+    step : bin width before nodes are sought [keV]
+    tolerance : worst error of log counts that is wanted
+
+    Returns
+    -------
+    the transmission, and the worst error of log counts that was found on fresh rays of the box
+    """
+    materials = scan.scene.materials
+    if any(m.composition is not None for m in materials) or len(materials) <= len(scan.basis):
+        return _compress(fine_transmission(scan, step), lengths, tolerance)
+    energies, weights = _weights(scan, ceil(_range(scan) / step))
+    fine = Transmission.from_spectrum(weights, scan.basis.evaluate(energies.nodes), scan.detector.names)
+    coefficients = material_coefficients(scan)
+    small, error = _compress(fine, lengths @ coefficients, tolerance)
+    return Transmission(coefficients @ small.columns, small.weights, small.starts, small.channel_names), error
+
+
+def reconstructor_spectra(scan: Scan) -> Spectra:
+    """What a dataset tells about energies: bins, basis functions, source and response."""
+    energies, source, response = _sampled(scan, RECONSTRUCTOR_BINS, scan.basis.breaks)
+    return Spectra(
+        energy=energies.nodes,
+        edges=energies.edges,
+        source=source,
+        response=response,
+        basis=scan.basis,
+        basis_values=scan.basis.evaluate(energies.nodes),
+        channels=scan.detector.names,
+        lower=np.array([channel.lower for channel in scan.detector.channels]),
+        upper=np.array([channel.upper for channel in scan.detector.channels]),
+    )
+
+
+def material_coefficients(scan: Scan) -> Float[np.ndarray, "material basis"]:
+    """Coefficients of all materials in the basis [1/mm]; for compositions fitted over the detected spectrum."""
+    energies, weights = _weights(scan, ceil(_range(scan)))
+    detected = weights.sum(axis=0)
+    seen = detected > 0
+    return np.stack([m.coefficients_in(scan.basis, energies.nodes[seen], detected[seen]) for m in scan.scene.materials])
+
+
+def _range(scan: Scan) -> float:
+    """Width of the energies that are counted [keV]; 1 for a single energy."""
+    return max(scan.source.maximum - scan.detector.channels[0].lower, 1.0)
+
+
+def _sampled(
+    scan: Scan, count: int, breaks: tuple[float, ...]
+) -> tuple[Energies, Float[np.ndarray, " energy"], Float[np.ndarray, "channel energy"]]:
+    """Grid, photons per bin and response."""
+    grid = scan.source.grid(scan.detector.channels[0].lower, count, (*scan.detector.breaks, *breaks))
+    energies, photons = scan.source.sampled(grid)
+    return energies, photons, scan.detector.response(energies)
+
+
+def _weights(scan: Scan, count: int) -> tuple[Energies, Float[np.ndarray, "channel energy"]]:
+    """Grid that breaks at every edge of the scene, and open-beam counts per bin."""
+    low, high = scan.detector.channels[0].lower, scan.source.maximum
+    edges = (edge for material in scan.scene.materials for edge in material.k_edges(low, high))
+    energies, photons, response = _sampled(scan, count, (*scan.basis.breaks, *edges))
+    return energies, photons * response
+
+
+def _curves(scan: Scan, energies: Energies) -> Float[np.ndarray, "material energy"]:
+    """Attenuation of the materials [1/mm]."""
+    return np.stack([m.attenuation(energies.nodes, scan.basis) for m in scan.scene.materials])
+
+
+def _compress(
+    fine: Transmission, integrals: Float[np.ndarray, "ray column"], tolerance: float
+) -> tuple[Transmission, float]:
+    """Fewer nodes for the box that `integrals` span."""
+    if len(fine.columns) > _MOST_COLUMNS:
+        return fine, 0.0
+    high = _MARGIN * integrals.max(axis=0, initial=0.0)
+    return fine.compress(np.zeros_like(high), high, tolerance)

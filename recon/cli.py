@@ -1,0 +1,114 @@
+"""The command ``recon``: parse, call, print."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from phantomgen.command import Commands, debug_option, json_option, version_option
+
+if TYPE_CHECKING:
+    from recon.fitting import Progress
+
+
+@click.group(
+    cls=Commands,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="\b\nExamples:\n  recon fit kedge.h5\n  recon fit kedge.h5 -o run --bases 2",
+)
+@version_option("recon")
+def main() -> None:
+    """Reconstruct basis volumes from spectral-CT scans, and say how good they are."""
+
+
+@main.command(epilog="\b\nExamples:\n  recon fit kedge.h5\n  recon fit scan.h5 -o run --bases 2 --air 0:16,0:256")
+@click.argument("dataset", type=click.Path(dir_okay=False))
+@click.option("-o", "--out", type=click.Path(), help="Run folder to write [default: <dataset>-run].")
+@click.option(
+    "--bases", type=click.Choice(["2", "3", "auto"]), default="auto", show_default=True, help="Basis functions to fit."
+)
+@click.option("--sweeps", type=click.FloatRange(min=0, min_open=True), help="Times every training view is used.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the first Gaussians.")
+@click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
+@click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
+@click.option("--overwrite", is_flag=True, help="Replace a run folder that exists.")
+@click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
+@click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
+@json_option
+@debug_option
+def fit(
+    dataset: str,
+    out: str | None,
+    bases: str,
+    sweeps: float | None,
+    seed: int,
+    air: str | None,
+    figures: bool,
+    overwrite: bool,
+    threads: int | None,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Fit Gaussians to DATASET and score them.
+
+    Writes a run folder: model.safetensors, volumes.h5, metrics.json, log.jsonl and figures. `auto` uses all basis
+    functions that the dataset's spectra section offers; the truth is read only after the fit, for the score.
+    """
+    from phantomgen.dataset import open_dataset
+    from recon.report import RunFolder, score_table
+    from recon.run import run
+    from spectra.threads import set_threads
+
+    source = Path(dataset)
+    folder = RunFolder(Path(out) if out else Path(f"{source.stem}-run"), overwrite)
+    set_threads(threads)
+    with open_dataset(source, air) as opened, folder as part:
+        metrics = run(opened, part, _count(bases), sweeps, seed, figures, _Bar(quiet or as_json))
+    if as_json:
+        click.echo(json.dumps({"run": str(folder.path), **metrics}))
+        return
+    click.echo(score_table(metrics))
+    click.echo("")
+    click.echo(f"{metrics['gaussians']} Gaussians, {_seconds(metrics)}, peak memory {metrics['peak_memory_mib']:.0f} MiB")
+    for name in sorted(path.name for path in (folder.path / "figures").glob("*.png")):
+        click.echo(str(folder.path / "figures" / name))
+    click.echo(f"Wrote {folder.path}; next: look at the figures, or open {folder.path / 'volumes.h5'}")
+
+
+def _count(bases: str) -> int | None:
+    return None if bases == "auto" else int(bases)
+
+
+def _seconds(metrics: dict[str, Any]) -> str:
+    parts = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in metrics["seconds"].items())
+    return f"{sum(metrics['seconds'].values()):.0f} s ({parts})"
+
+
+class _Bar:
+    """Progress on stderr: a line per stage, a bar for the fit."""
+
+    def __init__(self, quiet: bool) -> None:
+        self.quiet = quiet
+        self.bar: Any = None
+
+    def stage(self, name: str) -> None:
+        """A stage begins."""
+        if self.bar is not None:
+            self.bar.close()
+            self.bar = None
+        if not self.quiet and name != "fit":
+            click.echo(f"{name} ...", err=True)
+
+    def step(self, progress: "Progress") -> None:
+        """A step of the fit is done."""
+        from tqdm.auto import tqdm
+
+        if self.bar is None:
+            self.bar = tqdm(total=progress.steps, desc="fit", unit="step", disable=True if self.quiet else None)
+        self.bar.update()
+        self.bar.set_postfix(deviance=f"{progress.deviance:.3f}")
+
+
+if __name__ == "__main__":
+    main()

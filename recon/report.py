@@ -1,0 +1,132 @@
+"""The run folder: model, volumes, metrics, log and figures of one fit."""
+
+import json
+import os
+import platform
+import shutil
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.dataset_layout import new_group, put
+from phantomgen.dataset_truth import write_grid
+from phantomgen.grid import Grid
+from spectra.errors import InputError
+
+PACKAGES = ("spectral-ct", "numpy", "scipy", "torch", "numba", "h5py", "xraylib")
+
+
+class RunFolder:
+    """A folder that appears under its name only when it is complete; use it in a ``with`` statement.
+
+    Parameters
+    ----------
+    path : name of the folder
+    overwrite : replace a folder that exists
+
+    Raises
+    ------
+    InputError
+        When the folder exists and `overwrite` is not given, or its parent does not exist.
+    """
+
+    def __init__(self, path: Path, overwrite: bool) -> None:
+        if path.exists() and not overwrite:
+            raise InputError(f"the output {path} exists: choose another name by --out, or add --overwrite")
+        if path.exists() and not (path.is_dir() and (path / "metrics.json").exists()):
+            raise InputError(f"the output {path} is not a folder that recon wrote; it will not be replaced")
+        if not path.absolute().parent.is_dir():
+            raise InputError(f"the folder {path.parent} for the output {path.name} does not exist")
+        self.path = path
+        self.part = path.with_name(path.name + ".part")
+
+    def __enter__(self) -> Path:
+        shutil.rmtree(self.part, ignore_errors=True)
+        (self.part / "figures").mkdir(parents=True)
+        return self.part
+
+    def __exit__(self, error_type: type | None, *details: object) -> None:
+        if error_type is not None:
+            shutil.rmtree(self.part, ignore_errors=True)
+            return
+        if self.path.exists():
+            shutil.rmtree(self.path)
+        os.replace(self.part, self.path)
+
+
+def write_volumes(
+    path: Path, volumes: Float[np.ndarray, "basis z y x"], names: tuple[str, ...], grid: Grid, fdk: np.ndarray
+) -> None:
+    """Write ``/basis/data`` [1/mm] as a NeXus plot with axes in mm; ``/fdk/data`` holds what the fit started from."""
+    import h5py  # noqa: PLC0415
+
+    with h5py.File(path, "w") as file:
+        file.attrs.update({"NX_class": "NXroot", "default": "basis", "creator": "recon"})
+        for group_name, values in (("basis", volumes), ("fdk", fdk)):
+            group = new_group(file, group_name, "NXdata", signal="data", axes=("basis_name", "z", "y", "x"))
+            data = group.create_dataset(
+                "data", data=values.astype(np.float32), chunks=(1, 1, *values.shape[2:]), compression="gzip",
+                compression_opts=1, shuffle=True,
+            )  # fmt: skip
+            data.attrs["units"] = "1/mm"
+            put(group, "basis_name", np.array(names, dtype=object))
+            for axis in "zyx":
+                put(group, axis, grid.axis(axis), "mm")
+        write_grid(new_group(file, "grid", "NXcollection"), grid)
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write indented JSON; NaN is refused."""
+    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def environment() -> dict[str, str]:
+    """Versions of what computed a result."""
+    versions = {"python": platform.python_version(), "platform": platform.platform()}
+    for package in PACKAGES:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return versions
+
+
+def peak_memory_mib() -> float | None:
+    """Largest memory this process has held [MiB]; None where the system does not tell."""
+    try:
+        import resource  # noqa: PLC0415 - not on Windows
+    except ImportError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (2**20 if sys.platform == "darwin" else 2**10)
+
+
+def score_table(metrics: dict[str, Any]) -> str:
+    """The scores as text: one row per basis, one per channel."""
+    lines = []
+    if "basis" in metrics:
+        lines.append(f"{'basis':<16}{'PSNR':>8}{'SSIM':>8}{'zero volume':>13}{'bias':>12}{'RMSE':>11}   [dB, -, dB, 1/mm]")
+        for name, s in metrics["basis"].items():
+            zero = _number(s["psnr_zero"], "13.1f")
+            lines.append(
+                f"{name:<16}{_number(s['psnr'], '8.2f')}{_number(s['ssim'], '8.3f')}{zero}"
+                f"{_number(s['bias'], '12.1e')}{_number(s['rmse'], '11.1e')}"
+            )
+        lines.append("")
+    if metrics.get("channels"):
+        lines.append(f"{'test views':<16}{'PSNR':>8}{'chi-square':>12}{'off edges':>11}   [dB of log projections, -, -]")
+        for name, s in metrics["channels"].items():
+            lines.append(
+                f"{name:<16}{_number(s['psnr'], '8.2f')}{_number(s['chi_square_all'], '12.3f')}"
+                f"{_number(s['chi_square_away'], '11.3f')}"
+            )
+    return "\n".join(lines)
+
+
+def _number(value: float | None, layout: str) -> str:
+    width = int(layout.split(".")[0])
+    return format(value, layout) if value is not None else "-".rjust(width)

@@ -1,0 +1,55 @@
+"""Scores of a finished fit: against the truth where a dataset has one, against its test views always."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from phantomgen.dataset import Dataset
+from phantomgen.dataset_truth import Truth
+from recon.gaussians import Gaussians
+from recon.measurements import Measurements, read_measurements
+from recon.edges import edge_mask
+from recon.metrics import HeldOutView, score_basis_volumes, score_materials, score_projections
+
+FULL_FRACTION = 65535  # as the truth stores a voxel that one material fills
+VIEWS_AT_ONCE = 2
+
+
+def held_out_views(dataset: Dataset, gaussians: Gaussians) -> Iterator[HeldOutView]:
+    """Test views of a dataset and what the model expects there, in order."""
+    test = dataset.splits["test"]
+    for first in range(0, len(test), VIEWS_AT_ONCE):
+        views = test[first : first + VIEWS_AT_ONCE]
+        measured = read_measurements(dataset, views, len(gaussians.basis_names))
+        yield from _predict(measured, gaussians)
+
+
+def _predict(measured: Measurements, gaussians: Gaussians) -> Iterator[HeldOutView]:
+    lengths = gaussians.line_integrals(measured.geometry).numpy()
+    expected = np.moveaxis(measured.transmission.expected(np.moveaxis(lengths, 1, -1)), -1, 1)
+    open_beam = measured.gains * measured.transmission.open_beam[:, None, None]
+    for view, (counts, exposure) in enumerate(zip(measured.counts, measured.exposure, strict=True)):
+        scale = measured.gains * exposure
+        yield HeldOutView(counts, expected[view] * scale, open_beam * exposure, edge_mask(lengths[view]))
+
+
+def score_test_views(dataset: Dataset, gaussians: Gaussians) -> dict[str, Any]:
+    """Per channel: PSNR of log projections and chi-square, see `recon.metrics.score_projections`."""
+    return score_projections(held_out_views(dataset, gaussians), dataset.spectra.channels)
+
+
+def score_truth(truth: Truth, gaussians: Gaussians) -> dict[str, Any]:
+    """Per basis and per material, on the grid and in the basis of the truth.
+
+    A basis that the model lacks is scored as a volume of zeros.
+    """
+    volumes = np.zeros((len(truth.basis_names), *truth.grid.shape), np.float32)
+    fitted = gaussians.volume(truth.grid)
+    for name, volume in zip(gaussians.basis_names, fitted, strict=True):
+        if name in truth.basis_names:
+            volumes[truth.basis_names.index(name)] = volume
+    materials = score_materials(
+        volumes, truth.fractions, truth.coefficients, truth.material_names, truth.basis_names, FULL_FRACTION
+    )
+    return {"basis": score_basis_volumes(volumes, truth.volumes, truth.basis_names), **materials}

@@ -1,0 +1,223 @@
+"""The command line: what it prints, how it ends, and that it starts fast."""
+
+import json
+import subprocess
+import sys
+import time
+
+import pytest
+from click.testing import CliRunner
+
+from phantomgen.cli import main
+from phantomgen.dataset import open_dataset
+
+SCENE = """\
+version: 1
+name: toy
+source: {type: monochromatic, energy: 60, photons: 1000}
+detector: {type: photon_counting, thresholds: [20]}
+geometry: {type: circular, sod: 100, sdd: 200, views: 3, test_views: 1}
+panel: {rows: 12, columns: 16, pitch: 2}
+volume: {voxels: 8, size: 20}
+materials:
+  water: {composition: H2O, density: 1.0}
+objects:
+  - {type: sphere, material: water, radius: 5}
+flats: 2
+"""
+
+
+def run(*arguments: str):
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cli")
+    (folder / "toy.yaml").write_text(SCENE)
+    result = run("make", folder / "toy.yaml", "-o", folder / "toy.h5", "--json")
+    assert result.exit_code == 0, result.output
+    return folder, json.loads(result.stdout)
+
+
+def test_make_writes_a_dataset_and_prints_one_object(made):
+    folder, summary = made
+    assert summary["path"] == str(folder / "toy.h5")
+    assert summary["shape"] == [4, 1, 12, 16]
+    assert summary["nodes"] == [1]
+    assert summary["seconds"]["total"] == pytest.approx(sum(v for k, v in summary["seconds"].items() if k != "total"))
+    assert summary["error"]["edge_worst"] < 1e-3
+    assert sorted(p.name for p in folder.iterdir() if p.suffix != ".yaml") == ["toy.h5"]
+
+
+def test_make_says_what_it_took_how_wrong_it_is_and_what_to_do_next(made):
+    folder, _ = made
+    result = run(
+        "make", folder / "toy.yaml", "-o", folder / "again.h5", "--views", "2", "--test-views", "0", "--seed", "4"
+    )
+    (folder / "again.h5").unlink()
+    assert result.exit_code == 0
+    assert "2 views x 1 channels x 12 x 16" in result.stdout
+    assert "rms" in result.stdout
+    assert f"recon fit {folder / 'again.h5'}" in result.stdout
+    assert result.stderr == ""
+
+
+def test_options_override_the_scene(made):
+    folder, _ = made
+    path = folder / "options.h5"
+    options = [
+        "--views",
+        "5",
+        "--test-views",
+        "2",
+        "--voxels",
+        "4",
+        "--no-noise",
+        "--keep",
+        "expected",
+        "--set",
+        "flats=1",
+    ]
+    assert run("make", folder / "toy.yaml", "-o", path, "-q", *options).exit_code == 0
+    with open_dataset(path) as dataset:
+        assert dataset.counts.shape[0] == 7
+        assert dataset.grid.shape == (4, 4, 4)
+        assert dataset.counts.dtype == "float32"
+        assert (dataset.file["truth/expected"][()] == dataset.counts[()]).all()
+    path.unlink()
+
+
+def test_an_output_that_exists_is_refused_before_any_work(made):
+    folder, _ = made
+    start = time.perf_counter()
+    result = run("make", folder / "toy.yaml", "-o", folder / "toy.h5")
+    assert time.perf_counter() - start < 1
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert result.stderr == (
+        f"Error: the output {folder / 'toy.h5'} exists: choose another name by --out, or add --overwrite\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "expected"),
+    [
+        (["make"], 2, "name either a scene file or a preset"),
+        (["make", "a.yaml", "--preset", "kedge"], 2, "name either a scene file or a preset"),
+        (["make", "--preset", "kegde"], 1, "unknown preset 'kegde': choose from kedge, kedge-small"),
+        (["make", "none.yaml"], 1, "none.yaml cannot be read as a scene: No such file or directory"),
+        (["make", "--preset", "kedge", "--views", "0"], 2, "0 is not in the range x>=1"),
+        (
+            ["make", "--preset", "kedge", "--set", "objects.0.radius=-1"],
+            1,
+            "objects.0.radius - input should be greater",
+        ),
+        (
+            ["make", "--preset", "kedge", "--set", "source.kvp=70"],
+            1,
+            "channel bin3 starts at 80 keV and sees no photons",
+        ),
+        (["make", "--preset", "kedge", "-o", "none/kedge.h5"], 1, "folder none for the output kedge.h5 does not exist"),
+        (["info", "none.h5"], 1, "there is no dataset none.h5"),
+        (["validate", "none.h5"], 1, "there is no dataset none.h5"),
+        (["presets", "show", "none"], 1, "unknown preset 'none'"),
+        (["frobnicate"], 2, "No such command"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_leaves_nothing(arguments, code, expected, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = run(*arguments)
+    assert (result.exit_code, result.stdout) == (code, "")
+    assert expected in result.stderr
+    if code == 1:
+        assert result.stderr.startswith("Error: ")
+        assert result.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_object_outside_the_panel_is_a_warning_that_says_how_much(made):
+    folder, _ = made
+    path = folder / "outside.h5"
+    result = run("make", folder / "toy.yaml", "-o", path, "--set", "objects.0.center=[0, 0, 9]")
+    path.unlink()
+    assert result.exit_code == 0
+    assert "Warning: object 0 (water) leaves the panel's field of view in 100% of the views" in result.stderr
+    assert "mm on the panel" in result.stderr
+    assert "reaches 4 mm beyond the volume" in result.stderr
+
+
+def test_debug_shows_the_traceback():
+    result = run("make", "--preset", "none", "--debug")
+    assert result.exit_code == 1
+    assert type(result.exception).__name__ == "SceneError"
+
+
+def test_info_describes_a_dataset(made):
+    folder, _ = made
+    text = run("info", folder / "toy.h5").stdout
+    for words in (
+        "toy",
+        "4 views x 1 channels x 12 x 16",
+        "3 train, 1 test",
+        "2 flats, 1 darks",
+        "photoelectric, compton",
+    ):
+        assert words in text
+    described = json.loads(run("info", folder / "toy.h5", "--json").stdout)
+    assert described["sdd_mm"] == pytest.approx(200.0)
+    assert described["truth"] == ["basis", "fractions", "grid", "labels", "materials", "scene"]
+
+
+def test_validate_ends_with_0_or_3(made, tmp_path):
+    import h5py
+
+    folder, _ = made
+    assert run("validate", folder / "toy.h5").stdout == f"{folder / 'toy.h5'} is valid\n"
+    bad = tmp_path / "bad.h5"
+    bad.write_bytes((folder / "toy.h5").read_bytes())
+    with h5py.File(bad, "r+") as file:
+        file["entry/spectra/response"][0, 0] = -1.0
+    result = run("validate", bad, "--json")
+    assert result.exit_code == 3
+    assert json.loads(result.stdout)["valid"] is False
+
+
+def test_presets_are_listed_and_shown_as_scenes_that_can_be_made(tmp_path):
+    assert [line.split()[0] for line in run("presets").stdout.splitlines()] == ["kedge", "kedge-small"]
+    from phantomgen.scene_yaml import SceneFile
+
+    (tmp_path / "my.yaml").write_text(run("presets", "show", "kedge").stdout)
+    assert SceneFile.read(tmp_path / "my.yaml").model == SceneFile.preset("kedge").model
+
+
+def test_schema_prints_the_layout_or_the_json_schema():
+    assert "/entry/instrument/detector/data" in run("schema").stdout
+    assert json.loads(run("schema", "--scene").stdout)["title"] == "SceneModel"
+
+
+@pytest.mark.parametrize(
+    "command", [[], ["make"], ["presets"], ["presets", "show"], ["info"], ["validate"], ["schema"]]
+)
+def test_every_help_ends_with_examples(command):
+    result = run(*command, "--help")
+    assert result.exit_code == 0
+    assert result.stdout.rstrip().splitlines()[-3].strip() == "Examples:"
+
+
+def test_help_starts_fast_and_imports_nothing_heavy():
+    code = (
+        "import sys; from phantomgen.cli import main; main(['--help'], standalone_mode=False);"
+        "print(sorted({'torch', 'h5py', 'numba', 'scipy', 'numpy', 'pydantic'} & set(sys.modules)), file=sys.stderr)"
+    )
+    best = 9.0
+    for _ in range(3):
+        start = time.perf_counter()
+        result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        best = min(best, time.perf_counter() - start)
+    assert result.stderr.strip() == "[]"
+    assert best < 0.5
+
+
+def test_make_imports_no_torch():
+    code = "import sys, phantomgen.simulate, phantomgen.scene, spectra.tube; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
