@@ -51,9 +51,8 @@ def _write_entry(file: h5py.File, channel: int, name: str, energy: float) -> Non
 
 def _write_frames(file: h5py.File, detector: h5py.Group, channel: int) -> np.ndarray:
     """Write the virtual frames and their keys; returns the keys."""
-    parts = [
-        (array_at(file, path), key) for path, key in ((FLAT, _FLAT), (f"{DETECTOR}/data", _PROJECTION), (DARK, _DARK))
-    ]
+    order = ((FLAT, _FLAT), (f"{DETECTOR}/data", _PROJECTION), (DARK, _DARK))
+    parts = [(array_at(file, path), key) for path, key in order]
     keys = np.concatenate([np.full(frames.shape[0], key, dtype=np.int32) for frames, key in parts])
     _create_virtual(detector, "data", [frames for frames, _ in parts], channel)
     detector["data"].attrs["units"] = "counts"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from phantomgen.ops.expose import NEAR, expose, expose_brute
+from phantomgen.ops.expose import CROSSED, expose, expose_brute
 from phantomgen.ops.trace import trace
 from phantomgen.scene import Scan
 from phantomgen.simulate_coverage import sampled_lengths
@@ -100,7 +100,7 @@ def _edge_errors(
     """Errors of all edge pixels of a view, or of `count` of them."""
     frame, panel = scan.geometry.ray_frames()[view], scan.geometry.panel
     found = expose(frame, panel.rows, panel.columns, *_arguments(scan, transmission))
-    pixels = np.argwhere(found.classes >= NEAR)
+    pixels = np.argwhere(found.classes >= CROSSED)
     if count is not None and len(pixels) > count:
         pixels = pixels[rng.choice(len(pixels), count, replace=False)]
     brute = _brute(scan, yardstick, frame, pixels)

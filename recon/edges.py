@@ -32,7 +32,7 @@ def edge_mask(
             inside = np.abs(image) > 0.02 * span
             ripple = np.median(np.abs(bends[:2, inside])) / 0.6745 if inside.any() else 0.0
             edges |= _spectral_norm(*bends) > max(sharpness * span, 5 * ripple)
-    return ndimage.distance_transform_edt(~edges) > distance if edges.any() else ~edges
+    return np.asarray(ndimage.distance_transform_edt(~edges)) > distance if edges.any() else ~edges
 
 
 def _second_derivatives(image: np.ndarray) -> Float[np.ndarray, "3 row column"]:

@@ -16,7 +16,7 @@ from torch import Tensor
 from recon.curvature import coefficient_curvature
 from recon.gaussians import Gaussians
 from recon.losses import deviance
-from recon.measurements import Measurements
+from recon.measurements import Measurements, matching_bin
 from recon.ops.rasterize import rasterize
 from recon.recipe import Recipe
 from spectra.ops.transmit import transmit
@@ -69,11 +69,11 @@ def fit(
     steps = sum(_steps(len(measurements), recipe))
     done = 0
     for stage, length in zip(recipe.stages, _steps(len(measurements), recipe), strict=True):
-        data = measurements.binned(stage.binning)
+        data = measurements.binned(matching_bin(measurements.geometry, stage.pixel * voxel))
         per_sweep = max(len(data) // recipe.views_per_step, 1)
         inverse = None
         for step, views in enumerate(_subsets(len(data), per_sweep, length)):
-            if step % round(recipe.curvature_sweeps * per_sweep) == 0:
+            if step % max(round(recipe.curvature_sweeps * per_sweep), 1) == 0:
                 inverse = _inverse_curvature(gaussians, data, recipe)
             fraction = done / steps
             warm = done < recipe.warm_up * per_sweep
@@ -121,7 +121,7 @@ def _inverse_curvature(gaussians: Gaussians, data: Measurements, recipe: Recipe)
     some = data[np.arange(0, len(data), 5)]
     blocks = coefficient_curvature(gaussians, some, recipe.dispersion) * (len(data) / len(some))
     diagonal = torch.diagonal(blocks, dim1=1, dim2=2)
-    floor = 1e-4 * diagonal + 1e-6 * diagonal.mean(dim=0)  # a Gaussian that no ray meets stays where it is
+    floor = 1e-4 * diagonal + 1e-6 * diagonal.mean(dim=0).clamp_min(1)  # a Gaussian that no ray meets stays as it is
     return torch.linalg.inv(blocks + torch.diag_embed(floor))
 
 

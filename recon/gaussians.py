@@ -85,5 +85,5 @@ class Gaussians:
                 header = file.metadata() or {}
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dict
             return cls(**tensors, basis_names=tuple(json.loads(header["basis"])))
-        except (OSError, SafetensorError, KeyError, TypeError) as error:
+        except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
             raise DatasetError(f"{path}: not a Gaussian model written by recon ({error})") from error

@@ -78,10 +78,15 @@ def _structure(white: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "pa
     """Sum over bases of the products of gradients, in the order xx, yy, zz, xy, xz, yz."""
     out = np.zeros((6, *white.shape[1:]), np.float32)
     for w in white:
-        z, y, x = np.gradient(gaussian_filter(w, SMOOTHING))
+        z, y, x = _gradient(gaussian_filter(w, SMOOTHING))
         for i, product in enumerate((x * x, y * y, z * z, x * y, x * z, y * z)):
             out[i] += product
     return out
+
+
+def _gradient(volume: Float[np.ndarray, "z y x"]) -> list[Float[np.ndarray, "z y x"]]:
+    """Change per voxel along each axis; none along an axis of one voxel."""
+    return [np.gradient(volume, axis=i) if n > 1 else np.zeros_like(volume) for i, n in enumerate(volume.shape)]
 
 
 def _strength(

@@ -4,25 +4,26 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+LEAST = 1e-12  # counts; squared it is still far from the smallest float32, so that gradients of starved rays are finite
+
 
 def deviance(
     counts: Float[Tensor, "..."], expected: Float[Tensor, "..."], dispersion: float = 0.0
 ) -> Float[Tensor, "..."]:
-    """Twice the log-likelihood ratio of counts whose variance is Y + (dispersion Y)^2; about 1 where the model is right.
+    """Twice the log-likelihood ratio of counts whose variance is Y + (dispersion Y)^2; about 1 if the model is right.
 
     Parameters
     ----------
     counts : measured y, zeros included
-    expected : modelled Y, positive
+    expected : modelled Y; where it is below `LEAST` it counts as that, and its gradient is 0
     dispersion : relative model error; 0 gives the Poisson deviance
 
     References
     ----------
     Negative binomial deviance, McCullagh & Nelder 1989, section 6.2 and 11.2, with k = dispersion^-2.
     """
-    tiny = torch.finfo(expected.dtype).tiny
-    expected = expected.clamp_min(tiny)
-    ratio = torch.xlogy(counts, counts.clamp_min(tiny) / expected)
+    expected = expected.clamp_min(LEAST)
+    ratio = torch.xlogy(counts, counts.clamp_min(LEAST) / expected)
     if dispersion == 0:
         return 2 * (ratio - counts + expected)
     k = dispersion**-2

@@ -10,7 +10,6 @@ from phantomgen.geometry import Geometry
 from spectra.errors import InputError
 from spectra.transmission import Transmission
 
-
 HARDENING = 1.5  # a hardened beam is attenuated less per line integral than the open beam, so boxes get this much room
 
 
@@ -41,20 +40,15 @@ class Measurements:
 
     def __getitem__(self, views: slice | list[int] | np.ndarray) -> "Measurements":
         """Some of the views."""
-        return replace(
-            self, counts=self.counts[views], exposure=self.exposure[views], geometry=self.geometry[views]
-        )
+        return replace(self, counts=self.counts[views], exposure=self.exposure[views], geometry=self.geometry[views])
 
     def binned(self, factor: int) -> "Measurements":
         """The same scan with `factor` x `factor` pixels summed into one."""
         if factor == 1:
             return self
-        return replace(
-            self,
-            counts=_sum_blocks(self.counts, factor),
-            gains=_sum_blocks(self.gains, factor),
-            geometry=self.geometry.binned(factor),
-        )
+        geometry = self.geometry.binned(factor)  # refuses panels that do not divide
+        counts, gains = (_sum_blocks(images, factor) for images in (self.counts, self.gains))
+        return replace(self, counts=counts, gains=gains, geometry=geometry)
 
     def compressed(self, tolerance: float) -> tuple["Measurements", float]:
         """The same scan with few energy nodes, and the worst error of the log counts that this causes.
@@ -62,16 +56,17 @@ class Measurements:
         The box of line integrals in which the error holds is read off the data: no line integral of a basis can exceed
         what the least attenuated channel allows.
         """
-        open_beam = np.maximum(self.gains * self.transmission.open_beam[:, None, None], 0.5)
-        projections = np.log(open_beam / np.maximum(self.counts, 0.5))
-        largest = np.maximum(np.quantile(projections[:, :, ::4, ::4], 0.999, axis=(0, 2, 3)), 0.1)
+        gains = self.gains[:, ::4, ::4] * self.exposure[:, None, None, None]
+        open_beam = np.maximum(gains * self.transmission.open_beam[:, None, None], 0.5)
+        projections = np.log(open_beam / np.maximum(self.counts[:, :, ::4, ::4], 0.5))
+        largest = np.maximum(np.quantile(projections, 0.999, axis=(0, 2, 3)), 0.1)
         slopes = self.transmission.log_projection_and_slopes(np.zeros(len(self.basis_names)))[1]
+        slopes[~self.gains.any(axis=(1, 2))] = 0.0  # a blind channel allows anything
         with np.errstate(divide="ignore"):
             high = HARDENING * (largest[:, None] / slopes).min(axis=0)
         high = np.where(np.isfinite(high), high, 1.0)
         few, error = self.transmission.compress(-0.05 * high, high, tolerance)
         return replace(self, transmission=few), error
-
 
 
 def read_measurements(dataset: Dataset, views: Int[np.ndarray, " view"], bases: int | None = None) -> Measurements:
@@ -100,6 +95,16 @@ def read_measurements(dataset: Dataset, views: Int[np.ndarray, " view"], bases: 
         transmission=transmission,
         basis_names=tuple(names[:count]),
     )
+
+
+def matching_bin(geometry: Geometry, size: float) -> int:
+    """Largest binning whose pixels, seen at the isocentre, do not exceed `size` [mm]; 1 where none does."""
+    distance = np.linalg.norm(geometry.panel_center - geometry.source, axis=1)
+    magnification = float(np.median(distance / np.linalg.norm(geometry.source, axis=1)))
+    panel = geometry.panel
+    pixel = min(panel.row_pitch, panel.column_pitch) / magnification
+    fitting = [f for f in range(1, 33) if panel.rows % f == 0 and panel.columns % f == 0]
+    return max(f for f in fitting if f == 1 or f * pixel <= 1.001 * size)
 
 
 def _sum_blocks(images: Float[np.ndarray, "... row column"], factor: int) -> Float[np.ndarray, "... row column"]:

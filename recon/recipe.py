@@ -11,11 +11,11 @@ class Stage:
 
     Parameters
     ----------
-    binning : pixels along each axis that are summed into one, in units of the binning that matches pixels to voxels
+    pixel : largest pixel to use, as seen at the isocentre, in voxels; finer pixels are summed
     sweeps : times every training view is used
     """
 
-    binning: int
+    pixel: float
     sweeps: float
 
 
@@ -40,9 +40,9 @@ class Recipe:
     seed : of the placement and of the order of views
     """
 
-    stages: tuple[Stage, ...] = (Stage(1, 10.0),)
+    stages: tuple[Stage, ...] = (Stage(1.0, 10.0),)
     views_per_step: int = 3
-    spacing: float = 1.4
+    spacing: float = 1.2
     dispersion: float = 0.01
     node_tolerance: float = 1e-3
     centre_rate: float = 0.06

@@ -128,5 +128,5 @@ def score_table(metrics: dict[str, Any]) -> str:
 
 
 def _number(value: float | None, layout: str) -> str:
-    width = int(layout.split(".")[0])
+    width = int(layout.split(".", maxsplit=1)[0])
     return format(value, layout) if value is not None else "-".rjust(width)

@@ -10,6 +10,7 @@ import yaml
 
 from phantomgen.dataset import Dataset
 from phantomgen.dataset_truth import Truth, read_truth
+from recon import figures
 from recon.fitting import Progress
 from recon.gaussians import Gaussians
 from recon.metrics import psnr
@@ -145,7 +146,10 @@ def _draw(
     figures.profiles(volumes, true, names, grid, folder / "profiles.png")
     figures.convergence([s["seconds"] for s in log.steps], [s["deviance"] for s in log.steps], folder / "convergence.png")
     s = dataset.spectra
-    figures.spectrum(s.energy, s.edges, s.source, s.response, s.channels, s.basis.names, s.basis_values, folder / "spectrum.png")
+    figures.spectrum(
+        s.energy, s.edges, s.source, s.response, s.channels, s.basis.names, s.basis_values, folder / "spectrum.png",
+        s.basis.breaks,
+    )  # fmt: skip
     for view in held_out_views(dataset, gaussians):
-        figures.residuals(view.counts, view.expected, dataset.spectra.channels, folder / "residuals.png")
+        figures.residuals(view.counts, view.expected, s.channels, folder / "residuals.png", view.away)
         break

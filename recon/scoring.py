@@ -9,7 +9,6 @@ from phantomgen.dataset import Dataset
 from phantomgen.dataset_truth import Truth
 from recon.gaussians import Gaussians
 from recon.measurements import Measurements, read_measurements
-from recon.edges import edge_mask
 from recon.metrics import HeldOutView, score_basis_volumes, score_materials, score_projections
 
 FULL_FRACTION = 65535  # as the truth stores a voxel that one material fills
@@ -31,7 +30,7 @@ def _predict(measured: Measurements, gaussians: Gaussians) -> Iterator[HeldOutVi
     open_beam = measured.gains * measured.transmission.open_beam[:, None, None]
     for view, (counts, exposure) in enumerate(zip(measured.counts, measured.exposure, strict=True)):
         scale = measured.gains * exposure
-        yield HeldOutView(counts, expected[view] * scale, open_beam * exposure, edge_mask(lengths[view]))
+        yield HeldOutView.of(counts, expected[view] * scale, open_beam * exposure)
 
 
 def score_test_views(dataset: Dataset, gaussians: Gaussians) -> dict[str, Any]:

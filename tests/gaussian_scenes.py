@@ -46,11 +46,9 @@ def tilted(rows=14, columns=11, views=2, seed=5):
     """Free poses: panels shifted by up to three pixels, tilted by some ten degrees, with oblong pixels."""
     rng = np.random.default_rng(seed)
     base = circular(rows, columns, views, (PITCH, 1.2 * PITCH))
-    jiggle = lambda size: rng.normal(scale=size, size=(views, 3))  # noqa: E731 - three uses on the next lines
-    return Geometry(
-        base.source + jiggle(3.0), base.panel_center + jiggle(2 * PITCH),
-        base.column_step + jiggle(0.2), base.row_step + jiggle(0.2), base.panel,
-    )  # fmt: skip
+    names = {"source": 3.0, "panel_center": 2 * PITCH, "column_step": 0.2, "row_step": 0.2}
+    moved = [getattr(base, name) + rng.normal(scale=size, size=(views, 3)) for name, size in names.items()]
+    return Geometry(*moved, base.panel)
 
 
 GEOMETRIES = {"odd-even": circular(13, 16), "even-odd": circular(18, 9, views=2), "tilted": tilted()}
@@ -76,7 +74,7 @@ def small_scan(truth, geometry, model, seed=None):
     if seed is not None:
         counts = np.random.default_rng(seed).poisson(counts)
     gains = np.ones((len(model), panel.rows, panel.columns), np.float32)
-    return Measurements(counts.astype(np.float32), gains, np.ones(len(geometry)), geometry, model)
+    return Measurements(counts.astype(np.float32), gains, np.ones(len(geometry)), geometry, model, truth.basis_names)
 
 
 def small_model(seed, count=50, bases=3, spread=6.0, height=0.02):

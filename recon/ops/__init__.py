@@ -1,0 +1,1 @@
+"""Operators of the reconstructor, one folder each: reference, kernel, public function."""

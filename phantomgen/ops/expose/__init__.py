@@ -18,7 +18,7 @@ __all__ = ["CLASSES", "CROSSED", "EMPTY", "KINKED", "NEAR", "SMOOTH", "Exposed",
 
 
 # Gauss nodes across and along a silhouette for pixels of growing contrast.
-RULES = ((3, 2), (4, 3), (6, 4), (9, 6))
+RULES = ((2, 2), (3, 2), (4, 3), (6, 4), (9, 6))
 
 
 class Exposed(NamedTuple):

@@ -16,7 +16,7 @@ from spectra.ops.transmit.cpu import expected_ray
 _KINK_GRID = 8
 # Ratios of counts in neighbouring pixels from which on the next stronger rule is taken; differences over neighbours
 # serve below the first one only.
-_CONTRASTS = (1.35, 3.0, 12.0)
+_CONTRASTS = (1.4, 2.2, 5.0, 25.0)
 
 
 @njit(forceinline=True, error_model="numpy")
@@ -169,7 +169,7 @@ def _contrast_level(centres, air, row, column):
             if 0 <= r < centres.shape[1] and 0 <= c < centres.shape[2]:
                 low, high = min(low, centres[channel, r, c]), max(high, centres[channel, r, c])
         low = max(low, 1e-30 * air[channel])
-        while level < 3 and high > low * _CONTRASTS[level]:
+        while level < 4 and high > low * _CONTRASTS[level]:
             level += 1
     return level
 
@@ -235,6 +235,8 @@ def expose_view(
                     filled = grid_nodes(nodes, begun, _KINK_GRID if completing else 1)
                 else:
                     conics = _gather(forms, shapes, roots, bounds, reach, float(column), float(row), local)
+                    if kind == CROSSED:
+                        level = max(level, min(conics, 2))
                     filled = square_nodes(local, conics, rule_nodes[level], rule_sizes[level], lines, nodes, begun)
                 rays[kind] += filled - begun
                 jobs[count, 0], jobs[count, 1], jobs[count, 2] = row, column, filled

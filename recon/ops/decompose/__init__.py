@@ -10,6 +10,7 @@ from spectra.transmission import Transmission
 
 CHUNK = 8192  # rays per piece of work
 PRIOR = 1e-2  # inverse variance of a prior centred on zero; only rays without photons feel it
+COLLINEAR = 1e-2  # singular values below this part of the largest do not take part in the start
 LARGEST_STEP = 1.0  # of a line integral in one iteration
 
 
@@ -69,4 +70,4 @@ def _log_linear(
     open_beam = transmission.open_beam
     projections = -np.log(np.maximum(counts, 0.5) / np.maximum(gains * open_beam, 0.5))
     means = transmission.log_projection_and_slopes(np.zeros(len(transmission.columns)))[1]
-    return np.ascontiguousarray(np.clip(projections @ np.linalg.pinv(means).T, 0.0, 20.0))
+    return np.ascontiguousarray(np.clip(projections @ np.linalg.pinv(means, rcond=COLLINEAR).T, 0.0, 20.0))

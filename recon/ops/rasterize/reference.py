@@ -56,9 +56,9 @@ def rasterize(
 
     With u = A (p - o) and v = A d the integral of exp(-|A (o + t d - p)|^2 / 2) over the ray is
     |d| sqrt(2 pi) / |v| exp(-|u x v|^2 / (2 |v|^2)). In pixels from the projected centre the numerator is a quadratic
-    form with matrix J^T J, J = [u x A du, u x A dv]; averaging over a pixel of edge `footprint` adds footprint^2 / 12 to
-    the covariance of the footprint (J^T J / D0)^-1 and keeps its mass; dividing by the sum of the footprint over the
-    pixels keeps the mass also where a footprint is too narrow to be sampled evenly.
+    form with matrix J^T J, J = [u x A du, u x A dv]; averaging over a pixel of edge `footprint` adds footprint^2 / 12
+    to the covariance of the footprint (J^T J / D0)^-1 and keeps its mass; dividing by the sum of the footprint over
+    the pixels keeps the mass also where a footprint is too narrow to be sampled evenly.
     """
     matrices = whitening(log_scales, quaternions)
     images = []

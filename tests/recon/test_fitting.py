@@ -1,0 +1,89 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from gaussian_scenes import PIXEL, circular, small_model, small_scan, spectral_model
+
+from recon.fitting import _subsets, fit
+from recon.recipe import Recipe, Stage
+from spectra.errors import InputError
+from spectra.threads import set_threads
+
+PARTS = ("centres", "log_scales", "quaternions", "coefficients")
+GEOMETRY = circular(16, 16, views=9)
+RECIPE = Recipe(stages=(Stage(1.0, 4.0),))
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """A scan of fifty Gaussians with noise, and a start that knows them badly."""
+    truth = small_model(1, count=50)
+    rng = np.random.default_rng(2)
+    shift = torch.from_numpy(rng.normal(scale=0.3, size=(50, 3))).float()
+    start = replace(truth, centres=truth.centres + shift, coefficients=truth.coefficients.mean().expand(50, 3).clone())
+    return start, small_scan(truth, GEOMETRY, spectral_model(3), seed=3)
+
+
+def run(problem, recipe=RECIPE):
+    history = []
+    fitted = fit(*problem, PIXEL, recipe, lambda p: history.append((p.deviance, p.gaussians.coefficients.min().item())))
+    return fitted, np.array(history)
+
+
+def test_the_deviance_falls_and_coefficients_stay_non_negative(problem):
+    fitted, history = run(problem, replace(RECIPE, stages=(Stage(1.0, 15.0),)))
+    deviance, lowest = history.T
+    assert deviance[:3].mean() > 10
+    assert deviance[-3:].mean() < 1.2
+    assert (lowest >= 0).all()
+    assert all(torch.isfinite(getattr(fitted, name)).all() for name in PARTS)
+
+
+def test_any_number_of_threads_gives_the_same_bits(problem, monkeypatch):
+    monkeypatch.setattr("recon.ops.rasterize.CHUNK", 16)
+    results = []
+    try:
+        for threads in (1, 2):
+            set_threads(threads)
+            results.append(run(problem)[0])
+    finally:
+        set_threads(None)
+    for name in PARTS:
+        assert torch.equal(*(getattr(result, name) for result in results))
+
+
+def test_the_start_is_left_as_it_was(problem):
+    before = problem[0].detached()
+    run(problem, replace(RECIPE, stages=(Stage(1.0, 1.0),)))
+    assert all(torch.equal(getattr(before, name), getattr(problem[0], name)) for name in PARTS)
+    assert not problem[0].centres.requires_grad
+
+
+def test_stages_follow_each_other_at_their_binning(problem):
+    steps = []
+    recipe = replace(RECIPE, stages=(Stage(2.0, 1.0), Stage(1.0, 1.0)))
+    fit(*problem, PIXEL, recipe, lambda p: steps.append((p.step, p.steps)))
+    assert steps == [(i + 1, 6) for i in range(6)]
+
+
+@pytest.mark.parametrize(("views", "per_sweep"), [(9, 3), (75, 25), (10, 3), (1, 1), (7, 2)])
+def test_a_sweep_uses_every_view_once(views, per_sweep):
+    seen = np.concatenate(list(_subsets(views, per_sweep, per_sweep)))
+    assert sorted(seen) == list(range(views))
+
+
+@pytest.mark.parametrize("name", ["views_per_step", "spacing", "coefficient_rate", "curvature_sweeps"])
+def test_a_recipe_refuses_what_is_not_positive(name):
+    with pytest.raises(InputError, match=f"recipe {name} must be positive, got 0"):
+        Recipe(**{name: 0})
+
+
+def test_a_recipe_needs_a_stage():
+    with pytest.raises(InputError, match="at least one stage"):
+        Recipe(stages=())
+
+
+def test_curvature_may_be_renewed_more_often_than_once_a_sweep(problem):
+    fitted, _ = run(problem, replace(RECIPE, stages=(Stage(1.0, 1.0),), curvature_sweeps=0.1))
+    assert torch.isfinite(fitted.coefficients).all()

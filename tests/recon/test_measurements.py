@@ -1,0 +1,107 @@
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from gaussian_scenes import NAMES, SDD, SOD, circular, small_model, small_scan, spectral_model
+
+from phantomgen.geometry import Geometry
+from phantomgen.panel import Panel
+from recon.measurements import matching_bin, read_measurements
+from spectra.errors import GeometryError, InputError
+
+
+@pytest.fixture(scope="module")
+def scan():
+    return small_scan(small_model(1, count=20), circular(12, 18, views=6), spectral_model(3), seed=2)
+
+
+@pytest.mark.parametrize("views", [slice(1, 4), [0, 5], np.array([3])])
+def test_some_views_are_those_views(scan, views):
+    scan = replace(scan, exposure=np.arange(6.0))
+    some = scan[views]
+    np.testing.assert_array_equal(some.counts, scan.counts[views])
+    np.testing.assert_array_equal(some.exposure, np.arange(6.0)[views])
+    assert some.geometry == scan.geometry[views]
+    assert len(some) == len(some.geometry) == len(some.counts)
+
+
+@pytest.mark.parametrize("factor", [2, 3, 6])
+def test_binning_sums_counts_and_open_beam(scan, factor):
+    binned = scan.binned(factor)
+    assert binned.counts.shape == (6, 4, 12 // factor, 18 // factor)
+    assert binned.counts.sum() == pytest.approx(scan.counts.sum(), rel=1e-6)
+    assert binned.counts[1, 2, 0, 1] == scan.counts[1, 2, :factor, factor : 2 * factor].sum()
+    np.testing.assert_array_equal(binned.gains, factor**2)
+    assert binned.geometry.panel.column_pitch == scan.geometry.panel.column_pitch * factor
+    np.testing.assert_array_equal(binned.geometry.panel_center, scan.geometry.panel_center)
+
+
+def test_no_binning_is_the_scan_itself(scan):
+    assert scan.binned(1) is scan
+
+
+def test_a_panel_that_does_not_divide_is_refused(scan):
+    with pytest.raises(GeometryError, match="12 x 18 pixels cannot be binned by 5"):
+        scan.binned(5)
+
+
+def test_compression_states_an_error_that_holds_for_the_rays_of_the_scan(scan):
+    few, error = scan.compressed(1e-3)
+    lengths = np.moveaxis(small_model(1, count=20).line_integrals(scan.geometry).numpy(), 1, -1).astype(float)
+    whole = np.log(scan.transmission.expected(lengths))
+    assert abs(np.log(few.transmission.expected(lengths)) - whole).max() < 2 * max(error, 1e-9)
+    assert error < 1e-3
+    assert len(few.transmission.weights) <= len(scan.transmission.weights)
+
+
+@pytest.mark.parametrize(("size", "factor"), [(0.1, 1), (0.9, 1), (1.8, 2), (2.6, 2), (2.8, 3), (100, 6)])
+def test_pixels_are_binned_until_they_match_a_size_at_the_isocentre(size, factor):
+    geometry = circular(12, 18)
+    assert pytest.approx(geometry.panel.column_pitch * SOD / SDD) == 0.9
+    assert matching_bin(geometry, size) == factor
+
+
+def fake_dataset(model, counts, flat, dark):
+    """What `read_measurements` asks of a dataset."""
+    spectra = SimpleNamespace(basis=SimpleNamespace(names=NAMES[: len(model.columns)]), transmission=lambda: model)
+    geometry = Geometry.circular(60, 100, np.arange(3.0), Panel(4, 5, 1.0))
+    return SimpleNamespace(
+        path=Path("scan.h5"), spectra=spectra, geometry=geometry, flat=flat, dark=dark,
+        exposure=np.array([1.0, 2.0, 3.0]), load=lambda views: counts[views],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("bases", [None, 2])
+def test_reading_takes_darks_off_and_compares_flats_with_the_model(bases):
+    model, rng = spectral_model(3), np.random.default_rng(3)
+    counts = rng.integers(0, 100, (3, 4, 4, 5))
+    gain, dark = rng.uniform(0.5, 2, (4, 4, 5)), np.full((4, 4, 5), 7.0)
+    gain[1, 2, 3] = 0.0
+    dataset = fake_dataset(model, counts, gain * model.open_beam[:, None, None], dark)
+    found = read_measurements(dataset, np.array([2, 0]), bases)
+    np.testing.assert_allclose(found.gains, gain, rtol=1e-6)
+    np.testing.assert_array_equal(found.counts, np.maximum(counts[[2, 0]] - 7, 0))
+    np.testing.assert_array_equal(found.exposure, [3.0, 1.0])
+    assert found.basis_names == NAMES[:bases]
+    assert len(found.transmission.columns) == len(found.basis_names)
+    assert found.counts.dtype == found.gains.dtype == np.float32
+
+
+def test_more_bases_than_the_dataset_has_or_its_channels_allow_are_refused():
+    blank = np.ones((2, 4, 5))
+    dataset = fake_dataset(spectral_model(3, channels=2), np.ones((3, 2, 4, 5)), blank, 0 * blank)
+    with pytest.raises(InputError, match=r"scan\.h5 has the bases photoelectric, compton, kedge: 4 were asked for"):
+        read_measurements(dataset, np.arange(3), 4)
+    with pytest.raises(InputError, match="2 channels cannot tell 3 bases apart"):
+        read_measurements(dataset, np.arange(3))
+
+
+def test_a_channel_that_is_blind_does_not_limit_the_range_of_the_compression(scan):
+    gains, counts = scan.gains.copy(), scan.counts.copy()
+    gains[0], counts[:, 0] = 0, 0
+    blind, _ = replace(scan, gains=gains, counts=counts).compressed(1e-3)
+    lengths = np.moveaxis(small_model(1, count=20).line_integrals(scan.geometry).numpy(), 1, -1).astype(float)
+    whole = np.log(scan.transmission.expected(lengths))
+    assert abs(np.log(blind.transmission.expected(lengths)) - whole).max() < 2e-3
