@@ -7,55 +7,13 @@ Results go to stdout, progress and warnings to stderr. Exit codes: 0 done, 1 an 
 import json
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from spectra.errors import Error
-
-
-class Commands(click.Group):
-    """Turns errors raised on purpose into one sentence and an exit code."""
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run a command."""
-        try:
-            return super().invoke(ctx)
-        except Error as error:
-            if ctx.meta.get("debug"):
-                raise
-            click.echo(f"Error: {error}", err=True)
-            ctx.exit(1)
-        except KeyboardInterrupt:
-            click.echo("Interrupted; nothing was left half-written.", err=True)
-            ctx.exit(130)
-
-
-def debug_option(command: Callable) -> Callable:
-    """Add ``--debug``."""
-
-    def remember(ctx: click.Context, _: click.Parameter, value: bool) -> None:
-        ctx.find_root().meta["debug"] = value
-
-    help_text = "Show the traceback of an error."
-    return click.option("--debug", is_flag=True, expose_value=False, callback=remember, help=help_text)(command)
-
-
-def json_option(command: Callable) -> Callable:
-    """Add ``--json``."""
-    return click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")(command)
-
-
-def print_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
-    """Print the version; imports nothing heavy unless asked."""
-    if value:
-        from phantomgen.dataset_writer import program_version
-
-        click.echo(f"phantomgen {program_version()}")
-        ctx.exit()
+from phantomgen.command import Commands, debug_option, json_option, version_option
 
 
 @click.group(
@@ -63,7 +21,7 @@ def print_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="\b\nExamples:\n  phantomgen make --preset kedge\n  phantomgen presets show kedge > my.yaml",
 )
-@click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=print_version, help="Print it.")
+@version_option("phantomgen")
 def main() -> None:
     """Make spectral-CT scans of phantoms whose truth is known.
 

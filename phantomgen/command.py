@@ -45,6 +45,8 @@ def version_option(program: str) -> Callable[[Callable], Callable]:
 
     def show(ctx: click.Context, _: click.Parameter, value: bool) -> None:
         if value:
+            from phantomgen.versions import program_version  # noqa: PLC0415
+
             click.echo(f"{program} {program_version()}")
             ctx.exit()
 
@@ -53,12 +55,3 @@ def version_option(program: str) -> Callable[[Callable], Callable]:
         "--version", is_flag=True, is_eager=True, expose_value=False, callback=show, help=help_text
     )
 
-
-def program_version() -> str:
-    """Version of this distribution; ``0`` in a source tree that is not installed."""
-    from importlib import metadata  # noqa: PLC0415
-
-    try:
-        return metadata.version("spectral-ct")
-    except metadata.PackageNotFoundError:
-        return "0"

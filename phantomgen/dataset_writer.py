@@ -2,9 +2,7 @@
 
 import json
 import os
-import platform
 import time
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +26,11 @@ from phantomgen.dataset_layout import (
 from phantomgen.dataset_truth import Truth, write_grid, write_truth
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
+from phantomgen.versions import environment, program_version
 from spectra.errors import InputError
 from spectra.materials import Material
 
 Splits = dict[str, Int[np.ndarray, " view"]]
-_PACKAGES = ("numpy", "scipy", "h5py", "numba", "xraylib", "spekpy", "pydantic")
 
 
 class DatasetWriter:
@@ -131,7 +129,7 @@ class DatasetWriter:
         put(process, "sequence_index", 1)
         put(process, "command", command)
         put(process, "seed", np.uint64(seed))
-        put_note(process, "environment", json.dumps(_environment(), indent=1), "application/json")
+        put_note(process, "environment", json.dumps(environment(), indent=1), "application/json")
 
     def finish(self, spectra: Spectra) -> None:
         """Add the default plot and the views of the file that other programs look for."""
@@ -153,14 +151,6 @@ def check_output(path: Path, overwrite: bool) -> None:
         raise InputError(f"the output {path} exists: choose another name by --out, or add --overwrite")
     if not path.parent.is_dir():
         raise InputError(f"the folder {path.parent} for the output {path.name} does not exist")
-
-
-def program_version() -> str:
-    """Version of this distribution; ``0`` in a source tree that is not installed."""
-    try:
-        return metadata.version("spectral-ct")
-    except metadata.PackageNotFoundError:
-        return "0"
 
 
 def _write_root(file: h5py.File) -> None:
@@ -218,8 +208,3 @@ def _date() -> str:
     seconds = os.environ.get("SOURCE_DATE_EPOCH", "")
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(int(seconds) if seconds.isdigit() else None))
 
-
-def _environment() -> dict[str, str]:
-    """Versions of what took part."""
-    versions = {name: metadata.version(name) for name in _PACKAGES}
-    return {"python": platform.python_version(), "platform": platform.platform(), **versions}

@@ -1,8 +1,6 @@
 """From a scan to its dataset: expected counts view by view, noise, truth, and an error measured on the way."""
 
-import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -22,6 +20,7 @@ from phantomgen.scene import Scan
 from phantomgen.simulate_check import MeasuredError, full_check, quick_check
 from phantomgen.simulate_coverage import coverage_warnings, sampled_lengths
 from phantomgen.simulate_spectra import compressed_transmission, material_coefficients, reconstructor_spectra
+from phantomgen.stopwatch import Stopwatch
 from spectra.threads import run_parallel
 from spectra.transmission import Transmission
 
@@ -83,20 +82,6 @@ class Summary:
         )
 
 
-class Stopwatch:
-    """Wall time per stage."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Add the time spent inside to stage `name`."""
-        start = time.perf_counter()
-        yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
-
-
 def simulate(
     scan: Scan,
     out: Path | str,
@@ -123,18 +108,18 @@ def simulate(
     """
     watch = Stopwatch()
     with DatasetWriter(out, overwrite) as writer:
-        with watch.stage("spectrum"):
+        with watch("spectrum"):
             transmission, node_error = compressed_transmission(scan, sampled_lengths(scan))
             spectra = reconstructor_spectra(scan)
             warnings = coverage_warnings(scan)
         writer.write_scan(scan.name, scan.geometry, spectra, scan.grid, dict(scan.splits), scan.scheme)
         writer.write_instrument(scan.geometry, spectra, dict(scan.source_fields))
         writer.write_process("phantomgen make", scan.seed)
-        with watch.stage("truth"):
+        with watch("truth"):
             writer.write_truth(_truth(scan), scan.scene.materials)
-        with watch.stage("views"):
+        with watch("views"):
             _write_counts(writer, scan, transmission, keep_expected, progress)
-        with watch.stage("check"):
+        with watch("check"):
             error = (full_check if verify else quick_check)(scan, transmission)
         writer.finish(spectra)
     return Summary(

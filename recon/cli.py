@@ -1,6 +1,7 @@
 """The command ``recon``: parse, call, print."""
 
 import json
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,13 +23,24 @@ def main() -> None:
     """Reconstruct basis volumes from spectral-CT scans, and say how good they are."""
 
 
+def _finite(_: click.Context, __: click.Parameter, value: float | None) -> float | None:
+    if value is not None and not isfinite(value):
+        raise click.BadParameter(f"{value} is not a finite number.")
+    return value
+
+
 @main.command(epilog="\b\nExamples:\n  recon fit kedge.h5\n  recon fit scan.h5 -o run --bases 2 --air 0:16,0:256")
 @click.argument("dataset", type=click.Path(dir_okay=False))
 @click.option("-o", "--out", type=click.Path(), help="Run folder to write [default: <dataset>-run].")
 @click.option(
     "--bases", type=click.Choice(["2", "3", "auto"]), default="auto", show_default=True, help="Basis functions to fit."
 )
-@click.option("--sweeps", type=click.FloatRange(min=0, min_open=True), help="Times every training view is used.")
+@click.option(
+    "--sweeps",
+    type=click.FloatRange(min=0, min_open=True),
+    callback=_finite,
+    help="Times every training view is used.",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the first Gaussians.")
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")

@@ -83,7 +83,9 @@ def read_measurements(dataset: Dataset, views: Int[np.ndarray, " view"], bases: 
         raise InputError(f"{dataset.path} has the bases {', '.join(names)}: {count} were asked for")
     whole = dataset.spectra.transmission()
     if len(whole) < count:
-        raise InputError(f"{len(whole)} channels cannot tell {count} bases apart: use --bases {len(whole)} or fewer")
+        channels = f"{len(whole)} channel{'s' if len(whole) > 1 else ''}"
+        hint = f": use --bases {min(len(whole), 3)}" if len(whole) > 1 else ", and one energy window has no more to tell"
+        raise InputError(f"{channels} cannot tell {count} bases apart{hint}")
     transmission = replace(whole, columns=whole.columns[:count])
     open_beam = transmission.open_beam[:, None, None]
     gains = np.divide(dataset.flat, open_beam, out=np.zeros_like(dataset.flat), where=open_beam > 0)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from phantomgen.dataset import Dataset
+from phantomgen.stopwatch import Stopwatch
 from recon.baselines.fdk import fdk
 from recon.decompose import decompose_views
 from recon.fitting import Progress, fit
@@ -14,7 +15,6 @@ from recon.gaussians import Gaussians
 from recon.initialize import initialize
 from recon.measurements import matching_bin, read_measurements
 from recon.recipe import Recipe
-from recon.stopwatch import Stopwatch
 from spectra.threads import without_other_pools
 
 

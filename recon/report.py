@@ -2,10 +2,8 @@
 
 import json
 import os
-import platform
 import shutil
 import sys
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +15,7 @@ from phantomgen.dataset_truth import write_grid
 from phantomgen.grid import Grid
 from spectra.errors import InputError
 
-PACKAGES = ("spectral-ct", "numpy", "scipy", "torch", "numba", "h5py", "xraylib")
-
+MODEL = "model.safetensors"
 
 class RunFolder:
     """A folder that appears under its name only when it is complete; use it in a ``with`` statement.
@@ -31,22 +28,29 @@ class RunFolder:
     Raises
     ------
     InputError
-        When the folder exists and `overwrite` is not given, or its parent does not exist.
+        When the folder exists and `overwrite` is not given, when what is there was not written by a run, or when the
+        folder cannot be made.
     """
 
     def __init__(self, path: Path, overwrite: bool) -> None:
-        if path.exists() and not overwrite:
+        taken = path.exists() or path.is_symlink()
+        if taken and not overwrite:
             raise InputError(f"the output {path} exists: choose another name by --out, or add --overwrite")
-        if path.exists() and not (path.is_dir() and (path / "metrics.json").exists()):
+        if taken and (path.is_symlink() or not all((path / name).is_file() for name in ("metrics.json", MODEL))):
             raise InputError(f"the output {path} is not a folder that recon wrote; it will not be replaced")
         if not path.absolute().parent.is_dir():
             raise InputError(f"the folder {path.parent} for the output {path.name} does not exist")
         self.path = path
-        self.part = path.with_name(path.name + ".part")
+        self.part = path.absolute().with_name(path.absolute().name + ".part")
+        if self.part.exists() and not (self.part / "figures").is_dir():
+            raise InputError(f"{self.part} is in the way and was not written by recon: move it, or choose another name")
 
     def __enter__(self) -> Path:
         shutil.rmtree(self.part, ignore_errors=True)
-        (self.part / "figures").mkdir(parents=True)
+        try:
+            (self.part / "figures").mkdir(parents=True)
+        except OSError as error:
+            raise InputError(f"{self.part} cannot be written: {error.strerror}") from None
         return self.part
 
     def __exit__(self, error_type: type | None, *details: object) -> None:
@@ -82,17 +86,6 @@ def write_volumes(
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write indented JSON; NaN is refused."""
     path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def environment() -> dict[str, str]:
-    """Versions of what computed a result."""
-    versions = {"python": platform.python_version(), "platform": platform.platform()}
-    for package in PACKAGES:
-        try:
-            versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            continue
-    return versions
 
 
 def peak_memory_mib() -> float | None:

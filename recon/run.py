@@ -10,15 +10,16 @@ import yaml
 
 from phantomgen.dataset import Dataset
 from phantomgen.dataset_truth import Truth, read_truth
+from phantomgen.stopwatch import Stopwatch
+from phantomgen.versions import environment
 from recon import figures
 from recon.fitting import Progress
 from recon.gaussians import Gaussians
 from recon.metrics import psnr
 from recon.recipe import Recipe
 from recon.reconstruct import Reconstruction, reconstruct
-from recon.report import environment, peak_memory_mib, write_json, write_volumes
+from recon.report import MODEL, peak_memory_mib, write_json, write_volumes
 from recon.scoring import held_out_views, score_test_views, score_truth
-from recon.stopwatch import Stopwatch
 from spectra.threads import without_other_pools
 
 SNAPSHOTS = 10  # models kept along the way, for error against time
@@ -80,31 +81,38 @@ def run(
     recipe = Recipe(seed=seed)
     if sweeps is not None:
         recipe = replace(recipe, stages=tuple(replace(stage, sweeps=sweeps) for stage in recipe.stages))
-    log = _Log()
+    log, clock = _Log(), Stopwatch(watcher.stage)
+    with clock("check"):
+        _check_test_views(dataset)
 
     def on_step(progress: Progress) -> None:
         log.add(progress)
         watcher.step(progress)
 
     result = reconstruct(dataset, recipe, bases, watcher.stage, on_step)
-    clock = Stopwatch(watcher.stage)
     with clock("score"):
         truth = read_truth(dataset.path)
         metrics = _metrics(dataset, truth, result, seed)
     with clock("write"):
         grid = dataset.grid
         volumes = result.gaussians.volume(grid)
-        result.gaussians.save(folder / "model.safetensors")
+        result.gaussians.save(folder / MODEL)
         write_volumes(folder / "volumes.h5", volumes, result.gaussians.basis_names, grid, result.fdk_volumes)
         (folder / "recipe.yaml").write_text(yaml.safe_dump(_plain(recipe), sort_keys=False), encoding="utf-8")
         log.write(folder / "log.jsonl", truth)
     if figures:
         with clock("figures"):
             _draw(dataset, truth, result, log, folder / "figures")
-    metrics["seconds"].update(clock.seconds)
+    metrics["seconds"] = {"check": 0.0, **result.seconds, **clock.seconds}
     metrics["peak_memory_mib"] = peak_memory_mib()
     write_json(folder / "metrics.json", metrics)
     return metrics
+
+
+def _check_test_views(dataset: Dataset) -> None:
+    """Refuse counts that cannot be scored before the fit, not after it; one view at a time."""
+    for view in dataset.splits["test"]:
+        dataset.load([view])
 
 
 def _metrics(dataset: Dataset, truth: Truth | None, result: Reconstruction, seed: int) -> dict[str, Any]:
@@ -114,7 +122,6 @@ def _metrics(dataset: Dataset, truth: Truth | None, result: Reconstruction, seed
         metrics.update(score_truth(truth, gaussians))
     metrics["channels"] = score_test_views(dataset, gaussians) if len(dataset.splits["test"]) else {}
     metrics["node_error"] = result.node_error
-    metrics["seconds"] = dict(result.seconds)
     metrics["versions"] = environment()
     return metrics
 

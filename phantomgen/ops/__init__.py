@@ -1,0 +1,1 @@
+"""Numerical operators: arrays in, arrays out."""

@@ -1,10 +1,15 @@
 """Expected counts of one view, averaged over the area of each pixel.
 
-A pixel averages *intensities*, not line integrals. Where nothing happens inside a pixel one ray and the curvature of its
-neighbours give the average; where a silhouette passes the pixel is split along it. `expose_brute` is the same average
-over a plain n x n grid of rays.
+A pixel averages *intensities*, not line integrals. Where nothing happens inside a pixel, one ray and the curvature over
+its neighbours give the average; where a silhouette passes, the pixel is split along it. `expose_brute` is the same
+average over a plain n x n grid of rays.
+
+Accuracy, as the largest error of a log-projection against 256 x 256 rays per pixel: 3e-5 where silhouettes cross, rms
+4e-6 (four nested cylinders, 0.8 mm pixels). Split exactly are the silhouettes of single shapes. Where surfaces of two
+shapes intersect, or where panel or source cut a shape, the kink is met by a plain grid: some 1e-3 in those pixels.
 """
 
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -97,7 +102,7 @@ def expose_brute(
     pixels = np.ascontiguousarray(pixels, dtype=np.int64)
     out = np.empty((len(starts) - 1, *(pixels.max(axis=0, initial=0) + 1)))
     places = (np.arange(n) + 0.5) / n - 0.5
-    grid = np.array([(a, b, 1 / n**2) for b in places for a in places])
+    grid = np.stack([np.tile(places, n), np.repeat(places, n), np.full(n * n, 1 / n**2)], axis=1)
     maps = (np.empty(out.shape[1:], dtype=np.int64), np.empty((1, 3), dtype=np.int64))
     expose_pixels(*view.shapes, view.spectrum, grid, view.ray, pixels, maps, out)
     return out[:, pixels[:, 0], pixels[:, 1]].T
@@ -133,7 +138,7 @@ class _View(NamedTuple):
                 "do not match"
             )
         kinds, locals_, materials = checked_solids(*solids, len(attenuation), background)
-        air = np.array([weights[a:b].sum() for a, b in zip(starts[:-1], starts[1:], strict=True)])
+        air = np.array([weights[a:b].sum() for a, b in pairwise(starts)])
         outline = cone_silhouettes(frame, kinds, locals_)
         ray = (np.empty(len(kinds), np.int64), event_room(len(kinds)), np.empty(len(attenuation)), np.empty(len(air)))
         shapes = (frame, solid_table(kinds, locals_, materials), locals_, outline.bounds, int(background))

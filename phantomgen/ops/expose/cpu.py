@@ -13,7 +13,7 @@ from phantomgen.ops.silhouette.quadrature import CONICS, grid_nodes, may_vanish,
 from phantomgen.ops.trace.cpu import set_origin, trace_ray
 from spectra.ops.transmit.cpu import expected_ray
 
-_KINK_GRID = 8
+_KINK_GRID = 16
 # Ratios of counts in neighbouring pixels from which on the next stronger rule is taken; differences over neighbours
 # serve below the first one only.
 _CONTRASTS = (1.4, 2.2, 5.0, 25.0)
@@ -243,7 +243,18 @@ def expose_view(
                 count += 1
                 if filled > nodes.shape[0] // 2:
                     _send_rays(
-                        frame, table, bounds, background, spectrum, jobs, count, nodes, ray, not completing, target, signatures
+                        frame,
+                        table,
+                        bounds,
+                        background,
+                        spectrum,
+                        jobs,
+                        count,
+                        nodes,
+                        ray,
+                        not completing,
+                        target,
+                        signatures,
                     )
                     count = filled = np.int64(0)
         _send_rays(

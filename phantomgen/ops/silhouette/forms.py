@@ -1,7 +1,7 @@
 """Silhouettes of shapes as quadratic forms in panel coordinates.
 
 Rays are given by w = (1, u, v): origin ``o = O w`` and direction ``d = D w``, where either O or D is constant (a point
-source, or parallel rays). Then the moment ``m = o x d`` is linear in w too, and in local coordinates of a unit primitive
+source, or parallel rays). Then the moment ``m = o x d`` is linear in w too; in local coordinates of a unit primitive
 
 =========  ==========================================================  ============================================
 primitive  forms                                                       zero where
@@ -12,8 +12,8 @@ cylinder   dz^2 - (h dx - my)^2 - (h dy + mx)^2, h = +1, -1            a ray mee
 box        mk^2 - (di + dj)^2, mk^2 - (di - dj)^2, (i, j, k) cyclic    a ray meets one of two opposite edges along k
 =========  ==========================================================  ============================================
 
-(Plücker coordinates: two lines meet where the mixed product of directions and moments vanishes.) The first two grow like
-the square of the distance to a tangent; path lengths have a square root there, elsewhere a kink or a step.
+(Plücker coordinates: two lines meet where the mixed product of directions and moments vanishes.) Inside the first two,
+path lengths grow like the square root of the form; the others mark kinks, or steps where a face is seen edge on.
 """
 
 from typing import NamedTuple
@@ -89,7 +89,7 @@ def _silhouettes(
 def _primitive_forms(
     kind: int, d: Float[np.ndarray, "3 3"], m: Float[np.ndarray, "3 3"]
 ) -> tuple[Float[np.ndarray, "form 3 3"], Bool[np.ndarray, " form"]]:
-    """Forms of one unit primitive and whether each is a tangent one, from direction and moment as rows over (1, u, v)."""
+    """Forms of one primitive, and whether each is a tangent; direction and moment come as rows over (1, u, v)."""
 
     def square(row: np.ndarray) -> np.ndarray:
         return np.outer(row, row)

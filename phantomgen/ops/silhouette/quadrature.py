@@ -1,9 +1,9 @@
 """Nodes that average over a unit square cut by conics.
 
 The square is [-1/2, 1/2]^2 in (a, b). One coordinate is outer: it is split where a conic passes the border, turns back,
-or meets another one. For each outer node the inner coordinate is split at all roots. Between two splits the integrand is
-smooth up to square roots at tangent conics; substituting the root's own variable (a = root + w^2, or a sine between two
-of them) leaves a smooth function even where the tangent lies outside the square, and few Gauss nodes do.
+or meets another one. For each outer node the inner coordinate is split at all roots. Between two splits the integrand
+is smooth up to square roots at tangents; substituting the root's own variable (a = root + s^2, or a sine between two of
+them) leaves a smooth function even where the tangent lies outside the square, and few Gauss nodes do.
 """
 
 from functools import lru_cache
@@ -126,7 +126,7 @@ def _add_inside(lines, row, count, value):
 @njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _meeting_point(local, i, j):
-    """Outer coordinate where two conics meet inside the square, by Newton's method from its centre; NaN if not found."""
+    """Outer coordinate where two conics meet in the square, by Newton's method from its centre; NaN if none."""
     a = b = 0.0
     for _ in range(8):
         f, fa, fb = _value_and_slopes(local, i, a, b)
@@ -166,7 +166,9 @@ def _outer_splits(local, count, lines):
             if k < 2:
                 first, second = quadratic_roots(f, c + e * side, a + side * (b + d * side), local[i, 6])
             else:
-                first, second = quadratic_roots(e * e - 4.0 * d * f, 2.0 * b * e - 4.0 * d * c, b * b - 4.0 * d * a, 0.0)
+                first, second = quadratic_roots(
+                    e * e - 4.0 * d * f, 2.0 * b * e - 4.0 * d * c, b * b - 4.0 * d * a, 0.0
+                )
             found = _add_inside(lines, _SPLITS, found, first)
             found = _add_inside(lines, _SPLITS, found, second)
         for j in range(i):
@@ -305,7 +307,7 @@ def grid_nodes(nodes, at, n):
 def square_nodes(local, conics, rule_nodes, rule_sizes, lines, nodes, at):
     """Write nodes (a, b, weight) for the first `conics` conics of `local`, from index `at` on; return the next index.
 
-    Weights sum to the area, 1, up to the error of the rule. Arguments are the fields of `Room` and one level of `Rules`.
+    Weights sum to the area, 1, up to the error of the rule. Arguments are the fields of `Room`, one level of `Rules`.
     """
     if conics > CONICS:
         return grid_nodes(nodes, at, np.int64(GRID))

@@ -1,7 +1,7 @@
 """Exact path lengths of rays through overlapping shapes.
 
-A later shape overrides an earlier one where they overlap: a ray is cut where it enters or leaves a shape, and each piece
-belongs to the last shape that covers it. Source or panel may lie inside a shape: a ray begins and ends with them.
+A later shape overrides an earlier one where they overlap: a ray is cut where it enters or leaves a shape, and each
+piece belongs to the last shape that covers it. Source or panel may lie inside a shape: a ray ends with them.
 """
 
 import numpy as np

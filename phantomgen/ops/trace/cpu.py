@@ -171,7 +171,7 @@ def trace_ray(table, background, dx, dy, dz, active, count, events, lengths):
 
     Returns
     -------
-    A number that names the sequence of owners along the ray, 0 for a ray that meets nothing.
+    A number that names the sequence of owners along the ray, its ends included; 0 for a ray that meets nothing.
     """
     for m in range(lengths.size):
         lengths[m] = 0.0
@@ -188,6 +188,9 @@ def trace_ray(table, background, dx, dy, dz, active, count, events, lengths):
             covered += part
     if background >= 0:
         lengths[background] += norm - covered
+    if pieces > 0:
+        # Surfaces that source or panel cut off are told from those that the ray passes.
+        signature = 4 * signature + (events[CUT, 0] > 0.0) + 2 * (events[CUT, pieces] < 1.0)
     return signature
 
 

@@ -1,5 +1,7 @@
 """Path lengths of one ray by sorting all surface crossings; as short as the definition."""
 
+from itertools import pairwise
+
 import numpy as np
 from jaxtyping import Float, Int64
 
@@ -44,7 +46,7 @@ def trace_one(
     events = [t for kind, (o, d) in zip(kinds, local, strict=True) for t in crossings(kind, o, d)]
     cuts = np.unique(np.clip([0.0, 1.0, *events], 0.0, 1.0))
     lengths = np.zeros(count)
-    for low, high in zip(cuts[:-1], cuts[1:], strict=True):
+    for low, high in pairwise(cuts):
         t = (low + high) / 2
         owners = [m for kind, (o, d), m in zip(kinds, local, materials, strict=True) if inside(kind, o + t * d)]
         owner = owners[-1] if owners else background

@@ -47,7 +47,17 @@ def fractions(
         table, room = solid_table(kinds, locals_, materials), tuple(quadrature.make_room(rules))
         scratch = (np.arange(len(kinds)), event_room(len(kinds)), event_room(len(kinds)), np.empty((count, depth)))
         voxelize_row(
-            frame, table, locals_, background, outline.forms, outline.roots, (rules.nodes[0], rules.sizes[0]), room, scratch, row, part
+            frame,
+            table,
+            locals_,
+            background,
+            outline.forms,
+            outline.roots,
+            (rules.nodes[0], rules.sizes[0]),
+            room,
+            scratch,
+            row,
+            part,
         )
         out[:, :, row] = part
 

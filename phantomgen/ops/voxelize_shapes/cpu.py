@@ -1,8 +1,8 @@
 """Volume fractions in numba, one column of voxels along z after the other.
 
-A line along z through a column is cut exactly where its owner changes, and the pieces are shared out to the voxels. Lines
-average over the column's square: one is enough where all five of centre and corners are cut alike and no silhouette
-passes; a product Gauss rule elsewhere; split along the silhouettes where one passes.
+A line along z through a column is cut exactly where its owner changes, and the pieces are shared out to the voxels.
+Lines average over the column's square: one is enough where centre and corners are cut alike and no silhouette passes;
+elsewhere a product Gauss rule, split along the silhouettes where one passes.
 """
 
 from typing import no_type_check

@@ -1,0 +1,392 @@
+"""The command line ``recon``: a run folder that is complete or not there, one sentence for what is wrong, same bits."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from safetensors.numpy import load_file
+
+from phantomgen.cli import main as phantomgen
+from recon.cli import main as recon
+from spectra.threads import set_threads
+
+VOXELS, PIXELS, VIEWS = 16, 32, 9
+BASES = ("photoelectric", "compton", "kedge_63.3")
+DATA = "entry/instrument/detector/data"
+FAST = ("--sweeps", "1", "--no-figures", "--quiet")
+SCORES = {"psnr", "psnr_scaled", "psnr_zero", "scale", "ssim", "bias", "rmse"}
+CHANNEL_SCORES = {"psnr", "psnr_noise", "chi_square_all", "chi_square_away", "away"}
+FIGURES = {
+    f"{name}.{kind}" for name in ("profiles", "convergence", "residuals", "spectrum") for kind in ("png", "csv")
+} | {"axial.png", "coronal.png"}
+
+
+def fit(*arguments):
+    return CliRunner().invoke(recon, ["fit", *map(str, arguments)])
+
+
+def make(path: Path, *arguments: str) -> Path:
+    panel = f"panel={{rows: {PIXELS}, columns: {PIXELS}, pitch: {204.8 / PIXELS}}}"
+    options = ["--preset", "kedge-small", "-q", "-o", str(path), "--voxels", str(VOXELS), "--set", panel, *arguments]
+    result = CliRunner().invoke(phantomgen, ["make", *options])
+    assert result.exit_code == 0, result.output
+    return path
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def metrics_of(folder: Path) -> dict:
+    return json.loads((folder / "metrics.json").read_text())
+
+
+def one_sentence(result) -> str:
+    assert (result.exit_code, result.stdout) == (1, ""), result.output
+    assert result.stderr.startswith("Error: ")
+    assert result.stderr.count("\n") == 1
+    return result.stderr
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _all_threads_again():
+    yield
+    set_threads(None)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return make(tmp_path_factory.mktemp("data") / "tiny.h5", "--views", str(VIEWS), "--test-views", "2")
+
+
+@pytest.fixture(scope="module")
+def without_edge(tmp_path_factory):
+    objects = "objects=[{type: sphere, material: bone, radius: 30}]"
+    options = ("--views", "4", "--test-views", "0", "--set", objects, "--set", "detector.thresholds=[20, 60]")
+    return make(tmp_path_factory.mktemp("data") / "two.h5", *options)
+
+
+@pytest.fixture(scope="module")
+def complete(dataset, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("complete") / "run"
+    result = fit(dataset, "-o", folder, "--sweeps", "1")
+    assert result.exit_code == 0, result.output
+    return folder, result
+
+
+@pytest.fixture
+def copy(dataset, tmp_path):
+    return Path(shutil.copy(dataset, tmp_path / "copy.h5"))
+
+
+def edited(path: Path, edit) -> Path:
+    with h5py.File(path, "r+") as file:
+        edit(file)
+    return path
+
+
+def test_a_run_folder_is_complete(complete):
+    folder, _ = complete
+    assert names(folder) == {"model.safetensors", "volumes.h5", "metrics.json", "log.jsonl", "recipe.yaml", "figures"}
+    assert names(folder / "figures") == FIGURES
+    assert names(folder.parent) == {"run"}
+
+
+def test_the_model_holds_physical_gaussians(complete):
+    model = load_file(complete[0] / "model.safetensors")
+    assert {name: values.shape[1] for name, values in model.items()} == {
+        "centres": 3, "log_scales": 3, "quaternions": 4, "coefficients": 3,
+    }  # fmt: skip
+    assert {len(values) for values in model.values()} == {metrics_of(complete[0])["gaussians"]}
+    assert (model["coefficients"] >= 0).all()
+    assert all(np.isfinite(values).all() for values in model.values())
+
+
+def test_volumes_state_shape_axes_and_units(complete):
+    with h5py.File(complete[0] / "volumes.h5") as file:
+        for group in ("basis", "fdk"):
+            data = file[group]["data"]
+            assert (data.shape, data.dtype, data.attrs["units"]) == ((3, VOXELS, VOXELS, VOXELS), "float32", "1/mm")
+            assert list(file[group].attrs["axes"]) == ["basis_name", "z", "y", "x"]
+            assert tuple(file[group]["basis_name"].asstr()[()]) == BASES
+            for axis in "zyx":
+                assert file[group][axis][0] == pytest.approx(-60)
+                assert file[group][axis].attrs["units"] == "mm"
+        assert file["grid/spacing"][()].tolist() == [8.0, 8.0, 8.0]
+
+
+def test_metrics_have_the_documented_keys(complete):
+    metrics = metrics_of(complete[0])
+    assert set(metrics["basis"]) == set(BASES)
+    assert all(set(scores) == SCORES for scores in metrics["basis"].values())
+    assert set(metrics["materials"]) == {"soft_tissue", "bone", "contrast_high", "contrast_low"}
+    assert set(metrics["channels"]) == {"bin0", "bin1", "bin2", "bin3"}
+    assert all(set(scores) == CHANNEL_SCORES for scores in metrics["channels"].values())
+    assert (metrics["dataset"], metrics["seed"]) == ("tiny.h5", 0)
+    assert set(metrics["seconds"]) == {
+        "check", "read", "decompose", "fdk", "initialize", "fit", "score", "write", "figures",
+    }  # fmt: skip
+    documented = (Path(__file__).parents[2] / "docs" / "file_format.md").read_text(encoding="utf-8")
+    sections = (metrics, metrics["seconds"], metrics["basis"]["compton"], metrics["channels"]["bin0"])
+    material = metrics["materials"]["bone"]
+    keys = {key for section in sections for key in section} | {"voxels", *material["compton"]}
+    assert [key for key in keys if f"`{key}`" not in documented] == []
+
+
+def test_the_log_has_a_line_per_step_and_scores_along_the_way(complete):
+    log = [json.loads(line) for line in (complete[0] / "log.jsonl").read_text().splitlines()]
+    assert [entry["step"] for entry in log] == list(range(1, VIEWS // 3 + 1))
+    assert set(log[-1]) == {"step", "seconds", "deviance", *(f"psnr_{name}" for name in BASES)}
+    assert log[-1]["psnr_compton"] == pytest.approx(metrics_of(complete[0])["basis"]["compton"]["psnr"], abs=1e-3)
+
+
+def test_a_run_prints_its_scores_and_figures_and_speaks_of_progress_on_stderr(complete):
+    folder, result = complete
+    lines = result.stdout.splitlines()
+    assert lines[0].split()[:3] == ["basis", "PSNR", "SSIM"]
+    assert [line.split()[0] for line in lines[1:4]] == list(BASES)
+    assert [line for line in lines if line.endswith(".png")] == sorted(str(p) for p in folder.glob("figures/*.png"))
+    assert lines[-1].startswith(f"Wrote {folder}")
+    assert "decompose ..." in result.stderr.splitlines()
+
+
+def test_json_is_one_object_and_nothing_else(dataset, tmp_path):
+    result = fit(dataset, "-o", tmp_path / "run", "--json", *FAST)
+    printed = json.loads(result.stdout)
+    assert result.stderr == ""
+    assert printed == {"run": str(tmp_path / "run"), **metrics_of(tmp_path / "run")}
+
+
+def test_the_run_is_named_after_the_dataset(dataset, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert fit(dataset, *FAST).exit_code == 0
+    assert names(tmp_path) == {"tiny-run"}
+    assert names(tmp_path / "tiny-run" / "figures") == set()
+
+
+def test_a_run_that_exists_is_refused_until_told_to_replace_it(dataset, tmp_path):
+    run = tmp_path / "run"
+    assert fit(dataset, "-o", run, *FAST).exit_code == 0
+    (run / "notes.txt").write_text("mine")
+    before = {path: path.stat().st_mtime_ns for path in run.rglob("*")}
+    assert "exists: choose another name by --out, or add --overwrite" in one_sentence(fit(dataset, "-o", run, *FAST))
+    assert {path: path.stat().st_mtime_ns for path in run.rglob("*")} == before
+    assert fit(dataset, "-o", run, "--overwrite", "--seed", "3", *FAST).exit_code == 0
+    assert metrics_of(run)["seed"] == 3
+    assert names(tmp_path) == {"run"}
+    assert "notes.txt" not in names(run)
+
+
+def test_a_run_that_fails_leaves_the_old_one(copy, tmp_path):
+    run = tmp_path / "run"
+    assert fit(copy, "-o", run, *FAST).exit_code == 0
+    before = {path: path.read_bytes() for path in run.iterdir() if path.is_file()}
+    edited(copy, _set(DATA, (0, 0, 0, 0), -1))
+    one_sentence(fit(copy, "-o", run, "--overwrite", *FAST))
+    assert {path: path.read_bytes() for path in run.iterdir() if path.is_file()} == before
+    assert names(tmp_path) == {"run", "copy.h5"}
+
+
+@pytest.mark.parametrize("kind", ["folder", "file", "link", "dangling link"])
+def test_what_recon_did_not_write_is_never_replaced(kind, dataset, tmp_path):
+    target, mine = tmp_path / "mine", tmp_path / "elsewhere"
+    if kind == "folder":
+        target.mkdir()
+        (target / "photo.jpg").write_text("dear")
+    elif kind == "file":
+        target.write_text("dear")
+    else:
+        if kind == "link":
+            assert fit(dataset, "-o", mine, *FAST).exit_code == 0
+        target.symlink_to(mine, target_is_directory=True)
+    before = sorted(path.name for path in tmp_path.rglob("*"))
+    assert "not a folder that recon wrote" in one_sentence(fit(dataset, "-o", target, "--overwrite", *FAST))
+    assert sorted(path.name for path in tmp_path.rglob("*")) == before
+
+
+def test_a_folder_in_the_place_of_the_half_written_run_is_left_alone(dataset, tmp_path):
+    (tmp_path / "run.part").mkdir()
+    (tmp_path / "run.part" / "photo.jpg").write_text("dear")
+    assert "in the way" in one_sentence(fit(dataset, "-o", tmp_path / "run", *FAST))
+    assert names(tmp_path / "run.part") == {"photo.jpg"}
+
+
+def test_the_rest_of_a_run_that_was_killed_is_cleared(dataset, tmp_path):
+    (tmp_path / "run.part" / "figures").mkdir(parents=True)
+    assert fit(dataset, "-o", tmp_path / "run", *FAST).exit_code == 0
+    assert names(tmp_path) == {"run"}
+
+
+def _with_nan(view):
+    def edit(file):
+        counts = file[DATA][()].astype(np.float32)
+        counts[view, 1, 2, 3] = np.nan
+        del file[DATA]
+        file[DATA] = counts
+
+    return edit
+
+
+def _set(name, place, value):
+    def edit(file):
+        file[name][place] = value
+
+    return edit
+
+
+def _of_version(version):
+    return lambda file: file.attrs.__setitem__("schema_version", version)
+
+
+def _without(name):
+    return lambda file: file.__delitem__(name)
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (_with_nan(0), "view 0 of {path} holds a value that is not a number"),
+        (_with_nan(VIEWS + 1), "view 10 of {path} holds a value that is not a number"),
+        (_set(DATA, (4, 2, 0, 0), -7), "view 4 of {path} holds negative counts, down to -7"),
+        (_set(DATA, (VIEWS, 0, 0, 0), -1), "view 9 of {path} holds negative counts"),
+        (_set("entry/instrument/flat/data", (3, 0, 0, 0), -1), "flat 3 of {path} holds negative counts"),
+        (_of_version("2.0"), "{path} has schema version 2.0, this program knows 1.0: update it"),
+        (_without("entry/instrument/flat"), "{path} has no flat field"),
+        (_without("entry/spectra"), "{path} lacks /entry/spectra/energy"),
+        (lambda file: file.attrs.__delitem__("schema"), "{path} is not a spectral-ct dataset"),
+    ],
+)
+def test_a_bad_dataset_is_one_sentence_before_any_work(edit, words, copy, tmp_path, monkeypatch):
+    monkeypatch.setattr("recon.run.reconstruct", lambda *args, **kwargs: pytest.fail("the fit had begun"))
+    assert words.format(path=copy) in one_sentence(fit(edited(copy, edit), "-o", tmp_path / "run", *FAST))
+    assert names(tmp_path) == {"copy.h5"}
+
+
+def test_files_that_are_no_datasets_are_one_sentence(dataset, tmp_path):
+    whole = dataset.read_bytes()
+    (tmp_path / "cut.h5").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "text.h5").write_text("no dataset")
+    (tmp_path / "empty.h5").write_bytes(b"")
+    before = names(tmp_path)
+    for name, words in {"none": "there is no dataset", "cut": "cut off", "text": "HDF5", "empty": "HDF5"}.items():
+        assert words in one_sentence(fit(tmp_path / f"{name}.h5", "-o", tmp_path / "run", *FAST))
+    assert names(tmp_path) == before
+
+
+def test_a_region_of_air_takes_the_place_of_flats(copy, complete, tmp_path):
+    edited(copy, _without("entry/instrument/flat"))
+    assert "--air rows,columns" in one_sentence(fit(copy, "-o", tmp_path / "run", *FAST))
+    assert "beyond the panel" in one_sentence(fit(copy, "-o", tmp_path / "run", "--air", "0:2,0:64", *FAST))
+    assert "r0:r1,c0:c1" in one_sentence(fit(copy, "-o", tmp_path / "run", "--air", "top", *FAST))
+    assert fit(copy, "-o", tmp_path / "run", "--air", f"0:2,0:{PIXELS}", *FAST).exit_code == 0
+    with_air, with_flats = metrics_of(tmp_path / "run"), metrics_of(complete[0])
+    for name in BASES:
+        assert with_air["basis"][name]["psnr"] == pytest.approx(with_flats["basis"][name]["psnr"], abs=0.5)
+
+
+def test_without_an_edge_in_the_scene_file_and_fit_have_two_bases(without_edge, tmp_path):
+    with h5py.File(without_edge) as file:
+        assert list(file["entry/spectra/basis_name"].asstr()[()]) == ["photoelectric", "compton"]
+        assert file["truth/basis/data"].shape[0] == 2
+    assert fit(without_edge, "-o", tmp_path / "run", *FAST).exit_code == 0
+    metrics = metrics_of(tmp_path / "run")
+    assert list(metrics["basis"]) == ["photoelectric", "compton"]
+    assert metrics["channels"] == {}
+    assert load_file(tmp_path / "run" / "model.safetensors")["coefficients"].shape[1] == 2
+
+
+def test_more_bases_than_the_dataset_has_are_refused(without_edge, tmp_path):
+    sentence = one_sentence(fit(without_edge, "-o", tmp_path / "run", "--bases", "3", *FAST))
+    assert "has the bases photoelectric, compton: 3 were asked for" in sentence
+    assert names(tmp_path) == set()
+
+
+def test_fewer_bases_than_the_dataset_has_can_be_fitted(dataset, tmp_path):
+    assert fit(dataset, "-o", tmp_path / "run", "--bases", "2", *FAST).exit_code == 0
+    scores = metrics_of(tmp_path / "run")["basis"]
+    assert scores["kedge_63.3"]["psnr"] == pytest.approx(scores["kedge_63.3"]["psnr_zero"])
+    with h5py.File(tmp_path / "run" / "volumes.h5") as file:
+        assert tuple(file["basis/basis_name"].asstr()[()]) == BASES[:2]
+
+
+def test_one_channel_cannot_tell_two_bases_apart(tmp_path):
+    path = tmp_path / "mono.h5"
+    options = ("--set", "source={type: monochromatic, energy: 70, photons: 1000}", "--set", "detector.thresholds=[20]")
+    make(path, *options, "--views", "4")
+    sentence = one_sentence(fit(path, "-o", tmp_path / "run", "--bases", "2", *FAST))
+    assert "2 bases" in sentence
+    assert "1 channel" in sentence
+    assert names(tmp_path) == {"mono.h5"}
+
+
+def test_deleting_the_truth_changes_nothing_but_the_score(copy, complete, tmp_path):
+    assert fit(copy, "-o", tmp_path / "with", *FAST).exit_code == 0
+    edited(copy, _without("truth"))
+    result = fit(copy, "-o", tmp_path / "without", "--sweeps", "1")
+    assert result.exit_code == 0, result.output
+    known, blind = metrics_of(tmp_path / "with"), metrics_of(tmp_path / "without")
+    assert set(known) - set(blind) == {"basis", "materials", "cross_talk"}
+    assert (known["channels"], known["gaussians"]) == (blind["channels"], blind["gaussians"])
+    assert names(tmp_path / "without" / "figures") == FIGURES
+    models = [(folder / "model.safetensors").read_bytes() for folder in (tmp_path / "with", tmp_path / "without")]
+    assert models[0] == models[1] == (complete[0] / "model.safetensors").read_bytes()
+
+
+def test_threads_and_repetition_do_not_change_a_bit_and_the_seed_does(dataset, tmp_path):
+    def model(folder, *options):
+        assert fit(dataset, "-o", tmp_path / folder, *options, *FAST).exit_code == 0
+        return (tmp_path / folder / "model.safetensors").read_bytes()
+
+    one, two, again = (model(f"{i}", "--threads", threads) for i, threads in enumerate(("1", "2", "2")))
+    assert one == two == again
+    assert model("other", "--seed", "1") != one
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "Missing argument"),
+        (("x.h5", "--bases", "4"), "'4' is not one of"),
+        (("x.h5", "--sweeps", "0"), "not in the range"),
+        (("x.h5", "--sweeps", "nan"), "not a finite number"),
+        (("x.h5", "--sweeps", "inf"), "not a finite number"),
+        (("x.h5", "--threads", "0"), "not in the range"),
+        (("x.h5", "--seed", "-1"), "not in the range"),
+    ],
+)
+def test_wrong_usage_ends_with_2(arguments, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = fit(*arguments)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert words in result.stderr
+    assert names(tmp_path) == set()
+
+
+def test_debug_shows_the_traceback(tmp_path):
+    result = fit(tmp_path / "none.h5", "-o", tmp_path / "run", "--debug")
+    assert result.exit_code == 1
+    assert type(result.exception).__name__ == "DatasetError"
+
+
+@pytest.mark.parametrize("command", [["fit"], []])
+def test_every_help_ends_with_two_examples(command):
+    result = CliRunner().invoke(recon, [*command, "--help"])
+    assert result.exit_code == 0
+    assert result.stdout.rstrip().splitlines()[-3].strip() == "Examples:"
+
+
+@pytest.mark.parametrize("program", ["recon", "phantomgen"])
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_help_and_version_import_nothing_heavy(program, option):
+    code = (
+        f"import sys; from {program}.cli import main; main([{option!r}], standalone_mode=False);"
+        "print(sorted({'torch', 'numba', 'h5py', 'scipy', 'numpy', 'matplotlib'} & set(sys.modules)), file=sys.stderr)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stderr.strip() == "[]"

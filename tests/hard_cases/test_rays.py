@@ -1,0 +1,128 @@
+"""Rays that graze, run along an axis or in a face, begin or end inside, and shapes that share surfaces."""
+
+import numpy as np
+import pytest
+
+from phantomgen.geometry import Geometry
+from phantomgen.grid import Grid
+from phantomgen.ops.expose import CROSSED, KINKED, expose, expose_brute
+from phantomgen.ops.trace import trace
+from phantomgen.ops.voxelize_shapes import fractions
+from phantomgen.panel import Panel
+from phantomgen.shapes import Box, Cylinder, Ellipsoid, Shape, ShapeArrays, Sphere
+
+ATTENUATION = np.array([[0.05, 0.02], [0.2, 0.1]])
+WEIGHTS = np.array([1.0, 2.0])
+STARTS = np.array([0, 1, 2])
+
+
+def path(objects: list[tuple[Shape, int]], origin: tuple, end: tuple) -> list[float]:
+    arrays = ShapeArrays.of(objects)
+    direction = np.subtract(end, origin, dtype=np.float64)[None]
+    lengths = trace(np.array([origin], float), direction, arrays.kinds, arrays.locals_, arrays.materials, 2)
+    return lengths[0].tolist()
+
+
+def exposed(objects: list[tuple[Shape, int]], rows: int = 24):
+    """One view of objects, and the same by 128 x 128 rays, pixel by pixel."""
+    arrays = ShapeArrays.of(objects)
+    solids = (arrays.kinds, arrays.locals_, arrays.materials)
+    frame = Geometry.circular(500.0, 800.0, np.array([0.3]), Panel(rows, rows, 4.0)).ray_frames()[0]
+    found = expose(frame, rows, rows, solids, ATTENUATION, WEIGHTS, STARTS)
+    pixels = np.argwhere(np.ones((rows, rows)))
+    brute = expose_brute(frame, pixels, solids, ATTENUATION, WEIGHTS, STARTS, n=128)
+    return found, np.abs(np.log(found.counts.reshape(2, -1).T / brute)).max(axis=1).reshape(rows, rows)
+
+
+def test_tangent_ray_has_no_length_and_its_neighbour_inside_has_one() -> None:
+    for shape in (Sphere((0, 0, 0), 10.0), Cylinder((0, 0, 0), 10.0, 8.0)):
+        assert path([(shape, 0)], (-50, 10, 0), (50, 10, 0))[0] == 0
+        assert path([(shape, 0)], (-50, 10 * (1 - 1e-12), 0), (50, 10 * (1 - 1e-12), 0))[0] == pytest.approx(
+            20 * np.sqrt(2e-12), rel=1e-3
+        )
+
+
+@pytest.mark.parametrize(("x", "length"), [(0.0, 8.0), (9.999999999, 8.0), (10.000000001, 0.0)])
+def test_ray_along_the_axis_of_a_cylinder(x: float, length: float) -> None:
+    assert path([(Cylinder((0, 0, 0), 10.0, 8.0), 0)], (x, 0, -50), (x, 0, 50))[0] == pytest.approx(length)
+
+
+def test_ray_almost_along_the_axis() -> None:
+    found = path([(Cylinder((0, 0, 0), 10.0, 8.0), 0)], (0, 0, -50), (1e-9, 1e-200, 50))
+    assert found[0] == pytest.approx(8)
+
+
+def test_ray_in_a_shared_face_belongs_to_one_box() -> None:
+    boxes = [(Box((-1, 0, 0), (2, 2, 2)), 0), (Box((1, 0, 0), (2, 2, 2)), 1)]
+    assert path(boxes, (0, -5, 0), (0, 5, 0)) == [0, 2]
+
+
+def test_source_and_panel_inside() -> None:
+    ball = [(Sphere((0, 0, 0), 10.0), 0)]
+    assert path(ball, (0, 0, 0), (50, 0, 0))[0] == pytest.approx(10)
+    assert path(ball, (-50, 0, 0), (4, 0, 0))[0] == pytest.approx(14)
+    assert path(ball, (-3, 0, 0), (4, 0, 0))[0] == pytest.approx(7)
+    assert path(ball, (11, 0, 0), (50, 0, 0))[0] == 0
+
+
+def test_coincident_surfaces_leave_no_trace_of_the_lower_shape() -> None:
+    cylinder, box = Cylinder((0, 0, 0), 5.0, 8.0), Box((0, 0, 0), (4, 4, 4))
+    for shape in (cylinder, box, Sphere((0, 0, 0), 3.0)):
+        lower, upper = path([(shape, 0), (shape, 1)], (-50, 1, -7), (50, 1.5, 9))
+        assert lower == 0
+        assert upper > 0
+    inner = Cylinder((1, 0, 0), 2.0, 8.0)
+    lengths = path([(cylinder, 0), (inner, 1)], (1, 0, -50), (1, 0.5, 50))
+    assert lengths[0] == pytest.approx(0, abs=1e-12)
+
+
+CASES: dict[str, tuple[list[tuple[Shape, int]], float, float]] = {
+    # name: objects, largest error of a log-projection in crossed pixels (that of 128 x 128 rays, mostly), elsewhere
+    "cap in the plane of the source": ([(Cylinder((0, 0, 15), 20.0, 30.0), 0)], 3e-3, 1e-3),
+    "cap just off that plane": ([(Cylinder((0, 0, 15 + 1e-8), 20.0, 30.0), 0)], 3e-3, 1e-3),
+    "face in the plane of the source": ([(Box((0, 0, 10), (30, 30, 20)), 0)], 3e-3, 1e-3),
+    "source inside a ball": ([(Sphere((480, 150, 0), 100.0), 0)], 1e-9, 1e-9),
+    "panel inside a ball": ([(Sphere((-286.6, -88.7, 0), 300.0), 0)], 3e-3, 1e-3),
+    "smaller than a pixel": ([(Sphere((1, 2, 3), 0.3), 1)], 1e-4, 1e-9),
+    "needle": ([(Cylinder((1, 2, 3), 0.05, 60.0, (1, 2, 1)), 1)], 1e-4, 1e-9),
+    "thin shell": ([(Sphere((1, 2, 3), 15.0), 1), (Sphere((1, 2, 3), 14.95), 0)], 2e-3, 1e-3),
+    "same shape twice": ([(Box((1, 2, 3), (20, 20, 20), (1, 2, 3)), 0)] * 2, 2e-3, 1e-3),
+    "tilted cylinder": ([(Cylinder((0, 0, 0), 15.0, 20.0, (1, 1, 1)), 0)], 2e-3, 1e-3),
+    "ellipsoid": ([(Ellipsoid((0, 0, 0), (5.0, 15.0, 20.0), (1, 2, 3)), 0)], 2e-3, 1e-3),
+    "shapes that intersect": ([(Sphere((0, 0, 0), 12.0), 0), (Sphere((8, 8, 2), 10.0), 1)], 2e-2, 1e-2),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_pixels_agree_with_many_rays(name: str) -> None:
+    objects, crossed, elsewhere = CASES[name]
+    found, error = exposed(objects)
+    assert error[found.classes >= CROSSED].max(initial=0) < crossed
+    assert error[found.classes < CROSSED].max(initial=0) < elsewhere
+
+
+def test_intersecting_surfaces_are_noticed() -> None:
+    found, _ = exposed(CASES["shapes that intersect"][0])
+    assert (found.classes == KINKED).any()
+
+
+def test_one_pixel_and_no_object() -> None:
+    arrays = ShapeArrays.of([(Sphere((0, 0, 0), 5.0), 0)])
+    solids = (arrays.kinds, arrays.locals_, arrays.materials)
+    frame = Geometry.circular(500.0, 800.0, np.zeros(1), Panel(1, 1, 40.0)).ray_frames()[0]
+    counts = expose(frame, 1, 1, solids, ATTENUATION, WEIGHTS, STARTS).counts[:, 0, 0]
+    np.testing.assert_allclose(
+        counts, expose_brute(frame, np.zeros((1, 2), int), solids, ATTENUATION, WEIGHTS, STARTS, n=512)[0], rtol=1e-4
+    )
+    empty = ShapeArrays.of([])
+    found = expose(frame, 1, 1, (empty.kinds, empty.locals_, empty.materials), ATTENUATION, WEIGHTS, STARTS)
+    assert found.counts[:, 0, 0].tolist() == [1, 2]
+    assert found.rays.sum() == 0
+
+
+def test_one_voxel() -> None:
+    arrays = ShapeArrays.of([(Sphere((0.1, 0, 0), 0.4), 0), (Box((0, 0, 0.3), (0.1, 0.1, 0.1)), 1)])
+    found = fractions(Grid.cube(1, 1.0), arrays.kinds, arrays.locals_, arrays.materials, 2)
+    inside = 4 / 3 * np.pi * 0.4**3 - found[1, 0, 0, 0]
+    assert found[1, 0, 0, 0] == pytest.approx(1e-3, rel=1e-5)
+    assert found[0, 0, 0, 0] == pytest.approx(inside, rel=1e-3)
