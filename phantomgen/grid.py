@@ -34,7 +34,7 @@ class Grid:
         """Cube of `voxels`^3 voxels and edge length `size` [mm], centred on the isocentre."""
         spacing = size / voxels
         first = (spacing - size) / 2
-        return cls((voxels,) * 3, (spacing,) * 3, (first,) * 3)
+        return cls((voxels, voxels, voxels), (spacing, spacing, spacing), (first, first, first))
 
     @property
     def voxel_volume(self) -> float:

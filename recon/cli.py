@@ -82,7 +82,7 @@ def fit(
         return
     click.echo(score_table(metrics))
     click.echo("")
-    click.echo(f"{metrics['gaussians']} Gaussians, {_seconds(metrics)}, peak memory {metrics['peak_memory_mib']:.0f} MiB")
+    click.echo(f"{metrics['gaussians']} Gaussians, {_seconds(metrics)}{_memory(metrics)}")
     for name in sorted(path.name for path in (folder.path / "figures").glob("*.png")):
         click.echo(str(folder.path / "figures" / name))
     click.echo(f"Wrote {folder.path}; next: look at the figures, or open {folder.path / 'volumes.h5'}")
@@ -95,6 +95,11 @@ def _count(bases: str) -> int | None:
 def _seconds(metrics: dict[str, Any]) -> str:
     parts = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in metrics["seconds"].items())
     return f"{sum(metrics['seconds'].values()):.0f} s ({parts})"
+
+
+def _memory(metrics: dict[str, Any]) -> str:
+    peak = metrics["peak_memory_mib"]
+    return "" if peak is None else f", peak memory {peak:.0f} MiB"
 
 
 class _Bar:

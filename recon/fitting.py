@@ -17,7 +17,6 @@ from recon.curvature import coefficient_curvature
 from recon.gaussians import Gaussians
 from recon.losses import deviance
 from recon.measurements import Measurements, matching_bin
-from recon.ops.rasterize import rasterize
 from recon.recipe import Recipe
 from spectra.ops.transmit import transmit
 from spectra.threads import without_other_pools
@@ -108,9 +107,7 @@ def _subsets(views: int, per_sweep: int, steps: int) -> Iterator[np.ndarray]:
 
 
 def _mean_deviance(gaussians: Gaussians, data: Measurements, dispersion: float) -> Tensor:
-    panel = data.geometry.panel
-    parts = (*(getattr(gaussians, name) for name in GEOMETRY), gaussians.coefficients)
-    images = rasterize(*parts, torch.from_numpy(data.geometry.ray_frames()), panel.rows, panel.columns)
+    images = gaussians.line_integrals(data.geometry)
     gains = torch.from_numpy(data.gains * data.exposure[:, None, None, None].astype(np.float32))
     expected = transmit(images.movedim(1, -1).contiguous(), data.transmission).movedim(-1, 1) * gains
     return deviance(torch.from_numpy(data.counts), expected, dispersion).mean()

@@ -15,6 +15,8 @@ from recon.ops.rasterize import rasterize
 from recon.ops.voxelize import voxelize
 from spectra.errors import DatasetError
 
+_HEADER = "gaussians"  # key of the metadata in a file
+
 
 @dataclass(frozen=True, eq=False)
 class Gaussians:
@@ -62,12 +64,13 @@ class Gaussians:
 
         header = {
             "schema": "spectral-ct gaussians 1.0",
-            "basis": json.dumps(self.basis_names),
-            "units": json.dumps({"centres": "mm", "log_scales": "log mm", "coefficients": "1/mm"}),
-            "axes": json.dumps({"centres": "x y z", "quaternions": "w x y z"}),
+            "basis": self.basis_names,
+            "units": {"centres": "mm", "log_scales": "log mm", "coefficients": "1/mm"},
+            "axes": {"centres": "x y z", "quaternions": "w x y z"},
         }
         tensors = {n: getattr(self, n).contiguous() for n in ("centres", "log_scales", "quaternions", "coefficients")}
-        save_file(tensors, path, metadata=header)
+        # One entry, as safetensors writes several in random order, and the same model shall give the same bytes.
+        save_file(tensors, path, metadata={_HEADER: json.dumps(header)})
 
     @classmethod
     def load(cls, path: Path) -> "Gaussians":
@@ -82,8 +85,8 @@ class Gaussians:
 
         try:
             with safe_open(path, framework="pt") as file:
-                header = file.metadata() or {}
+                header = json.loads((file.metadata() or {})[_HEADER])
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dict
-            return cls(**tensors, basis_names=tuple(json.loads(header["basis"])))
+            return cls(**tensors, basis_names=tuple(header["basis"]))
         except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
             raise DatasetError(f"{path}: not a Gaussian model written by recon ({error})") from error

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from numba import njit
 from scipy.ndimage import gaussian_filter, map_coordinates, minimum_filter
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from phantomgen.grid import Grid
 from recon.gaussians import Gaussians
@@ -180,5 +180,5 @@ def _neighbour_distance(points: Float[np.ndarray, "point 3"], default: float) ->
     neighbours = min(6, len(points) - 1)
     if neighbours == 0:
         return np.full(len(points), default)
-    distances = cKDTree(points).query(points, k=neighbours + 1)[0][:, 1:]
+    distances = KDTree(points).query(points, k=neighbours + 1)[0][:, 1:]
     return np.sqrt((distances**2).mean(axis=1))

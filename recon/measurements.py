@@ -84,7 +84,7 @@ def read_measurements(dataset: Dataset, views: Int[np.ndarray, " view"], bases: 
     whole = dataset.spectra.transmission()
     if len(whole) < count:
         channels = f"{len(whole)} channel{'s' if len(whole) > 1 else ''}"
-        hint = f": use --bases {min(len(whole), 3)}" if len(whole) > 1 else ", and one energy window has no more to tell"
+        hint = f": use --bases {min(len(whole), 3)}" if len(whole) > 1 else ": a scan needs a channel for each"
         raise InputError(f"{channels} cannot tell {count} bases apart{hint}")
     transmission = replace(whole, columns=whole.columns[:count])
     open_beam = transmission.open_beam[:, None, None]

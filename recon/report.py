@@ -17,6 +17,7 @@ from spectra.errors import InputError
 
 MODEL = "model.safetensors"
 
+
 class RunFolder:
     """A folder that appears under its name only when it is complete; use it in a ``with`` statement.
 
@@ -102,7 +103,8 @@ def score_table(metrics: dict[str, Any]) -> str:
     """The scores as text: one row per basis, one per channel."""
     lines = []
     if "basis" in metrics:
-        lines.append(f"{'basis':<16}{'PSNR':>8}{'SSIM':>8}{'zero volume':>13}{'bias':>12}{'RMSE':>11}   [dB, -, dB, 1/mm]")
+        header = f"{'basis':<16}{'PSNR':>8}{'SSIM':>8}{'zero volume':>13}{'bias':>12}{'RMSE':>11}"
+        lines.append(f"{header}   [dB, -, dB, 1/mm, 1/mm]")
         for name, s in metrics["basis"].items():
             zero = _number(s["psnr_zero"], "13.1f")
             lines.append(
@@ -111,7 +113,8 @@ def score_table(metrics: dict[str, Any]) -> str:
             )
         lines.append("")
     if metrics.get("channels"):
-        lines.append(f"{'test views':<16}{'PSNR':>8}{'chi-square':>12}{'off edges':>11}   [dB of log projections, -, -]")
+        header = f"{'test views':<16}{'PSNR':>8}{'chi-square':>12}{'off edges':>11}"
+        lines.append(f"{header}   [dB of log projections, -, -]")
         for name, s in metrics["channels"].items():
             lines.append(
                 f"{name:<16}{_number(s['psnr'], '8.2f')}{_number(s['chi_square_all'], '12.3f')}"

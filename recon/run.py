@@ -141,9 +141,7 @@ def _plain(recipe: Recipe) -> dict[str, Any]:
     return asdict(recipe) | {"stages": [asdict(stage) for stage in recipe.stages]}
 
 
-def _draw(
-    dataset: Dataset, truth: Truth | None, result: Reconstruction, log: _Log, folder: Path
-) -> None:
+def _draw(dataset: Dataset, truth: Truth | None, result: Reconstruction, log: _Log, folder: Path) -> None:
     """Draw every figure that the data allow."""
     gaussians, grid = result.gaussians, dataset.grid if truth is None else truth.grid
     names, volumes = gaussians.basis_names, gaussians.volume(grid)
@@ -151,7 +149,8 @@ def _draw(
     for plane in ("axial", "coronal"):
         figures.basis_slices(volumes, true, names, grid, folder / f"{plane}.png", plane)
     figures.profiles(volumes, true, names, grid, folder / "profiles.png")
-    figures.convergence([s["seconds"] for s in log.steps], [s["deviance"] for s in log.steps], folder / "convergence.png")
+    seconds, deviances = (np.array([entry[key] for entry in log.steps]) for key in ("seconds", "deviance"))
+    figures.convergence(seconds, deviances, folder / "convergence.png")
     s = dataset.spectra
     figures.spectrum(
         s.energy, s.edges, s.source, s.response, s.channels, s.basis.names, s.basis_values, folder / "spectrum.png",

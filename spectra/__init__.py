@@ -23,7 +23,7 @@ _HOME = {
     "mass_attenuation": "attenuation",
 }
 
-__all__ = list(_HOME)
+__all__ = list(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:

@@ -78,7 +78,7 @@ def checked_triple(shape: str, name: str, value: object) -> Triple:
     """`value` as three finite floats, or a sentence that names the shape and its parameter."""
     array = np.asarray(value, dtype=np.float64)
     if array.shape != (3,) or not np.isfinite(array).all():
-        raise InputError(f"{name} of {_article(shape)} {shape} must be three finite numbers, got {value!r}")
+        raise InputError(f"{shape} {name} must be three finite numbers, got {value!r}")
     return (float(array[0]), float(array[1]), float(array[2]))
 
 
@@ -86,4 +86,4 @@ def checked_lengths(shape: str, name: str, values: tuple[float, ...]) -> None:
     """Refuse lengths that are not positive, finite, and within 1e-9 .. 1e9 mm, where the local map stays exact."""
     if not all(1e-9 <= value <= 1e9 for value in values) or prod(values) == 0:
         shown = values[0] if len(set(values)) == 1 else values
-        raise InputError(f"{name} of {_article(shape)} {shape} must be positive and finite [mm], got {shown!r}")
+        raise InputError(f"{shape} {name} must be positive and finite [mm], got {shown!r}")

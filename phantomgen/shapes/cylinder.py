@@ -34,11 +34,11 @@ class Cylinder(Shape):
         for name in ("center", "axis"):
             object.__setattr__(self, name, checked_triple("cylinder", name, getattr(self, name)))
         if np.shape(self.radius) not in ((), (2,)):
-            raise InputError(f"radius of a cylinder must be one number or two, got {self.radius!r}")
+            raise InputError(f"cylinder radius must be one number or two, got {self.radius!r}")
         checked_lengths("cylinder", "radius", self.radii)
         checked_lengths("cylinder", "length", (self.length,))
         if not any(self.axis):
-            raise InputError("axis of a cylinder must not be the zero vector")
+            raise InputError("cylinder axis must not be the zero vector")
 
     @property
     def radii(self) -> tuple[float, float]:
@@ -55,7 +55,7 @@ class Cylinder(Shape):
 def _shortest_turn(axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     """Rotation that takes z into `axis` about their common normal; a half turn about x where axis is -z."""
     x, y, z = axis / np.linalg.norm(axis)
-    if x == 0 and y == 0:
+    if x * x + y * y == 0:
         return np.diag([1.0, z, z])
     # Rodrigues' formula with the turn's axis (-y, x, 0); 1 + z = (x^2 + y^2) / (1 - z) keeps its digits near -z.
     lift = (x * x + y * y) / (1 - z) if z < 0 else 1 + z

@@ -61,7 +61,7 @@ def _define(operation, instruction: str) -> None:
     @overload(operation, inline="always")
     def choose(a, b):
         if _is_operand(a) and _is_operand(b) and float32x8 in (a, b):
-            return lambda a, b: apply(a, b)
+            return lambda a, b: apply(a, b)  # noqa: PLW0108 # pyright: ignore[reportCallIssue] - numba reads it
         return None
 
 

@@ -88,13 +88,13 @@ def test_equality_and_repr() -> None:
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: Sphere((0, 0, 0), -1.0), "radius of a sphere must be positive"),
-        (lambda: Sphere((0, 0), 1.0), "center of a sphere must be three finite numbers"),
-        (lambda: Ellipsoid((0, 0, 0), (1.0, 0.0, 1.0)), "radii of a ellipsoid must be positive"),
+        (lambda: Sphere((0, 0, 0), -1.0), "sphere radius must be positive"),
+        (lambda: Sphere((0, 0), 1.0), "sphere center must be three finite numbers"),
+        (lambda: Ellipsoid((0, 0, 0), (1.0, 0.0, 1.0)), "ellipsoid radii must be positive"),
         (lambda: Cylinder((0, 0, 0), (1.0, 2.0, 3.0), 1.0), "one number or two"),
-        (lambda: Cylinder((0, 0, 0), 1.0, float("nan")), "length of a cylinder"),
+        (lambda: Cylinder((0, 0, 0), 1.0, float("nan")), "cylinder length"),
         (lambda: Cylinder((0, 0, 0), 1.0, 1.0, (0, 0, 0)), "must not be the zero vector"),
-        (lambda: Box((0, 0, float("inf")), (1, 1, 1)), "center of a box"),
+        (lambda: Box((0, 0, float("inf")), (1, 1, 1)), "box center"),
         (lambda: ShapeArrays.of([(Sphere((0, 0, 0), 1.0), -1)]), "must not be negative"),
     ],
 )

@@ -8,6 +8,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from phantomgen.ops.device import called, inlined
 from phantomgen.ops.expose.classes import CROSSED, EMPTY, KINKED, NEAR, SMOOTH
 from phantomgen.ops.silhouette.quadrature import CONICS, grid_nodes, may_vanish, shift_form, square_nodes
 from phantomgen.ops.trace.cpu import set_origin, trace_ray
@@ -19,14 +20,14 @@ _KINK_GRID = 16
 _CONTRASTS = (1.4, 2.2, 5.0, 25.0)
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _pixel_range(low, high, count):
     """Indices of pixels that the range low .. high touches, as a half-open range."""
     return int(max(0.0, min(count, np.floor(low + 0.5)))), int(max(0.0, min(count, np.ceil(high + 0.5))))
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _touches(bounds, s, u, v):
     """Whether the pixel (u, v) meets the bounds of a shape."""
@@ -34,7 +35,7 @@ def _touches(bounds, s, u, v):
     return inside_u and bounds[s, 2] - 0.5 <= v <= bounds[s, 3] + 0.5
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _is_near(local, i, root, reach):
     """Whether the pixel's centre lies inside a tangent conic and closer to it than `reach` (to first order)."""
@@ -42,7 +43,7 @@ def _is_near(local, i, root, reach):
     return root > 0.0 and local[i, 0] > 0.0 and local[i, 0] * local[i, 0] < reach * reach * slopes
 
 
-@njit(error_model="numpy")
+@called
 @no_type_check
 def _send_rays(frame, table, bounds, background, spectrum, jobs, count, nodes, ray, remember, target, signatures):
     """Write the average counts of pixels.
@@ -86,7 +87,7 @@ def _send_rays(frame, table, bounds, background, spectrum, jobs, count, nodes, r
         first = last
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _classify(forms, shapes, roots, bounds, background, reach, local, classes):
     """Raise the class of each pixel as far as bounds and silhouettes decide it."""
@@ -117,7 +118,7 @@ def _classify(forms, shapes, roots, bounds, background, reach, local, classes):
                     classes[row, column] = NEAR
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _gather(forms, shapes, roots, bounds, reach, u, v, local):
     """Collect the conics that cross the pixel (u, v), and the tangents that pass near it; return how many."""
@@ -134,7 +135,7 @@ def _gather(forms, shapes, roots, bounds, reach, u, v, local):
     return found
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _settled(classes, signatures, level, row, column):
     """Class of a pixel in the light of the rays through its and its neighbours' centres.
@@ -157,7 +158,7 @@ def _settled(classes, signatures, level, row, column):
     return kind
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _contrast_level(centres, air, row, column):
     """How many of the limits `_CONTRASTS` the counts of a pixel and its neighbours exceed in the worst channel."""
@@ -174,7 +175,7 @@ def _contrast_level(centres, air, row, column):
     return level
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _curved(centres, channel, row, column):
     """Average over a pixel of a function that is smooth over its four neighbours, known at their centres.

@@ -14,10 +14,12 @@ import numpy as np
 from jaxtyping import Float, Int64
 from numba import njit
 
+from phantomgen.ops.device import called, inlined
+
 # Conics per square that are split exactly; a square with more is sampled on a regular grid.
 CONICS = 8
 GRID = 16
-INNER, ARC, OUTER, ENDED = 0, 1, 2, 3
+INNER, ARC, OUTER, ENDED, BOTH = 0, 1, 2, 3, 4
 _SPLITS, _CUTS, _TANGENTS = 0, 1, 2
 # Tangents farther away than this many squares do not deserve a substitution.
 _FAR = 4.0
@@ -26,12 +28,13 @@ _FAR = 4.0
 class Rules(NamedTuple):
     """Gauss rules of growing strength.
 
-    Each level holds nodes and weights on [0, 1] for the four kinds of pieces `INNER`, `ARC`, `OUTER`, `ENDED`: the
-    inner coordinate of a smooth piece, the same between two tangents, the outer one, the same with a singular end.
+    Each level holds nodes and weights on [0, 1] for five kinds of pieces: `INNER`, the inner coordinate of a smooth
+    piece; `ARC`, the same between two tangents; `OUTER`, the outer one; `ENDED` and `BOTH`, the same with one singular
+    end and with two.
     """
 
-    nodes: Float[np.ndarray, "level 4 2 node"]
-    sizes: Int64[np.ndarray, "level 4"]
+    nodes: Float[np.ndarray, "level 5 2 node"]
+    sizes: Int64[np.ndarray, "level 5"]
 
 
 class Room(NamedTuple):
@@ -58,7 +61,7 @@ def gauss(n: int) -> Float[np.ndarray, "2 node"]:
 @lru_cache
 def make_rules(*strengths: tuple[int, int]) -> Rules:
     """Rules with (inner, outer) nodes across and along a conic, more where both ends of a piece are singular."""
-    sizes = np.array([(inner, inner + 2, outer, outer + 1) for inner, outer in strengths], dtype=np.int64)
+    sizes = np.array([(inner, inner + 2, outer, outer + 1, outer + 3) for inner, outer in strengths], dtype=np.int64)
     nodes = np.zeros((*sizes.shape, 2, sizes.max()))
     for piece in np.ndindex(sizes.shape):
         nodes[piece][:, : sizes[piece]] = gauss(sizes[piece])
@@ -68,12 +71,12 @@ def make_rules(*strengths: tuple[int, int]) -> Rules:
 def make_room(rules: Rules) -> Room:
     """Scratch for `square_nodes`, with nodes for two squares of the worst kind."""
     splits = 6 * CONICS + CONICS * CONICS + 2
-    lines = (splits + 1) * int(rules.sizes[:, ENDED].max())
+    lines = (splits + 1) * int(rules.sizes[:, BOTH].max())
     size = max(lines * (2 * CONICS + 1) * int(rules.sizes[:, ARC].max()), GRID * GRID)
     return Room(np.empty((CONICS + 1, 8)), np.empty((3, splits)), np.empty((2 * size, 3)))
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def shift_form(forms, f, u, v, local, i):
     """Write form `f` relative to (u, v) to row `i` of `local`, with the rounding error of its value there."""
@@ -86,7 +89,7 @@ def shift_form(forms, f, u, v, local, i):
     local[i, 6] = 4e-15 * size
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def may_vanish(local, i):
     """Whether a local form can be zero inside the unit square (conservative)."""
@@ -95,7 +98,7 @@ def may_vanish(local, i):
     return abs(local[i, 0]) <= 0.5 * slope + 0.25 * bend + local[i, 6]
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def quadratic_roots(c2, c1, c0, error):
     """Real roots of ``c2 x^2 + c1 x + c0``, NaN for missing ones; a double root lost to the `error` of c0 counts."""
@@ -109,7 +112,7 @@ def quadratic_roots(c2, c1, c0, error):
     return first, c0 / larger if larger != 0.0 else first
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _add_inside(lines, row, count, value):
     """Insert a value into the ascending first `count` of a row if it lies inside the square; return the new count."""
@@ -123,7 +126,7 @@ def _add_inside(lines, row, count, value):
     return count + 1
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _meeting_point(local, i, j):
     """Outer coordinate where two conics meet in the square, by Newton's method from its centre; NaN if none."""
@@ -143,7 +146,7 @@ def _meeting_point(local, i, j):
     return nan
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _value_and_slopes(local, i, a, b):
     """Value and both derivatives of a conic."""
@@ -152,7 +155,7 @@ def _value_and_slopes(local, i, a, b):
     return value, slope_a, local[i, 2] + 2.0 * local[i, 5] * b + local[i, 4] * a
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _outer_splits(local, count, lines):
     """Ascending outer coordinates inside the square where the inner integral is not smooth; return how many."""
@@ -176,7 +179,7 @@ def _outer_splits(local, count, lines):
     return found
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _orient(local, count):
     """Swap the coordinates of all conics if most of them run along the inner one; return whether that was done."""
@@ -192,7 +195,7 @@ def _orient(local, count):
     return True
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _substitution(low, high, left, right):
     """Kind of substitution for one smooth piece, the tangent (or middle) it starts from, first value and span of s.
@@ -213,7 +216,7 @@ def _substitution(low, high, left, right):
     return 0, 0.0, low, high - low, 0.0
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _substituted(kind, base, half, s):
     """Coordinate and its derivative at s."""
@@ -226,7 +229,7 @@ def _substituted(kind, base, half, s):
     return s, 1.0
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _nearest_tangents(lines, tangents, low, high):
     """Nearest tangents at or beyond both ends of a piece, NaN for none."""
@@ -240,7 +243,7 @@ def _nearest_tangents(lines, tangents, low, high):
     return left, right
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _cut_inner(local, conics, lines, b):
     """Cut the inner coordinate at all roots for the outer coordinate `b`; return the numbers of cuts and tangents."""
@@ -259,7 +262,7 @@ def _cut_inner(local, conics, lines, b):
     return cuts, tangents
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _add_line(local, conics, rule_nodes, rule_sizes, lines, nodes, at, b, weight):
     """Nodes along the inner coordinate for the outer coordinate `b`, from index `at` on; return the next index."""
@@ -279,7 +282,7 @@ def _add_line(local, conics, rule_nodes, rule_sizes, lines, nodes, at, b, weight
     return at
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _end_map(x, from_split, to_split):
     """Position in [0, 1] and its slope, with nodes drawn to the ends that are splits."""
@@ -292,7 +295,7 @@ def _end_map(x, from_split, to_split):
     return x, 1.0
 
 
-@njit(error_model="numpy")
+@called
 @no_type_check
 def grid_nodes(nodes, at, n):
     """Midpoints of n x n equal parts of the square, from index `at` on; return the next index."""
@@ -313,13 +316,13 @@ def square_nodes(local, conics, rule_nodes, rule_sizes, lines, nodes, at):
         return grid_nodes(nodes, at, np.int64(GRID))
     swapped = _orient(local, conics)
     splits = _outer_splits(local, conics, lines)
-    rule = OUTER if splits == 0 else ENDED
     count = at
     low = -0.5
     for i in range(splits + 1):
         high = lines[_SPLITS, i] if i < splits else 0.5
         if high - low < 1e-9:
             continue
+        rule = OUTER + (i > 0) + (i < splits)
         for j in range(rule_sizes[rule]):
             x, slope = _end_map(rule_nodes[rule, 0, j], i > 0, i < splits)
             weight = rule_nodes[rule, 1, j] * slope * (high - low)

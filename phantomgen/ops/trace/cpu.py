@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 from numba import njit
 
+from phantomgen.ops.device import inlined
 from phantomgen.ops.primitives import BALL, CYLINDER
 
 # One row of a table of solids: what a ray needs to know about a shape, side by side in memory. Few arrays and inlined
@@ -35,7 +36,7 @@ def event_room(shapes: int) -> Float[np.ndarray, "5 event"]:
     return np.empty((EVENT_ROWS, 2 * shapes + 1))
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _slab(position, slope, first, last):
     """Part of ``first <= t <= last`` where ``-1 <= position + t slope < 1``."""
@@ -47,7 +48,7 @@ def _slab(position, slope, first, last):
     return max(first, low), min(last, high)
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _between_roots(a, b, discriminant, outside):
     """Interval where ``a t^2 + 2 b t + c < 0``; without curvature (a = 0) everything or nothing."""
@@ -59,7 +60,7 @@ def _between_roots(a, b, discriminant, outside):
     return max(0.0, (-b - root) / a), min(1.0, (-b + root) / a)
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def chord(kind, ox, oy, oz, dx, dy, dz):
     """Interval of t in [0, 1] inside a unit primitive, in local coordinates; empty when the first is not smaller.
@@ -82,7 +83,7 @@ def chord(kind, ox, oy, oz, dx, dy, dz):
     return _slab(oz, dz, first, last)
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _collect(table, dx, dy, dz, active, count, events):
     """Fill `events` with those of the active shapes that the ray meets, in order of priority; return how many."""
@@ -106,7 +107,7 @@ def _collect(table, dx, dy, dz, active, count, events):
     return hits
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def _sort_cuts(events, hits):
     """Write all ends of the hits to the row of cuts, ascending."""
@@ -119,7 +120,7 @@ def _sort_cuts(events, hits):
         events[CUT, at] = value
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def owned_pieces(table, dx, dy, dz, active, count, events):
     """Cut the ray where its owner changes.
@@ -160,7 +161,7 @@ def owned_pieces(table, dx, dy, dz, active, count, events):
     return pieces
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def trace_ray(table, background, dx, dy, dz, active, count, events, lengths):
     """Write the path length per material of one ray, in mm.
@@ -194,7 +195,7 @@ def trace_ray(table, background, dx, dy, dz, active, count, events, lengths):
     return signature
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 @no_type_check
 def set_origin(table, locals_, x, y, z):
     """Write the point (x, y, z), where rays begin, to the table in local coordinates of each shape."""

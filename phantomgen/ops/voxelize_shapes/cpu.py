@@ -10,6 +10,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from phantomgen.ops.device import called
 from phantomgen.ops.silhouette.quadrature import CONICS, may_vanish, shift_form, square_nodes
 from phantomgen.ops.trace.cpu import CUT, MATERIAL, PIECE, owned_pieces, set_origin
 
@@ -17,7 +18,7 @@ from phantomgen.ops.trace.cpu import CUT, MATERIAL, PIECE, owned_pieces, set_ori
 _SAME = 1e-9
 
 
-@njit(error_model="numpy")
+@called
 @no_type_check
 def _cut_line(frame, table, locals_, u, v, active, events):
     """Cut the line through (u, v) of the column grid; return the number of pieces."""
@@ -26,7 +27,7 @@ def _cut_line(frame, table, locals_, u, v, active, events):
     return owned_pieces(table, 0.0, 0.0, frame[0, 2], active, active.size, events)
 
 
-@njit(error_model="numpy")
+@called
 @no_type_check
 def _share_out(table, events, pieces, weight, share):
     """Add `weight` times the length of each piece, in voxels, to the voxels of ``share[material]``."""
@@ -41,7 +42,7 @@ def _share_out(table, events, pieces, weight, share):
             share[material, k] += weight * max(0.0, min(high, k + 1.0) - max(low, float(k)))
 
 
-@njit(error_model="numpy")
+@called
 @no_type_check
 def _is_uniform(frame, table, locals_, ix, iy, active, events, other):
     """Whether lines through the corners of a column are cut like that through its centre, and the number of pieces.
@@ -62,7 +63,7 @@ def _is_uniform(frame, table, locals_, ix, iy, active, events, other):
     return True, pieces
 
 
-@njit(error_model="numpy")
+@called
 @no_type_check
 def _gather(forms, roots, u, v, local):
     """Collect the conics that cross the column's square; return how many."""

@@ -1,0 +1,68 @@
+"""The examples run, and each says the same as its scene file."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phantomgen.dataset import open_dataset
+from phantomgen.dataset_truth import read_truth
+from phantomgen.scene import load_scene
+from phantomgen.scene_yaml import SceneFile
+from phantomgen.simulate import simulate
+from phantomgen.simulate_check import MeasuredError
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@pytest.fixture(scope="module")
+def kedge():
+    spec = importlib.util.spec_from_file_location("plot_kedge", EXAMPLES / "plot_kedge.py")
+    module = sys.modules["plot_kedge"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules["plot_kedge"]
+
+
+@pytest.fixture(scope="module")
+def run(kedge, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("example")
+    return folder, kedge.main(folder, kedge.QUICK)
+
+
+def test_the_example_draws_and_scores_what_it_promises(run):
+    folder, scores = run
+    figures = {"axial.png", "profiles.png", "profiles.csv", "residuals.png", "residuals.csv"}
+    assert {path.name for path in folder.iterdir()} == figures | {"scan.h5", "model.safetensors"}
+    for basis in scores["basis"].values():
+        assert basis["psnr"] > basis["psnr_zero"] + 1
+
+
+def test_script_and_scene_file_give_the_same_counts_and_truth(kedge, run, tmp_path, monkeypatch):
+    monkeypatch.setattr("phantomgen.simulate.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
+    size, path = kedge.QUICK, tmp_path / "twin.h5"
+    overrides = [
+        f"geometry.views={size.views}",
+        f"geometry.test_views={size.test_views}",
+        f"panel={{rows: {size.pixels}, columns: {size.pixels}, pitch: {204.8 / size.pixels}}}",
+        f"volume.voxels={size.voxels}",
+    ]
+    simulate(load_scene(EXAMPLES / "kedge.yaml", overrides), path)
+    with open_dataset(run[0] / "scan.h5") as script, open_dataset(path) as file:
+        assert np.array_equal(script.load(), file.load())
+        assert np.array_equal(script.flat, file.flat)
+        assert np.array_equal(script.spectra.weights, file.spectra.weights)
+        assert (script.geometry, script.grid, script.name) == (file.geometry, file.grid, file.name)
+        assert {name: views.tolist() for name, views in script.splits.items()} == {
+            name: views.tolist() for name, views in file.splits.items()
+        }
+    assert np.array_equal(read_truth(run[0] / "scan.h5").volumes, read_truth(path).volumes)
+
+
+def test_by_default_script_and_scene_file_have_the_same_size(kedge):
+    model, size = SceneFile.read(EXAMPLES / "kedge.yaml").model, kedge.Size()
+    assert (model.geometry.views, model.geometry.test_views) == (size.views, size.test_views)
+    assert (model.panel.rows, model.panel.columns, model.volume.voxels) == (size.pixels, size.pixels, size.voxels)
+    assert model.panel.pitch == 204.8 / size.pixels

@@ -1,0 +1,145 @@
+"""What the project promises about itself: who may import whom, how long a file may be, what a wheel holds."""
+
+import doctest
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from fnmatch import fnmatch
+from importlib import metadata
+from pathlib import Path
+
+import click
+import grimp
+import pytest
+from click.testing import CliRunner
+from packaging.requirements import Requirement
+
+from phantomgen.cli import main as phantomgen
+from recon.cli import main as recon
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("spectra", "phantomgen", "recon")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+SETUPTOOLS = PROJECT["tool"]["setuptools"]
+PAGES = sorted(path.relative_to(ROOT).as_posix() for path in [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+BROUGHT_ALONG = {"xraylib_np": ["xraylib"], "llvmlite": ["numba"]}  # modules that come with a dependency
+PROGRAMS = {"phantomgen": phantomgen, "recon": recon}
+
+
+def files(*folders: str, suffix: str = "") -> list[Path]:
+    found = (path for folder in folders for path in (ROOT / folder).rglob("*") if path.is_file())
+    return [path for path in found if "__pycache__" not in path.parts and path.name.endswith(suffix)]
+
+
+@pytest.fixture(scope="module")
+def imports():
+    return grimp.build_graph(*PACKAGES, include_external_packages=True, cache_dir=None)
+
+
+def test_import_contracts_hold():
+    command = "import sys; from importlinter.cli import lint_imports; sys.exit(lint_imports(no_cache=True))"
+    result = subprocess.run([sys.executable, "-c", command], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert f"{len(PROJECT['tool']['importlinter']['contracts'])} kept, 0 broken" in result.stdout
+
+
+def test_everything_imported_is_a_dependency(imports):
+    known = {**metadata.packages_distributions(), **BROUGHT_ALONG}
+    external = {name for name in imports.modules if name.partition(".")[0] not in {*PACKAGES, *sys.stdlib_module_names}}
+    needed = {known[name.partition(".")[0]][0].lower() for name in external}
+    assert needed == {Requirement(text).name for text in PROJECT["project"]["dependencies"]}
+
+
+def test_tables_of_physics_have_one_door_each_and_meshes_none(imports):
+    assert imports.find_modules_that_directly_import("xraylib") == {"spectra.attenuation"}
+    assert imports.find_modules_that_directly_import("spekpy") == {"spectra.tube"}
+    assert "trimesh" not in imports.modules
+
+
+def test_no_file_is_longer_than_600_lines():
+    sources = files(*PACKAGES, "tests", "examples", "benchmarks", suffix=".py")
+    lengths = {path.relative_to(ROOT): len(path.read_text(encoding="utf-8").splitlines()) for path in sources}
+    assert {path: length for path, length in lengths.items() if length > 600} == {}
+
+
+def test_a_wheel_holds_the_three_packages_and_nothing_else():
+    patterns = SETUPTOOLS["packages"]["find"]["include"]
+    folders = {path.parent for path in files(".", suffix=".py") if not path.relative_to(ROOT).parts[0].startswith(".")}
+    packages = {".".join(path.relative_to(ROOT).parts) for path in folders}
+    taken = {package for package in packages if any(fnmatch(package, pattern) for pattern in patterns)}
+    assert {package.partition(".")[0] for package in taken} == set(PACKAGES)
+    assert [path for path in map(ROOT.joinpath, PACKAGES) if not (path / "__init__.py").exists()] == []
+
+
+def test_data_files_of_the_packages_are_in_the_wheel():
+    data = [path for path in files(*PACKAGES) if path.suffix not in {".py", ".nbi", ".nbc"}]
+    assert {path.name for path in data} >= {"kedge.yaml", "kedge-small.yaml", "py.typed"}
+    for path in data:
+        package, inside = path.relative_to(ROOT).parts[0], "/".join(path.relative_to(ROOT).parts[1:])
+        assert any(fnmatch(inside, pattern) for pattern in SETUPTOOLS["package-data"][package]), path
+
+
+def test_pinned_versions_cover_what_is_asked_for():
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    pinned = {Requirement(line).name.lower() for line in lines if line and not line.startswith("#")}
+    extras = PROJECT["project"]["optional-dependencies"].values()
+    asked = {
+        Requirement(text).name.lower() for group in (PROJECT["project"]["dependencies"], *extras) for text in group
+    }
+    assert asked - pinned <= {PROJECT["project"]["name"]}
+
+
+def commands(page: str) -> list[list[str]]:
+    """Words of every line in the page's code blocks, comments and redirections left out."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    blocks = re.findall(r"^```(?:sh|bash|console)?\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    lines = "".join(blocks).replace("\\\n", " ").splitlines()
+    candidates = [
+        line.removeprefix("$ ") for line in lines if re.match(r"(\$ )?(phantomgen|recon|make|python)\b", line)
+    ]
+    return [shlex.split(line.partition(">")[0], comments=True) for line in candidates]
+
+
+def leaves(command: click.Command) -> list[click.Command]:
+    return [command, *(leaf for child in getattr(command, "commands", {}).values() for leaf in leaves(child))]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_commands_in_the_documentation_are_understood(page, monkeypatch):
+    targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    for command in leaves(phantomgen) + leaves(recon):
+        monkeypatch.setattr(command, "callback", lambda *args, **kwargs: None)
+    for program, *arguments in commands(page):
+        if program == "make":
+            assert set(arguments) <= set(targets), arguments
+        elif program == "python" and arguments[0] != "-m":
+            assert (ROOT / arguments[0]).is_file(), arguments
+        elif program in PROGRAMS:
+            result = CliRunner().invoke(PROGRAMS[program], arguments)
+            assert result.exit_code == 0, (arguments, result.output)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_in_the_documentation_lead_to_files(page):
+    folder = (ROOT / page).parent
+    links = re.findall(r"\]\(([^)#]+)[^)]*\)", (ROOT / page).read_text(encoding="utf-8"))
+    assert [link for link in links if "://" not in link and not (folder / link).exists()] == []
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if ">>> " in (ROOT / page).read_text(encoding="utf-8")])
+def test_examples_in_the_documentation_are_true(page):
+    assert doctest.testfile(str(ROOT / page), module_relative=False, encoding="utf-8").failed == 0
+
+
+def test_the_example_that_opens_the_package_is_true():
+    import phantomgen as package
+
+    assert doctest.testmod(package).failed == 0
+
+
+def test_the_version_is_the_same_everywhere():
+    version = PROJECT["project"]["version"]
+    assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"version: {version}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
