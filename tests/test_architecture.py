@@ -66,7 +66,8 @@ def test_no_file_is_longer_than_600_lines():
 
 def test_a_wheel_holds_the_three_packages_and_nothing_else():
     patterns = SETUPTOOLS["packages"]["find"]["include"]
-    folders = {path.parent for path in files(".", suffix=".py") if not path.relative_to(ROOT).parts[0].startswith(".")}
+    visible = [folder.name for folder in ROOT.iterdir() if folder.is_dir() and not folder.name.startswith(".")]
+    folders = {path.parent for path in files(*visible, suffix=".py")}
     packages = {".".join(path.relative_to(ROOT).parts) for path in folders}
     taken = {package for package in packages if any(fnmatch(package, pattern) for pattern in patterns)}
     assert {package.partition(".")[0] for package in taken} == set(PACKAGES)

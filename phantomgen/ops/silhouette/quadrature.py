@@ -64,7 +64,7 @@ def make_rules(*strengths: tuple[int, int]) -> Rules:
     sizes = np.array([(inner, inner + 2, outer, outer + 1, outer + 3) for inner, outer in strengths], dtype=np.int64)
     nodes = np.zeros((*sizes.shape, 2, sizes.max()))
     for piece in np.ndindex(sizes.shape):
-        nodes[piece][:, : sizes[piece]] = gauss(sizes[piece])
+        nodes[piece][:, : sizes[piece]] = gauss(int(sizes[piece]))
     return Rules(nodes, sizes)
 
 
