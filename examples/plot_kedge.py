@@ -27,7 +27,7 @@ from phantomgen.scene import Scan, Scene, circular_angles
 from phantomgen.shapes import Cylinder
 from recon import figures
 from recon.recipe import Recipe, Stage
-from recon.reconstruct import reconstruct
+from recon.pipeline import reconstruct
 from recon.report import score_table
 from recon.scoring import held_out_views, score_test_views, score_truth
 from spectra import Basis, BasisFunction, Detector, Material, Source

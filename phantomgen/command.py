@@ -51,7 +51,4 @@ def version_option(program: str) -> Callable[[Callable], Callable]:
             ctx.exit()
 
     help_text = "Print the version."
-    return click.option(
-        "--version", is_flag=True, is_eager=True, expose_value=False, callback=show, help=help_text
-    )
-
+    return click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=show, help=help_text)

@@ -207,4 +207,3 @@ def _date() -> str:
     """Time of writing in UTC, or that of ``SOURCE_DATE_EPOCH``, so that a file can be made again byte by byte."""
     seconds = os.environ.get("SOURCE_DATE_EPOCH", "")
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(int(seconds) if seconds.isdigit() else None))
-

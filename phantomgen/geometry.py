@@ -93,6 +93,9 @@ class Geometry:
         names = ("source", "panel_center", "column_step", "row_step")
         return self.panel == other.panel and all(np.array_equal(getattr(self, n), getattr(other, n)) for n in names)
 
+    def __hash__(self) -> int:
+        return hash((self.panel, self.source.tobytes(), self.panel_center.tobytes()))
+
     def __getitem__(self, views: slice | list[int] | np.ndarray) -> "Geometry":
         """Geometry of some of the views."""
         return Geometry(

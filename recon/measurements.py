@@ -75,7 +75,7 @@ def read_measurements(dataset: Dataset, views: Int[np.ndarray, " view"], bases: 
     Raises
     ------
     InputError
-        When the dataset has fewer basis functions, or fewer channels than bases.
+        When the dataset has fewer basis functions, or its channels cannot tell so many apart.
     """
     names = dataset.spectra.basis.names
     count = len(names) if bases is None else bases
@@ -87,6 +87,7 @@ def read_measurements(dataset: Dataset, views: Int[np.ndarray, " view"], bases: 
         hint = f": use --bases {min(len(whole), 3)}" if len(whole) > 1 else ": a scan needs a channel for each"
         raise InputError(f"{channels} cannot tell {count} bases apart{hint}")
     transmission = replace(whole, columns=whole.columns[:count])
+    _check_independent(transmission, names[:count])
     open_beam = transmission.open_beam[:, None, None]
     gains = np.divide(dataset.flat, open_beam, out=np.zeros_like(dataset.flat), where=open_beam > 0)
     return Measurements(
@@ -97,6 +98,16 @@ def read_measurements(dataset: Dataset, views: Int[np.ndarray, " view"], bases: 
         transmission=transmission,
         basis_names=tuple(names[:count]),
     )
+
+
+def _check_independent(transmission: Transmission, names: tuple[str, ...] | list[str]) -> None:
+    """Refuse bases that look the same in every channel that counts photons, as all do at a single energy."""
+    slopes = transmission.log_projection_and_slopes(np.zeros(len(names)))[1][transmission.open_beam > 0]
+    scale = np.abs(slopes).max(axis=0, initial=0.0)
+    if not (scale > 0).all() or np.linalg.matrix_rank(slopes / scale, tol=1e-9) < len(names):
+        raise InputError(
+            f"the channels that count photons cannot tell {', '.join(names)} apart: they see too few different energies"
+        )
 
 
 def matching_bin(geometry: Geometry, size: float) -> int:

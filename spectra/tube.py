@@ -4,6 +4,8 @@ SpekPy 2 (Poludniowski et al. 2021, doi:10.1002/mp.14945) with its default model
 beams within 5 %. This module imports SpekPy and is itself imported only when a tube is asked for.
 """
 
+from functools import lru_cache
+
 import numpy as np
 import spekpy
 from jaxtyping import Float
@@ -21,6 +23,7 @@ _ANODES = {
 }
 
 
+@lru_cache
 def unfiltered_tube(kvp: float, angle: float, anode: str = "tungsten") -> Source:
     """Spectrum of a bare reflection target, per cm^2 and mAs at 1 m.
 
@@ -31,8 +34,9 @@ def unfiltered_tube(kvp: float, angle: float, anode: str = "tungsten") -> Source
     anode : ``tungsten``, ``molybdenum``, ``rhodium`` or ``silver``
     """
     symbol = _checked(kvp, angle, anode)
-    energy, density = _part(kvp, angle, symbol, lines=False)
-    line_bins, line_density = _part(kvp, angle, symbol, lines=True)
+    tube = spekpy.Spek(kvp=kvp, th=angle, dk=_STEP, targ=symbol, physics="casim")
+    energy, density = _part(tube, lines=False)
+    line_bins, line_density = _part(tube, lines=True)
     lines = np.flatnonzero(line_density)
     edge = edge_energy(symbol)
     breaks = (edge,) if edge < kvp else ()
@@ -54,12 +58,9 @@ def _checked(kvp: float, angle: float, anode: str) -> str:
     return symbol
 
 
-def _part(
-    kvp: float, angle: float, symbol: str, lines: bool
-) -> tuple[Float[np.ndarray, " bin"], Float[np.ndarray, " bin"]]:
+def _part(tube: spekpy.Spek, lines: bool) -> tuple[Float[np.ndarray, " bin"], Float[np.ndarray, " bin"]]:
     """Bin middles [keV] and photons per keV of the lines alone or of the bremsstrahlung alone."""
-    tube = spekpy.Spek(kvp=kvp, th=angle, dk=_STEP, targ=symbol, physics="casim", char=lines, brem=not lines)
-    energy, density = tube.get_spectrum(edges=False, flu=True, diff=True)
+    energy, density = tube.get_spectrum(edges=False, flu=True, diff=True, char=lines, brem=not lines)
     return np.asarray(energy), np.asarray(density)
 
 

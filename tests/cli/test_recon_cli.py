@@ -318,13 +318,17 @@ def test_fewer_bases_than_the_dataset_has_can_be_fitted(dataset, tmp_path):
         assert tuple(file["basis/basis_name"].asstr()[()]) == BASES[:2]
 
 
-def test_one_channel_cannot_tell_two_bases_apart(tmp_path):
-    path = tmp_path / "mono.h5"
-    options = ("--set", "source={type: monochromatic, energy: 70, photons: 1000}", "--set", "detector.thresholds=[20]")
-    make(path, *options, "--views", "4")
-    sentence = one_sentence(fit(path, "-o", tmp_path / "run", "--bases", "2", *FAST))
-    assert "2 bases" in sentence
-    assert "1 channel" in sentence
+@pytest.mark.parametrize(
+    ("thresholds", "words"),
+    [
+        ("[20]", "1 channel cannot tell 2 bases apart"),
+        ("[20, 60, 69]", "cannot tell photoelectric, compton apart: they see too few different energies"),
+    ],
+)
+def test_a_single_energy_cannot_tell_two_bases_apart(thresholds, words, tmp_path):
+    source = "source={type: monochromatic, energy: 70, photons: 1000}"
+    path = make(tmp_path / "mono.h5", "--views", "4", "--set", source, "--set", f"detector.thresholds={thresholds}")
+    assert words in one_sentence(fit(path, "-o", tmp_path / "run", "--bases", "2", *FAST))
     assert names(tmp_path) == {"mono.h5"}
 
 

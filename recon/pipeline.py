@@ -56,7 +56,9 @@ def reconstruct(
     stage = Stopwatch(on_stage)
     grid = dataset.grid
     with stage("read"):
-        measured, node_error = read_measurements(dataset, dataset.splits["train"], bases).compressed(recipe.node_tolerance)
+        measured, node_error = read_measurements(dataset, dataset.splits["train"], bases).compressed(
+            recipe.node_tolerance
+        )
     with stage("decompose"):
         coarse = measured.binned(matching_bin(measured.geometry, min(grid.spacing)))
         line_integrals, fisher = decompose_views(coarse, recipe.dispersion)
@@ -68,4 +70,3 @@ def reconstruct(
     with stage("fit"):
         gaussians = fit(start, measured, voxel, recipe, on_step)
     return Reconstruction(gaussians, volumes, node_error, stage.seconds)
-
