@@ -26,8 +26,8 @@ from phantomgen.panel import Panel
 from phantomgen.scene import Scan, Scene, circular_angles
 from phantomgen.shapes import Cylinder
 from recon import figures
-from recon.recipe import Recipe, Stage
 from recon.pipeline import reconstruct
+from recon.recipe import Recipe, Stage
 from recon.report import score_table
 from recon.scoring import held_out_views, score_test_views, score_truth
 from spectra import Basis, BasisFunction, Detector, Material, Source

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from recon.baselines.fdk import fdk
     from recon.gaussians import Gaussians
+    from recon.pipeline import Reconstruction, reconstruct
     from recon.recipe import Recipe, Stage
-    from recon.pipeline import Reconstruction
-    from recon.pipeline import reconstruct
 
 __all__ = ["Gaussians", "Recipe", "Reconstruction", "Stage", "fdk", "reconstruct"]
 

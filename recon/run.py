@@ -16,8 +16,8 @@ from recon import figures
 from recon.fitting import Progress
 from recon.gaussians import Gaussians
 from recon.metrics import psnr
-from recon.recipe import Recipe
 from recon.pipeline import Reconstruction, reconstruct
+from recon.recipe import Recipe
 from recon.report import MODEL, peak_memory_mib, write_json, write_volumes
 from recon.scoring import held_out_views, score_test_views, score_truth
 from spectra.threads import without_other_pools

@@ -266,7 +266,7 @@ def _without(name):
     ],
 )
 def test_a_bad_dataset_is_one_sentence_before_any_work(edit, words, copy, tmp_path, monkeypatch):
-    monkeypatch.setattr("recon.reconstruct.decompose_views", lambda *_: pytest.fail("the work had begun"))
+    monkeypatch.setattr("recon.pipeline.decompose_views", lambda *_: pytest.fail("the work had begun"))
     assert words.format(path=copy) in one_sentence(fit(edited(copy, edit), "-o", tmp_path / "run", *FAST))
     assert names(tmp_path) == {"copy.h5"}
 

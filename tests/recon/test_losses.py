@@ -19,7 +19,7 @@ def likelihood_ratio(counts, expected, dispersion):
 @settings(deadline=None)
 @given(st.integers(0, 100_000), st.floats(1e-3, 1e5), st.sampled_from([0.0, 0.01, 0.03, 0.5]))
 def test_deviance_is_twice_the_log_likelihood_ratio(counts, expected, dispersion):
-    got = deviance(torch.tensor(float(counts)).double(), torch.tensor(expected).double(), dispersion)
+    got = deviance(*torch.tensor([counts, expected], dtype=torch.float64), dispersion)
     size = counts + expected + 1
     assert float(got) == pytest.approx(
         likelihood_ratio(counts, expected, dispersion), abs=TOLERANCES["deviance"] * size
