@@ -19,7 +19,7 @@ from recon.metrics import psnr
 from recon.pipeline import Reconstruction, reconstruct
 from recon.recipe import Recipe
 from recon.report import MODEL, peak_memory_mib, write_json, write_volumes
-from recon.scoring import held_out_views, score_test_views, score_truth
+from recon.scoring import held_out_views, score_start, score_test_views, score_truth
 from spectra.threads import without_other_pools
 
 SNAPSHOTS = 10  # models kept along the way, for error against time
@@ -120,6 +120,7 @@ def _metrics(dataset: Dataset, truth: Truth | None, result: Reconstruction, seed
     metrics: dict[str, Any] = {"dataset": dataset.path.name, "seed": seed, "gaussians": len(gaussians)}
     if truth is not None:
         metrics.update(score_truth(truth, gaussians))
+        metrics.update(score_start(truth, result.fdk_volumes, gaussians.basis_names, dataset.grid))
     metrics["channels"] = score_test_views(dataset, gaussians) if len(dataset.splits["test"]) else {}
     metrics["node_error"] = result.node_error
     metrics["versions"] = environment()

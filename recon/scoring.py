@@ -4,9 +4,11 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from phantomgen.dataset import Dataset
 from phantomgen.dataset_truth import Truth
+from phantomgen.grid import Grid
 from recon.gaussians import Gaussians
 from recon.measurements import Measurements, read_measurements
 from recon.metrics import HeldOutView, score_basis_volumes, score_materials, score_projections
@@ -43,12 +45,28 @@ def score_truth(truth: Truth, gaussians: Gaussians) -> dict[str, Any]:
 
     A basis that the model lacks is scored as a volume of zeros.
     """
-    volumes = np.zeros((len(truth.basis_names), *truth.grid.shape), np.float32)
-    fitted = gaussians.volume(truth.grid)
-    for name, volume in zip(gaussians.basis_names, fitted, strict=True):
-        if name in truth.basis_names:
-            volumes[truth.basis_names.index(name)] = volume
+    volumes = _in_basis_of(truth, gaussians.volume(truth.grid), gaussians.basis_names)
     materials = score_materials(
         volumes, truth.fractions, truth.coefficients, truth.material_names, truth.basis_names, FULL_FRACTION
     )
     return {"basis": score_basis_volumes(volumes, truth.volumes, truth.basis_names), **materials}
+
+
+def score_start(
+    truth: Truth, volumes: Float[np.ndarray, "basis z y x"], names: tuple[str, ...], grid: Grid
+) -> dict[str, Any]:
+    """Scores per basis of the volumes that a fit started from; empty where their grid is not that of the truth."""
+    if grid != truth.grid:
+        return {}
+    return {"fdk": score_basis_volumes(_in_basis_of(truth, volumes, names), truth.volumes, truth.basis_names)}
+
+
+def _in_basis_of(
+    truth: Truth, volumes: Float[np.ndarray, "basis z y x"], names: tuple[str, ...]
+) -> Float[np.ndarray, "basis z y x"]:
+    """Volumes in the order of the truth's basis functions, zeros for those that are missing."""
+    out = np.zeros((len(truth.basis_names), *truth.grid.shape), np.float32)
+    for name, volume in zip(names, volumes, strict=True):
+        if name in truth.basis_names:
+            out[truth.basis_names.index(name)] = volume
+    return out
