@@ -13,13 +13,13 @@ from phantomgen.grid import Grid
 from recon.gaussians import Gaussians
 from recon.ops.voxelize import voxelize
 
-SMOOTHING = 1.0  # voxels; standard deviation of the Gaussian that tames noise before edges are looked for
+SMOOTHING = 0.7  # voxels; standard deviation of the Gaussian that tames noise before edges are looked for
 BACKGROUND = 0.1  # a voxel below this fraction of the typical signal is empty
 EDGE = 4.0  # a gradient this many times the median is an edge
 COARSEST = 3.5  # largest spacing over the smallest
 GROWTH = 0.3  # how fast the spacing may grow with the distance from an edge
 OVERLAP = 0.65  # standard deviation of a Gaussian over the distance to its neighbours
-FLATNESS = 0.5  # thickness of a Gaussian on a full edge over its width
+FLATNESS = 0.25  # thickness of a Gaussian on a full edge over its width
 
 
 def initialize(

@@ -41,14 +41,14 @@ class Recipe:
     """
 
     stages: tuple[Stage, ...] = (Stage(1.0, 10.0),)
-    views_per_step: int = 3
+    views_per_step: int = 2
     spacing: float = 1.2
     dispersion: float = 0.01
     node_tolerance: float = 1e-3
     centre_rate: float = 0.06
     shape_rate: float = 0.015
     final_rate: float = 0.05
-    coefficient_rate: float = 0.7
+    coefficient_rate: float = 1.0
     momentum: float = 0.9
     curvature_sweeps: float = 2.0
     warm_up: float = 0.5

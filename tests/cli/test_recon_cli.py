@@ -15,6 +15,7 @@ from safetensors.numpy import load_file
 from phantomgen.cli import main as phantomgen
 from phantomgen.simulate_check import MeasuredError
 from recon.cli import main as recon
+from recon.recipe import Recipe
 from spectra.threads import set_threads
 
 VOXELS, PIXELS, VIEWS = 16, 32, 9
@@ -144,7 +145,7 @@ def test_metrics_have_the_documented_keys(complete):
 
 def test_the_log_has_a_line_per_step_and_scores_along_the_way(complete):
     log = [json.loads(line) for line in (complete[0] / "log.jsonl").read_text().splitlines()]
-    assert [entry["step"] for entry in log] == list(range(1, VIEWS // 3 + 1))
+    assert [entry["step"] for entry in log] == list(range(1, VIEWS // Recipe().views_per_step + 1))
     assert set(log[-1]) == {"step", "seconds", "deviance", *(f"psnr_{name}" for name in BASES)}
     assert log[-1]["psnr_compton"] == pytest.approx(metrics_of(complete[0])["basis"]["compton"]["psnr"], abs=1e-3)
 
@@ -340,7 +341,7 @@ def test_deleting_the_truth_changes_nothing_but_the_score(copy, complete, tmp_pa
     result = fit(copy, "-o", tmp_path / "without", "--sweeps", "1")
     assert result.exit_code == 0, result.output
     known, blind = metrics_of(tmp_path / "with"), metrics_of(tmp_path / "without")
-    assert set(known) - set(blind) == {"basis", "materials", "cross_talk"}
+    assert set(known) - set(blind) == {"basis", "fdk", "materials", "cross_talk"}
     assert (known["channels"], known["gaussians"]) == (blind["channels"], blind["gaussians"])
     assert names(tmp_path / "without" / "figures") == FIGURES
     models = [(folder / "model.safetensors").read_bytes() for folder in (tmp_path / "with", tmp_path / "without")]

@@ -62,7 +62,7 @@ def test_the_start_is_left_as_it_was(problem):
 
 def test_stages_follow_each_other_at_their_binning(problem):
     steps = []
-    recipe = replace(RECIPE, stages=(Stage(2.0, 1.0), Stage(1.0, 1.0)))
+    recipe = replace(RECIPE, stages=(Stage(2.0, 1.0), Stage(1.0, 1.0)), views_per_step=3)
     fit(*problem, PIXEL, recipe, lambda p: steps.append((p.step, p.steps)))
     assert steps == [(i + 1, 6) for i in range(6)]
 
