@@ -55,7 +55,7 @@ def fit(
 
     Returns
     -------
-    The fitted Gaussians. The same start, measurements and recipe give the same bits, whatever the thread count.
+    The fitted Gaussians; the thread count does not enter.
     """
     gaussians = start.detached()
     geometry = [getattr(gaussians, name).requires_grad_() for name in GEOMETRY]
