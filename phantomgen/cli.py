@@ -99,21 +99,28 @@ def _make(
     quiet: bool,
 ) -> Any:
     """Read the scene, then simulate; the output is checked before anything slow is imported."""
-    from phantomgen.dataset_writer import check_output
-    from phantomgen.scene_yaml import SceneFile
-    from spectra.threads import set_threads
+    from phantomgen.ops.compile_ahead import compiling_ahead
 
     start = time.perf_counter()
-    file = SceneFile.preset(preset, overrides) if preset else SceneFile.read(scene or "", overrides)
-    path = Path(out or f"{file.model.name}.h5")
-    check_output(path, overwrite)
-    set_threads(threads)
-    from phantomgen.scene import load_scene
-    from phantomgen.simulate import simulate
+    shown = sys.stderr.isatty() and not quiet
+    with compiling_ahead(lambda text: click.echo(text, err=True) if shown else None) as wait_for_kernels:
+        from phantomgen.dataset_writer import check_output
+        from phantomgen.scene_yaml import SceneFile
+        from spectra.threads import set_threads
 
-    scan = load_scene(file)
-    ready = time.perf_counter() - start
-    summary = simulate(scan, path, overwrite=overwrite, keep_expected=keep_expected, verify=verify, progress=not quiet)
+        file = SceneFile.preset(preset, overrides) if preset else SceneFile.read(scene or "", overrides)
+        path = Path(out or f"{file.model.name}.h5")
+        check_output(path, overwrite)
+        set_threads(threads)
+        from phantomgen.scene import load_scene
+        from phantomgen.simulate import simulate
+
+        scan = load_scene(file)
+        wait_for_kernels()
+        ready = time.perf_counter() - start
+        summary = simulate(
+            scan, path, overwrite=overwrite, keep_expected=keep_expected, verify=verify, progress=not quiet
+        )
     return replace(summary, seconds={"scene": ready, **summary.seconds})
 
 

@@ -75,7 +75,7 @@ class Truth:
 
 def write_truth(file: h5py.File, truth: Truth, materials: tuple[Material, ...]) -> None:
     """Write ``/truth``."""
-    group = new_group(file, "truth", "NXentry", default="basis")
+    group = truth_group(file)
     _write_basis(group, truth)
     _put_volume(group, "fractions", truth.fractions).attrs["scale"] = 1 / FRACTION_SCALE
     _put_volume(group, "labels", truth.labels)
@@ -95,6 +95,11 @@ def write_grid(group: h5py.Group, grid: Grid) -> None:
     put(group, "shape", np.array(grid.shape, dtype=np.int32))
     put(group, "spacing", np.array(grid.spacing), "mm")
     put(group, "origin", np.array(grid.origin), "mm")
+
+
+def truth_group(file: h5py.File) -> h5py.Group:
+    """``/truth`` of a file that is being written, made where it is missing."""
+    return group_at(file, "truth") if "truth" in file else new_group(file, "truth", "NXentry", default="basis")
 
 
 def read_truth(path: Path | str) -> Truth | None:

@@ -23,7 +23,7 @@ from phantomgen.dataset_layout import (
     put,
     put_note,
 )
-from phantomgen.dataset_truth import Truth, write_grid, write_truth
+from phantomgen.dataset_truth import Truth, truth_group, write_grid, write_truth
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
 from phantomgen.versions import environment, program_version
@@ -114,7 +114,7 @@ class DatasetWriter:
 
     def new_expected(self, shape: tuple[int, int, int, int]) -> h5py.Dataset:
         """Empty array for the counts without noise, in the truth."""
-        return new_frames(group_at(self.file, "truth"), "expected", shape, np.float32, "counts")
+        return new_frames(truth_group(self.file), "expected", shape, np.float32, "counts")
 
     def write_truth(self, truth: Truth, materials: tuple[Material, ...]) -> None:
         """Write the truth."""

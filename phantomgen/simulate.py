@@ -115,10 +115,10 @@ def simulate(
         writer.write_scan(scan.name, scan.geometry, spectra, scan.grid, dict(scan.splits), scan.scheme)
         writer.write_instrument(scan.geometry, spectra, dict(scan.source_fields))
         writer.write_process("phantomgen make", scan.seed)
-        with watch("truth"):
-            writer.write_truth(_truth(scan), scan.scene.materials)
         with watch("views"):
             _write_counts(writer, scan, transmission, keep_expected, progress)
+        with watch("truth"):
+            writer.write_truth(_truth(scan), scan.scene.materials)
         with watch("check"):
             error = (full_check if verify else quick_check)(scan, transmission)
         writer.finish(spectra)

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int64
 from spectra.compression import compress_channel
 from spectra.errors import InputError
 from spectra.ops.transmit import expected_and_jacobian, expected_counts, log_counts_and_slopes
+from spectra.threads import run_parallel
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,11 +152,13 @@ class Transmission:
             raise InputError(f"the box of line integrals must ascend and have {len(self.columns)} entries each")
         if not tolerance > 0:
             raise InputError(f"the tolerance of a compression must be positive, got {tolerance:g}")
-        done = [
-            compress_channel(self.weights[a:b], self.columns[:, a:b], box, tolerance, np.random.default_rng([seed, c]))
-            for c, (a, b) in enumerate(pairwise(self.starts))
-        ]
-        weights, columns, errors = zip(*done, strict=True)
+
+        def channel(c: int) -> tuple[np.ndarray, np.ndarray, float]:
+            own = slice(self.starts[c], self.starts[c + 1])
+            rng = np.random.default_rng([seed, c])
+            return compress_channel(self.weights[own], self.columns[:, own], box, tolerance, rng)
+
+        weights, columns, errors = zip(*run_parallel(channel, range(len(self))), strict=True)
         starts = np.concatenate([[0], np.cumsum([len(w) for w in weights])])
         small = Transmission(np.concatenate(columns, axis=1), np.concatenate(weights), starts, self.channel_names)
         return small, max(errors)

@@ -268,7 +268,8 @@ def expose_view(
 def expose_pixels(frame, table, locals_, bounds, background, spectrum, nodes, ray, pixels, maps, out):
     """Average over the same nodes in each of some pixels (row, column), written to ``out[:, row, column]``."""
     signatures, job = maps
+    one, forget = np.int64(1), np.bool_(False)  # typed, as literals would compile `_send_rays` a second time
     set_origin(table, locals_, frame[0, 0], frame[0, 1], frame[0, 2])
     for i in range(pixels.shape[0]):
         job[0, 0], job[0, 1], job[0, 2] = pixels[i, 0], pixels[i, 1], nodes.shape[0]
-        _send_rays(frame, table, bounds, background, spectrum, job, np.int64(1), nodes, ray, False, out, signatures)
+        _send_rays(frame, table, bounds, background, spectrum, job, one, nodes, ray, forget, out, signatures)

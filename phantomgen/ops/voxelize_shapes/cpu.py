@@ -93,7 +93,7 @@ def voxelize_row(frame, table, locals_, background, forms, roots, rule, room, sc
     active, events, other, share = scratch
     rule_nodes, rule_sizes = rule
     materials, voxels, columns = out.shape
-    v = float(iy)
+    v, start = float(iy), np.int64(0)  # typed, as a literal would compile `square_nodes` a second time
     for ix in range(columns):
         u = float(ix)
         for m in range(materials):
@@ -104,7 +104,7 @@ def voxelize_row(frame, table, locals_, background, forms, roots, rule, room, sc
         if uniform and conics == 0:
             _share_out(table, events, pieces, 1.0, share)
         else:
-            for i in range(square_nodes(local, conics, rule_nodes, rule_sizes, lines, nodes, 0)):
+            for i in range(square_nodes(local, conics, rule_nodes, rule_sizes, lines, nodes, start)):
                 a, b, weight = nodes[i, 0], nodes[i, 1], nodes[i, 2]
                 pieces = _cut_line(frame, table, locals_, u + a, v + b, active, events)
                 _share_out(table, events, pieces, weight, share)
