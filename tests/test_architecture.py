@@ -7,13 +7,14 @@ import subprocess
 import sys
 import tomllib
 from fnmatch import fnmatch
-from importlib import metadata
+from importlib import import_module, metadata
 from pathlib import Path
 
 import click
 import grimp
 import pytest
 from click.testing import CliRunner
+from numba.core.dispatcher import Dispatcher
 from packaging.requirements import Requirement
 
 from phantomgen.cli import main as phantomgen
@@ -144,3 +145,23 @@ def test_the_version_is_the_same_everywhere():
     version = PROJECT["project"]["version"]
     assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert f"version: {version}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+def kernels():
+    for path in files(*PACKAGES, suffix=".py"):
+        module = import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
+        yield from ((module, name, value) for name, value in vars(module).items() if isinstance(value, Dispatcher))
+
+
+def test_kernels_that_reorder_sums_are_not_called_but_inlined():
+    # numba may run one copy of a called function when it compiles, another when it loads from its cache.
+    called = {value for module, _, kernel in kernels() for value in used_by(module, kernel)}
+    reordering = {kernel for kernel in called if kernel.targetoptions.get("fastmath")}
+    assert len(reordering) >= 3
+    for kernel in reordering:
+        assert kernel.targetoptions.get("forceinline") or kernel.targetoptions.get("inline") == "always", kernel
+
+
+def used_by(module, kernel):
+    found = (getattr(module, name, None) for name in kernel.py_func.__code__.co_names)
+    return [value for value in found if isinstance(value, Dispatcher)]

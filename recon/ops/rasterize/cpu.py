@@ -238,7 +238,9 @@ def forward(table, coefficients, lengths, cutoff, columns, row_first, row_last, 
                 image[m, r, c] *= lengths[r, c]
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+# Inlined, as all that reorders sums: the process that compiles a kernel may call another copy of a function in it than
+# processes that load the kernel from numba's cache, and copies may round differently.
+@njit(forceinline=True, fastmath=True, error_model="numpy")
 @no_type_check
 def _gather(p, coefficients, cotangent, k2, columns, sums, to_coefficients):
     """Sums over one Gaussian's pixels: see `backward` for their meaning."""
