@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import radians
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +10,11 @@ from jaxtyping import Float, Int
 from phantomgen import schema
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
+from phantomgen.ops.solids import Solids
 from phantomgen.panel import Panel
+from phantomgen.scene_objects import objects_of
 from phantomgen.scene_yaml import SceneFile, closest, preset_names
-from phantomgen.shapes import Box, Cylinder, Ellipsoid, Shape, ShapeArrays, Sphere
+from phantomgen.shapes import Shape, solids_of
 from spectra.attenuation import edge_energy, mass_fractions, symbol
 from spectra.basis import Basis, BasisFunction
 from spectra.detector import Detector
@@ -26,21 +27,23 @@ _SAME_EDGE = 0.5
 
 @dataclass(frozen=True)
 class Scene:
-    """Objects in vacuum; later ones override earlier ones where they overlap.
+    """Objects; later ones override earlier ones where they overlap.
 
     Parameters
     ----------
     objects : shapes with the index of their material
-    materials : those that an object consists of, in the order of the file
+    materials : those that an object or the background consists of, in the order of the file
+    background : index of the material around the objects, -1 for vacuum
     """
 
     objects: tuple[tuple[Shape, int], ...]
     materials: tuple[Material, ...]
+    background: int = -1
 
     @property
-    def arrays(self) -> ShapeArrays:
+    def solids(self) -> Solids:
         """The objects as arrays for kernels."""
-        return ShapeArrays.of(self.objects)
+        return solids_of(self.objects)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,16 +105,22 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
     """
     file = scene if isinstance(scene, SceneFile) else _find(scene, overrides)
     model = file.model
+    objects = objects_of(file)
     source = _source(file)
     detector = _detector(file, source)
     materials = {name: _material(file, name) for name in model.materials}
-    used = tuple(name for name in materials if any(item.material == name for item in model.objects))
+    filled = {name for _, name in objects} | {_background(file)}
+    used = [name for name in materials if name in filled]
     basis = _basis(file, [materials[name] for name in used], detector)
     _check_coefficients(file, materials, basis)
     geometry, splits = _geometry(file)
     return Scan(
         name=model.name,
-        scene=Scene(_objects(file, used), tuple(materials[name] for name in used)),
+        scene=Scene(
+            objects=tuple((shape, used.index(name)) for shape, name in objects),
+            materials=tuple(materials[name] for name in used),
+            background=used.index(model.background) if model.background else -1,
+        ),
         geometry=geometry,
         splits=splits,
         source=source,
@@ -178,6 +187,14 @@ def _detector(file: SceneFile, source: Source) -> Detector:
         sensor = Material(_composition_name(model.composition), model.density, model.composition)
         with file.at("detector", "thresholds"):
             return Detector.photon_counting(model.thresholds, source.maximum, sensor, model.thickness)
+
+
+def _background(file: SceneFile) -> str | None:
+    """Name of the material around the objects."""
+    name = file.model.background
+    if name is not None and name not in file.model.materials:
+        raise file.error(("background",), f"unknown material {name!r}{closest(name, file.model.materials)}")
+    return name
 
 
 def _material(file: SceneFile, name: str) -> Material:
@@ -248,32 +265,6 @@ def _check_coefficients(file: SceneFile, materials: Mapping[str, Material], basi
                     ("materials", name, "coefficients", function),
                     f"there is no basis function {function!r}{closest(function, basis.names)}",
                 )
-
-
-def _objects(file: SceneFile, used: Sequence[str]) -> tuple[tuple[Shape, int], ...]:
-    """Shapes with the index of their material."""
-    objects = []
-    for i, model in enumerate(file.model.objects):
-        with file.at("objects", i):
-            objects.append((_shape(model), used.index(model.material)))
-    return tuple(objects)
-
-
-def _shape(model: schema.SphereModel | schema.EllipsoidModel | schema.CylinderModel | schema.BoxModel) -> Shape:
-    """One shape."""
-    if isinstance(model, schema.SphereModel):
-        return Sphere(model.center, model.radius)
-    if isinstance(model, schema.EllipsoidModel):
-        return Ellipsoid(model.center, model.radii, _radians(model.rotation))
-    if isinstance(model, schema.CylinderModel):
-        return Cylinder(model.center, model.radius, model.length, model.axis)
-    return Box(model.center, model.size, _radians(model.rotation))
-
-
-def _radians(degrees: schema.Vector) -> schema.Vector:
-    """Three angles [rad]."""
-    x, y, z = (radians(angle) for angle in degrees)
-    return x, y, z
 
 
 def _geometry(file: SceneFile) -> tuple[Geometry, dict[str, Int[np.ndarray, " view"]]]:

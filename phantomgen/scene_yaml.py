@@ -64,10 +64,6 @@ class SceneFile:
             )  # a misspelt key explains the rest
             location = (*found["loc"], "type") if found["type"].startswith("union_tag") else found["loc"]
             raise self.error(location, _sentence(found)) from None
-        for i, item in enumerate(model.objects):
-            if item.material not in model.materials:
-                hint = closest(item.material, model.materials)
-                raise self.error(("objects", i, "material"), f"unknown material {item.material!r}{hint}")
         return model
 
     @cached_property

@@ -112,11 +112,41 @@ class MaterialModel(Model):
     coefficients: dict[str, Annotated[FiniteFloat, Field(ge=0)]] | None = None
 
 
-class ObjectModel(Model):
-    """Common keys of objects: the name of a material, and the centre (x, y, z) [mm]."""
+class PlaneModel(Model):
+    """A plane that cuts off what lies beyond it: normal . x >= offset [mm]; the normal may have any length."""
 
-    material: str
+    normal: Vector
+    offset: FiniteFloat = 0.0
+
+
+class GridModel(Model):
+    """Copies on a grid around the original: how many along x, y and z, and how far apart [mm]."""
+
+    type: Literal["grid"]
+    count: tuple[PositiveInt, PositiveInt, PositiveInt]
+    step: Vector
+
+
+class RingModel(Model):
+    """Copies turned about the z axis, evenly over a full turn."""
+
+    type: Literal["ring"]
+    count: PositiveInt
+
+
+RepeatModel = Annotated[GridModel | RingModel, Field(discriminator="type")]
+
+
+class ObjectModel(Model):
+    """Common keys: the name of a material, the centre (x, y, z) [mm], planes that cut, and a pattern of copies.
+
+    Objects and members of groups need a material; shapes that others are combined from have none.
+    """
+
+    material: str | None = None
     center: Vector = (0.0, 0.0, 0.0)
+    clip: tuple[PlaneModel, ...] = ()
+    repeat: RepeatModel | None = None
 
 
 class SphereModel(ObjectModel):
@@ -151,15 +181,100 @@ class BoxModel(ObjectModel):
     rotation: Vector = (0.0, 0.0, 0.0)
 
 
+class TubeShapeModel(ObjectModel):
+    """A circular cylinder with a coaxial bore."""
+
+    type: Literal["tube"]
+    radius: PositiveFloat
+    inner_radius: PositiveFloat
+    length: PositiveFloat
+    axis: Vector = (0.0, 0.0, 1.0)
+
+
+class CapsuleModel(ObjectModel):
+    """A circular cylinder with half balls on its ends; the length is that of the straight part."""
+
+    type: Literal["capsule"]
+    radius: PositiveFloat
+    length: PositiveFloat
+    axis: Vector = (0.0, 0.0, 1.0)
+
+
+class ConeModel(ObjectModel):
+    """A cone, or a frustum: radii at the beginning and at the end of the axis, one of which may be 0."""
+
+    type: Literal["cone"]
+    radii: tuple[Annotated[FiniteFloat, Field(ge=0)], Annotated[FiniteFloat, Field(ge=0)]]
+    length: PositiveFloat
+    axis: Vector = (0.0, 0.0, 1.0)
+
+
+class TorusModel(ObjectModel):
+    """A ring: radius to the middle of the tube, radius of the tube, normal of its plane."""
+
+    type: Literal["torus"]
+    radius: PositiveFloat
+    tube: PositiveFloat
+    axis: Vector = (0.0, 0.0, 1.0)
+
+
+class PolygonModel(ObjectModel):
+    """A simple polygon with corners (x, y) [mm], drawn out along z, turned about x, then y, then z [degree]."""
+
+    type: Literal["polygon"]
+    points: Annotated[tuple[tuple[FiniteFloat, FiniteFloat], ...], Field(min_length=3)]
+    length: PositiveFloat
+    rotation: Vector = (0.0, 0.0, 0.0)
+
+
+class CombinedModel(ObjectModel):
+    """What lies in any (`union`) or in all (`intersection`) of some shapes."""
+
+    type: Literal["union", "intersection"]
+    shapes: Annotated[tuple["ShapeModel", ...], Field(min_length=1)]
+
+
+class DifferenceModel(ObjectModel):
+    """What lies in a shape and in none of those that are cut off."""
+
+    type: Literal["difference"]
+    base: "ShapeModel"
+    cut: Annotated[tuple["ShapeModel", ...], Field(min_length=1)]
+
+
+class GroupModel(ObjectModel):
+    """Objects that are scaled, then turned about x, then y, then z [degree], then moved to the centre, together."""
+
+    type: Literal["group"]
+    objects: Annotated[tuple["ShapeModel", ...], Field(min_length=1)]
+    rotation: Vector = (0.0, 0.0, 0.0)
+    scale: PositiveFloat | Size = 1.0
+
+
 SourceModel = Annotated[TubeModel | MonochromaticModel, Field(discriminator="type")]
 FunctionModel = Annotated[PlainFunctionModel | EdgeFunctionModel | ElementFunctionModel, Field(discriminator="type")]
-ShapeModel = Annotated[SphereModel | EllipsoidModel | CylinderModel | BoxModel, Field(discriminator="type")]
+ShapeModel = Annotated[
+    SphereModel
+    | EllipsoidModel
+    | CylinderModel
+    | BoxModel
+    | TubeShapeModel
+    | CapsuleModel
+    | ConeModel
+    | TorusModel
+    | PolygonModel
+    | CombinedModel
+    | DifferenceModel
+    | GroupModel,
+    Field(discriminator="type"),
+]
 
 
 class SceneModel(Model):
     """One scene file: what is scanned, with what, and how the truth is wanted.
 
-    Later objects override earlier ones where they overlap. Basis functions left out are chosen from the materials; a
+    Later objects override earlier ones where they overlap; what none of them fills, from source to panel, is vacuum or
+    the material `background`. Basis functions left out are chosen from the materials; a
     K-edge function that no object needs is left out of the dataset.
     """
 
@@ -173,6 +288,7 @@ class SceneModel(Model):
     basis: tuple[FunctionModel, ...] | None = None
     materials: dict[str, MaterialModel]
     objects: Annotated[tuple[ShapeModel, ...], Field(min_length=1)]
+    background: str | None = None
     seed: NonNegativeInt = 0
     noise: bool = True
     flats: PositiveInt = 50

@@ -136,15 +136,16 @@ def simulate(
 
 def expected_view(scan: Scan, transmission: Transmission, view: int) -> Images:
     """Expected counts of one view, averaged over each pixel's area."""
-    shapes, panel = scan.scene.arrays, scan.geometry.panel
+    panel = scan.geometry.panel
     return expose(
         scan.geometry.ray_frames()[view],
         panel.rows,
         panel.columns,
-        (shapes.kinds, shapes.locals_, shapes.materials),
+        scan.scene.solids,
         transmission.columns,
         transmission.weights,
         transmission.starts,
+        scan.scene.background,
     ).counts
 
 
@@ -155,8 +156,8 @@ def _shape(scan: Scan) -> tuple[int, int, int, int]:
 
 def _truth(scan: Scan) -> Truth:
     """Material fractions and basis volumes."""
-    shapes, names = scan.scene.arrays, tuple(m.name for m in scan.scene.materials)
-    filled = fractions(scan.grid, shapes.kinds, shapes.locals_, shapes.materials, len(names))
+    names = tuple(m.name for m in scan.scene.materials)
+    filled = fractions(scan.grid, scan.scene.solids, len(names), background=scan.scene.background)
     return Truth.of(scan.grid, scan.basis.names, names, material_coefficients(scan), filled, scan.text)
 
 

@@ -124,8 +124,7 @@ def _ray_errors(scan: Scan, transmission: Transmission, count: int, rng: np.rand
     frame = frames[rng.integers(len(frames), size=count)]
     column, row = rng.uniform(-0.5, panel.columns - 0.5, count), rng.uniform(-0.5, panel.rows - 0.5, count)
     directions = frame[:, 1] + column[:, None] * frame[:, 2] + row[:, None] * frame[:, 3]
-    shapes = scan.scene.arrays
-    lengths = trace(frame[:, 0], directions, shapes.kinds, shapes.locals_, shapes.materials, len(scan.scene.materials))
+    lengths = trace(frame[:, 0], directions, scan.scene.solids, len(scan.scene.materials), scan.scene.background)
     lengths = lengths[lengths.any(axis=1)]
     exact = fine_transmission(scan, STEP / FINER)
     return _log_error(transmission.expected(lengths), transmission, exact.expected(lengths), exact)
@@ -133,9 +132,7 @@ def _ray_errors(scan: Scan, transmission: Transmission, count: int, rng: np.rand
 
 def _arguments(scan: Scan, transmission: Transmission) -> Sequence[Any]:
     """Shapes and energies as `expose` takes them."""
-    shapes = scan.scene.arrays
-    solids = (shapes.kinds, shapes.locals_, shapes.materials)
-    return solids, transmission.columns, transmission.weights, transmission.starts
+    return scan.scene.solids, transmission.columns, transmission.weights, transmission.starts, scan.scene.background
 
 
 def _log_error(counts: Counts, transmission: Transmission, exact: Counts, yardstick: Transmission) -> Errors:

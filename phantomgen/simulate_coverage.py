@@ -5,14 +5,15 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
-from phantomgen.ops.primitives import BALL, CYLINDER
+from phantomgen.ops.primitives import BALL, CONE, CYLINDER, HALFSPACE, TORUS
 from phantomgen.ops.trace import trace
 from phantomgen.panel import Panel
 from phantomgen.scene import Scan
-from phantomgen.shapes import Shape
+from phantomgen.shapes import Part, Shape
 
 _POINTS = 500
 _RAYS_PER_OBJECT = 40
+_SKIN = 1e-6
 
 
 def coverage_warnings(scan: Scan) -> list[str]:
@@ -23,13 +24,13 @@ def coverage_warnings(scan: Scan) -> list[str]:
 def sampled_lengths(scan: Scan) -> Float[np.ndarray, "ray material"]:
     """Path lengths per material [mm] of rays through every object in every view."""
     targets = np.concatenate([_points(shape, _RAYS_PER_OBJECT)[0] for shape, _ in scan.scene.objects])
-    shapes, frames = scan.scene.arrays, scan.geometry.ray_frames()
+    frames = scan.geometry.ray_frames()
     to_target = targets[None] - frames[:, None, 0]
     depth = _on_panel(frames, targets)[..., 0]
     in_front = depth > 1e-6
     directions = to_target[in_front] / depth[in_front][:, None]
     origins = np.broadcast_to(frames[:, None, 0], to_target.shape)[in_front]
-    return trace(origins, directions, shapes.kinds, shapes.locals_, shapes.materials, len(scan.scene.materials))
+    return trace(origins, directions, scan.scene.solids, len(scan.scene.materials), scan.scene.background)
 
 
 def _panel_warnings(scan: Scan) -> Iterator[str]:
@@ -91,14 +92,39 @@ def _on_panel(
 
 
 def _points(shape: Shape, count: int) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
-    """Points spread evenly inside a shape, its centre first, and the same pushed out to its surface."""
-    unit = np.random.default_rng(0).uniform(-1, 1, (4 * count, 3))
-    radial = np.linalg.norm(unit[:, :2], axis=1)
-    gauge = {BALL: np.linalg.norm(unit, axis=1), CYLINDER: np.maximum(radial, np.abs(unit[:, 2]))}.get(
-        shape.KIND, np.abs(unit).max(axis=1)
-    )
-    kept = np.flatnonzero(gauge < 1)[:count]
-    inside = np.concatenate([np.zeros((1, 3)), unit[kept]])
-    surface = unit[kept] / gauge[kept, None]
-    center = np.asarray(shape.center)
-    return inside @ shape.axes.T + center, surface @ shape.axes.T + center
+    """Points spread evenly inside a shape, the middle of its bounds first if inside, and points of its surface."""
+    rng = np.random.default_rng(0)
+    parts = [part for term in shape.terms for part in term if part.inside and part.kind != HALFSPACE]
+    outer, inner = zip(*(_surface(part, -(-count // len(parts)), rng) for part in parts), strict=True)
+    surface = np.concatenate(outer)[shape.contains(np.concatenate(inner))]
+    low, high = shape.bounds
+    unit = np.concatenate([np.full((1, 3), 0.5), rng.random((40 * count, 3))])
+    points = low + unit * (high - low)
+    inside = points[shape.contains(points)][: count + 1]
+    return (inside, surface) if len(surface) else (inside, inside)
+
+
+def _surface(
+    part: Part, count: int, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
+    """Points of a primitive's surface [mm], and the same a little further inside."""
+    unit = rng.uniform(-1, 1, (count, 3))
+    across = np.hypot(unit[:, 0], unit[:, 1])
+    middle = np.zeros((count, 3))
+    if part.kind == BALL:
+        unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    elif part.kind == CYLINDER:
+        unit /= np.maximum(across, np.abs(unit[:, 2]))[:, None]
+    elif part.kind == CONE:
+        unit[:, 2] = np.sqrt(np.abs(unit[:, 2]))
+        unit[:, :2] *= (unit[:, 2] / across)[:, None]
+        middle[:, 2] = 0.7
+    elif part.kind == TORUS:
+        middle[:, :2] = unit[:, :2] * ((1 - part.tube) / across)[:, None]
+        turn = np.pi * unit[:, 2:]
+        unit = middle * (1 + part.tube / (1 - part.tube) * np.cos(turn)) + part.tube * np.sin(turn) * [0, 0, 1]
+    else:
+        unit /= np.abs(unit).max(axis=1, keepdims=True)
+    axes = np.linalg.inv(part.local[:, :3])
+    outer, inner = ((points - part.local[:, 3]) @ axes.T for points in (unit, middle + (1 - _SKIN) * (unit - middle)))
+    return outer, inner

@@ -16,6 +16,7 @@ import numpy as np
 from phantomgen.grid import Grid
 from phantomgen.ops.expose import expose, expose_brute
 from phantomgen.ops.primitives import BALL
+from phantomgen.ops.solids import Solids
 from phantomgen.ops.trace import trace
 from phantomgen.ops.voxelize_shapes import fractions
 
@@ -48,15 +49,15 @@ def compiling_ahead(say: Callable[[str], None]) -> Iterator[Callable[[], None]]:
 
 def _compile() -> None:
     """Run the smallest job through each operation, in the order in which a simulation asks for them."""
-    ball = np.array([BALL]), np.eye(3, 4)[None], np.array([0])
+    ball = Solids.plain(np.array([BALL]), np.eye(3, 4)[None], np.array([0]))
     spectrum = np.ones((1, 1)), np.ones(1), np.array([0, 1])
     source, step = np.array([[0.0, -5.0, 0.0]]), np.array([[0.0, 10.0, 0.0]])
     frame = np.concatenate([source, step, np.eye(3)[[0, 2]]])
-    trace(source, step, *ball, 1)
+    trace(source, step, ball, 1)
     expose(frame, 1, 1, ball, *spectrum)
     sys.stdout.write("ready for views\n")
     sys.stdout.flush()
-    fractions(Grid(shape=(1, 1, 1), spacing=(1.0, 1.0, 1.0), origin=(0.0, 0.0, 0.0)), *ball, 1)
+    fractions(Grid(shape=(1, 1, 1), spacing=(1.0, 1.0, 1.0), origin=(0.0, 0.0, 0.0)), ball, 1)
     expose_brute(frame, np.array([[0, 0]]), ball, *spectrum, n=1)
 
 

@@ -1,9 +1,33 @@
 """Regions of space with exact surfaces; nothing here knows about materials or energies."""
 
-from phantomgen.shapes.arrays import ShapeArrays
+from phantomgen.shapes.arrays import solids_of
 from phantomgen.shapes.ball import Ellipsoid, Sphere
-from phantomgen.shapes.base import Shape, rotation_matrix
+from phantomgen.shapes.base import Part, Primitive, Shape, rotation_matrix
+from phantomgen.shapes.boolean import Difference, HalfSpace, Intersection, Placed, Union
 from phantomgen.shapes.box import Box
-from phantomgen.shapes.cylinder import Cylinder
+from phantomgen.shapes.cone import Cone
+from phantomgen.shapes.cylinder import Capsule, Cylinder, Tube
+from phantomgen.shapes.polygon import Polygon
+from phantomgen.shapes.torus import Torus
 
-__all__ = ["Box", "Cylinder", "Ellipsoid", "Shape", "ShapeArrays", "Sphere", "rotation_matrix"]
+__all__ = [
+    "Box",
+    "Capsule",
+    "Cone",
+    "Cylinder",
+    "Difference",
+    "Ellipsoid",
+    "HalfSpace",
+    "Intersection",
+    "Part",
+    "Placed",
+    "Polygon",
+    "Primitive",
+    "Shape",
+    "Sphere",
+    "Torus",
+    "Tube",
+    "Union",
+    "rotation_matrix",
+    "solids_of",
+]

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 from phantomgen.ops.primitives import BALL
-from phantomgen.shapes.base import Shape, Triple, checked_lengths, checked_triple, rotation_matrix
+from phantomgen.shapes.base import Primitive, Triple, checked_lengths, checked_triple, rotation_matrix
 
 
 @dataclass(frozen=True)
-class Sphere(Shape):
+class Sphere(Primitive):
     """A ball of `radius` [mm] around `center` (x, y, z) [mm]."""
 
     center: Triple
@@ -30,7 +30,7 @@ class Sphere(Shape):
 
 
 @dataclass(frozen=True)
-class Ellipsoid(Shape):
+class Ellipsoid(Primitive):
     """An ellipsoid.
 
     Parameters

@@ -1,26 +1,120 @@
-"""What all shapes share: each is a unit primitive under an affine map.
+"""What all shapes share: each is made of unit primitives under affine maps.
 
-A shape says how its local axes lie in space, ``x_world = center + axes @ x_local``, where the columns of `axes` are its
-half axes in mm. Points, volumes, chords and silhouettes all follow from that map and the primitive.
+A primitive says how its local axes lie in space, ``x_world = center + axes @ x_local``. A shape is a union of terms; a
+term is what lies inside all of some primitives and outside some others. Bounds, points, chords and silhouettes follow
+from that.
 """
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
 from math import cos, pi, prod, sin
 from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from phantomgen.ops.primitives import BALL, BOX, CYLINDER
+from phantomgen.ops.primitives import BALL, BOX, CONE, CYLINDER, HALFSPACE, TORUS
 from spectra.errors import InputError
 
 Triple = tuple[float, float, float]
+Bounds = tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]
 
-_UNIT_VOLUME = {BALL: 4 / 3 * pi, CYLINDER: 2 * pi, BOX: 8.0}
+_UNIT_VOLUME = {BALL: 4 / 3 * pi, CYLINDER: 2 * pi, BOX: 8.0, CONE: pi / 3}
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A primitive that a term lies inside, or outside.
+
+    Parameters
+    ----------
+    kind : code of `phantomgen.ops.primitives`
+    local : map from world [mm] to local coordinates, ``x_local = local[:, :3] @ x + local[:, 3]``
+    inside : whether the term lies inside
+    tube : radius of the tube of a torus in local coordinates
+    """
+
+    kind: int
+    local: Float[np.ndarray, "3 4"]
+    inside: bool = True
+    tube: float = 0.0
+
+    @property
+    def opposite(self) -> "Part":
+        """The rest of space."""
+        return replace(self, inside=not self.inside)
+
+    def placed(self, matrix: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, " 3"]) -> "Part":
+        """The part after every point x has gone to ``matrix @ x + offset``."""
+        linear = self.local[:, :3] @ np.linalg.inv(matrix)
+        return replace(self, local=np.column_stack([linear, self.local[:, 3] - linear @ offset]))
+
+    @property
+    def bounds(self) -> Bounds:
+        """Lowest and highest corner of the tight box around the primitive [mm]."""
+        if self.kind == HALFSPACE:
+            return np.full(3, -np.inf), np.full(3, np.inf)
+        axes = np.linalg.inv(self.local[:, :3])
+        center = -axes @ self.local[:, 3]
+        disc, rod = np.linalg.norm(axes[:, :2], axis=1), np.abs(axes[:, 2])
+        if self.kind == CONE:
+            tip, base = center, center + axes[:, 2]
+            return np.minimum(tip, base - disc), np.maximum(tip, base + disc)
+        reach = {
+            BALL: np.linalg.norm(axes, axis=1),
+            CYLINDER: disc + rod,
+            BOX: np.abs(axes).sum(axis=1),
+            TORUS: (1 - self.tube) * disc + self.tube * np.linalg.norm(axes, axis=1),
+        }[self.kind]
+        return center - reach, center + reach
+
+    def contains(self, points: Float[np.ndarray, "point 3"]) -> Bool[np.ndarray, " point"]:
+        """Which points (x, y, z) [mm] the part contains; flat faces are half open."""
+        x, y, z = self.local[:, :3] @ np.asarray(points, dtype=np.float64).T + self.local[:, 3:]
+        within = {
+            BALL: lambda: x**2 + y**2 + z**2 < 1,
+            CYLINDER: lambda: (x**2 + y**2 < 1) & (z >= -1) & (z < 1),
+            BOX: lambda: (x >= -1) & (x < 1) & (y >= -1) & (y < 1) & (z >= -1) & (z < 1),
+            CONE: lambda: (x**2 + y**2 < z**2) & (z >= 0) & (z < 1),
+            HALFSPACE: lambda: z < 0,
+            TORUS: lambda: (np.hypot(x, y) - 1 + self.tube) ** 2 + z**2 < self.tube**2,
+        }[self.kind]()
+        return within if self.inside else ~within
+
+
+Term = tuple[Part, ...]
 
 
 class Shape(ABC):
-    """A convex region; subclasses are frozen dataclasses with a `center` (x, y, z) [mm]."""
+    """A region of space; subclasses are frozen dataclasses."""
+
+    @property
+    @abstractmethod
+    def terms(self) -> tuple[Term, ...]:
+        """Terms whose union is the shape."""
+
+    @property
+    def volume(self) -> float | None:
+        """Volume [mm^3], where it has a closed form."""
+        return None
+
+    @property
+    def bounds(self) -> Bounds:
+        """Lowest and highest corner of an axis-aligned box around the shape [mm]; tight unless something is cut off."""
+        boxes = [[part.bounds for part in term if part.inside] for term in self.terms]
+        low = np.min([np.max([low for low, _ in box], axis=0) for box in boxes], axis=0)
+        return low, np.max([np.min([high for _, high in box], axis=0) for box in boxes], axis=0)
+
+    def contains(self, points: Float[np.ndarray, "point 3"]) -> Bool[np.ndarray, " point"]:
+        """Which points (x, y, z) [mm] lie inside."""
+        inside = np.zeros(len(points), np.bool_)
+        for term in self.terms:
+            inside |= np.logical_and.reduce([part.contains(points) for part in term])
+        return inside
+
+
+class Primitive(Shape):
+    """A shape that is one primitive around a `center` (x, y, z) [mm]."""
 
     KIND: ClassVar[int]
     center: Triple
@@ -33,36 +127,23 @@ class Shape(ABC):
     @property
     def local(self) -> Float[np.ndarray, "3 4"]:
         """Map from world [mm] to local coordinates, ``x_local = local[:, :3] @ x + local[:, 3]``."""
-        axes = self.axes
-        inverse = (axes / (axes**2).sum(axis=0)).T
-        return np.column_stack([inverse, -inverse @ np.asarray(self.center, dtype=np.float64)])
+        return local_map(self.axes, np.asarray(self.center, dtype=np.float64))
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """One term of one part."""
+        return ((Part(self.KIND, self.local),),)
 
     @property
     def volume(self) -> float:
         """Volume [mm^3]."""
         return _UNIT_VOLUME[self.KIND] * float(np.prod(np.linalg.norm(self.axes, axis=0)))
 
-    @property
-    def bounds(self) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
-        """Lowest and highest corner of the tight axis-aligned box around the shape [mm]."""
-        axes, center = self.axes, np.asarray(self.center, dtype=np.float64)
-        reach = {
-            BALL: np.linalg.norm(axes, axis=1),
-            CYLINDER: np.linalg.norm(axes[:, :2], axis=1) + np.abs(axes[:, 2]),
-            BOX: np.abs(axes).sum(axis=1),
-        }[self.KIND]
-        return center - reach, center + reach
 
-    def contains(self, points: Float[np.ndarray, "point 3"]) -> Bool[np.ndarray, " point"]:
-        """Which points (x, y, z) [mm] lie inside; flat faces are half open."""
-        local = self.local
-        x, y, z = local[:, :3] @ np.asarray(points, dtype=np.float64).T + local[:, 3:]
-        if self.KIND == BALL:
-            return x**2 + y**2 + z**2 < 1
-        within = (z >= -1) & (z < 1)
-        if self.KIND == CYLINDER:
-            return within & (x**2 + y**2 < 1)
-        return within & (x >= -1) & (x < 1) & (y >= -1) & (y < 1)
+def local_map(axes: Float[np.ndarray, "3 3"], center: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 4"]:
+    """Map from world [mm] to coordinates along orthogonal `axes` from `center` on."""
+    inverse = (axes / (axes**2).sum(axis=0)).T
+    return np.column_stack([inverse, -inverse @ center])
 
 
 def rotation_matrix(angles: Triple) -> Float[np.ndarray, "3 3"]:
@@ -74,12 +155,30 @@ def rotation_matrix(angles: Triple) -> Float[np.ndarray, "3 3"]:
     return about_z @ about_y @ about_x
 
 
+def shortest_turn(axis: Triple) -> Float[np.ndarray, "3 3"]:
+    """Rotation that takes z into `axis` about their common normal; a half turn about x where axis is -z."""
+    x, y, z = np.asarray(axis) / np.linalg.norm(axis)
+    if x * x + y * y == 0:
+        return np.diag([1.0, z, z])
+    # Rodrigues' formula with the turn's axis (-y, x, 0); 1 + z = (x^2 + y^2) / (1 - z) keeps its digits near -z.
+    lift = (x * x + y * y) / (1 - z) if z < 0 else 1 + z
+    return np.array([[1 - x * x / lift, -x * y / lift, x], [-x * y / lift, 1 - y * y / lift, y], [-x, -y, z]])
+
+
 def checked_triple(shape: str, name: str, value: object) -> Triple:
     """`value` as three finite floats, or a sentence that names the shape and its parameter."""
     array = np.asarray(value, dtype=np.float64)
     if array.shape != (3,) or not np.isfinite(array).all():
         raise InputError(f"{shape} {name} must be three finite numbers, got {value!r}")
     return (float(array[0]), float(array[1]), float(array[2]))
+
+
+def checked_axis(shape: str, name: str, value: object) -> Triple:
+    """`value` as a direction."""
+    triple = checked_triple(shape, name, value)
+    if not any(triple):
+        raise InputError(f"{shape} {name} must not be the zero vector")
+    return triple
 
 
 def checked_lengths(shape: str, name: str, values: tuple[float, ...]) -> None:

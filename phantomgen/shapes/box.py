@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 from phantomgen.ops.primitives import BOX
-from phantomgen.shapes.base import Shape, Triple, checked_lengths, checked_triple, rotation_matrix
+from phantomgen.shapes.base import Primitive, Triple, checked_lengths, checked_triple, rotation_matrix
 
 
 @dataclass(frozen=True)
-class Box(Shape):
+class Box(Primitive):
     """A rectangular box.
 
     Parameters

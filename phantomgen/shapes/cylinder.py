@@ -1,18 +1,29 @@
-"""Capped cylinders, circular or elliptic, along any axis."""
+"""Capped cylinders, circular or elliptic, along any axis, solid or hollow, with flat or round ends."""
 
 from dataclasses import dataclass
+from math import pi
 from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
 from phantomgen.ops.primitives import CYLINDER
-from phantomgen.shapes.base import Shape, Triple, checked_lengths, checked_triple
+from phantomgen.shapes.ball import Sphere
+from phantomgen.shapes.base import (
+    Primitive,
+    Shape,
+    Term,
+    Triple,
+    checked_axis,
+    checked_lengths,
+    checked_triple,
+    shortest_turn,
+)
 from spectra.errors import InputError
 
 
 @dataclass(frozen=True)
-class Cylinder(Shape):
+class Cylinder(Primitive):
     """A cylinder with flat ends.
 
     Parameters
@@ -31,14 +42,12 @@ class Cylinder(Shape):
     KIND: ClassVar[int] = CYLINDER
 
     def __post_init__(self) -> None:
-        for name in ("center", "axis"):
-            object.__setattr__(self, name, checked_triple("cylinder", name, getattr(self, name)))
+        object.__setattr__(self, "center", checked_triple("cylinder", "center", self.center))
+        object.__setattr__(self, "axis", checked_axis("cylinder", "axis", self.axis))
         if np.shape(self.radius) not in ((), (2,)):
             raise InputError(f"cylinder radius must be one number or two, got {self.radius!r}")
         checked_lengths("cylinder", "radius", self.radii)
         checked_lengths("cylinder", "length", (self.length,))
-        if not any(self.axis):
-            raise InputError("cylinder axis must not be the zero vector")
 
     @property
     def radii(self) -> tuple[float, float]:
@@ -49,14 +58,83 @@ class Cylinder(Shape):
     @property
     def axes(self) -> Float[np.ndarray, "3 3"]:
         """Half axes as columns [mm]."""
-        return _shortest_turn(np.asarray(self.axis)) * np.array([*self.radii, self.length / 2])
+        return shortest_turn(self.axis) * np.array([*self.radii, self.length / 2])
 
 
-def _shortest_turn(axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """Rotation that takes z into `axis` about their common normal; a half turn about x where axis is -z."""
-    x, y, z = axis / np.linalg.norm(axis)
-    if x * x + y * y == 0:
-        return np.diag([1.0, z, z])
-    # Rodrigues' formula with the turn's axis (-y, x, 0); 1 + z = (x^2 + y^2) / (1 - z) keeps its digits near -z.
-    lift = (x * x + y * y) / (1 - z) if z < 0 else 1 + z
-    return np.array([[1 - x * x / lift, -x * y / lift, x], [-x * y / lift, 1 - y * y / lift, y], [-x, -y, z]])
+@dataclass(frozen=True)
+class Tube(Shape):
+    """A circular cylinder with a coaxial bore.
+
+    Parameters
+    ----------
+    center : middle of the axis (x, y, z) [mm]
+    radius, inner_radius : of the outer and of the inner wall [mm]
+    length : distance between the two ends [mm]
+    axis : direction of the axis, any length
+    """
+
+    center: Triple
+    radius: float
+    inner_radius: float
+    length: float
+    axis: Triple = (0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "center", checked_triple("tube", "center", self.center))
+        object.__setattr__(self, "axis", checked_axis("tube", "axis", self.axis))
+        checked_lengths("tube", "radius", (self.radius,))
+        checked_lengths("tube", "inner_radius", (self.inner_radius,))
+        checked_lengths("tube", "length", (self.length,))
+        if self.inner_radius >= self.radius:
+            raise InputError(f"tube inner_radius {self.inner_radius:g} must be smaller than its radius {self.radius:g}")
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The outer cylinder without the inner one."""
+        wall, bore = (
+            Cylinder(self.center, radius, self.length, self.axis).terms[0][0]
+            for radius in (self.radius, self.inner_radius)
+        )
+        return ((wall, bore.opposite),)
+
+    @property
+    def volume(self) -> float:
+        """Volume [mm^3]."""
+        return pi * (self.radius - self.inner_radius) * (self.radius + self.inner_radius) * self.length
+
+
+@dataclass(frozen=True)
+class Capsule(Shape):
+    """A circular cylinder with half balls on its ends.
+
+    Parameters
+    ----------
+    center : middle of the axis (x, y, z) [mm]
+    radius : of the cylinder and of its ends [mm]
+    length : of the straight part [mm]
+    axis : direction of the axis, any length
+    """
+
+    center: Triple
+    radius: float
+    length: float
+    axis: Triple = (0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "center", checked_triple("capsule", "center", self.center))
+        object.__setattr__(self, "axis", checked_axis("capsule", "axis", self.axis))
+        checked_lengths("capsule", "radius", (self.radius,))
+        checked_lengths("capsule", "length", (self.length,))
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The cylinder and two balls."""
+        middle = Cylinder(self.center, self.radius, self.length, self.axis)
+        ends = [np.asarray(self.center) + side * middle.axes[:, 2] for side in (-1, 1)]
+        balls = [Sphere((float(x), float(y), float(z)), self.radius) for x, y, z in ends]
+        return tuple(term for shape in (middle, *balls) for term in shape.terms)
+
+    @property
+    def volume(self) -> float:
+        """Volume [mm^3]."""
+        return pi * self.radius**2 * (self.length + 4 / 3 * self.radius)

@@ -9,7 +9,19 @@ from phantomgen.ops.expose import CROSSED, KINKED, expose, expose_brute
 from phantomgen.ops.trace import trace
 from phantomgen.ops.voxelize_shapes import fractions
 from phantomgen.panel import Panel
-from phantomgen.shapes import Box, Cylinder, Ellipsoid, Shape, ShapeArrays, Sphere
+from phantomgen.shapes import (
+    Box,
+    Capsule,
+    Cone,
+    Cylinder,
+    Ellipsoid,
+    Intersection,
+    Shape,
+    Sphere,
+    Torus,
+    Tube,
+    solids_of,
+)
 
 ATTENUATION = np.array([[0.05, 0.02], [0.2, 0.1]])
 WEIGHTS = np.array([1.0, 2.0])
@@ -17,16 +29,15 @@ STARTS = np.array([0, 1, 2])
 
 
 def path(objects: list[tuple[Shape, int]], origin: tuple, end: tuple) -> list[float]:
-    arrays = ShapeArrays.of(objects)
+    arrays = solids_of(objects)
     direction = np.subtract(end, origin, dtype=np.float64)[None]
-    lengths = trace(np.array([origin], float), direction, arrays.kinds, arrays.locals_, arrays.materials, 2)
+    lengths = trace(np.array([origin], float), direction, arrays, 2)
     return lengths[0].tolist()
 
 
 def exposed(objects: list[tuple[Shape, int]], rows: int = 24, pitch: float = 4.0):
     """One view of objects, and the same by 128 x 128 rays, pixel by pixel."""
-    arrays = ShapeArrays.of(objects)
-    solids = (arrays.kinds, arrays.locals_, arrays.materials)
+    solids = solids_of(objects)
     frame = Geometry.circular(500.0, 800.0, np.array([0.3]), Panel(rows, rows, pitch)).ray_frames()[0]
     found = expose(frame, rows, rows, solids, ATTENUATION, WEIGHTS, STARTS)
     pixels = np.argwhere(np.ones((rows, rows)))
@@ -89,6 +100,12 @@ CASES: dict[str, tuple[list[tuple[Shape, int]], float, float]] = {
     "same shape twice": ([(Box((1, 2, 3), (20, 20, 20), (1, 2, 3)), 0)] * 2, 2e-3, 1e-3),
     "tilted cylinder": ([(Cylinder((0, 0, 0), 15.0, 20.0, (1, 1, 1)), 0)], 2e-3, 1e-3),
     "ellipsoid": ([(Ellipsoid((0, 0, 0), (5.0, 15.0, 20.0), (1, 2, 3)), 0)], 2e-3, 1e-3),
+    "tube": ([(Tube((0, 0, 0), 15.0, 10.0, 20.0, (1, 1, 1)), 0)], 2e-3, 1e-3),
+    "capsule": ([(Capsule((0, 0, 0), 8.0, 20.0, (1, 0.5, 1)), 0)], 2e-3, 1e-3),
+    "cone": ([(Cone((0, 0, 0), (0.0, 15.0), 30.0, (1, 0.2, 0.5)), 0)], 2e-3, 1e-3),
+    "frustum": ([(Cone((0, 0, 0), (15.0, 5.0), 30.0, (1, 0.2, 0.5)), 0)], 2e-3, 1e-3),
+    "torus": ([(Torus((0, 0, 0), 15.0, 5.0, (1, 0.2, 0.5)), 0)], 2e-2, 1e-2),
+    "lens": ([(Intersection((Sphere((0, 0, 9), 15.0), Sphere((0, 0, -9), 15.0))), 0)], 2e-2, 1e-2),
     "shapes that intersect": ([(Sphere((0, 0, 0), 12.0), 0), (Sphere((8, 8, 2), 10.0), 1)], 2e-2, 1e-2),
 }
 
@@ -108,22 +125,21 @@ def test_intersecting_surfaces_are_noticed() -> None:
 
 
 def test_one_pixel_and_no_object() -> None:
-    arrays = ShapeArrays.of([(Sphere((0, 0, 0), 5.0), 0)])
-    solids = (arrays.kinds, arrays.locals_, arrays.materials)
+    solids = solids_of([(Sphere((0, 0, 0), 5.0), 0)])
     frame = Geometry.circular(500.0, 800.0, np.zeros(1), Panel(1, 1, 40.0)).ray_frames()[0]
     counts = expose(frame, 1, 1, solids, ATTENUATION, WEIGHTS, STARTS).counts[:, 0, 0]
     np.testing.assert_allclose(
         counts, expose_brute(frame, np.zeros((1, 2), int), solids, ATTENUATION, WEIGHTS, STARTS, n=512)[0], rtol=1e-4
     )
-    empty = ShapeArrays.of([])
-    found = expose(frame, 1, 1, (empty.kinds, empty.locals_, empty.materials), ATTENUATION, WEIGHTS, STARTS)
+    empty = solids_of([])
+    found = expose(frame, 1, 1, empty, ATTENUATION, WEIGHTS, STARTS)
     assert found.counts[:, 0, 0].tolist() == [1, 2]
     assert found.rays.sum() == 0
 
 
 def test_one_voxel() -> None:
-    arrays = ShapeArrays.of([(Sphere((0.1, 0, 0), 0.4), 0), (Box((0, 0, 0.3), (0.1, 0.1, 0.1)), 1)])
-    found = fractions(Grid.cube(1, 1.0), arrays.kinds, arrays.locals_, arrays.materials, 2)
+    arrays = solids_of([(Sphere((0.1, 0, 0), 0.4), 0), (Box((0, 0, 0.3), (0.1, 0.1, 0.1)), 1)])
+    found = fractions(Grid.cube(1, 1.0), arrays, 2)
     inside = 4 / 3 * np.pi * 0.4**3 - found[1, 0, 0, 0]
     assert found[1, 0, 0, 0] == pytest.approx(1e-3, rel=1e-5)
     assert found[0, 0, 0, 0] == pytest.approx(inside, rel=1e-3)

@@ -12,7 +12,7 @@ from phantomgen.ops.silhouette.forms import cone_silhouettes, parallel_silhouett
 from phantomgen.ops.silhouette.quadrature import CONICS, make_room, make_rules, square_nodes
 from phantomgen.ops.trace import trace
 from phantomgen.panel import Panel
-from phantomgen.shapes import Box, Cylinder, Ellipsoid, Shape, ShapeArrays, Sphere
+from phantomgen.shapes import Box, Cylinder, Ellipsoid, Shape, Sphere, solids_of
 from spectra.errors import InputError
 from spectra.threads import run_parallel, set_threads
 
@@ -34,11 +34,6 @@ ATTENUATION = np.array(
 WEIGHTS = np.array([1e4, 2e4, 3e4, 4e4])
 STARTS = np.arange(5)
 SPECTRUM = (ATTENUATION, WEIGHTS, STARTS)
-
-
-def solids_of(objects: list[tuple[Shape, int]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    arrays = ShapeArrays.of(objects)
-    return arrays.kinds, arrays.locals_, arrays.materials
 
 
 def frame_of(pixels: int, pitch: float, angle: float = 0.3) -> np.ndarray:
@@ -138,10 +133,10 @@ def test_refuses_spectrum_that_does_not_match() -> None:
 def test_silhouettes_enclose_the_shadow(shape: Shape) -> None:
     """Where a ray begins to hit and where it ceases to, some form vanishes; all hits lie within the bounds."""
     frame, solids = frame_of(32, 8.0), solids_of([(shape, 0)])
-    outline = cone_silhouettes(frame, *solids[:2])
+    outline = cone_silhouettes(frame, solids.kinds, solids.locals_)
     u = np.linspace(0, 31, 20_001)
     directions = frame[1] + u[:, None] * frame[2] + 15.3 * frame[3]
-    hit = trace(np.tile(frame[0], (len(u), 1)), directions, *solids, 1)[:, 0] > 0
+    hit = trace(np.tile(frame[0], (len(u), 1)), directions, solids, 1)[:, 0] > 0
     low_u, high_u, low_v, high_v = outline.bounds[0]
     assert low_u <= u[hit].min()
     assert u[hit].max() <= high_u

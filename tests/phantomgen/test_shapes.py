@@ -6,8 +6,27 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.path import Path
 
-from phantomgen.shapes import Box, Cylinder, Ellipsoid, Shape, ShapeArrays, Sphere, rotation_matrix
+from phantomgen.shapes import (
+    Box,
+    Capsule,
+    Cone,
+    Cylinder,
+    Difference,
+    Ellipsoid,
+    HalfSpace,
+    Intersection,
+    Placed,
+    Polygon,
+    Shape,
+    Sphere,
+    Torus,
+    Tube,
+    Union,
+    rotation_matrix,
+    solids_of,
+)
 from spectra.errors import InputError
 
 SHAPES: list[Shape] = [
@@ -16,6 +35,12 @@ SHAPES: list[Shape] = [
     Cylinder((0.5, 0.0, 0.0), 1.5, 4.0),
     Cylinder((0.0, 1.0, 0.0), (1.0, 2.0), 3.0, (1.0, 2.0, -3.0)),
     Box((0.0, 0.0, 1.0), (2.0, 3.0, 4.0), (0.1, 0.2, 0.3)),
+    Tube((0.5, 0.0, 0.0), 1.5, 1.0, 3.0, (1.0, 0.0, 1.0)),
+    Capsule((0.0, 1.0, 0.0), 0.8, 2.0, (1.0, -1.0, 0.5)),
+    Cone((0.0, 0.0, 1.0), (1.5, 0.0), 3.0, (0.0, 1.0, 1.0)),
+    Cone((0.0, 0.5, 0.0), (1.0, 2.0), 2.0, (-1.0, 0.2, 0.3)),
+    Torus((1.0, 0.0, 0.0), 1.5, 0.6, (0.3, 0.2, 1.0)),
+    Polygon(((0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (1.0, 0.8), (0.0, 2.0)), 1.5, (0.2, 0.1, 0.0)),
 ]
 unit = st.floats(-1, 1)
 
@@ -95,7 +120,18 @@ def test_equality_and_repr() -> None:
         (lambda: Cylinder((0, 0, 0), 1.0, float("nan")), "cylinder length"),
         (lambda: Cylinder((0, 0, 0), 1.0, 1.0, (0, 0, 0)), "must not be the zero vector"),
         (lambda: Box((0, 0, float("inf")), (1, 1, 1)), "box center"),
-        (lambda: ShapeArrays.of([(Sphere((0, 0, 0), 1.0), -1)]), "must not be negative"),
+        (lambda: Tube((0, 0, 0), 1.0, 1.0, 2.0), "inner_radius 1 must be smaller"),
+        (lambda: Capsule((0, 0, 0), -1.0, 2.0), "capsule radius"),
+        (lambda: Cone((0, 0, 0), (1.0, 1.0), 2.0), "take a cylinder"),
+        (lambda: Cone((0, 0, 0), (0.0, 0.0), 2.0), "cone radii"),
+        (lambda: Cone((0, 0, 0), (-1.0, 2.0), 2.0), "must not be negative"),
+        (lambda: Torus((0, 0, 0), 1.0, 1.0), "smaller than its radius"),
+        (lambda: Polygon(((0, 0), (1, 1)), 1.0), "at least three"),
+        (lambda: Polygon(((0, 0), (1, 1), (1, 0), (0, 1)), 1.0), "edges 0 and 2 cross"),
+        (lambda: HalfSpace((0, 0, 0), 1.0), "half-space normal"),
+        (lambda: Placed(Sphere((0, 0, 0), 1.0), np.diag([1.0, 1.0, 0.0]), np.zeros(3)), "must not flatten"),
+        (lambda: Intersection((Union((Sphere((0, 0, 0), 1.0),) * 30),) * 3).terms, "more than 500 pieces"),
+        (lambda: solids_of([(Sphere((0, 0, 0), 1.0), -1)]), "must not be negative"),
     ],
 )
 def test_bad_values_are_one_sentence(make, words: str) -> None:
@@ -105,9 +141,44 @@ def test_bad_values_are_one_sentence(make, words: str) -> None:
 
 
 def test_arrays_keep_order_and_materials() -> None:
-    arrays = ShapeArrays.of([(SHAPES[0], 2), (SHAPES[2], 0)])
-    assert len(arrays) == 2
+    arrays = solids_of([(SHAPES[0], 2), (SHAPES[2], 0)])
+    assert arrays.rows == 2
     assert arrays.materials.tolist() == [2, 0]
     surface = arrays.locals_[0][:, :3] @ np.array([1.0, -2.0, 5.5]) + arrays.locals_[0][:, 3]
     assert np.linalg.norm(surface) == pytest.approx(1)
-    assert len(ShapeArrays.of([])) == 0
+    assert solids_of([]).rows == 0
+
+
+CUTTERS = (Sphere((0.5, 0.2, 0.0), 1.2), Box((0.0, 1.0, 0.0), (1.0, 2.0, 5.0), (0.3, 0.0, 0.5)))
+PIECE = HalfSpace((1.0, 2.0, 0.5), 0.4)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=repr)
+def test_combinations_are_those_of_sets(shape: Shape) -> None:
+    points = np.random.default_rng(2).uniform(-3, 3, (5000, 3))
+    inside, (first, second) = shape.contains(points), (cutter.contains(points) for cutter in CUTTERS)
+    below = PIECE.contains(points)
+    for combined, expected in (
+        (Difference(shape, CUTTERS), inside & ~first & ~second),
+        (Intersection((shape, Union(CUTTERS), PIECE)), inside & (first | second) & below),
+        (Difference(CUTTERS[1], (Difference(shape, (CUTTERS[0],)),)), second & ~(inside & ~first)),
+    ):
+        np.testing.assert_array_equal(combined.contains(points), expected)
+
+
+def test_placed_shapes_go_where_their_points_go() -> None:
+    matrix, offset = rotation_matrix((0.3, 0.2, 0.1)) @ np.diag([1.0, 2.0, 0.5]), np.array([1.0, 2.0, 3.0])
+    points = np.random.default_rng(3).uniform(-3, 3, (2000, 3))
+    for shape in SHAPES:
+        placed = Placed(shape, matrix, offset)
+        np.testing.assert_array_equal(placed.contains(points @ matrix.T + offset), shape.contains(points))
+        assert placed.volume == pytest.approx(shape.volume)
+
+
+@pytest.mark.parametrize("turn", [1, -1])
+def test_polygon_is_where_its_outline_winds(turn: int) -> None:
+    star = np.array([[np.cos(a), np.sin(a)] for a in np.arange(10) * np.pi / 5]) * np.tile([2.0, 0.7], 5)[:, None]
+    prism = Polygon(tuple(map(tuple, star[::turn])), 2.0)
+    points = np.random.default_rng(4).uniform(-2, 2, (5000, 3))
+    assert (prism.contains(points) == (Path(star).contains_points(points[:, :2]) & (np.abs(points[:, 2]) < 1))).all()
+    assert len(Polygon(((0, 0), (1, 0), (1, 1), (0, 1)), 1.0).terms) == 1

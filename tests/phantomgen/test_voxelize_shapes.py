@@ -6,12 +6,23 @@ import pytest
 from phantomgen.grid import Grid
 from phantomgen.ops.voxelize_shapes import fractions
 from phantomgen.ops.voxelize_shapes.reference import fractions_by_points
-from phantomgen.shapes import Box, Cylinder, Ellipsoid, Shape, ShapeArrays, Sphere
+from phantomgen.shapes import (
+    Box,
+    Capsule,
+    Cone,
+    Cylinder,
+    Ellipsoid,
+    Polygon,
+    Shape,
+    Sphere,
+    Torus,
+    Tube,
+    solids_of,
+)
 
 
 def filled(grid: Grid, objects: list[tuple[Shape, int]], count: int = 1, **options) -> np.ndarray:
-    arrays = ShapeArrays.of(objects)
-    return fractions(grid, arrays.kinds, arrays.locals_, arrays.materials, count, **options)
+    return fractions(grid, solids_of(objects), count, **options)
 
 
 @pytest.mark.parametrize(
@@ -27,6 +38,13 @@ def filled(grid: Grid, objects: list[tuple[Shape, int]], count: int = 1, **optio
         (Cylinder((1, 2, 3), (10.2, 4.1), 40.3, (1, 0, 0)), 2e-5),
         (Box((1, 2, 3), (10.2, 20.3, 30.1), (0.3, 0.4, 0.5)), 1e-6),
         (Cylinder((1, 2, 3), 0.05, 60.0, (1, 1, 0)), 1e-3),
+        (Tube((1, 2, 3), 20.3, 15.2, 30.1), 1e-7),
+        (Tube((1, 2, 3), 20.3, 15.2, 30.1, (1, 2, 3)), 1e-6),
+        (Capsule((1, 2, 3), 10.3, 30.1, (1, 2, 3)), 1e-6),
+        (Cone((1, 2, 3), (0.0, 20.3), 30.1, (1, 2, 3)), 1e-5),
+        (Cone((1, 2, 3), (20.3, 7.1), 30.1), 1e-5),
+        (Torus((1, 2, 3), 20.3, 7.1, (1, 2, 3)), 5e-4),
+        (Polygon(((0, 20), (5, 5), (20, 0), (0, -20), (-20, 0)), 30.1, (1, 2, 3), (0.3, 0.4, 0.5)), 1e-4),
     ],
     ids=repr,
 )
@@ -52,8 +70,8 @@ def test_against_counted_points() -> None:
         (Cylinder((0, 0, -1), 0.8, 3.0, (1, 2, 1)), 0),
     ]
     grid = Grid((3, 4, 5), (1.7, 1.3, 1.1), (-1.6, -1.9, -2.3))
-    arrays = ShapeArrays.of(objects)
-    counted = fractions_by_points(grid, arrays.kinds, arrays.locals_, arrays.materials, 3, 12, 2)
+    arrays = solids_of(objects)
+    counted = fractions_by_points(grid, arrays, 3, 12, 2)
     found = filled(grid, objects, 3, background=2)
     np.testing.assert_allclose(found.sum(axis=0), 1, rtol=1e-6)
     np.testing.assert_allclose(found, counted, atol=0.02)

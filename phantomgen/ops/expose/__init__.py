@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int64, UInt8
 
 from phantomgen.ops.expose.classes import CLASSES, CROSSED, EMPTY, KINKED, NEAR, SMOOTH
-from phantomgen.ops.trace import checked_solids
+from phantomgen.ops.solids import Solids
 from spectra.errors import InputError
 
 __all__ = ["CLASSES", "CROSSED", "EMPTY", "KINKED", "NEAR", "SMOOTH", "Exposed", "expose", "expose_brute"]
@@ -38,7 +38,7 @@ def expose(
     frame: Float[np.ndarray, "4 3"],
     rows: int,
     columns: int,
-    solids: tuple[np.ndarray, np.ndarray, np.ndarray],
+    solids: Solids,
     attenuation: Float[np.ndarray, "material node"],
     weights: Float[np.ndarray, " node"],
     starts: Int64[np.ndarray, " boundary"],
@@ -52,7 +52,7 @@ def expose(
     ----------
     frame : source, vector from there to the centre of pixel (0, 0), column step, row step (x, y, z) [mm]
     rows, columns : size of the panel
-    solids : kinds (shape,), local maps (shape, 3, 4) and material indices (shape,), lowest priority first
+    solids : the objects, lowest priority first
     attenuation : linear attenuation of each material at each spectral node [1/mm]
     weights : photons times response at each node
     starts : channel c owns the nodes ``starts[c]`` to ``starts[c + 1]``
@@ -88,7 +88,7 @@ def expose(
 def expose_brute(
     frame: Float[np.ndarray, "4 3"],
     pixels: Int64[np.ndarray, "pixel 2"],
-    solids: tuple[np.ndarray, np.ndarray, np.ndarray],
+    solids: Solids,
     attenuation: Float[np.ndarray, "material node"],
     weights: Float[np.ndarray, " node"],
     starts: Int64[np.ndarray, " boundary"],
@@ -120,7 +120,7 @@ class _View(NamedTuple):
     def of(
         cls,
         frame: np.ndarray,
-        solids: tuple[np.ndarray, np.ndarray, np.ndarray],
+        solids: Solids,
         attenuation: np.ndarray,
         weights: np.ndarray,
         starts: np.ndarray,
@@ -137,9 +137,10 @@ class _View(NamedTuple):
                 f"attenuation {attenuation.shape}, weights {weights.shape} and channel starts {starts.tolist()} "
                 "do not match"
             )
-        kinds, locals_, materials = checked_solids(*solids, len(attenuation), background)
+        solids = solids.checked(len(attenuation), background)
         air = np.array([weights[a:b].sum() for a, b in pairwise(starts)])
-        outline = cone_silhouettes(frame, kinds, locals_)
-        ray = (np.empty(len(kinds), np.int64), event_room(len(kinds)), np.empty(len(attenuation)), np.empty(len(air)))
-        shapes = (frame, solid_table(kinds, locals_, materials), locals_, outline.bounds, int(background))
+        outline = cone_silhouettes(frame, solids.kinds, solids.locals_)
+        room = np.empty(solids.rows, np.int64), event_room(solids.rows)
+        ray = (*room, np.empty(len(attenuation)), np.empty(len(air)))
+        shapes = (frame, solid_table(solids), solids.locals_, outline.bounds, int(background))
         return cls(shapes, outline, (attenuation, weights, starts, air), ray)

@@ -140,8 +140,8 @@ def _gather(forms, shapes, roots, bounds, reach, u, v, local):
 def _settled(classes, signatures, level, row, column):
     """Class of a pixel in the light of the rays through its and its neighbours' centres.
 
-    A pixel whose neighbour, not crossed either, has another sequence of owners is KINKED; a smooth one is NEAR if it
-    lacks a neighbour to take differences with, or if its contrast is high.
+    A pixel one of whose eight neighbours, not crossed either, has another sequence of owners is KINKED; a smooth one is
+    NEAR if it lacks a neighbour to take differences with, or if its contrast is high.
     """
     rows, columns = classes.shape
     kind = classes[row, column]
@@ -149,10 +149,11 @@ def _settled(classes, signatures, level, row, column):
         return kind
     if level > 0:
         kind = NEAR
-    for i in range(4):
-        r, c = row + (i == 0) - (i == 1), column + (i == 2) - (i == 3)
+    for i in range(9):
+        r, c = row + i // 3 - 1, column + i % 3 - 1
         if not (0 <= r < rows and 0 <= c < columns) or classes[r, c] == CROSSED:
-            kind = max(kind, NEAR)
+            if i % 2:  # the four that share a side, which differences are taken with
+                kind = max(kind, NEAR)
         elif signatures[r, c] != signatures[row, column]:
             return KINKED
     return kind

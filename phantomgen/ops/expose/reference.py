@@ -3,13 +3,14 @@
 import numpy as np
 from jaxtyping import Float, Int64
 
+from phantomgen.ops.solids import Solids
 from phantomgen.ops.trace.reference import trace_one
 
 
 def expose_one(
     frame: Float[np.ndarray, "4 3"],
     pixel: tuple[int, int],
-    solids: tuple[np.ndarray, np.ndarray, np.ndarray],
+    solids: Solids,
     attenuation: Float[np.ndarray, "material node"],
     weights: Float[np.ndarray, " node"],
     starts: Int64[np.ndarray, " boundary"],
@@ -22,6 +23,6 @@ def expose_one(
     counts = np.zeros(len(starts) - 1)
     for v in pixel[0] + offsets:
         for u in pixel[1] + offsets:
-            lengths = trace_one(source, corner + u * column_step + v * row_step, *solids, len(attenuation), background)
+            lengths = trace_one(source, corner + u * column_step + v * row_step, solids, len(attenuation), background)
             counts += np.add.reduceat(weights * np.exp(-lengths @ attenuation), starts[:-1])
     return counts / n**2

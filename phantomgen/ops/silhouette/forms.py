@@ -10,7 +10,11 @@ ball       d.d - m.m                                                   a ray tou
 cylinder   dx^2 + dy^2 - mz^2                                          a ray touches the mantle
 cylinder   dz^2 - (h dx - my)^2 - (h dy + mx)^2, h = +1, -1            a ray meets a rim
 box        mk^2 - (di + dj)^2, mk^2 - (di - dj)^2, (i, j, k) cyclic    a ray meets one of two opposite edges along k
+cone       mx^2 + my^2 - mz^2                                          a ray touches the mantle
+cone       dz^2 - (dx - my)^2 - (dy + mx)^2                            a ray meets the rim
 =========  ==========================================================  ============================================
+
+Half-spaces have no silhouette, and that of a torus is no conic.
 
 (Plücker coordinates: two lines meet where the mixed product of directions and moments vanishes.) Inside the first two,
 path lengths grow like the square root of the form; the others mark kinks, or steps where a face is seen edge on.
@@ -21,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int64
 
-from phantomgen.ops.primitives import BALL, CYLINDER
+from phantomgen.ops.primitives import BALL, BOX, CONE, CYLINDER, HALFSPACE
 
 # Relative size below which a form is rounding noise: every ray, or none, is singular (a mantle seen along its axis).
 _ZERO_FORM = 1e-26
@@ -50,7 +54,7 @@ def cone_silhouettes(
     """Silhouettes for rays ``frame[0] + t (frame[1] + u frame[2] + v frame[3])``."""
     origin = np.zeros((3, 3))
     origin[:, 0] = frame[0]
-    return _silhouettes(origin, frame[1:].T, kinds, locals_, _projected_bounds(frame, locals_))
+    return _silhouettes(origin, frame[1:].T, kinds, locals_, _projected_bounds(frame, kinds, locals_))
 
 
 def parallel_silhouettes(
@@ -100,18 +104,25 @@ def _primitive_forms(
         mantle = square(d[0]) + square(d[1]) - square(m[2])
         rims = [square(d[2]) - square(h * d[0] - m[1]) - square(h * d[1] + m[0]) for h in (-1.0, 1.0)]
         return np.stack([mantle, *rims]), np.array([True, False, False])
+    if kind == CONE:
+        mantle = square(m[0]) + square(m[1]) - square(m[2])
+        rim = square(d[2]) - square(d[0] - m[1]) - square(d[1] + m[0])
+        return np.stack([mantle, rim]), np.array([True, False])
+    if kind != BOX:
+        return np.empty((0, 3, 3)), np.empty(0, np.bool_)
     cyclic = [(1, 2, 0), (2, 0, 1), (0, 1, 2)]
     edges = [square(m[k]) - square(d[i] + sign * d[j]) for i, j, k in cyclic for sign in (-1.0, 1.0)]
     return np.stack(edges), np.zeros(6, np.bool_)
 
 
 def _projected_bounds(
-    frame: Float[np.ndarray, "4 3"], locals_: Float[np.ndarray, "shape 3 4"]
+    frame: Float[np.ndarray, "4 3"], kinds: Int64[np.ndarray, " shape"], locals_: Float[np.ndarray, "shape 3 4"]
 ) -> Float[np.ndarray, "shape 4"]:
-    """Panel rectangle around the projection of the cube that encloses each primitive."""
+    """Panel rectangle around the projection of the cube that encloses each bounded primitive."""
     corners = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8)
     bounds = np.tile([-np.inf, np.inf, -np.inf, np.inf], (len(locals_), 1))
-    for s, m in enumerate(locals_):
+    for s in np.flatnonzero(kinds != HALFSPACE):
+        m = locals_[s]
         world = np.linalg.solve(m[:, :3], corners - m[:, 3:])
         depth, u, v = np.linalg.solve(frame[1:].T, world - frame[0][:, None])
         if depth.min() > 1e-9:

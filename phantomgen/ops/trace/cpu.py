@@ -8,32 +8,36 @@ from math import sqrt
 from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Float, Int64
+from jaxtyping import Float
 from numba import njit
 
 from phantomgen.ops.device import inlined
-from phantomgen.ops.primitives import BALL, CYLINDER
+from phantomgen.ops.primitives import BALL, CONE, CYLINDER, HALFSPACE, TORUS
+from phantomgen.ops.solids import Solids
+from phantomgen.ops.trace.torus import torus_intervals
 
-# One row of a table of solids: what a ray needs to know about a shape, side by side in memory. Few arrays and inlined
+# One row of a table of solids: what a ray needs to know about a primitive, side by side in memory. Few arrays, inlined
 # functions: numba counts references to each array that a function is handed, which costs more than a chord.
-KIND, MATERIAL, ORIGIN, MAP, WIDTH = 0, 1, 2, 5, 14
+# NEED counts the primitives that a term lies inside; it is 0 for a primitive that the term lies outside.
+KIND, MATERIAL, ORIGIN, MAP, TUBE, OWNER, TERM, NEED, WIDTH = 0, 1, 2, 5, 14, 15, 16, 17, 18
 # Rows of the scratch for the events along one ray.
-ENTER, LEAVE, OWNER, CUT, PIECE, EVENT_ROWS = 0, 1, 2, 3, 4, 5
+ENTER, LEAVE, HIT, CUT, PIECE, EVENT_ROWS = 0, 1, 2, 3, 4, 5
 
 
-def solid_table(
-    kinds: Int64[np.ndarray, " shape"], locals_: Float[np.ndarray, "shape 3 4"], materials: Int64[np.ndarray, " shape"]
-) -> Float[np.ndarray, "shape 14"]:
-    """Shapes as rows of kind, material, the rays' origin in local coordinates (to be filled in), linear map."""
-    table = np.zeros((len(kinds), WIDTH))
-    table[:, KIND], table[:, MATERIAL] = kinds, materials
-    table[:, MAP:] = locals_[:, :, :3].reshape(-1, 9)
+def solid_table(solids: Solids) -> Float[np.ndarray, "row 18"]:
+    """Primitives as rows: kind, material, the rays' local origin (to be filled in), linear map, roles."""
+    table = np.zeros((solids.rows, WIDTH))
+    table[:, KIND], table[:, MATERIAL], table[:, TUBE] = solids.kinds, solids.materials, solids.tubes
+    table[:, MAP:TUBE] = solids.locals_[:, :, :3].reshape(-1, 9)
+    table[:, OWNER], table[:, TERM] = solids.owners, solids.terms
+    needs = np.bincount(solids.terms[solids.inside], minlength=solids.rows)
+    table[:, NEED] = np.where(solids.inside, needs[solids.terms], 0)
     return table
 
 
-def event_room(shapes: int) -> Float[np.ndarray, "5 event"]:
-    """Scratch for the events along a ray that meets all shapes."""
-    return np.empty((EVENT_ROWS, 2 * shapes + 1))
+def event_room(rows: int) -> Float[np.ndarray, "5 event"]:
+    """Scratch for the events along a ray that meets all primitives, a torus twice."""
+    return np.empty((EVENT_ROWS, 4 * rows + 1))
 
 
 @inlined
@@ -62,6 +66,28 @@ def _between_roots(a, b, discriminant, outside):
 
 @inlined
 @no_type_check
+def _in_cone(ox, oy, oz, dx, dy, dz, mx, my, mz):
+    """Interval inside the upper half of the double cone ``x^2 + y^2 < z^2``, cut off at its base."""
+    a, b = dx * dx + dy * dy - dz * dz, ox * dx + oy * dy - oz * dz
+    first, last = _slab(2.0 * oz - 1.0, 2.0 * dz, 0.0, 1.0)
+    if a == 0.0:
+        if b == 0.0:
+            return (1.0, 0.0) if ox * ox + oy * oy >= oz * oz else (first, last)
+        end = (oz * oz - ox * ox - oy * oy) / (2.0 * b)
+        return (first, min(last, end)) if b > 0.0 else (max(first, end), last)
+    discriminant = mx * mx + my * my - mz * mz
+    if a > 0.0 and discriminant <= 0.0:
+        return 1.0, 0.0
+    root = sqrt(max(discriminant, 0.0))
+    low, high = (-b - root) / a, (-b + root) / a
+    if a > 0.0:
+        return max(first, low), min(last, high)
+    # Steeper than the mantle: outside the roots, of which one lies on the other half of the double cone.
+    return (max(first, low), last) if dz > 0.0 else (first, min(last, high))
+
+
+@inlined
+@no_type_check
 def chord(kind, ox, oy, oz, dx, dy, dz):
     """Interval of t in [0, 1] inside a unit primitive, in local coordinates; empty when the first is not smaller.
 
@@ -78,6 +104,14 @@ def chord(kind, ox, oy, oz, dx, dy, dz):
         a = dx * dx + dy * dy
         first, last = _between_roots(a, ox * dx + oy * dy, a - mz * mz, ox * ox + oy * oy >= 1.0)
         return _slab(oz, dz, first, last)
+    if kind == HALFSPACE:
+        if dz == 0.0:
+            return (0.0, 1.0) if oz < 0.0 else (1.0, 0.0)
+        cut = -oz / dz
+        return (0.0, min(1.0, cut)) if dz > 0.0 else (max(0.0, cut), 1.0)
+    if kind == CONE:
+        mx, my = oy * dz - oz * dy, oz * dx - ox * dz
+        return _in_cone(ox, oy, oz, dx, dy, dz, mx, my, mz)
     first, last = _slab(ox, dx, 0.0, 1.0)
     first, last = _slab(oy, dy, first, last)
     return _slab(oz, dz, first, last)
@@ -86,25 +120,46 @@ def chord(kind, ox, oy, oz, dx, dy, dz):
 @inlined
 @no_type_check
 def _collect(table, dx, dy, dz, active, count, events):
-    """Fill `events` with those of the active shapes that the ray meets, in order of priority; return how many."""
+    """Fill `events` with those of the active primitives that the ray meets, in order; return how many."""
     hits = 0
     for i in range(count):
         s = active[i]
-        first, last = chord(
-            table[s, KIND],
-            table[s, 2],
-            table[s, 3],
-            table[s, 4],
-            table[s, 5] * dx + table[s, 6] * dy + table[s, 7] * dz,
-            table[s, 8] * dx + table[s, 9] * dy + table[s, 10] * dz,
-            table[s, 11] * dx + table[s, 12] * dy + table[s, 13] * dz,
-        )
+        kind, ox, oy, oz = table[s, KIND], table[s, 2], table[s, 3], table[s, 4]
+        lx = table[s, 5] * dx + table[s, 6] * dy + table[s, 7] * dz
+        ly = table[s, 8] * dx + table[s, 9] * dy + table[s, 10] * dz
+        lz = table[s, 11] * dx + table[s, 12] * dy + table[s, 13] * dz
+        if kind == TORUS:
+            hits += torus_intervals(table[s, TUBE], ox, oy, oz, lx, ly, lz, s, hits, events)
+            continue
+        first, last = chord(kind, ox, oy, oz, lx, ly, lz)
         if first < last:
             events[ENTER, hits] = first
             events[LEAVE, hits] = last
-            events[OWNER, hits] = s
+            events[HIT, hits] = s
             hits += 1
     return hits
+
+
+@inlined
+@no_type_check
+def _owner(table, events, hits, low, high):
+    """First row of the last object that covers the ray from `low` to `high`; -1: none does."""
+    h = hits - 1
+    while h >= 0:
+        s = int(events[HIT, h])
+        term, met, need = table[s, TERM], 0, 1
+        while h >= 0 and table[int(events[HIT, h]), TERM] == term:
+            row = int(events[HIT, h])
+            covered = events[ENTER, h] <= low and events[LEAVE, h] >= high
+            if table[row, NEED] > 0.0:
+                need = int(table[row, NEED])
+                met += covered
+            elif covered:
+                met = -hits  # outside is wanted: never enough
+            h -= 1
+        if met == need:
+            return table[s, OWNER]
+    return -1.0
 
 
 @inlined
@@ -125,13 +180,14 @@ def _sort_cuts(events, hits):
 def owned_pieces(table, dx, dy, dz, active, count, events):
     """Cut the ray where its owner changes.
 
-    Afterwards ``events[PIECE, i]`` owns the ray from ``events[CUT, i]`` to ``events[CUT, i + 1]``; -1: nobody.
+    Afterwards the object that begins with row ``events[PIECE, i]`` owns the ray from ``events[CUT, i]`` to
+    ``events[CUT, i + 1]``; -1: nobody.
 
     Parameters
     ----------
-    table : shapes as `solid_table` makes them, with the ray's origin filled in
+    table : primitives as `solid_table` makes them, with the ray's origin filled in
     dx, dy, dz : direction [mm]
-    active, count : indices of the shapes that the ray may meet, ascending; how many of them
+    active, count : rows that the ray may meet, ascending; how many of them
 
     Returns
     -------
@@ -146,11 +202,7 @@ def owned_pieces(table, dx, dy, dz, active, count, events):
         low, high = events[CUT, i], events[CUT, i + 1]
         if high <= low:
             continue
-        owner = -1.0
-        for h in range(hits - 1, -1, -1):
-            if events[ENTER, h] <= low and events[LEAVE, h] >= high:
-                owner = events[OWNER, h]
-                break
+        owner = _owner(table, events, hits, low, high)
         if pieces > 0 and events[PIECE, pieces - 1] == owner:
             events[CUT, pieces] = high
         else:

@@ -1,18 +1,16 @@
 """Volume fraction of each material in each voxel of a grid."""
 
 import numpy as np
-from jaxtyping import Float, Float32, Int64
+from jaxtyping import Float, Float32
 
 from phantomgen.grid import Grid
-from phantomgen.ops.trace import checked_solids
+from phantomgen.ops.solids import Solids
 from spectra.threads import run_parallel
 
 
 def fractions(
     grid: Grid,
-    kinds: Int64[np.ndarray, " shape"],
-    locals_: Float[np.ndarray, "shape 3 4"],
-    materials: Int64[np.ndarray, " shape"],
+    solids: Solids,
     count: int,
     n_sub: int = 6,
     background: int = -1,
@@ -26,7 +24,7 @@ def fractions(
     Parameters
     ----------
     grid : the voxels
-    kinds, locals_, materials : shapes, a later one overrides an earlier one
+    solids : the objects; a later one overrides an earlier one
     count : number of materials
     n_sub : Gauss nodes per axis and smooth part of a column
     background : material outside all shapes, -1 for none
@@ -35,21 +33,22 @@ def fractions(
     from phantomgen.ops.trace.cpu import event_room, solid_table  # noqa: PLC0415
     from phantomgen.ops.voxelize_shapes.cpu import voxelize_row  # noqa: PLC0415
 
-    kinds, locals_, materials = checked_solids(kinds, locals_, materials, count, background)
+    solids = solids.checked(count, background)
     frame = column_frame(grid)
-    outline = forms.parallel_silhouettes(frame, kinds, locals_)
+    outline = forms.parallel_silhouettes(frame, solids.kinds, solids.locals_)
     rules = quadrature.make_rules((n_sub, n_sub))
     depth, rows, columns = grid.shape
     out = np.empty((count, depth, rows, columns), dtype=np.float32)
 
     def voxelize(row: int) -> None:
         part = np.empty((count, depth, columns), dtype=np.float32)
-        table, room = solid_table(kinds, locals_, materials), tuple(quadrature.make_room(rules))
-        scratch = (np.arange(len(kinds)), event_room(len(kinds)), event_room(len(kinds)), np.empty((count, depth)))
+        table, room = solid_table(solids), tuple(quadrature.make_room(rules))
+        events = event_room(solids.rows), event_room(solids.rows)
+        scratch = (np.arange(solids.rows), *events, np.empty((count, depth)))
         voxelize_row(
             frame,
             table,
-            locals_,
+            solids.locals_,
             background,
             outline.forms,
             outline.roots,

@@ -1,17 +1,16 @@
 """Volume fractions by counting points."""
 
 import numpy as np
-from jaxtyping import Float, Int64
+from jaxtyping import Float
 
 from phantomgen.grid import Grid
-from phantomgen.ops.trace.reference import inside
+from phantomgen.ops.solids import Solids
+from phantomgen.ops.trace.reference import owner_at
 
 
 def fractions_by_points(
     grid: Grid,
-    kinds: Int64[np.ndarray, " shape"],
-    locals_: Float[np.ndarray, "shape 3 4"],
-    materials: Int64[np.ndarray, " shape"],
+    solids: Solids,
     count: int,
     n: int,
     background: int = -1,
@@ -22,10 +21,7 @@ def fractions_by_points(
     for voxel in np.ndindex(grid.shape):
         for offset in np.array(np.meshgrid(offsets, offsets, offsets)).reshape(3, -1).T:
             point = (np.array(grid.origin) + (np.array(voxel) + offset) * np.array(grid.spacing))[::-1]
-            owner = background
-            for kind, m, material in zip(kinds, locals_, materials, strict=True):
-                if inside(kind, m[:, :3] @ point + m[:, 3]):
-                    owner = material
+            owner = owner_at(solids, point, background)
             if owner >= 0:
                 out[(owner, *voxel)] += 1 / n**3
     return out

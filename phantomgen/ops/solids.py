@@ -1,0 +1,77 @@
+"""Objects as rows of unit primitives, as the operators take them.
+
+An object is a union of terms, and a term is what lies inside all of some primitives and outside some others. Rows of a
+term follow each other, and so do the terms of an object; later objects override earlier ones.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int64
+
+from phantomgen.ops.primitives import HALFSPACE, TORUS
+from spectra.errors import InputError
+
+
+class Solids(NamedTuple):
+    """Rows of primitives.
+
+    Parameters
+    ----------
+    kinds : code of `phantomgen.ops.primitives`
+    locals_ : map from world [mm] to local coordinates
+    materials : index of the material of the row's object
+    tubes : radius of the tube of a torus in local coordinates, else 0
+    owners : first row of the object that a row belongs to
+    terms : first row of the term that a row belongs to
+    inside : whether the term lies inside the primitive, or outside
+    """
+
+    kinds: Int64[np.ndarray, " row"]
+    locals_: Float[np.ndarray, "row 3 4"]
+    materials: Int64[np.ndarray, " row"]
+    tubes: Float[np.ndarray, " row"]
+    owners: Int64[np.ndarray, " row"]
+    terms: Int64[np.ndarray, " row"]
+    inside: Bool[np.ndarray, " row"]
+
+    @classmethod
+    def plain(
+        cls,
+        kinds: Int64[np.ndarray, " row"],
+        locals_: Float[np.ndarray, "row 3 4"],
+        materials: Int64[np.ndarray, " row"],
+    ) -> "Solids":
+        """One primitive per object."""
+        rows = np.arange(len(kinds))
+        return cls(kinds, locals_, materials, np.zeros(len(rows)), rows, rows, np.ones(len(rows), np.bool_))
+
+    @property
+    def rows(self) -> int:
+        """Number of primitives."""
+        return len(self.kinds)
+
+    def checked(self, count: int, background: int) -> "Solids":
+        """The same with the types that kernels want; refuses what would make a kernel write outside its arrays."""
+        rows = self.rows
+        integers = [
+            np.ascontiguousarray(a, dtype=np.int64) for a in (self.kinds, self.materials, self.owners, self.terms)
+        ]
+        numbers = [np.ascontiguousarray(a, dtype=np.float64) for a in (self.locals_, self.tubes)]
+        inside = np.ascontiguousarray(self.inside, dtype=np.bool_)
+        kinds, materials, owners, terms = integers
+        if numbers[0].shape != (rows, 3, 4) or any(a.shape != (rows,) for a in (*integers, numbers[1], inside)):
+            raise InputError(
+                f"{rows} shapes need maps (shape, 3, 4) and one material each, "
+                f"got {numbers[0].shape} and {materials.shape}"
+            )
+        if rows and (materials.min() < 0 or materials.max() >= count):
+            raise InputError(f"material indices must lie in 0..{count - 1}, got {materials.min()}..{materials.max()}")
+        if not -1 <= background < count:
+            raise InputError(f"background must be -1 or a material index below {count}, got {background}")
+        bounded = set(terms[inside & (kinds != HALFSPACE)].tolist())
+        if rows and not bounded.issuperset(terms.tolist()):
+            raise InputError("every part of a shape must lie inside something bounded")
+        if not ((numbers[1] > 0) & (numbers[1] < 0.5))[kinds == TORUS].all():
+            raise InputError("the tube of a torus must be thinner than its ring")
+        return Solids(kinds, numbers[0], materials, numbers[1], owners, terms, inside)

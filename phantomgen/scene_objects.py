@@ -1,0 +1,158 @@
+"""From object models of a scene file to shapes with the names of their materials."""
+
+from collections.abc import Iterator
+from itertools import product
+from math import radians
+
+import numpy as np
+
+from phantomgen import schema
+from phantomgen.scene_yaml import Location, SceneFile, closest
+from phantomgen.shapes import (
+    Box,
+    Capsule,
+    Cone,
+    Cylinder,
+    Difference,
+    Ellipsoid,
+    HalfSpace,
+    Intersection,
+    Placed,
+    Polygon,
+    Shape,
+    Sphere,
+    Torus,
+    Tube,
+    Union,
+    rotation_matrix,
+)
+
+
+def objects_of(file: SceneFile) -> list[tuple[Shape, str]]:
+    """Shapes with the names of their materials, lowest priority first, groups and patterns resolved.
+
+    Raises
+    ------
+    SceneError
+        With the place in the file of a material that is missing, unknown or out of place, or of an impossible shape.
+    """
+    return list(_members(file, file.model.objects, ("objects",)))
+
+
+def _members(file: SceneFile, models: tuple[schema.ObjectModel, ...], where: Location) -> Iterator[tuple[Shape, str]]:
+    """Objects of the scene or of a group."""
+    for i, model in enumerate(models):
+        place = (*where, i)
+        if isinstance(model, schema.GroupModel):
+            found = list(_group(file, model, place))
+        else:
+            found = [(_shape(file, model, place), _material(file, model, place))]
+        for copy in _copies(model):
+            yield from ((copy(shape), material) for shape, material in found)
+
+
+def _group(file: SceneFile, model: schema.GroupModel, where: Location) -> Iterator[tuple[Shape, str]]:
+    """Members of a group where they belong."""
+    _refuse_material(file, model, where)
+    scale = np.broadcast_to(np.asarray(model.scale, dtype=np.float64), 3)
+    matrix = rotation_matrix(_radians(model.rotation)) * scale
+    for shape, material in _members(file, model.objects, (*where, "objects")):
+        yield _clipped(Placed(shape, matrix, np.asarray(model.center)), model), material
+
+
+def _material(file: SceneFile, model: schema.ObjectModel, where: Location) -> str:
+    """Name of an object's material."""
+    if model.material is None:
+        raise file.error((*where, "material"), "is missing")
+    if model.material not in file.model.materials:
+        hint = closest(model.material, file.model.materials)
+        raise file.error((*where, "material"), f"unknown material {model.material!r}{hint}")
+    return model.material
+
+
+def _refuse_material(file: SceneFile, model: schema.ObjectModel, where: Location) -> None:
+    """Refuse a material where it would mean nothing."""
+    if model.material is not None:
+        raise file.error((*where, "material"), "belongs to the whole object, or to the members of a group")
+
+
+def _part(file: SceneFile, model: schema.ObjectModel, where: Location) -> Shape:
+    """A shape that another one is combined from."""
+    if isinstance(model, schema.GroupModel):
+        raise file.error((*where, "type"), "a group cannot be combined with shapes: use a union")
+    _refuse_material(file, model, where)
+    copies = [copy(_shape(file, model, where)) for copy in _copies(model)]
+    return copies[0] if len(copies) == 1 else Union(tuple(copies))
+
+
+def _parts(file: SceneFile, models: tuple[schema.ObjectModel, ...], where: Location) -> tuple[Shape, ...]:
+    return tuple(_part(file, model, (*where, i)) for i, model in enumerate(models))
+
+
+def _shape(file: SceneFile, model: schema.ObjectModel, where: Location) -> Shape:
+    """One shape with what is cut off."""
+    shift = np.asarray(model.center)
+    if isinstance(model, schema.CombinedModel):
+        parts = _parts(file, model.shapes, (*where, "shapes"))
+        shape = Placed((Union if model.type == "union" else Intersection)(parts), np.eye(3), shift)
+    elif isinstance(model, schema.DifferenceModel):
+        base = _part(file, model.base, (*where, "base"))
+        shape = Placed(Difference(base, _parts(file, model.cut, (*where, "cut"))), np.eye(3), shift)
+    else:
+        with file.at(*where):
+            shape = _simple(model)
+    with file.at(*where):
+        shape = _clipped(shape, model)
+        _ = shape.terms  # refuses what falls into too many pieces
+        return shape
+
+
+def _simple(m: schema.ObjectModel) -> Shape:  # noqa: PLR0911 - one line per type
+    """A shape that is not made of others."""
+    match m:
+        case schema.SphereModel():
+            return Sphere(m.center, m.radius)
+        case schema.EllipsoidModel():
+            return Ellipsoid(m.center, m.radii, _radians(m.rotation))
+        case schema.CylinderModel():
+            return Cylinder(m.center, m.radius, m.length, m.axis)
+        case schema.BoxModel():
+            return Box(m.center, m.size, _radians(m.rotation))
+        case schema.TubeShapeModel():
+            return Tube(m.center, m.radius, m.inner_radius, m.length, m.axis)
+        case schema.CapsuleModel():
+            return Capsule(m.center, m.radius, m.length, m.axis)
+        case schema.ConeModel():
+            return Cone(m.center, m.radii, m.length, m.axis)
+        case schema.TorusModel():
+            return Torus(m.center, m.radius, m.tube, m.axis)
+        case schema.PolygonModel():
+            return Polygon(m.points, m.length, m.center, _radians(m.rotation))
+    raise AssertionError(type(m))
+
+
+def _clipped(shape: Shape, model: schema.ObjectModel) -> Shape:
+    """The part of a shape below all of the model's planes."""
+    if not model.clip:
+        return shape
+    return Intersection((shape, *(HalfSpace(plane.normal, plane.offset) for plane in model.clip)))
+
+
+def _copies(model: schema.ObjectModel):
+    """Functions that put a shape at each place of the model's pattern."""
+    pattern = model.repeat
+    if pattern is None:
+        return [lambda shape: shape]
+    if isinstance(pattern, schema.RingModel):
+        turns = [rotation_matrix((0.0, 0.0, 2 * np.pi * i / pattern.count)) for i in range(pattern.count)]
+        return [lambda shape, turn=turn: Placed(shape, turn, np.zeros(3)) for turn in turns]
+    places = product(
+        *((np.arange(n) - (n - 1) / 2) * step for n, step in zip(pattern.count, pattern.step, strict=True))
+    )
+    return [lambda shape, place=place: Placed(shape, np.eye(3), np.array(place)) for place in places]
+
+
+def _radians(degrees: schema.Vector) -> schema.Vector:
+    """Three angles [rad]."""
+    x, y, z = (radians(angle) for angle in degrees)
+    return x, y, z
