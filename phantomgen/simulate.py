@@ -118,7 +118,7 @@ def simulate(
         with watch("views"):
             _write_counts(writer, scan, transmission, keep_expected, progress)
         with watch("truth"):
-            writer.write_truth(_truth(scan), scan.scene.materials)
+            writer.write_truth(scan_truth(scan), scan.scene.materials)
         with watch("check"):
             error = (full_check if verify else quick_check)(scan, transmission)
         writer.finish(spectra)
@@ -153,7 +153,7 @@ def _shape(scan: Scan) -> tuple[int, int, int, int]:
     return len(scan.geometry), len(scan.detector), scan.geometry.panel.rows, scan.geometry.panel.columns
 
 
-def _truth(scan: Scan) -> Truth:
+def scan_truth(scan: Scan) -> Truth:
     """Material fractions and basis volumes."""
     shapes, names = scan.scene.arrays, tuple(m.name for m in scan.scene.materials)
     filled = fractions(scan.grid, shapes.kinds, shapes.locals_, shapes.materials, len(names))

@@ -1,0 +1,187 @@
+"""The window: slices per basis, surfaces per material, and the scan from outside."""
+
+import numpy as np
+import pyvista
+
+from phantomgen.view.content import (
+    Content,
+    Limits,
+    Material,
+    Plane,
+    limits,
+    materials,
+    object_limits,
+    panel_corners,
+    planes,
+    round_scale,
+    scan_title,
+    source_path,
+)
+from phantomgen.view.panes import FAINT, FONT, INK, Pane
+from spectra.basis import pretty
+
+MATERIAL_COLOURS = ("#56B4E9", "#E69F00", "#D55E00", "#CC79A7", "#009E73", "#0072B2", "#F0E442", "#999999")
+COLOUR_MAP = "viridis"
+SOURCE, PANEL, CORNER, RAY = "#D55E00", "#0072B2", "#C2185B", "#E69F00"
+VIEW = 0  # the view whose panel is drawn
+SIZE = (1600, 1000)  # pixels
+_OBJECT_SEEN_FROM, _SCAN_SEEN_FROM = (0.6, -1.5, 0.95), (1.1, -1.4, 0.85)
+_OBJECT_MARGINS, _SCAN_MARGINS = (0.05, 0.2, 0.05, 0.1), (0.25, 0.04, 0.06, 0.12)
+_SOLID = {"ambient": 0.25, "diffuse": 0.85, "specular": 0.2, "specular_power": 20.0}
+
+
+def draw(content: Content, size: tuple[int, int] = SIZE, off_screen: bool = True) -> pyvista.Plotter:
+    """A window with everything; `size` is width and height [pixel]."""
+    bases = len(content.truth.basis_names) if content.truth else 0
+    shape, groups, places = _layout(bases)
+    plotter = pyvista.Plotter(
+        off_screen=off_screen,
+        shape=shape,
+        groups=groups,
+        window_size=list(size),
+        border=False,
+        title=f"phantomgen view: {content.name}",
+    )
+    font = max(round(FONT * min(size[0] / SIZE[0], size[1] / SIZE[1])), 6)
+    panes = [Pane(plotter, place, font) for place in places]
+    for i, pane in enumerate(panes[:bases]):
+        draw_basis(pane, content, i)
+    if bases:
+        draw_materials(panes[-2], content)
+        plotter.link_views([plotter.renderers.loc_to_index(pane.place) for pane in panes[:-1]])
+    draw_scan(panes[-1], content)
+    plotter.enable_anti_aliasing("ssaa", all_renderers=True)
+    return plotter
+
+
+def draw_basis(pane: Pane, content: Content, basis: int) -> None:
+    """Three slices through one basis volume, where there is anything, with its colour bar."""
+    pane.activate()
+    truth = content.truth
+    assert truth is not None
+    top, ticks = round_scale(float(truth.volumes[basis].max()))
+    filled = truth.fractions.any(axis=0)
+    mapper = None
+    shown = list(planes(truth.volumes[basis], content.grid, content.at))
+    for plane, part in zip(shown, planes(filled, content.grid, content.at), strict=True):
+        pane.plotter.add_mesh(_frame(plane), color=FAINT, line_width=1.5)
+        if part.values.any():
+            mesh = plane_mesh(plane).extract_cells(np.flatnonzero(part.values))
+            mapper = pane.plotter.add_mesh(
+                mesh, clim=(0.0, top), cmap=COLOUR_MAP, lighting=False, show_scalar_bar=False
+            ).mapper
+    if mapper is not None:
+        pane.colour_bar(mapper, top, ticks)
+    pane.title(pretty(truth.basis_names[basis]))
+    pane.note(", ".join(f"{plane.axis} = {plane.position:.4g}" for plane in shown) + " mm")
+    pane.look(_corners(limits(content.grid)), _OBJECT_SEEN_FROM, _OBJECT_MARGINS)
+
+
+def draw_materials(pane: Pane, content: Content) -> None:
+    """Translucent surfaces, one colour per material."""
+    pane.activate()
+    truth = content.truth
+    assert truth is not None
+    shown = materials(truth)
+    for material in shown:
+        pane.plotter.add_mesh(
+            surface(material),
+            color=colour_of(material),
+            opacity=0.22 if material.encloses else 0.9,
+            smooth_shading=True,
+            **_SOLID,
+        )
+    _box(pane.plotter, limits(content.grid))
+    pane.title("materials")
+    pane.legend([(m.name.replace("_", " "), colour_of(m)) for m in shown])
+    pane.look(_corners(limits(content.grid)), _OBJECT_SEEN_FROM, _OBJECT_MARGINS)
+
+
+def draw_scan(pane: Pane, content: Content) -> None:
+    """Orbit of the source, and source, panel and central ray of one view around the object."""
+    pane.activate()
+    plotter, geometry, truth = pane.plotter, content.geometry, content.truth
+    source, corners, path = geometry.source[VIEW], panel_corners(geometry, VIEW), source_path(geometry)
+    points = np.concatenate([path, geometry.source, corners])
+    size = float(np.ptp(points, axis=0).max())
+    if len(path) > 1:
+        plotter.add_mesh(pyvista.MultipleLines(path), color=SOURCE, line_width=3)
+    plotter.add_mesh(
+        pyvista.PolyData(geometry.source), color=SOURCE, point_size=9, render_points_as_spheres=True, lighting=False
+    )
+    plotter.add_mesh(pyvista.Sphere(radius=size / 60, center=source), color=SOURCE, **_SOLID)
+    plotter.add_mesh(pyvista.PolyData(corners, faces=[4, 0, 1, 2, 3]), color=PANEL, opacity=0.3, lighting=False)
+    plotter.add_mesh(pyvista.MultipleLines(np.concatenate([corners, corners[:1]])), color=PANEL, line_width=4)
+    plotter.add_mesh(pyvista.Sphere(radius=size / 90, center=corners[0]), color=CORNER, **_SOLID)
+    for corner in corners:
+        plotter.add_mesh(pyvista.Line(source, corner), color=FAINT, line_width=1.5)
+    plotter.add_mesh(pyvista.Line(source, geometry.panel_center[VIEW]), color=RAY, line_width=4)
+    _box(plotter, limits(content.grid))
+    keys = [(f"source, larger in view {VIEW}", SOURCE), (f"panel in view {VIEW}", PANEL)]
+    keys += [("its pixel (0, 0)", CORNER), ("central ray", RAY), ("volume", FAINT)]
+    if truth is not None and (found := object_limits(truth)) is not None:
+        _box(plotter, found, INK, 2.5)
+        keys.append(("bounds of the object", INK))
+    pane.title(scan_title(geometry))
+    pane.legend(keys)
+    pane.look(points, _SCAN_SEEN_FROM, _SCAN_MARGINS)
+
+
+def plane_mesh(plane: Plane) -> pyvista.ImageData:
+    """A layer of voxels as cells, true to their edges."""
+    i = "xyz".index(plane.axis)
+    cells = list(plane.values.shape[::-1])
+    cells.insert(i, 0)
+    extent = np.subtract(plane.high, plane.low)
+    extent[i] = 1.0
+    mesh = pyvista.ImageData(dimensions=[n + 1 for n in cells], spacing=extent / np.maximum(cells, 1), origin=plane.low)
+    mesh.cell_data["coefficient"] = plane.values.ravel()
+    return mesh
+
+
+def surface(material: Material) -> pyvista.PolyData:
+    """Where a material is as full as its level."""
+    grid = material.grid
+    mesh = pyvista.ImageData(dimensions=grid.shape[::-1], spacing=grid.spacing[::-1], origin=grid.origin[::-1])
+    mesh.point_data["fraction"] = material.fraction.ravel()
+    return mesh.contour([material.level], scalars="fraction", compute_normals=True)
+
+
+def colour_of(material: Material) -> str:
+    """Colour of a material."""
+    return MATERIAL_COLOURS[material.index % len(MATERIAL_COLOURS)]
+
+
+Cells = list[tuple[int, list[int]]]
+
+
+def _layout(bases: int) -> tuple[tuple[int, int], Cells | None, list[tuple[int, int]]]:
+    """Shape of the window, its groups of cells, and the place of each panel: bases, materials, scan."""
+    if bases == 0:
+        return (1, 1), None, [(0, 0)]
+    if bases == 1:
+        return (1, 3), None, [(0, 0), (0, 1), (0, 2)]
+    top = [(0, [2 * i, 2 * i + 1]) for i in range(bases)]
+    bottom = [(1, list(range(bases))), (1, list(range(bases, 2 * bases)))]
+    return (2, 2 * bases), top + bottom, [(row, columns[0]) for row, columns in top + bottom]
+
+
+def _frame(plane: Plane) -> pyvista.PolyData:
+    """The edge of a layer."""
+    low, high = np.array(plane.low), np.array(plane.high)
+    a, b = (i for i in range(3) if "xyz"[i] != plane.axis)
+    corners = np.stack([low] * 5)
+    corners[1:3, a], corners[2:4, b] = high[a], high[b]
+    return pyvista.MultipleLines(corners)
+
+
+def _corners(ends: Limits) -> np.ndarray:
+    """The eight corners of a box."""
+    return np.stack(np.meshgrid(*zip(*ends, strict=True)), axis=-1).reshape(-1, 3)
+
+
+def _box(plotter: pyvista.Plotter, ends: Limits, colour: str = FAINT, width: float = 1.5) -> None:
+    """Edges of a box."""
+    (x0, y0, z0), (x1, y1, z1) = ends
+    edges = pyvista.Box((x0, x1, y0, y1, z0, z1)).extract_all_edges()
+    plotter.add_mesh(edges, color=colour, line_width=width)
