@@ -1,7 +1,7 @@
 """What there is to see of a scan, as numbers: planes of its volumes, bounds of its objects, the way of its source."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Shaped
@@ -41,7 +41,7 @@ class Content:
         for axis, position, low, high in zip("xyz", self.at, *limits(self.grid), strict=True):
             if not low <= position <= high:
                 raise InputError(
-                    f"the plane {axis} = {position:g} mm lies outside the volume, which reaches from {low:g} to {high:g} mm"
+                    f"the plane {axis} = {position:g} mm lies outside the volume, from {low:g} to {high:g} mm"
                 )
 
     def __repr__(self) -> str:
@@ -66,6 +66,11 @@ class Plane:
     low: Triple
     high: Triple
 
+    def thinned(self, most: int) -> "Plane":
+        """The same layer with no more than `most` voxels along an edge, some of its own."""
+        picks = (((np.arange(k := min(n, most)) + 0.5) * n / k).astype(int) for n in self.values.shape)
+        return replace(self, values=self.values[np.ix_(*picks)])
+
 
 @dataclass(frozen=True, eq=False)
 class Material:
@@ -76,16 +81,16 @@ class Material:
     name : of the material
     index : among the materials of the truth
     grid, fraction : voxels of the part, and how full they are, from 0 to 1
+    inner : the same of all materials that lie within its bounds, None where there are none
     level : fraction on the surface that is shown
-    encloses : whether another material lies within its bounds
     """
 
     name: str
     index: int
     grid: Grid
     fraction: Float[np.ndarray, "z y x"]
+    inner: Float[np.ndarray, "z y x"] | None
     level: float
-    encloses: bool
 
 
 def limits(grid: Grid) -> Limits:
@@ -118,7 +123,7 @@ def materials(truth: Truth) -> list[Material]:
 
 def object_limits(truth: Truth) -> Limits | None:
     """Smallest and largest (x, y, z) of what is not empty [mm], None where everything is."""
-    filled = truth.fractions.any(axis=0)
+    filled = np.logical_or.reduce(truth.fractions)
     if not filled.any():
         return None
     low, high = limits(_part(truth.grid, _box(filled)))
@@ -194,19 +199,24 @@ def _part(grid: Grid, box: Box) -> Grid:
 
 
 def _material(truth: Truth, index: int, boxes: dict[int, Box]) -> Material:
+    """One material in its box."""
     box = boxes[index]
-    inside = tuple(slice(first, last) for first, last in box)
-    fraction = np.pad(truth.fractions[index][inside].astype(np.float32) / FRACTION_SCALE, 1)
-    around = tuple((first - 1, last + 1) for first, last in box)
-    others = [other for i, other in boxes.items() if i != index]
+    within = [i for i, other in boxes.items() if i != index and _within(other, box) and other != box]
+    fraction = _cut(truth, index, box)
     return Material(
         name=truth.material_names[index],
         index=index,
-        grid=_part(truth.grid, around),  # type: ignore[arg-type]
+        grid=_part(truth.grid, tuple((first - 1, last + 1) for first, last in box)),  # type: ignore[arg-type]
         fraction=fraction,
+        inner=sum((_cut(truth, i, box) for i in within), np.zeros_like(fraction)) if within else None,
         level=0.5 if fraction.max() > 0.5 else float(fraction.max()) / 2,
-        encloses=any(_within(other, box) for other in others),
     )
+
+
+def _cut(truth: Truth, index: int, box: Box) -> Float[np.ndarray, "z y x"]:
+    """How full a box is of one material, with one empty voxel around it."""
+    inside = tuple(slice(first, last) for first, last in box)
+    return np.pad(truth.fractions[index][inside].astype(np.float32) / FRACTION_SCALE, 1)
 
 
 def _within(inner: Box, outer: Box) -> bool:

@@ -1,5 +1,7 @@
 """The window: slices per basis, surfaces per material, and the scan from outside."""
 
+from typing import Any
+
 import numpy as np
 import pyvista
 
@@ -17,21 +19,31 @@ from phantomgen.view.content import (
     scan_title,
     source_path,
 )
-from phantomgen.view.panes import FAINT, FONT, INK, Pane
+from phantomgen.view.panes import COLOUR_MAP, FAINT, FONT, INK, Pane
 from spectra.basis import pretty
 
 MATERIAL_COLOURS = ("#56B4E9", "#E69F00", "#D55E00", "#CC79A7", "#009E73", "#0072B2", "#F0E442", "#999999")
-COLOUR_MAP = "viridis"
+_PAGE_VOXELS, _PAGE_TRIANGLES = 192, 40_000  # most along a slice, most of a surface
 SOURCE, PANEL, CORNER, RAY = "#D55E00", "#0072B2", "#C2185B", "#E69F00"
 VIEW = 0  # the view whose panel is drawn
 SIZE = (1600, 1000)  # pixels
-_OBJECT_SEEN_FROM, _SCAN_SEEN_FROM = (0.6, -1.5, 0.95), (1.1, -1.4, 0.85)
-_OBJECT_MARGINS, _SCAN_MARGINS = (0.05, 0.2, 0.05, 0.1), (0.25, 0.04, 0.06, 0.12)
-_SOLID = {"ambient": 0.25, "diffuse": 0.85, "specular": 0.2, "specular_power": 20.0}
+_OBJECT_SEEN_FROM, _SCAN_SEEN_FROM = (0.6, -1.5, 0.95), (1.1, -1.4, 1.0)
+_OBJECT_MARGINS, _SCAN_MARGINS = (0.05, 0.2, 0.05, 0.1), (0.18, 0.04, 0.18, 0.12)
+_SOLID: Any = {"ambient": 0.25, "diffuse": 0.85, "specular": 0.2, "specular_power": 20.0}
 
 
-def draw(content: Content, size: tuple[int, int] = SIZE, off_screen: bool = True) -> pyvista.Plotter:
-    """A window with everything; `size` is width and height [pixel]."""
+def draw(
+    content: Content, size: tuple[int, int] = SIZE, off_screen: bool = True, for_page: bool = False
+) -> tuple[pyvista.Plotter, list[Pane]]:
+    """A window with everything, and its panels.
+
+    Parameters
+    ----------
+    content : what is shown
+    size : width and height [pixel]
+    off_screen : for a picture, not for a window that opens
+    for_page : leave out the words, which the caller finds in the panels, and what would make a page heavy
+    """
     bases = len(content.truth.basis_names) if content.truth else 0
     shape, groups, places = _layout(bases)
     plotter = pyvista.Plotter(
@@ -43,88 +55,93 @@ def draw(content: Content, size: tuple[int, int] = SIZE, off_screen: bool = True
         title=f"phantomgen view: {content.name}",
     )
     font = max(round(FONT * min(size[0] / SIZE[0], size[1] / SIZE[1])), 6)
-    panes = [Pane(plotter, place, font) for place in places]
+    panes = [Pane(plotter, place, font, for_page) for place in places]
     for i, pane in enumerate(panes[:bases]):
         draw_basis(pane, content, i)
     if bases:
         draw_materials(panes[-2], content)
-        plotter.link_views([plotter.renderers.loc_to_index(pane.place) for pane in panes[:-1]])
+        plotter.link_views([pane.index for pane in panes[:-1]])
     draw_scan(panes[-1], content)
-    plotter.enable_anti_aliasing("ssaa", all_renderers=True)
-    return plotter
+    for pane in panes:
+        pane.finish()
+    if not for_page:
+        plotter.enable_anti_aliasing("ssaa", all_renderers=True)
+    return plotter, panes
 
 
 def draw_basis(pane: Pane, content: Content, basis: int) -> None:
     """Three slices through one basis volume, where there is anything, with its colour bar."""
-    pane.activate()
+    pane.plotter.subplot(*pane.place)
     truth = content.truth
     assert truth is not None
     top, ticks = round_scale(float(truth.volumes[basis].max()))
-    filled = truth.fractions.any(axis=0)
-    mapper = None
+    filled, most = np.logical_or.reduce(truth.fractions), _PAGE_VOXELS if pane.for_page else max(content.grid.shape)
     shown = list(planes(truth.volumes[basis], content.grid, content.at))
     for plane, part in zip(shown, planes(filled, content.grid, content.at), strict=True):
-        pane.plotter.add_mesh(_frame(plane), color=FAINT, line_width=1.5)
+        pane.stroke(_frame(plane), FAINT, 1)
         if part.values.any():
-            mesh = plane_mesh(plane).extract_cells(np.flatnonzero(part.values))
-            mapper = pane.plotter.add_mesh(
-                mesh, clim=(0.0, top), cmap=COLOUR_MAP, lighting=False, show_scalar_bar=False
-            ).mapper
-    if mapper is not None:
-        pane.colour_bar(mapper, top, ticks)
-    pane.title(pretty(truth.basis_names[basis]))
-    pane.note(", ".join(f"{plane.axis} = {plane.position:.4g}" for plane in shown) + " mm")
-    pane.look(_corners(limits(content.grid)), _OBJECT_SEEN_FROM, _OBJECT_MARGINS)
+            mesh = plane_mesh(plane.thinned(most)).extract_cells(np.flatnonzero(part.thinned(most).values))
+            pane.plotter.add_mesh(mesh, clim=(0.0, top), cmap=COLOUR_MAP, lighting=False, show_scalar_bar=False)
+    pane.set_bar(top, ticks)
+    pane.words.title = pretty(truth.basis_names[basis])
+    pane.words.note = ", ".join(f"{plane.axis} = {plane.position:.4g}" for plane in shown) + " mm"
+    _look_at_volume(pane, content)
 
 
 def draw_materials(pane: Pane, content: Content) -> None:
     """Translucent surfaces, one colour per material."""
-    pane.activate()
+    pane.plotter.subplot(*pane.place)
     truth = content.truth
     assert truth is not None
     shown = materials(truth)
     for material in shown:
         pane.plotter.add_mesh(
-            surface(material),
+            surface(material, _PAGE_TRIANGLES if pane.for_page else None),
             color=colour_of(material),
-            opacity=0.22 if material.encloses else 0.9,
+            opacity=1.0 if material.inner is None else 0.22,
             smooth_shading=True,
             **_SOLID,
         )
-    _box(pane.plotter, limits(content.grid))
-    pane.title("materials")
-    pane.legend([(m.name.replace("_", " "), colour_of(m)) for m in shown])
-    pane.look(_corners(limits(content.grid)), _OBJECT_SEEN_FROM, _OBJECT_MARGINS)
+    pane.stroke(_box(limits(content.grid)), FAINT, 1)
+    pane.words.title = "materials"
+    pane.words.legend = [(m.name.replace("_", " "), colour_of(m)) for m in shown]
+    _look_at_volume(pane, content)
 
 
 def draw_scan(pane: Pane, content: Content) -> None:
     """Orbit of the source, and source, panel and central ray of one view around the object."""
-    pane.activate()
+    pane.plotter.subplot(*pane.place)
     plotter, geometry, truth = pane.plotter, content.geometry, content.truth
     source, corners, path = geometry.source[VIEW], panel_corners(geometry, VIEW), source_path(geometry)
     points = np.concatenate([path, geometry.source, corners])
     size = float(np.ptp(points, axis=0).max())
     if len(path) > 1:
-        plotter.add_mesh(pyvista.MultipleLines(path), color=SOURCE, line_width=3)
-    plotter.add_mesh(
-        pyvista.PolyData(geometry.source), color=SOURCE, point_size=9, render_points_as_spheres=True, lighting=False
-    )
+        pane.stroke(pyvista.MultipleLines(path), SOURCE, 2)
+    pane.dots(geometry.source, SOURCE, 5)
     plotter.add_mesh(pyvista.Sphere(radius=size / 60, center=source), color=SOURCE, **_SOLID)
     plotter.add_mesh(pyvista.PolyData(corners, faces=[4, 0, 1, 2, 3]), color=PANEL, opacity=0.3, lighting=False)
-    plotter.add_mesh(pyvista.MultipleLines(np.concatenate([corners, corners[:1]])), color=PANEL, line_width=4)
+    pane.stroke(pyvista.MultipleLines(np.concatenate([corners, corners[:1]])), PANEL, 2)
     plotter.add_mesh(pyvista.Sphere(radius=size / 90, center=corners[0]), color=CORNER, **_SOLID)
     for corner in corners:
-        plotter.add_mesh(pyvista.Line(source, corner), color=FAINT, line_width=1.5)
-    plotter.add_mesh(pyvista.Line(source, geometry.panel_center[VIEW]), color=RAY, line_width=4)
-    _box(plotter, limits(content.grid))
-    keys = [(f"source, larger in view {VIEW}", SOURCE), (f"panel in view {VIEW}", PANEL)]
-    keys += [("its pixel (0, 0)", CORNER), ("central ray", RAY), ("volume", FAINT)]
+        pane.stroke(pyvista.Line(source, corner), FAINT, 1)
+    pane.stroke(pyvista.Line(source, geometry.panel_center[VIEW]), RAY, 2.5)
+    pane.stroke(_box(limits(content.grid)), FAINT, 1)
+    keys = [("volume", FAINT), ("central ray", RAY), (f"panel in view {VIEW}", PANEL), ("its pixel (0, 0)", CORNER)]
+    keys.append((f"source, larger in view {VIEW}", SOURCE))
     if truth is not None and (found := object_limits(truth)) is not None:
-        _box(plotter, found, INK, 2.5)
+        pane.stroke(_box(found), INK, 1.5)
         keys.append(("bounds of the object", INK))
-    pane.title(scan_title(geometry))
-    pane.legend(keys)
+    pane.words.title = scan_title(geometry)
+    pane.words.legend = keys
+    pane.mark_axes(np.zeros(3), 0.8 * float(np.ptp(limits(content.grid), axis=0).max()))
     pane.look(points, _SCAN_SEEN_FROM, _SCAN_MARGINS)
+
+
+def _look_at_volume(pane: Pane, content: Content) -> None:
+    """Axes at a corner, and a camera that sees the whole volume."""
+    corners = _corners(limits(content.grid))
+    pane.mark_axes(corners.min(axis=0), 0.2 * float(np.ptp(corners, axis=0).max()))
+    pane.look(corners, _OBJECT_SEEN_FROM, _OBJECT_MARGINS)
 
 
 def plane_mesh(plane: Plane) -> pyvista.ImageData:
@@ -139,12 +156,20 @@ def plane_mesh(plane: Plane) -> pyvista.ImageData:
     return mesh
 
 
-def surface(material: Material) -> pyvista.PolyData:
-    """Where a material is as full as its level."""
+def surface(material: Material, most: int | None = None) -> pyvista.PolyData:
+    """Where a material is as full as its level, in no more than about `most` triangles.
+
+    Where it borders on what lies within it, the surface is left to that.
+    """
     grid = material.grid
     mesh = pyvista.ImageData(dimensions=grid.shape[::-1], spacing=grid.spacing[::-1], origin=grid.origin[::-1])
     mesh.point_data["fraction"] = material.fraction.ravel()
-    return mesh.contour([material.level], scalars="fraction", compute_normals=True)
+    if material.inner is not None:
+        mesh.point_data["inner"] = material.inner.ravel()
+    found: Any = mesh.contour([material.level], scalars="fraction", compute_normals=True)
+    if material.inner is not None:
+        found = found.threshold(material.level / 2, scalars="inner", invert=True).extract_surface(algorithm=None)
+    return found if most is None or found.n_cells <= most else found.decimate(1 - most / found.n_cells)
 
 
 def colour_of(material: Material) -> str:
@@ -152,10 +177,7 @@ def colour_of(material: Material) -> str:
     return MATERIAL_COLOURS[material.index % len(MATERIAL_COLOURS)]
 
 
-Cells = list[tuple[int, list[int]]]
-
-
-def _layout(bases: int) -> tuple[tuple[int, int], Cells | None, list[tuple[int, int]]]:
+def _layout(bases: int) -> tuple[tuple[int, int], Any, list[tuple[int, int]]]:
     """Shape of the window, its groups of cells, and the place of each panel: bases, materials, scan."""
     if bases == 0:
         return (1, 1), None, [(0, 0)]
@@ -180,8 +202,8 @@ def _corners(ends: Limits) -> np.ndarray:
     return np.stack(np.meshgrid(*zip(*ends, strict=True)), axis=-1).reshape(-1, 3)
 
 
-def _box(plotter: pyvista.Plotter, ends: Limits, colour: str = FAINT, width: float = 1.5) -> None:
+def _box(ends: Limits) -> pyvista.PolyData:
     """Edges of a box."""
     (x0, y0, z0), (x1, y1, z1) = ends
-    edges = pyvista.Box((x0, x1, y0, y1, z0, z1)).extract_all_edges()
-    plotter.add_mesh(edges, color=colour, line_width=width)
+    edges: Any = pyvista.Box((x0, x1, y0, y1, z0, z1)).extract_all_edges()
+    return edges

@@ -34,7 +34,7 @@ def show(content: Content, screenshot: Path | None, html: Path | None, size: tup
 
     with pyvista.vtk_verbosity("off"):  # a machine without a display is nothing to warn of
         if screenshot is not None:
-            plotter = draw(content, size)
+            plotter, _ = draw(content, size)
             picture = BytesIO()
             plotter.screenshot(picture)
             plotter.close()
@@ -51,7 +51,7 @@ def _open_window(content: Content, size: tuple[int, int]) -> None:
     """Open a window and wait until it is closed."""
     from phantomgen.view.drawing import draw  # noqa: PLC0415
 
-    plotter = draw(content, size, off_screen=False)
+    plotter, _ = draw(content, size, off_screen=False)
     if type(plotter.render_window).__name__ in {"vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"}:
         raise InputError(NO_DISPLAY)
     plotter.show()
