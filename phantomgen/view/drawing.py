@@ -133,15 +133,20 @@ def draw_scan(pane: Pane, content: Content) -> None:
         keys.append(("bounds of the object", INK))
     pane.words.title = scan_title(geometry)
     pane.words.legend = keys
-    pane.mark_axes(np.zeros(3), 0.8 * float(np.ptp(limits(content.grid), axis=0).max()))
+    _mark_axes(pane, content, 0.8)
     pane.look(points, _SCAN_SEEN_FROM, _SCAN_MARGINS)
 
 
 def _look_at_volume(pane: Pane, content: Content) -> None:
     """Axes at a corner, and a camera that sees the whole volume."""
-    corners = _corners(limits(content.grid))
-    pane.mark_axes(corners.min(axis=0), 0.2 * float(np.ptp(corners, axis=0).max()))
-    pane.look(corners, _OBJECT_SEEN_FROM, _OBJECT_MARGINS)
+    _mark_axes(pane, content, 0.2)
+    pane.look(_corners(limits(content.grid)), _OBJECT_SEEN_FROM, _OBJECT_MARGINS)
+
+
+def _mark_axes(pane: Pane, content: Content, part: float) -> None:
+    """Axes at the lowest corner of the volume, as long as a part of it."""
+    low, high = np.array(limits(content.grid))
+    pane.mark_axes(low, part * float((high - low).max()))
 
 
 def plane_mesh(plane: Plane) -> pyvista.ImageData:
