@@ -92,6 +92,19 @@ class Material:
     inner: Float[np.ndarray, "z y x"] | None
     level: float
 
+    def coarsened(self, most: int) -> "Material":
+        """The same in larger voxels, about `most` along the longest edge; means keep the surface where it is."""
+        factor = -(-max(self.grid.shape) // most)
+        if factor <= 1:
+            return self
+        inner = None if self.inner is None else _binned(self.inner, factor)
+        fraction = _binned(self.fraction, factor)
+        spacing = tuple(factor * s for s in self.grid.spacing)
+        origin = tuple(o - (factor + 1) / 2 * s for o, s in zip(self.grid.origin, self.grid.spacing, strict=True))
+        level = min(self.level, float(fraction.max()) / 2)
+        grid = Grid(fraction.shape, spacing, origin)  # type: ignore[arg-type]
+        return replace(self, grid=grid, fraction=fraction, inner=inner, level=level)
+
 
 def limits(grid: Grid) -> Limits:
     """Smallest and largest (x, y, z), outer edges of the voxels [mm]."""
@@ -217,6 +230,13 @@ def _cut(truth: Truth, index: int, box: Box) -> Float[np.ndarray, "z y x"]:
     """How full a box is of one material, with one empty voxel around it."""
     inside = tuple(slice(first, last) for first, last in box)
     return np.pad(truth.fractions[index][inside].astype(np.float32) / FRACTION_SCALE, 1)
+
+
+def _binned(volume: Float[np.ndarray, "z y x"], factor: int) -> Float[np.ndarray, "z y x"]:
+    """Means over cubes of voxels; the first cube lies before the volume, so that those around it are empty."""
+    padded = np.pad(volume, [(factor, 2 * factor - n % factor) for n in volume.shape])
+    z, y, x = (n // factor for n in padded.shape)
+    return padded.reshape(z, factor, y, factor, x, factor).mean(axis=(1, 3, 5))
 
 
 def _within(inner: Box, outer: Box) -> bool:

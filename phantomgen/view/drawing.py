@@ -23,7 +23,7 @@ from phantomgen.view.panes import COLOUR_MAP, FAINT, FONT, INK, Pane
 from spectra.basis import pretty
 
 MATERIAL_COLOURS = ("#56B4E9", "#E69F00", "#D55E00", "#CC79A7", "#009E73", "#0072B2", "#F0E442", "#999999")
-_PAGE_VOXELS, _PAGE_TRIANGLES = 192, 40_000  # most along a slice, most of a surface
+_PAGE_VOXELS, _PAGE_TRIANGLES = 192, 40_000  # most along an edge, most of a surface
 SOURCE, PANEL, CORNER, RAY = "#D55E00", "#0072B2", "#C2185B", "#E69F00"
 VIEW = 0  # the view whose panel is drawn
 SIZE = (1600, 1000)  # pixels
@@ -166,6 +166,7 @@ def surface(material: Material, most: int | None = None) -> pyvista.PolyData:
 
     Where it borders on what lies within it, the surface is left to that.
     """
+    material = material if most is None else material.coarsened(_PAGE_VOXELS)
     grid = material.grid
     mesh = pyvista.ImageData(dimensions=grid.shape[::-1], spacing=grid.spacing[::-1], origin=grid.origin[::-1])
     mesh.point_data["fraction"] = material.fraction.ravel()

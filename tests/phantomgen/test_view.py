@@ -117,6 +117,21 @@ def test_surfaces_are_closed_boxes_and_leave_inner_ones_out():
     assert surface(gel, 200).n_cells <= 200
 
 
+def test_larger_voxels_keep_surfaces_where_they_are_and_closed():
+    from phantomgen.view.drawing import surface
+
+    gel, bone, _ = materials(boxes())
+    assert gel.coarsened(10) is gel
+    for material in (bone, replace(gel, inner=None)):
+        coarse = material.coarsened(3)
+        assert max(coarse.grid.shape) <= 6
+        assert coarse.fraction.sum() * coarse.grid.voxel_volume == pytest.approx(
+            material.fraction.sum() * material.grid.voxel_volume
+        )
+        assert surface(coarse).is_manifold
+        assert surface(coarse).center == pytest.approx(surface(material).center, abs=1.0)
+
+
 def test_an_empty_volume_has_no_bounds():
     truth = replace(boxes(), fractions=np.zeros_like(boxes().fractions))
     assert materials(truth) == []
