@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pyvista
 
+from phantomgen.dataset_truth import Truth
 from phantomgen.view.content import (
     Content,
     Limits,
@@ -23,7 +24,7 @@ from phantomgen.view.panes import COLOUR_MAP, FAINT, FONT, INK, Pane
 from spectra.basis import pretty
 
 MATERIAL_COLOURS = ("#56B4E9", "#E69F00", "#D55E00", "#CC79A7", "#009E73", "#0072B2", "#F0E442", "#999999")
-_PAGE_VOXELS, _PAGE_TRIANGLES = 192, 40_000  # most along an edge, most of a surface
+_PAGE_VOXELS, _PAGE_TRIANGLES = 192, 400_000  # most along an edge, most of all surfaces: some 20 MB
 SOURCE, PANEL, CORNER, RAY = "#D55E00", "#0072B2", "#C2185B", "#E69F00"
 VIEW = 0  # the view whose panel is drawn
 SIZE = (1600, 1000)  # pixels
@@ -56,10 +57,10 @@ def draw(
     )
     font = max(round(FONT * min(size[0] / SIZE[0], size[1] / SIZE[1])), 6)
     panes = [Pane(plotter, place, font, for_page) for place in places]
-    for i, pane in enumerate(panes[:bases]):
-        draw_basis(pane, content, i)
-    if bases:
-        draw_materials(panes[-2], content)
+    if content.truth:
+        for i, pane in enumerate(panes[:bases]):
+            draw_basis(pane, content, content.truth, i)
+        draw_materials(panes[-2], content, content.truth)
         plotter.link_views([pane.index for pane in panes[:-1]])
     draw_scan(panes[-1], content)
     for pane in panes:
@@ -69,11 +70,9 @@ def draw(
     return plotter, panes
 
 
-def draw_basis(pane: Pane, content: Content, basis: int) -> None:
+def draw_basis(pane: Pane, content: Content, truth: Truth, basis: int) -> None:
     """Three slices through one basis volume, where there is anything, with its colour bar."""
     pane.plotter.subplot(*pane.place)
-    truth = content.truth
-    assert truth is not None
     top, ticks = round_scale(float(truth.volumes[basis].max()))
     filled, most = np.logical_or.reduce(truth.fractions), _PAGE_VOXELS if pane.for_page else max(content.grid.shape)
     shown = list(planes(truth.volumes[basis], content.grid, content.at))
@@ -88,15 +87,14 @@ def draw_basis(pane: Pane, content: Content, basis: int) -> None:
     _look_at_volume(pane, content)
 
 
-def draw_materials(pane: Pane, content: Content) -> None:
+def draw_materials(pane: Pane, content: Content, truth: Truth) -> None:
     """Translucent surfaces, one colour per material."""
     pane.plotter.subplot(*pane.place)
-    truth = content.truth
-    assert truth is not None
     shown = materials(truth)
+    most = _PAGE_TRIANGLES // max(len(shown), 10) if pane.for_page else None
     for material in shown:
         pane.plotter.add_mesh(
-            surface(material, _PAGE_TRIANGLES if pane.for_page else None),
+            surface(material, most),
             color=colour_of(material),
             opacity=1.0 if material.inner is None else 0.22,
             smooth_shading=True,
@@ -164,7 +162,7 @@ def plane_mesh(plane: Plane) -> pyvista.ImageData:
 def surface(material: Material, most: int | None = None) -> pyvista.PolyData:
     """Where a material is as full as its level, in no more than about `most` triangles.
 
-    Where it borders on what lies within it, the surface is left to that.
+    Where it borders on what lies within it, the surface is left to that, unless it is thinner than a voxel.
     """
     material = material if most is None else material.coarsened(_PAGE_VOXELS)
     grid = material.grid
@@ -173,8 +171,9 @@ def surface(material: Material, most: int | None = None) -> pyvista.PolyData:
     if material.inner is not None:
         mesh.point_data["inner"] = material.inner.ravel()
     found: Any = mesh.contour([material.level], scalars="fraction", compute_normals=True)
-    if material.inner is not None:
-        found = found.threshold(material.level / 2, scalars="inner", invert=True).extract_surface(algorithm=None)
+    if material.inner is not None and material.level == 0.5:
+        outer = found.threshold(0.25, scalars="inner", invert=True).extract_surface(algorithm=None)
+        found = outer if outer.n_cells else found
     return found if most is None or found.n_cells <= most else found.decimate(1 - most / found.n_cells)
 
 

@@ -117,6 +117,21 @@ def test_surfaces_are_closed_boxes_and_leave_inner_ones_out():
     assert surface(gel, 200).n_cells <= 200
 
 
+def test_a_shell_thinner_than_a_voxel_is_shown():
+    from phantomgen.view.drawing import surface
+
+    filled = np.zeros((2, 9, 9, 9), np.float32)
+    filled[0, 2:7, 2:7, 2:7], filled[1, 2:7, 2:7, 2:7] = 0.25, 0.75
+    filled[0, 3:6, 3:6, 3:6], filled[1, 3:6, 3:6, 3:6] = 0, 1
+    filled[1, 2], filled[0, 2, 2:7, 2:7] = 0, 1
+    for thickest in (1.0, 0.25):
+        filled[0] = np.minimum(filled[0], thickest)
+        truth = Truth.of(Grid.cube(9, 9.0), ("compton",), ("shell", "filling"), np.ones((2, 1)), filled, "")
+        shell, filling = materials(truth)
+        assert (shell.inner is None, filling.inner is None) == (False, True)
+        assert surface(shell).n_cells > 0
+
+
 def test_larger_voxels_keep_surfaces_where_they_are_and_closed():
     from phantomgen.view.drawing import surface
 
