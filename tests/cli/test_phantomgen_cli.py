@@ -193,6 +193,7 @@ def test_validate_ends_with_0_or_3(made, tmp_path):
     assert json.loads(result.stdout)["valid"] is False
 
 
+@pytest.mark.usefixtures("renders")
 def test_a_look_at_a_dataset_is_a_picture_and_a_page(made, tmp_path):
     folder, _ = made
     outputs = tmp_path / "toy.png", tmp_path / "toy.html"
@@ -213,6 +214,7 @@ def test_a_look_at_a_dataset_is_a_picture_and_a_page(made, tmp_path):
     assert "the truth in" in refused.stderr
 
 
+@pytest.mark.usefixtures("renders")
 def test_a_look_at_a_dataset_without_truth_says_so(made, tmp_path):
     import h5py
 

@@ -28,17 +28,8 @@ from phantomgen.view.load import load, point_of, size_of
 from phantomgen.view.output import show
 from spectra.errors import InputError
 
-PROBE = "import pyvista; p = pyvista.Plotter(off_screen=True); p.add_mesh(pyvista.Sphere()); p.screenshot()"
 GRID = Grid((4, 5, 6), (2.0, 1.0, 0.5), (-3.0, -2.0, -1.25))
 CIRCLE = Geometry.circular(500, 800, np.deg2rad([0, 90, 180, 270, 45]), Panel(4, 6, 2.0))
-
-
-@pytest.fixture(scope="module")
-def renders():
-    """Skip where off-screen rendering ends the process, as it may without any OpenGL."""
-    result = subprocess.run([sys.executable, "-c", PROBE], capture_output=True, text=True, check=False)
-    if result.returncode:
-        pytest.skip(f"this machine cannot render: {(result.stderr.strip() or 'no message').splitlines()[-1]}")
 
 
 def boxes() -> Truth:
