@@ -3,7 +3,7 @@
     python benchmarks/chords.py [RAYS]
 
 The reference knows the implicit functions only, in long double (64-bit mantissa): it cuts a ray where one of them
-changes sign on a fine grid or dips below zero between its points, bisects to the last digit, and adds up the pieces whose
+changes sign on a fine grid or dips below zero between its points, bisects to the last digit, and adds the pieces whose
 middle lies inside. Errors are relative to the shape's diameter.
 """
 

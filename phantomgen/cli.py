@@ -165,6 +165,50 @@ def info(file: str, as_json: bool) -> None:
     click.echo(json.dumps(description) if as_json else describe_text(description))
 
 
+@main.command(
+    epilog="\b\nExamples:\n  phantomgen view kedge.h5\n"
+    "  phantomgen view --preset kedge --screenshot kedge.png --html kedge.html"
+)
+@click.argument("source", metavar="SCENE|PRESET|DATASET", required=False, type=click.Path(dir_okay=False))
+@click.option("--preset", metavar="NAME", help="A scene that comes with the program; see `phantomgen presets`.")
+@click.option("--screenshot", type=click.Path(dir_okay=False), help="Write a PNG; needs no display.")
+@click.option("--html", type=click.Path(dir_okay=False), help="Write one page to turn in a browser; needs no display.")
+@click.option("--at", metavar="X,Y,Z", help="Where the slices cut, in mm [default: the centre].")
+@click.option("--voxels", type=click.IntRange(min=1), help="Voxels along each edge of the volume of a scene.")
+@click.option("--size", metavar="WIDTHxHEIGHT", default="1600x1000", show_default=True, help="Pixels of the window.")
+@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
+@debug_option
+def view(
+    source: str | None,
+    preset: str | None,
+    screenshot: str | None,
+    html: str | None,
+    at: str | None,
+    voxels: int | None,
+    size: str,
+    overwrite: bool,
+) -> None:
+    """Look at a scene, a preset or a dataset.
+
+    Shows slices of the true basis volumes, surfaces of the materials, and source and panel, in a window that turns
+    with the mouse, in a picture, or in a page.
+    """
+    if (source is None) == (preset is None):
+        raise click.UsageError("name a scene file, a preset or a dataset: phantomgen view --preset kedge")
+    from phantomgen.view.load import load, point_of, size_of
+    from phantomgen.view.output import check_outputs, show
+
+    picture, page = (Path(name) if name else None for name in (screenshot, html))
+    check_outputs(picture, page, overwrite)
+    pixels = size_of(size)
+    content = load(source, preset, point_of(at) if at else None, voxels)
+    if content.truth is None:
+        click.echo(f"Note: {source} holds no truth, so only the scan is shown.", err=True)
+    show(content, picture, page, pixels)
+    for path in filter(None, (picture, page)):
+        click.echo(path)
+
+
 @main.command(epilog="\b\nExamples:\n  phantomgen validate kedge.h5\n  phantomgen validate scan.h5 --air 0:16,0:256")
 @click.argument("file", type=click.Path(dir_okay=False))
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")

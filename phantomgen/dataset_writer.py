@@ -143,12 +143,12 @@ class DatasetWriter:
         write_aliases(self.file, spectra)
 
 
-def check_output(path: Path, overwrite: bool) -> None:
-    """Refuse an output that exists or has no folder, before any work is done."""
+def check_output(path: Path, overwrite: bool, option: str = "--out") -> None:
+    """Refuse an output that exists or has no folder, before any work is done; `option` is what names it."""
     if path.is_dir():
         raise InputError(f"the output {path} is a folder: name a file in it, such as {path / 'scan.h5'}")
     if path.exists() and not overwrite:
-        raise InputError(f"the output {path} exists: choose another name by --out, or add --overwrite")
+        raise InputError(f"the output {path} exists: choose another name by {option}, or add --overwrite")
     if not path.parent.is_dir():
         raise InputError(f"the folder {path.parent} for the output {path.name} does not exist")
 

@@ -118,7 +118,7 @@ def simulate(
         with watch("views"):
             _write_counts(writer, scan, transmission, keep_expected, progress)
         with watch("truth"):
-            writer.write_truth(_truth(scan), scan.scene.materials)
+            writer.write_truth(scan_truth(scan), scan.scene.materials)
         with watch("check"):
             error = (full_check if verify else quick_check)(scan, transmission)
         writer.finish(spectra)
@@ -154,7 +154,7 @@ def _shape(scan: Scan) -> tuple[int, int, int, int]:
     return len(scan.geometry), len(scan.detector), scan.geometry.panel.rows, scan.geometry.panel.columns
 
 
-def _truth(scan: Scan) -> Truth:
+def scan_truth(scan: Scan) -> Truth:
     """Material fractions and basis volumes."""
     names = tuple(m.name for m in scan.scene.materials)
     filled = fractions(scan.grid, scan.scene.solids, len(names), background=scan.scene.background)

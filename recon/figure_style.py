@@ -32,7 +32,6 @@ _STYLE: Any = {
 }
 GRAY, BLUE = "0.6", "#0072B2"
 BASIS_LINES = ((BLUE, "-"), ("#E69F00", (0, (6, 2))), ("#CC79A7", (0, (2.5, 2))), ("#009E73", (0, (1, 1))))
-_NAMES = {"compton": "Compton"}
 
 
 @contextmanager
@@ -57,14 +56,6 @@ def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     table = np.column_stack(list(columns.values()))
     np.savetxt(path.with_suffix(".csv"), table, fmt="%.6g", delimiter=",", header=",".join(columns), comments="")
-
-
-def pretty(name: str) -> str:
-    """A basis function's name for readers."""
-    if name.startswith("kedge_"):
-        what = name.removeprefix("kedge_")
-        return f"K-edge {what} keV" if what[:1].isdigit() else f"K-edge {what}"
-    return _NAMES.get(name, name)
 
 
 def few_ticks() -> Any:

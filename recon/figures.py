@@ -26,9 +26,9 @@ from recon.figure_style import (
     few_ticks,
     figure_file,
     plain_minor_ticks,
-    pretty,
     write_csv,
 )
+from spectra.basis import pretty
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

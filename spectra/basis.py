@@ -191,6 +191,14 @@ def edge_step(energy: EnergyArray, edge: float, width: float) -> EnergyArray:
     return expit((np.asarray(energy, dtype=np.float64) - edge) / width)
 
 
+def pretty(name: str) -> str:
+    """A basis function's name for readers."""
+    if name.startswith("kedge_"):
+        what = name.removeprefix("kedge_")
+        return f"K-edge {what} keV" if what[:1].isdigit() else f"K-edge {what}"
+    return "Compton" if name == "compton" else name
+
+
 def _texts(values: Sequence[Any]) -> list[str]:
     """Text, also from the bytes that HDF5 gives."""
     return [v.decode() if isinstance(v, bytes) else str(v) for v in values]

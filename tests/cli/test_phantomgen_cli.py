@@ -121,11 +121,22 @@ def test_an_output_that_exists_is_refused_before_any_work(made):
         (["info", "none.h5"], 1, "there is no dataset none.h5"),
         (["validate", "none.h5"], 1, "there is no dataset none.h5"),
         (["presets", "show", "none"], 1, "unknown preset 'none'"),
+        (["view"], 2, "name a scene file, a preset or a dataset"),
+        (["view", "--preset", "kedge"], 1, "there is no display to open a window on: write a picture by --screenshot"),
+        (["view", "kedge", "--html", "kedge.htm"], 1, "--html writes a .html file, got kedge.htm"),
+        (["view", "kedge", "--html", "none/k.html"], 1, "folder none for the output k.html does not exist"),
+        (["view", "kegde", "--screenshot", "k.png"], 1, "kegde cannot be read as a scene"),
+        (["view", "none.h5", "--screenshot", "k.png"], 1, "there is no dataset none.h5"),
+        (["view", "kedge", "--screenshot", "k.png", "--at", "0,0"], 1, "a point is written x,y,z in mm"),
+        (["view", "kedge", "--screenshot", "k.png", "--at", "0,0,99"], 1, "z = 99 mm lies outside the volume"),
+        (["view", "kedge", "--screenshot", "k.png", "--size", "big"], 1, "a size is written WIDTHxHEIGHT"),
         (["frobnicate"], 2, "No such command"),
     ],
 )
 def test_bad_input_is_one_sentence_and_leaves_nothing(arguments, code, expected, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
     result = run(*arguments)
     assert (result.exit_code, result.stdout) == (code, "")
     assert expected in result.stderr
@@ -182,6 +193,40 @@ def test_validate_ends_with_0_or_3(made, tmp_path):
     assert json.loads(result.stdout)["valid"] is False
 
 
+@pytest.mark.usefixtures("renders")
+def test_a_look_at_a_dataset_is_a_picture_and_a_page(made, tmp_path):
+    folder, _ = made
+    outputs = tmp_path / "toy.png", tmp_path / "toy.html"
+    result = run("view", folder / "toy.h5", "--screenshot", outputs[0], "--html", outputs[1], "--size", "400x300")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert result.stdout.splitlines() == list(map(str, outputs))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["toy.html", "toy.png"]
+    again = run("view", folder / "toy.h5", "--screenshot", outputs[0])
+    assert again.exit_code == 1
+    assert (
+        again.stderr
+        == f"Error: the output {outputs[0]} exists: choose another name by --screenshot, or add --overwrite\n"
+    )
+    before = outputs[0].read_bytes()
+    assert run("view", folder / "toy.h5", "--screenshot", outputs[0], "--at", "1,1,1", "--overwrite").exit_code == 0
+    assert outputs[0].read_bytes() != before
+    refused = run("view", folder / "toy.h5", "--html", tmp_path / "other.html", "--voxels", "4")
+    assert "the truth in" in refused.stderr
+
+
+@pytest.mark.usefixtures("renders")
+def test_a_look_at_a_dataset_without_truth_says_so(made, tmp_path):
+    import h5py
+
+    folder, _ = made
+    bare = tmp_path / "bare.h5"
+    bare.write_bytes((folder / "toy.h5").read_bytes())
+    with h5py.File(bare, "r+") as file:
+        del file["truth"]
+    result = run("view", bare, "--screenshot", tmp_path / "bare.png", "--size", "400x300")
+    assert (result.exit_code, result.stderr) == (0, f"Note: {bare} holds no truth, so only the scan is shown.\n")
+
+
 def test_presets_are_listed_and_shown_as_scenes_that_can_be_made(tmp_path):
     assert [line.split()[0] for line in run("presets").stdout.splitlines()] == ["kedge", "kedge-small"]
     from phantomgen.scene_yaml import SceneFile
@@ -196,7 +241,7 @@ def test_schema_prints_the_layout_or_the_json_schema():
 
 
 @pytest.mark.parametrize(
-    "command", [[], ["make"], ["presets"], ["presets", "show"], ["info"], ["validate"], ["schema"]]
+    "command", [[], ["make"], ["presets"], ["presets", "show"], ["view"], ["info"], ["validate"], ["schema"]]
 )
 def test_every_help_ends_with_examples(command):
     result = run(*command, "--help")
@@ -207,7 +252,8 @@ def test_every_help_ends_with_examples(command):
 def test_help_starts_fast_and_imports_nothing_heavy():
     code = (
         "import sys; from phantomgen.cli import main; main(['--help'], standalone_mode=False);"
-        "print(sorted({'torch', 'h5py', 'numba', 'scipy', 'numpy', 'pydantic'} & set(sys.modules)), file=sys.stderr)"
+        "heavy = {'torch', 'h5py', 'numba', 'scipy', 'numpy', 'pydantic', 'pyvista', 'vtkmodules'};"
+        "print(sorted(heavy & set(sys.modules)), file=sys.stderr)"
     )
     best = 9.0
     for _ in range(3):
@@ -218,6 +264,9 @@ def test_help_starts_fast_and_imports_nothing_heavy():
     assert best < 0.5
 
 
-def test_make_imports_no_torch():
-    code = "import sys, phantomgen.simulate, phantomgen.scene, spectra.tube; sys.exit('torch' in sys.modules)"
+def test_make_imports_neither_torch_nor_the_viewer():
+    code = (
+        "import sys, phantomgen.simulate, phantomgen.scene, spectra.tube;"
+        "sys.exit(bool({'torch', 'pyvista', 'vtkmodules'} & set(sys.modules)))"
+    )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -140,9 +140,9 @@ def test_a_source_inside_an_object_sees_only_what_is_in_front(tmp_path):
 
 
 def test_truth_holds_the_volume_of_every_cylinder():
-    from phantomgen.simulate import _truth
+    from phantomgen.simulate import scan_truth
 
-    truth = _truth(load_scene("kedge-small", ONE_ENERGY))
+    truth = scan_truth(load_scene("kedge-small", ONE_ENERGY))
     inner = np.pi * 80 * np.array([13.0, 11.0, 9.0]) ** 2
     closed = np.array([np.pi * 50**2 * 100 - inner.sum(), *inner])
     voxel = truth.grid.voxel_volume

@@ -1,0 +1,88 @@
+"""What there is to see, from a scene, a preset or a dataset."""
+
+from pathlib import Path
+
+import h5py
+
+from phantomgen.dataset import open_dataset
+from phantomgen.dataset_truth import read_truth
+from phantomgen.grid import Grid
+from phantomgen.scene_yaml import SceneFile, preset_names
+from phantomgen.view.content import Content, Triple, limits
+from spectra.errors import InputError
+
+
+def load(source: str | None, preset: str | None, at: Triple | None = None, voxels: int | None = None) -> Content:
+    """What there is to see of a dataset, of a preset, or of a scene file.
+
+    Parameters
+    ----------
+    source : path of a dataset or a scene file, or the name of a preset
+    preset : the name of a preset, in place of `source`
+    at : where the slices cut (x, y, z) [mm], by default the centre
+    voxels : along each edge of the volume, in place of those that a scene asks for
+    """
+    if source is not None and _is_dataset(Path(source)):
+        if voxels is not None:
+            raise InputError(f"--voxels is for scenes: the truth in {source} has its voxels already")
+        return content_of_dataset(Path(source), at)
+    overrides = [] if voxels is None else [f"volume.voxels={voxels}"]
+    if preset is None and source in preset_names():
+        preset = source
+    return content_of_scene(
+        SceneFile.preset(preset, overrides) if preset else SceneFile.read(source or "", overrides), at
+    )
+
+
+def point_of(text: str) -> Triple:
+    """``"x,y,z"`` as three numbers."""
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"a point is written x,y,z in mm, such as 0,-12.5,3, got {text!r}") from None
+    return x, y, z
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """``"1600x1000"`` as two numbers of pixels."""
+    try:
+        width, height = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise InputError(f"a size is written WIDTHxHEIGHT in pixels, such as 1600x1000, got {text!r}") from None
+    if not (200 <= width <= 8000 and 200 <= height <= 8000):
+        raise InputError(f"a picture is 200 to 8000 pixels wide and high, got {text}")
+    return width, height
+
+
+def content_of_dataset(path: Path, at: Triple | None = None) -> Content:
+    """The truth and the geometry of a dataset; `at` is (x, y, z) [mm], by default the centre."""
+    anywhere = (slice(0, 1), slice(0, 1))  # a file without flats can be looked at, too
+    with open_dataset(path, air=anywhere) as dataset:
+        truth, name, geometry, grid = read_truth(path), dataset.name, dataset.geometry, dataset.grid
+    if not len(geometry):
+        raise InputError(f"{path} has no views, so there is no scan to show")
+    grid = truth.grid if truth else grid
+    return Content(name, geometry, grid, truth, at or _centre(grid))
+
+
+def content_of_scene(file: SceneFile, at: Triple | None = None) -> Content:
+    """The scene as its dataset will hold it, voxelized here; `at` is (x, y, z) [mm], by default the centre."""
+    from phantomgen.scene import load_scene  # noqa: PLC0415 - what makes voxels is slow to import
+    from phantomgen.simulate import scan_truth  # noqa: PLC0415
+
+    scan = load_scene(file)
+    at = at or _centre(scan.grid)
+    Content(scan.name, scan.geometry, scan.grid, None, at)  # refuses a bad point before the voxels are made
+    return Content(scan.name, scan.geometry, scan.grid, scan_truth(scan), at)
+
+
+def _is_dataset(path: Path) -> bool:
+    """Whether a file is HDF5, or would be by its name."""
+    return h5py.is_hdf5(path) if path.is_file() else path.suffix.lower() in {".h5", ".hdf5", ".nxs"}
+
+
+def _centre(grid: Grid) -> Triple:
+    """Centre of a volume [mm]."""
+    low, high = limits(grid)
+    x, y, z = ((a + b) / 2 for a, b in zip(low, high, strict=True))
+    return x, y, z

@@ -1,0 +1,68 @@
+"""Where a look goes: a picture, a page, or a window."""
+
+import os
+import sys
+from io import BytesIO
+from pathlib import Path
+
+from phantomgen.dataset_writer import check_output
+from phantomgen.view.content import Content
+from spectra.errors import InputError
+
+NO_DISPLAY = (
+    "there is no display to open a window on: write a picture by --screenshot view.png, or a page by --html view.html"
+)
+
+
+def check_outputs(screenshot: Path | None, html: Path | None, overwrite: bool) -> None:
+    """Refuse outputs that cannot be written, or a window without a display, before any work is done."""
+    for path, option, suffix in ((screenshot, "--screenshot", ".png"), (html, "--html", ".html")):
+        if path is None:
+            continue
+        if path.suffix.lower() != suffix:
+            raise InputError(f"{option} writes a {suffix} file, got {path}")
+        check_output(path, overwrite, option)
+    if screenshot is None and html is None and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+        raise InputError(NO_DISPLAY)
+
+
+def show(content: Content, screenshot: Path | None, html: Path | None, size: tuple[int, int]) -> None:
+    """Write the picture and the page that are named, or open a window where neither is."""
+    import pyvista  # noqa: PLC0415
+
+    from phantomgen.view.drawing import draw  # noqa: PLC0415
+
+    with pyvista.vtk_verbosity("off"):  # a machine without a display is nothing to warn of
+        if screenshot is not None:
+            plotter, _ = draw(content, size)
+            picture = BytesIO()
+            plotter.screenshot(picture)
+            plotter.close()
+            _write(screenshot, picture.getvalue())
+        if html is not None:
+            from phantomgen.view.page import page  # noqa: PLC0415
+
+            _write(html, page(content).encode())
+        if screenshot is None and html is None:
+            _open_window(content, size)
+
+
+def _open_window(content: Content, size: tuple[int, int]) -> None:
+    """Open a window and wait until it is closed."""
+    from phantomgen.view.drawing import draw  # noqa: PLC0415
+
+    plotter, _ = draw(content, size, off_screen=False)
+    if type(plotter.render_window).__name__ in {"vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"}:
+        raise InputError(NO_DISPLAY)
+    plotter.show()
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write beside the final name, then rename."""
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_bytes(content)
+        os.replace(part, path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise InputError(f"{path} cannot be written: {error.strerror}") from None
