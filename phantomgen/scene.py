@@ -12,6 +12,7 @@ from phantomgen import schema
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
 from phantomgen.panel import Panel
+from phantomgen.scene_materials import scene_materials
 from phantomgen.scene_yaml import SceneFile, closest, preset_names
 from phantomgen.shapes import Box, Cylinder, Ellipsoid, Shape, ShapeArrays, Sphere
 from spectra.attenuation import edge_energy, mass_fractions, symbol
@@ -104,7 +105,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
     model = file.model
     source = _source(file)
     detector = _detector(file, source)
-    materials = {name: _material(file, name) for name in model.materials}
+    materials = scene_materials(file)
     used = tuple(name for name in materials if any(item.material == name for item in model.objects))
     basis = _basis(file, [materials[name] for name in used], detector)
     _check_coefficients(file, materials, basis)
@@ -178,13 +179,6 @@ def _detector(file: SceneFile, source: Source) -> Detector:
         sensor = Material(_composition_name(model.composition), model.density, model.composition)
         with file.at("detector", "thresholds"):
             return Detector.photon_counting(model.thresholds, source.maximum, sensor, model.thickness)
-
-
-def _material(file: SceneFile, name: str) -> Material:
-    """One material of the scene."""
-    model = file.model.materials[name]
-    with file.at("materials", name):
-        return Material(name, model.density, model.composition, model.coefficients)
 
 
 def _composition_name(composition: str | Mapping[str, float]) -> str:

@@ -7,12 +7,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-from spectra.attenuation import Composition, k_edges, linear_attenuation, mass_fractions, natural_density
+from spectra.attenuation import Composition, k_edges, linear_attenuation, natural_density
 from spectra.basis import Basis
 from spectra.errors import InputError
-
-# Semiconductors and scintillators as single crystals [g/cm^3], CRC Handbook.
-_CRYSTAL_DENSITY = {"CdTe": 5.85, "Cd0.9Zn0.1Te": 5.78, "GaAs": 5.32, "CsI": 4.51}
 
 EnergyArray = Float[np.ndarray, " energy"]
 
@@ -24,8 +21,8 @@ class Material:
     Parameters
     ----------
     name : as in the scene
-    density : [g/cm^3]; may be left out for elements, NIST compounds and common detector crystals
-    composition : formula, NIST compound name or mass fractions, for the exact xraylib curve
+    density : [g/cm^3]; may be left out for elements and named materials
+    composition : formula, name (NIST compound or `spectra.library`) or mass fractions, for the exact xraylib curve
     coefficients : or basis coefficients by basis function name [1/mm]; functions left out are 0
     """
 
@@ -44,9 +41,8 @@ class Material:
 
     def _checked_density(self, composition: Composition) -> float:
         """The density given, or the one known."""
-        mass_fractions(composition)
-        known = _CRYSTAL_DENSITY.get(composition) if isinstance(composition, str) else None
-        density = self.density if self.density is not None else known or natural_density(composition)
+        known = natural_density(composition)
+        density = self.density if self.density is not None else known
         if density is None:
             raise InputError(f"material {self.name!r} needs a density in g/cm^3")
         if not 0 < density < 30:
