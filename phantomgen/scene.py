@@ -18,11 +18,8 @@ from phantomgen.shapes import Box, Cylinder, Ellipsoid, Shape, ShapeArrays, Sphe
 from spectra.attenuation import edge_energy, mass_fractions, symbol
 from spectra.basis import Basis, BasisFunction
 from spectra.detector import Detector
-from spectra.materials import Material
+from spectra.materials import SAME_EDGE, Material
 from spectra.source import Filter, Source
-
-# An element belongs to a K-edge function when its own edge is this close [keV].
-_SAME_EDGE = 0.5
 
 
 @dataclass(frozen=True)
@@ -228,7 +225,7 @@ def _uses(material: Material, function: BasisFunction) -> bool:
     if material.coefficients is not None:
         return material.coefficients.get(function.name, 0.0) > 0
     edge = float(function.edge_energy or 0.0)
-    return bool(material.k_edges(edge - _SAME_EDGE, edge + _SAME_EDGE))
+    return bool(material.k_edges(edge - SAME_EDGE, edge + SAME_EDGE))
 
 
 def _check_coefficients(file: SceneFile, materials: Mapping[str, Material], basis: Basis) -> None:
