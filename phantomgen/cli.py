@@ -152,8 +152,8 @@ def presets_show(name: str) -> None:
 
 
 @main.command(
-    epilog="\b\nExamples:\n  phantomgen materials\n  phantomgen materials liver --plot liver.png\n"
-    "  phantomgen materials Gd2O3 --density 7.4 --json\n  phantomgen materials iodine_10 --scene contrast-vials"
+    epilog="\b\nExamples:\n  phantomgen materials liver --plot liver.png\n"
+    "  phantomgen materials iodine_10 --scene contrast-vials"
 )
 @click.argument("name", required=False)
 @click.option("--density", type=click.FloatRange(min=0, min_open=True), help="Density of a formula [g/cm^3].")

@@ -14,6 +14,7 @@ from phantomgen.dataset import Spectra
 from phantomgen.dataset_truth import CoefficientFit
 from phantomgen.scene import Scan
 from spectra.energies import Energies
+from spectra.spanning import spanning_columns
 from spectra.transmission import Transmission
 
 # Bin width of the simulator [keV], and the worst error of log counts that its nodes may add.
@@ -23,8 +24,11 @@ RECONSTRUCTOR_BINS = 128
 FIT_WEIGHTS = "open-beam counts of all channels together, in bins of at most 1 keV"
 # Worse fits [relative rms] are said aloud; those of tissues, plastics and metals up to iron stay below 2 %.
 _POOR_FIT = 0.05
-# Above so many columns the search for nodes samples its box too thinly, and all bins are kept.
+# Above so many columns the search for nodes samples its box too thinly: then it goes by way of fewer columns, as most
+# materials are combinations of a few, and keeps all bins where even these are too many.
 _MOST_COLUMNS = 6
+_MOST_SPANNING = 8
+_SPANNING_RAYS = 2000
 # Sampled rays may miss the longest path of all.
 _MARGIN = 1.1
 
@@ -144,6 +148,26 @@ def _compress(
 ) -> tuple[Transmission, float]:
     """Fewer nodes for the box that `integrals` span."""
     if len(fine.columns) > _MOST_COLUMNS:
-        return fine, 0.0
+        return _compress_many(fine, integrals, tolerance)
     high = _MARGIN * integrals.max(axis=0, initial=0.0)
     return fine.compress(np.zeros_like(high), high, tolerance)
+
+
+def _compress_many(
+    fine: Transmission, integrals: Float[np.ndarray, "ray column"], tolerance: float
+) -> tuple[Transmission, float]:
+    """The same by way of a few columns that the others are combinations of, where there are such."""
+    sample = integrals[:: max(1, len(integrals) // _SPANNING_RAYS)]
+    picked, mixture, _ = spanning_columns(fine.columns, sample, tolerance / 3)
+    if len(picked) > _MOST_SPANNING:
+        return fine, 0.0
+    few = Transmission(fine.columns[picked], fine.weights, fine.starts, fine.channel_names)
+    along = integrals @ mixture
+    low, high = (_MARGIN * bound for bound in (along.min(axis=0, initial=0.0), along.max(axis=0, initial=0.0)))
+    small, error = few.compress(low, high, tolerance)
+    columns = mixture @ small.columns
+    if len(small.weights) == len(fine.weights) or columns.min() < 0:
+        return fine, 0.0
+    found = Transmission(columns, small.weights, small.starts, small.channel_names)
+    missed = np.abs(found.log_projection(sample) - fine.log_projection(sample)).max(initial=0.0)
+    return found, max(error, float(missed))

@@ -299,3 +299,19 @@ def test_several_k_edges_go_all_the_way(tmp_path):
     with open_dataset(path) as dataset:
         told = dataset.spectra.transmission().log_projection(lengths @ truth.coefficients)
     assert told == pytest.approx(fine_transmission(scan).log_projection(lengths), rel=4e-3, abs=1e-6)
+
+
+def test_many_materials_need_few_nodes():
+    series = {f"i{c}": f"{{solution: {{solvent: water, solutes: {{I: {c}}}}}}}" for c in (0, 1, 2, 5, 8, 10, 15, 20)}
+    vials = [
+        f"{{type: sphere, radius: 2, material: {name}, center: [0, 0, {2 * i - 7}]}}" for i, name in enumerate(series)
+    ]
+    scan = toy(
+        "source={type: tube, kvp: 100, photons: 10000}",
+        f"materials={{{', '.join(f'{name}: {text}' for name, text in series.items())}}}",
+        f"objects=[{', '.join(vials)}]",
+    )
+    lengths = sampled_lengths(scan)
+    fine, (few, error) = fine_transmission(scan), compressed_transmission(scan, lengths)
+    assert len(few.weights) < 40 < len(fine.weights)
+    assert np.abs(few.log_projection(lengths) - fine.log_projection(lengths)).max() < 2 * error < 4e-5
