@@ -30,8 +30,6 @@ def spanning_columns(
     """
     sizes = np.maximum(np.abs(lengths).max(axis=0, initial=0.0), np.finfo(float).tiny)
     _, upper, order = qr((columns * sizes[:, None]).T, mode="economic", pivoting=True)  # pyright: ignore[reportAssignmentType]
-    error = np.inf
-    picked, mixture = order, np.eye(len(columns))[:, order]
     for rank in range(1, len(columns)):
         picked = order[:rank]
         mixture = np.zeros((len(columns), rank))
