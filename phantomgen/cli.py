@@ -136,7 +136,7 @@ def presets(ctx: click.Context) -> None:
     from phantomgen.scene_yaml import preset_summaries
 
     for name, summary in preset_summaries().items():
-        click.echo(f"{name:<14}{summary}")
+        click.echo(f"{name:<16}{summary}")
 
 
 @presets.command(
@@ -149,6 +149,35 @@ def presets_show(name: str) -> None:
     from phantomgen.scene_yaml import SceneFile
 
     click.echo(SceneFile.preset(name).text, nl=False)
+
+
+@main.command(
+    epilog="\b\nExamples:\n  phantomgen materials liver --plot liver.png\n"
+    "  phantomgen materials iodine_10 --scene contrast-vials"
+)
+@click.argument("name", required=False)
+@click.option("--density", type=click.FloatRange(min=0, min_open=True), help="Density of a formula [g/cm^3].")
+@click.option("--scene", metavar="FILE", help="Take NAME from the materials of a scene file or preset.")
+@click.option("--plot", type=click.Path(dir_okay=False), help="Write mu(E), its fit and the error as a picture.")
+@json_option
+@debug_option
+def materials(name: str | None, density: float | None, scene: str | None, plot: str | None, as_json: bool) -> None:
+    """List the materials known by name, or describe NAME, which may be a formula.
+
+    Shows density, elements, attenuation, and how well photoelectric, Compton and K-edge functions describe it.
+    """
+    from phantomgen.material_info import MaterialFit, catalogue, catalogue_text, find_material
+
+    if name is None:
+        groups = catalogue()
+        click.echo(json.dumps(groups) if as_json else catalogue_text(groups))
+        return
+    fit = MaterialFit.of(find_material(name, density, scene))
+    if plot:
+        from phantomgen.material_figure import write_figure
+
+        write_figure(fit, plot)
+    click.echo(json.dumps(fit.to_dict()) if as_json else fit.text)
 
 
 @main.command(epilog="\b\nExamples:\n  phantomgen info kedge.h5\n  phantomgen info kedge.h5 --json")

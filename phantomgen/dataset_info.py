@@ -9,6 +9,7 @@ import numpy as np
 from phantomgen.dataset import DARK, FLAT, Dataset, open_dataset
 from phantomgen.dataset_check import newer_minor
 from phantomgen.dataset_layout import array_at, group_at, text_of
+from phantomgen.dataset_truth import read_fit
 
 
 def describe(path: Path) -> dict[str, Any]:
@@ -38,6 +39,7 @@ def describe(path: Path) -> dict[str, Any]:
             "darks": _frames(dataset, DARK),
             "grid": {"shape": list(grid.shape), "spacing_mm": list(grid.spacing), "origin_mm": list(grid.origin)},
             "truth": sorted(map(str, group_at(dataset.file, "truth"))) if "truth" in dataset.file else [],
+            "materials": _materials(dataset),
             "nxtomo": sorted(name for name in map(str, dataset.file) if name.startswith("nxtomo_")),
             "made_by": _made_by(dataset),
             "warnings": [newer] if newer else [],
@@ -61,6 +63,7 @@ def describe_text(info: dict[str, Any]) -> str:
         f"volume     {' x '.join(map(str, info['grid']['shape']))} voxels of "
         f"{' x '.join(f'{s:g}' for s in info['grid']['spacing_mm'])} mm (z, y, x)",
         f"truth      {', '.join(info['truth']) or 'none'}",
+        *_material_lines(info["materials"]),
         f"NXtomo     {', '.join(info['nxtomo']) or 'none: it knows integer counts only'}",
         f"made by    {info['made_by']}",
     ]
@@ -75,6 +78,37 @@ def _channels(dataset: Dataset) -> list[dict[str, Any]]:
         {"name": name, "lower_keV": float(lower), "upper_keV": float(upper), "open_beam_counts": float(level)}
         for name, lower, upper, level in zip(spectra.channels, spectra.lower, spectra.upper, counts, strict=True)
     ]
+
+
+def _materials(dataset: Dataset) -> dict[str, Any]:
+    """Whose coefficients are explicit and whose are fitted, with window and error of the fit; empty without truth."""
+    table = dataset.file.get("truth/materials")
+    if not isinstance(table, h5py.Group) or "kind" not in table:
+        return {}
+    names, kinds = ([text_of(t) for t in array_at(table, key)[()]] for key in ("name", "kind"))
+    fit = read_fit(table)
+    if fit is None:
+        return {"kind": dict(zip(names, kinds, strict=True))}
+    errors = dict(zip(names, map(float, fit.errors), strict=True))
+    return {
+        "kind": dict(zip(names, kinds, strict=True)),
+        "fit_error": {name: errors[name] for name, kind in zip(names, kinds, strict=True) if kind == "fitted"},
+        "fit_window_keV": list(fit.window),
+        "fit_weights": fit.weights,
+    }
+
+
+def _material_lines(materials: dict[str, Any]) -> list[str]:
+    """The same for people."""
+    explicit = [name for name, kind in materials.get("kind", {}).items() if kind == "explicit"]
+    lines = [f"materials  {', '.join(explicit)}: explicit coefficients, for simulator and truth alike"]
+    errors = materials.get("fit_error", {})
+    if errors:
+        low, high = materials["fit_window_keV"]
+        each = ", ".join(f"{name} {error:.2%}" for name, error in errors.items())
+        where = f"fitted over {low:g}..{high:g} keV, simulated exactly"
+        lines.append(f"materials  {where}; rms relative error of the fit to mu(E): {each}")
+    return lines[0 if explicit else 1 :]
 
 
 def _frames(dataset: Dataset, name: str) -> int:

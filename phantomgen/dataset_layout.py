@@ -41,7 +41,8 @@ TABLE = """\
 /truth/basis/data                        (M,z,y,x) float32 [1/mm]
 /truth/fractions                         (material,z,y,x) uint16, 65535 = the whole voxel
 /truth/labels                            (z,y,x) uint8 or uint16, 0 = background, i + 1 = material i
-/truth/materials                         name, density [g/cm^3], composition, coefficients (material,M) [1/mm]
+/truth/materials                         name, density [g/cm^3], composition, coefficients (material,M) [1/mm], kind:
+                                         explicit or fitted, fit_error (rms, relative), fit_window [keV], fit_weights
 /truth/grid                              shape, spacing, origin (z,y,x), affine (4,4) for (x,y,z) [mm]
 /truth/scene                             the scene as YAML
 /truth/expected                          (V,C,R,K) float32, optional: counts without noise

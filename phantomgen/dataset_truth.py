@@ -15,6 +15,22 @@ from spectra.materials import Material
 
 
 @dataclass(frozen=True, eq=False)
+class CoefficientFit:
+    """How the coefficients of compositions were found: the non-negative fit of least relative error of mu(E).
+
+    Parameters
+    ----------
+    window : energies that it covers [keV]
+    weights : what each energy weighs, in words
+    errors : weighted rms relative error of mu(E) per material; 0 for explicit coefficients
+    """
+
+    window: tuple[float, float]
+    weights: str
+    errors: Float[np.ndarray, " material"]
+
+
+@dataclass(frozen=True, eq=False)
 class Truth:
     """Truth on a grid.
 
@@ -27,6 +43,7 @@ class Truth:
     coefficients : of the materials in the basis [1/mm]
     fractions : part of each voxel that each material fills, 65535 = all
     scene : the scene as YAML
+    fit : of the coefficients; None where a file does not say
     """
 
     grid: Grid
@@ -36,6 +53,7 @@ class Truth:
     coefficients: Float[np.ndarray, "material basis"]
     fractions: UInt16[np.ndarray, "material z y x"]
     scene: str = ""
+    fit: CoefficientFit | None = None
 
     @classmethod
     def of(
@@ -46,6 +64,7 @@ class Truth:
         coefficients: Float[np.ndarray, "material basis"],
         fractions: Float32[np.ndarray, "material z y x"],
         scene: str,
+        fit: CoefficientFit | None = None,
     ) -> "Truth":
         """From fractions between 0 and 1."""
         volumes = np.zeros((len(basis_names), *grid.shape), np.float32)
@@ -53,7 +72,7 @@ class Truth:
             for basis in np.flatnonzero(row):
                 volumes[basis] += np.float32(row[basis]) * fraction
         scaled = np.rint(np.clip(fractions, 0.0, 1.0) * FRACTION_SCALE).astype(np.uint16)
-        return cls(grid, basis_names, volumes, material_names, coefficients, scaled, scene)
+        return cls(grid, basis_names, volumes, material_names, coefficients, scaled, scene, fit)
 
     def __repr__(self) -> str:
         return f"Truth({', '.join(self.basis_names)}: {' x '.join(map(str, self.grid.shape))} voxels)"
@@ -84,6 +103,11 @@ def write_truth(file: h5py.File, truth: Truth, materials: tuple[Material, ...]) 
     put(table, "density", np.array([m.density if m.density else np.nan for m in materials]), "g/cm^3")
     put(table, "composition", np.array([_composition(m) for m in materials], dtype=object))
     put(table, "coefficients", truth.coefficients, "1/mm")
+    put(table, "kind", np.array(["explicit" if m.composition is None else "fitted" for m in materials], dtype=object))
+    if truth.fit is not None:
+        put(table, "fit_error", truth.fit.errors, "1")
+        put(table, "fit_window", np.array(truth.fit.window), "keV")
+        put(table, "fit_weights", truth.fit.weights)
     grid = new_group(group, "grid", "NXcollection")
     write_grid(grid, truth.grid)
     put(grid, "affine", truth.grid.affine, "mm")
@@ -118,7 +142,17 @@ def read_truth(path: Path | str) -> Truth | None:
             coefficients=array_at(group, "materials/coefficients")[()],
             fractions=array_at(group, "fractions")[()],
             scene=text_of(array_at(group, "scene/data")[()]) if "scene" in group else "",
+            fit=read_fit(group_at(group, "materials")),
         )
+
+
+def read_fit(materials: h5py.Group) -> CoefficientFit | None:
+    """How coefficients were fitted, or None where the file does not say."""
+    if "fit_error" not in materials:
+        return None
+    low, high = array_at(materials, "fit_window")[()]
+    weights = text_of(array_at(materials, "fit_weights")[()])
+    return CoefficientFit((float(low), float(high)), weights, array_at(materials, "fit_error")[()])
 
 
 def _write_basis(group: h5py.Group, truth: Truth) -> None:

@@ -12,17 +12,15 @@ from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
 from phantomgen.ops.solids import Solids
 from phantomgen.panel import Panel
+from phantomgen.scene_materials import scene_materials
 from phantomgen.scene_objects import objects_of
 from phantomgen.scene_yaml import SceneFile, closest, preset_names
 from phantomgen.shapes import Shape, solids_of
 from spectra.attenuation import edge_energy, mass_fractions, symbol
 from spectra.basis import Basis, BasisFunction
 from spectra.detector import Detector
-from spectra.materials import Material
+from spectra.materials import SAME_EDGE, Material
 from spectra.source import Filter, Source
-
-# An element belongs to a K-edge function when its own edge is this close [keV].
-_SAME_EDGE = 0.5
 
 
 @dataclass(frozen=True)
@@ -108,7 +106,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
     objects = objects_of(file)
     source = _source(file)
     detector = _detector(file, source)
-    materials = {name: _material(file, name) for name in model.materials}
+    materials = scene_materials(file)
     filled = {name for _, name in objects} | {_background(file)}
     used = [name for name in materials if name in filled]
     basis = _basis(file, [materials[name] for name in used], detector)
@@ -197,13 +195,6 @@ def _background(file: SceneFile) -> str | None:
     return name
 
 
-def _material(file: SceneFile, name: str) -> Material:
-    """One material of the scene."""
-    model = file.model.materials[name]
-    with file.at("materials", name):
-        return Material(name, model.density, model.composition, model.coefficients)
-
-
 def _composition_name(composition: str | Mapping[str, float]) -> str:
     """A name for a material that has only a composition."""
     return composition if isinstance(composition, str) else " ".join(composition)
@@ -251,7 +242,7 @@ def _uses(material: Material, function: BasisFunction) -> bool:
     if material.coefficients is not None:
         return material.coefficients.get(function.name, 0.0) > 0
     edge = float(function.edge_energy or 0.0)
-    return bool(material.k_edges(edge - _SAME_EDGE, edge + _SAME_EDGE))
+    return bool(material.k_edges(edge - SAME_EDGE, edge + SAME_EDGE))
 
 
 def _check_coefficients(file: SceneFile, materials: Mapping[str, Material], basis: Basis) -> None:

@@ -104,12 +104,32 @@ class ElementFunctionModel(Model):
     element: str
 
 
+class MixtureModel(Model):
+    """Parts by fractions of mass or volume that sum to 1; a part is a material of the scene, a name or a formula."""
+
+    by: Literal["mass", "volume"]
+    parts: Annotated[dict[str, Annotated[FiniteFloat, Field(ge=0, le=1)]], Field(min_length=1)]
+
+
+class SolutionModel(Model):
+    """Solutes by mass per volume of the solution [mg/ml]; the solvent fills the volume that they leave."""
+
+    solvent: str
+    solutes: Annotated[dict[str, Annotated[FiniteFloat, Field(ge=0)]], Field(min_length=1)]
+
+
 class MaterialModel(Model):
-    """Either a composition (formula, NIST name or mass fractions) with a density, or basis coefficients [1/mm]."""
+    """One of: composition (formula, name or mass fractions), mixture, solution, or basis coefficients [1/mm].
+
+    The density [g/cm^3] is needed for formulas and mass fractions; that of mixtures and solutions follows from their
+    parts where it is left out.
+    """
 
     composition: Composition | None = None
     density: PositiveFloat | None = None
     coefficients: dict[str, Annotated[FiniteFloat, Field(ge=0)]] | None = None
+    mixture: MixtureModel | None = None
+    solution: SolutionModel | None = None
 
 
 class PlaneModel(Model):

@@ -19,7 +19,13 @@ from phantomgen.ops.voxelize_shapes import fractions
 from phantomgen.scene import Scan
 from phantomgen.simulate_check import MeasuredError, full_check, quick_check
 from phantomgen.simulate_coverage import coverage_warnings, sampled_lengths
-from phantomgen.simulate_spectra import compressed_transmission, material_coefficients, reconstructor_spectra
+from phantomgen.simulate_spectra import (
+    compressed_transmission,
+    fit_warnings,
+    material_coefficients,
+    material_fit,
+    reconstructor_spectra,
+)
 from phantomgen.stopwatch import Stopwatch
 from spectra.threads import run_parallel
 from spectra.transmission import Transmission
@@ -111,7 +117,7 @@ def simulate(
         with watch("spectrum"):
             transmission, node_error = compressed_transmission(scan, sampled_lengths(scan))
             spectra = reconstructor_spectra(scan)
-            warnings = coverage_warnings(scan)
+            warnings = [*coverage_warnings(scan), *fit_warnings(scan, material_fit(scan))]
         writer.write_scan(scan.name, scan.geometry, spectra, scan.grid, dict(scan.splits), scan.scheme)
         writer.write_instrument(scan.geometry, spectra, dict(scan.source_fields))
         writer.write_process("phantomgen make", scan.seed)
@@ -158,7 +164,8 @@ def scan_truth(scan: Scan) -> Truth:
     """Material fractions and basis volumes."""
     names = tuple(m.name for m in scan.scene.materials)
     filled = fractions(scan.grid, scan.scene.solids, len(names), background=scan.scene.background)
-    return Truth.of(scan.grid, scan.basis.names, names, material_coefficients(scan), filled, scan.text)
+    coefficients, fit = material_coefficients(scan), material_fit(scan)
+    return Truth.of(scan.grid, scan.basis.names, names, coefficients, filled, scan.text, fit)
 
 
 def _write_counts(

@@ -15,12 +15,16 @@ _HOME = {
     "Energies": "energies",
     "Filter": "source",
     "Material": "materials",
+    "Part": "mixing",
     "Source": "source",
     "Transmission": "transmission",
     "conditioning_of": "conditioning",
+    "dissolve": "mixing",
     "edge_energy": "attenuation",
     "linear_attenuation": "attenuation",
     "mass_attenuation": "attenuation",
+    "mix_by_mass": "mixing",
+    "mix_by_volume": "mixing",
 }
 
 __all__ = list(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -14,6 +14,8 @@ import xraylib_np
 from jaxtyping import Float
 
 from spectra.errors import InputError
+from spectra.formulas import refuse_misread
+from spectra.library import LIBRARY, element_number, near
 
 Composition = str | Mapping[str, float]
 MassFractions = tuple[tuple[int, float], ...]
@@ -26,15 +28,15 @@ _HEAVIEST = 98
 
 def atomic_number(element: str) -> int:
     """Atomic number of an element's symbol."""
-    symbol = str(element).strip()
-    if not re.fullmatch(r"[A-Z][a-z]?", symbol):
-        raise InputError(f"unknown element {element!r}: give its symbol, such as 'Lu'")
+    text = str(element).strip()
+    if not re.fullmatch(r"[A-Z][a-z]?", text):
+        raise _unknown_element(element)
     try:
-        number = xraylib.SymbolToAtomicNumber(symbol)
+        number = xraylib.SymbolToAtomicNumber(text)
     except ValueError:
-        raise InputError(f"unknown element {element!r}: give its symbol, such as 'Lu'") from None
+        raise _unknown_element(element) from None
     if number > _HEAVIEST:
-        raise InputError(f"there are no attenuation data for {symbol}, only for H to Cf")
+        raise InputError(f"there are no attenuation data for {text}, only for H to Cf")
     return number
 
 
@@ -49,11 +51,12 @@ def symbol(number: int) -> str:
 
 
 def mass_fractions(composition: Composition) -> MassFractions:
-    """Elements and mass fractions of a formula, a NIST compound name, or a mapping of mass fractions.
+    """Elements and mass fractions of a formula, a named material, or a mapping of mass fractions.
 
     Parameters
     ----------
-    composition : ``"H2O"``, ``"Water, Liquid"``, or ``{"H": 0.112, "O": 0.888}`` (must sum to 1 within 1e-3)
+    composition : ``"H2O"``, ``"Water, Liquid"`` (a NIST compound), ``"liver"`` (of `spectra.library`), or
+        ``{"H": 0.112, "O": 0.888}`` (must sum to 1 within 1e-3)
 
     Raises
     ------
@@ -67,12 +70,20 @@ def mass_fractions(composition: Composition) -> MassFractions:
 
 
 def natural_density(composition: Composition) -> float | None:
-    """Density of a pure element or NIST compound [g/cm^3]; None for a formula or a mixture."""
+    """Density of an element or of a named material [g/cm^3]; None for another formula or a mixture."""
     fractions = mass_fractions(composition)
-    if len(fractions) == 1:
-        return xraylib.ElementDensity(fractions[0][0])
-    nist = isinstance(composition, str) and composition.strip() in _nist_names()
-    return xraylib.GetCompoundDataNISTByName(str(composition).strip())["density"] if nist else None
+    name = composition.strip() if isinstance(composition, str) else ""
+    if name in LIBRARY:
+        return LIBRARY[name].density
+    if name in nist_names():
+        return xraylib.GetCompoundDataNISTByName(name)["density"]
+    return xraylib.ElementDensity(fractions[0][0]) if len(fractions) == 1 else None
+
+
+@lru_cache(maxsize=1)
+def nist_names() -> tuple[str, ...]:
+    """Names of the NIST compounds that xraylib knows."""
+    return tuple(xraylib.GetCompoundDataNISTList())
 
 
 def k_edges(composition: Composition, low: float, high: float) -> tuple[float, ...]:
@@ -111,22 +122,49 @@ def _off_the_edge(energy: Float[np.ndarray, " energy"], number: int) -> Float[np
 
 
 @lru_cache(maxsize=256)
-def _parse(formula: str) -> MassFractions:
+def _parse(name: str) -> MassFractions:
+    """Mass fractions of a named material or a chemical formula."""
+    if name in LIBRARY:
+        known = LIBRARY[name].composition
+        return _parse_formula(known) if isinstance(known, str) else _from_mapping(known)
+    return _parse_formula(name)
+
+
+def _parse_formula(formula: str) -> MassFractions:
     """Mass fractions of a NIST name or a chemical formula."""
-    if formula in _nist_names():
+    if formula in nist_names():
         data = xraylib.GetCompoundDataNISTByName(formula)
+    elif " " in formula:
+        raise _unknown_material(formula, "")
     else:
-        _refuse_misread(formula)
+        refuse_misread(formula)
         try:
             data = xraylib.CompoundParser(formula)
         except ValueError as error:
-            reason = str(error).removeprefix("Invalid chemical formula: ").strip()
-            raise InputError(
-                f"unknown material {formula!r} ({reason}): give a formula, a NIST compound name or mass fractions"
-            ) from None
+            reason = str(error).removeprefix("Invalid chemical formula").strip(": ")
+            raise _unknown_material(formula, reason) from None
     if max(data["Elements"]) > _HEAVIEST:
         raise InputError(f"there are no attenuation data for every element of {formula!r}, only for H to Cf")
     return _normalised(dict(zip(data["Elements"], data["massFractions"], strict=True)))
+
+
+def _unknown_material(name: str, reason: str) -> InputError:
+    """An error that names the material that is meant, where one is close."""
+    number = element_number(name)
+    meant = symbol(number) if number else near(name, [*LIBRARY, *nist_names()])
+    if meant:
+        return InputError(f"unknown material {name!r}; did you mean {meant!r}?")
+    reason = f" ({reason})" if reason else ""
+    return InputError(
+        f"unknown material {name!r}{reason}: give a formula, the name of a NIST compound or tissue, or mass fractions"
+    )
+
+
+def _unknown_element(element: str) -> InputError:
+    """An error that names the symbol that is meant, where one is."""
+    number = element_number(str(element))
+    meant = f"did you mean {symbol(number)!r}?" if number else "give its symbol, such as 'Lu'"
+    return InputError(f"unknown element {element!r}: {meant}")
 
 
 def _from_mapping(composition: Mapping[str, float]) -> MassFractions:
@@ -146,22 +184,3 @@ def _normalised(fractions: Mapping[int, float]) -> MassFractions:
     """Fractions that sum to one, without elements that are absent."""
     total = sum(fractions.values())
     return tuple((number, fraction / total) for number, fraction in sorted(fractions.items()) if fraction > 0)
-
-
-def _refuse_misread(formula: str) -> None:
-    """Refuse formulas that parse but do not mean what they seem to say."""
-    hint = "give mass fractions instead, such as {'H': 0.112, 'O': 0.888}"
-    if re.search(r"\)(?![\d])", formula):
-        raise InputError(f"the bracket in {formula!r} has no number behind it, which would mean one whole unit: {hint}")
-    subscripts = [float(number) for number in re.findall(r"\d*\.?\d+", formula)]
-    if re.search(r"[1-9]\d*\.\d", formula):
-        raise InputError(f"the decimal point in {formula!r} reads like a hydrate: {hint}")
-    symbols = len(re.findall(r"[A-Z][a-z]?", formula))
-    if "." in formula and len(subscripts) == symbols and abs(sum(subscripts) - 1) < 1e-2:
-        raise InputError(f"the numbers in {formula!r} would be taken as atoms, not as mass fractions: {hint}")
-
-
-@lru_cache(maxsize=1)
-def _nist_names() -> frozenset[str]:
-    """Names of the NIST compounds that xraylib knows."""
-    return frozenset(xraylib.GetCompoundDataNISTList())

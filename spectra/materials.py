@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-from spectra.attenuation import Composition, k_edges, linear_attenuation, mass_fractions, natural_density
+from spectra.attenuation import Composition, k_edges, linear_attenuation, mass_fractions, natural_density, symbol
 from spectra.basis import Basis
 from spectra.errors import InputError
 
-# Semiconductors and scintillators as single crystals [g/cm^3], CRC Handbook.
-_CRYSTAL_DENSITY = {"CdTe": 5.85, "Cd0.9Zn0.1Te": 5.78, "GaAs": 5.32, "CsI": 4.51}
+# An element belongs to a K-edge function when its own edge is this close [keV].
+SAME_EDGE = 0.5
 
 EnergyArray = Float[np.ndarray, " energy"]
 
@@ -24,8 +24,8 @@ class Material:
     Parameters
     ----------
     name : as in the scene
-    density : [g/cm^3]; may be left out for elements, NIST compounds and common detector crystals
-    composition : formula, NIST compound name or mass fractions, for the exact xraylib curve
+    density : [g/cm^3]; may be left out for elements and named materials
+    composition : formula, name (NIST compound or `spectra.library`) or mass fractions, for the exact xraylib curve
     coefficients : or basis coefficients by basis function name [1/mm]; functions left out are 0
     """
 
@@ -44,9 +44,8 @@ class Material:
 
     def _checked_density(self, composition: Composition) -> float:
         """The density given, or the one known."""
-        mass_fractions(composition)
-        known = _CRYSTAL_DENSITY.get(composition) if isinstance(composition, str) else None
-        density = self.density if self.density is not None else known or natural_density(composition)
+        known = natural_density(composition)
+        density = self.density if self.density is not None else known
         if density is None:
             raise InputError(f"material {self.name!r} needs a density in g/cm^3")
         if not 0 < density < 30:
@@ -75,14 +74,21 @@ class Material:
 
         Returns
         -------
-        the explicit coefficients; for a composition the non-negative least-squares fit of the relative error of mu(E)
-        over the detected spectrum (plain least squares would fit the lowest energies only)
+        the explicit coefficients. For a composition those of `element` functions are the amount of the element, and
+        those of `step` and `sigmoid` functions are 0 where no K edge of the material is near; what is left of mu(E) is
+        fitted by the other functions, non-negative, with the least relative error over the detected spectrum (plain
+        least squares would fit the lowest energies only)
         """
         if self.composition is None:
             return self._explicit(basis)
-        exact = self.attenuation(energy)
-        scale = np.sqrt(np.asarray(weights, dtype=np.float64) / np.sum(weights))
-        return nnls((basis.evaluate(energy) / exact * scale).T, scale)[0]
+        exact, values = self.attenuation(energy), basis.evaluate(energy)
+        found = self._amounts(basis, energy)
+        free = np.isnan(found)
+        rest = exact - np.where(free, 0.0, found) @ values
+        scale = np.sqrt(np.asarray(weights, dtype=np.float64) / np.sum(weights)) / exact
+        if free.any():
+            found[free] = nnls((values[free] * scale).T, rest * scale)[0]
+        return found
 
     def fit_error(self, basis: Basis, energy: EnergyArray, weights: EnergyArray) -> float:
         """Weighted rms relative error of mu(E) as `coefficients_in` describes it; 0 for explicit coefficients."""
@@ -90,6 +96,20 @@ class Material:
             return 0.0
         fitted = self.coefficients_in(basis, energy, weights) @ basis.evaluate(energy)
         return float(np.sqrt(np.average((fitted / self.attenuation(energy) - 1) ** 2, weights=weights)))
+
+    def _amounts(self, basis: Basis, energy: EnergyArray) -> Float[np.ndarray, " basis"]:
+        """Coefficients that follow from the composition [1/mm]; NaN for those that are to be fitted."""
+        fractions = {symbol(number): share for number, share in mass_fractions(self.composition or {})}
+        amounts = np.full(len(basis), np.nan)
+        for i, function in enumerate(basis.functions):
+            edge = function.edge_energy
+            if function.kind == "element":
+                density = float(self.density or 0.0) * fractions.get(str(function.element), 0.0)
+                own = linear_attenuation({str(function.element): 1.0}, density, energy[:1])
+                amounts[i] = (own / function.evaluate(energy[:1], basis.reference_energy))[0]
+            elif edge is not None and not self.k_edges(edge - SAME_EDGE, edge + SAME_EDGE):
+                amounts[i] = 0.0
+        return amounts
 
     def _explicit(self, basis: Basis) -> Float[np.ndarray, " basis"]:
         """Explicit coefficients in the order of `basis`."""

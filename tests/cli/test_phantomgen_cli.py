@@ -104,7 +104,7 @@ def test_an_output_that_exists_is_refused_before_any_work(made):
     [
         (["make"], 2, "name either a scene file or a preset"),
         (["make", "a.yaml", "--preset", "kedge"], 2, "name either a scene file or a preset"),
-        (["make", "--preset", "kegde"], 1, "unknown preset 'kegde': choose from kedge, kedge-small"),
+        (["make", "--preset", "kegde"], 1, "unknown preset 'kegde': choose from contrast-vials, kedge, kedge-small"),
         (["make", "none.yaml"], 1, "none.yaml cannot be read as a scene: No such file or directory"),
         (["make", "--preset", "kedge", "--views", "0"], 2, "0 is not in the range x>=1"),
         (
@@ -130,6 +130,12 @@ def test_an_output_that_exists_is_refused_before_any_work(made):
         (["view", "kedge", "--screenshot", "k.png", "--at", "0,0"], 1, "a point is written x,y,z in mm"),
         (["view", "kedge", "--screenshot", "k.png", "--at", "0,0,99"], 1, "z = 99 mm lies outside the volume"),
         (["view", "kedge", "--screenshot", "k.png", "--size", "big"], 1, "a size is written WIDTHxHEIGHT"),
+        (["materials", "livr"], 1, "unknown material 'livr'; did you mean 'liver'?"),
+        (["materials", "Gd2O3"], 1, "material 'Gd2O3' needs a density in g/cm^3"),
+        (["materials", "liver", "--plot", "none/liver.png"], 1, "folder none for the picture liver.png does not exist"),
+        (["materials", "liver", "--plot", "liver.bmp"], 1, "a picture ends in .png, .pdf or .svg, got 'liver.bmp'"),
+        (["materials", "bone", "--scene", "kedge"], 1, "material 'bone' is given by coefficients"),
+        (["materials", "bne", "--scene", "kedge"], 1, "kedge.yaml has no material 'bne'; did you mean 'bone'?"),
         (["frobnicate"], 2, "No such command"),
     ],
 )
@@ -228,11 +234,41 @@ def test_a_look_at_a_dataset_without_truth_says_so(made, tmp_path):
 
 
 def test_presets_are_listed_and_shown_as_scenes_that_can_be_made(tmp_path):
-    assert [line.split()[0] for line in run("presets").stdout.splitlines()] == ["kedge", "kedge-small"]
+    names = [line.split()[0] for line in run("presets").stdout.splitlines()]
+    assert names == ["contrast-vials", "kedge", "kedge-small", "multi-energy"]
     from phantomgen.scene_yaml import SceneFile
 
     (tmp_path / "my.yaml").write_text(run("presets", "show", "kedge").stdout)
     assert SceneFile.read(tmp_path / "my.yaml").model == SceneFile.preset("kedge").model
+
+
+def test_materials_are_listed_in_groups():
+    groups = json.loads(run("materials", "--json").stdout)
+    assert list(groups) == ["tissues", "plastics, minerals and others", "detectors", "elements", "NIST compounds"]
+    assert groups["tissues"]["liver"] == 1.06
+    assert groups["elements"]["Gd"] == pytest.approx(7.9, abs=0.01)
+    assert groups["NIST compounds"]["Water, Liquid"] == 1.0
+    assert len(groups["NIST compounds"]) >= 180
+    text = run("materials").stdout
+    assert text.startswith("tissues [g/cm^3]\n  0.95       adipose\n")
+    assert "  7.9004     Gd  gadolinium\n" in text
+
+
+def test_a_material_is_described_with_its_fit(tmp_path):
+    text = run("materials", "liver").stdout
+    for words in ("liver: 1.06 g/cm^3, ICRU Report 44", "C 0.139", "photoelectric", "rms 0.1"):
+        assert words in text
+    water = json.loads(run("materials", "water", "--json").stdout)
+    # NIST SRD 126 at 60 keV, and the fit of water's mass attenuation over 20 to 140 keV.
+    assert water["mu_rho_cm2_per_g"][water["energy_keV"].index(60)] == pytest.approx(0.2059, rel=1e-3)
+    assert water["coefficients_per_mm"] == pytest.approx({"photoelectric": 0.00138, "compton": 0.01788}, rel=5e-3)
+    assert 1e-3 < water["fit_rms"] < 2.5e-3 < water["fit_worst"] < 2e-2
+    vial = json.loads(run("materials", "gold_10", "--scene", "contrast-vials", "--json").stdout)
+    assert vial["k_edges_keV"] == pytest.approx({"Au": 80.725}, abs=1e-3)
+    assert vial["density"] == pytest.approx(1.01 - 0.01 / 19.32, rel=1e-6)
+    oxide = run("materials", "Gd2O3", "--density", "7.4", "--plot", tmp_path / "oxide.png")
+    assert oxide.exit_code == 0
+    assert (tmp_path / "oxide.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_schema_prints_the_layout_or_the_json_schema():
@@ -241,7 +277,8 @@ def test_schema_prints_the_layout_or_the_json_schema():
 
 
 @pytest.mark.parametrize(
-    "command", [[], ["make"], ["presets"], ["presets", "show"], ["view"], ["info"], ["validate"], ["schema"]]
+    "command",
+    [[], ["make"], ["materials"], ["presets"], ["presets", "show"], ["view"], ["info"], ["validate"], ["schema"]],
 )
 def test_every_help_ends_with_examples(command):
     result = run(*command, "--help")

@@ -8,6 +8,7 @@ import pytest
 from phantomgen.scene import circular_angles, load_scene
 from phantomgen.scene_yaml import SceneFile, preset_names, preset_summaries
 from phantomgen.schema import json_schema
+from phantomgen.simulate_coverage import coverage_warnings
 from spectra.errors import SceneError
 
 SCENE = """\
@@ -66,6 +67,28 @@ def test_presets_are_the_published_scene(name):
     assert scan.grid.shape[0] * scan.grid.spacing[0] == pytest.approx(128.0)
     # Source behind 2.5 mm Al: no photons below 20 keV to speak of, tungsten's K lines present.
     assert scan.source.line_energy.max() > 59
+
+
+@pytest.mark.parametrize(
+    ("name", "basis"),
+    [
+        ("contrast-vials", ("kedge_I", "kedge_Gd", "kedge_Au", "kedge_Bi")),
+        ("multi-energy", ("kedge_I",)),
+    ],
+)
+def test_presets_of_compositions_have_the_columns_and_thresholds_that_they_need(name, basis):
+    scan = load_scene(name)
+    assert scan.basis.names == ("photoelectric", "compton", *basis)
+    assert len(scan.detector) > len(scan.basis)
+    for edge in scan.basis.breaks:
+        assert 0 < min(abs(np.array(scan.detector.thresholds) - edge)) < 0.1
+    assert coverage_warnings(scan) == []
+    shapes = [shape for shape, _ in scan.scene.objects]
+    rods = np.array([shape.bounds for shape in shapes[1:]])
+    centres, radius = rods.mean(axis=1)[:, :2], np.ptp(rods[0], axis=0)[0] / 2
+    apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)[~np.eye(len(centres), dtype=bool)]
+    assert apart.min() > 2 * radius
+    assert np.linalg.norm(centres, axis=1).max() + radius < shapes[0].bounds[1][0]
 
 
 def test_presets_have_a_name_and_a_sentence():
@@ -182,7 +205,7 @@ def test_overrides_reach_lists_mappings_and_new_keys():
 
 
 def test_unknown_presets_and_missing_files_are_refused(tmp_path):
-    with pytest.raises(SceneError, match="unknown preset 'kegde': choose from kedge, kedge-small"):
+    with pytest.raises(SceneError, match="unknown preset 'kegde': choose from contrast-vials, kedge, kedge-small"):
         load_scene("kegde")
     with pytest.raises(SceneError, match="cannot be read as a scene: No such file"):
         load_scene(tmp_path / "none.yaml")

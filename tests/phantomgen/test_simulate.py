@@ -1,10 +1,12 @@
 """Simulated scans: closed forms, noise, determinism, and only what the scene needs."""
 
+import h5py
 import numpy as np
 import pytest
 
 from phantomgen.dataset import open_dataset
 from phantomgen.dataset_check import validate
+from phantomgen.dataset_info import describe, describe_text
 from phantomgen.dataset_truth import read_truth
 from phantomgen.scene import Scan, load_scene
 from phantomgen.scene_yaml import SceneFile
@@ -12,7 +14,7 @@ from phantomgen.simulate import simulate
 from phantomgen.simulate_check import full_check
 from phantomgen.simulate_coverage import coverage_warnings, sampled_lengths
 from phantomgen.simulate_spectra import compressed_transmission, fine_transmission, reconstructor_spectra
-from spectra.attenuation import linear_attenuation
+from spectra.attenuation import linear_attenuation, mass_attenuation
 from spectra.errors import InputError
 from spectra.threads import set_threads
 
@@ -220,3 +222,96 @@ def test_a_failure_leaves_nothing(tmp_path):
     with pytest.raises(InputError, match="expected counts must lie in"):
         made(tmp_path, "source.photons=1e12")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_truth_says_what_is_explicit_and_what_is_fitted_how_well(tmp_path):
+    path, summary = made(
+        tmp_path,
+        "source={type: tube, kvp: 100, photons: 10000}",
+        "objects=[{type: sphere, material: water, radius: 5}, {type: sphere, material: bone, radius: 2}]",
+    )
+    with h5py.File(path) as file:
+        table = file["truth/materials"]
+        assert table["kind"].asstr()[()].tolist() == ["fitted", "explicit"]
+        assert table["fit_window"][()].tolist() == [20.0, 100.0]
+        assert table["fit_window"].attrs["units"] == "keV"
+        assert "open-beam counts" in table["fit_weights"].asstr()[()]
+    truth = read_truth(path)
+    scan = load_scene(SceneFile("toy.yaml", truth.scene))
+    with open_dataset(path) as dataset:
+        spectra = dataset.spectra
+    weights, water = spectra.weights.sum(axis=0), scan.scene.materials[0]
+    fitted = truth.coefficients[0] @ spectra.basis_values
+    residual = np.sqrt(np.average((fitted / water.attenuation(spectra.energy) - 1) ** 2, weights=weights))
+    assert truth.fit.errors == pytest.approx([residual, 0.0], rel=0.05)
+    assert 1e-4 < residual < 5e-3
+    assert summary.warnings == []
+    text = describe_text(describe(path))
+    assert "materials  bone: explicit coefficients" in text
+    assert "fitted over 20..100 keV, simulated exactly" in text
+    assert f"water {truth.fit.errors[0]:.2%}" in text
+
+
+def test_a_file_of_explicit_materials_says_so(tmp_path):
+    path, _ = made(tmp_path, "objects.0.material=bone")
+    described = describe(path)
+    assert described["materials"]["kind"] == {"bone": "explicit"}
+    assert described["materials"]["fit_error"] == {}
+    assert "fitted" not in describe_text(described)
+
+
+def test_a_basis_that_cannot_describe_a_material_is_said(tmp_path):
+    _, summary = made(
+        tmp_path,
+        "source={type: tube, kvp: 100, photons: 10000}",
+        "materials.water={composition: I}",
+        "basis=[{type: photoelectric}, {type: compton}]",
+    )
+    (warning,) = summary.warnings
+    assert "the basis describes material 'water' with an rms relative error of" in warning
+
+
+def test_several_k_edges_go_all_the_way(tmp_path):
+    vial = "{type: sphere, radius: 3, material: %s, center: [%g, 0, 0]}"
+    path, summary = made(
+        tmp_path,
+        "source={type: tube, kvp: 120, photons: 100000}",
+        "detector.thresholds=[20, 33.17, 50.24, 70]",
+        "materials={iodine: {solution: {solvent: water, solutes: {I: 20}}},"
+        " gadolinium: {solution: {solvent: water, solutes: {Gd: 10}}},"
+        " both: {mixture: {by: volume, parts: {iodine: 0.5, gadolinium: 0.5}}}}",
+        f"objects=[{vial % ('iodine', -6.5)}, {vial % ('both', 0)}, {vial % ('gadolinium', 6.5)}]",
+        "noise=false",
+        "panel={rows: 13, columns: 17, pitch: 2.4}",
+    )
+    assert summary.warnings == []
+    assert validate(path) == []
+    truth = read_truth(path)
+    assert truth.basis_names == ("photoelectric", "compton", "kedge_I", "kedge_Gd")
+    # An element's coefficient is its own attenuation just above 70 keV: mu/rho x concentration, nothing of the others.
+    iodine, gadolinium = (mass_attenuation(e, np.array([70.01]))[0] for e in ("I", "Gd"))
+    expected = np.array([[0.020 * iodine, 0], [0.010 * iodine, 0.005 * gadolinium], [0, 0.010 * gadolinium]]) / 10
+    order = [truth.material_names.index(name) for name in ("iodine", "both", "gadolinium")]
+    assert truth.coefficients[order][:, 2:] == pytest.approx(expected, rel=1e-9, abs=1e-15)
+    assert (truth.fit.errors < 3e-3).all()
+    scan = load_scene(SceneFile("toy.yaml", truth.scene))
+    lengths = sampled_lengths(scan)
+    with open_dataset(path) as dataset:
+        told = dataset.spectra.transmission().log_projection(lengths @ truth.coefficients)
+    assert told == pytest.approx(fine_transmission(scan).log_projection(lengths), rel=4e-3, abs=1e-6)
+
+
+def test_many_materials_need_few_nodes():
+    series = {f"i{c}": f"{{solution: {{solvent: water, solutes: {{I: {c}}}}}}}" for c in (0, 1, 2, 5, 8, 10, 15, 20)}
+    vials = [
+        f"{{type: sphere, radius: 2, material: {name}, center: [0, 0, {2 * i - 7}]}}" for i, name in enumerate(series)
+    ]
+    scan = toy(
+        "source={type: tube, kvp: 100, photons: 10000}",
+        f"materials={{{', '.join(f'{name}: {text}' for name, text in series.items())}}}",
+        f"objects=[{', '.join(vials)}]",
+    )
+    lengths = sampled_lengths(scan)
+    fine, (few, error) = fine_transmission(scan), compressed_transmission(scan, lengths)
+    assert len(few.weights) < 40 < len(fine.weights)
+    assert np.abs(few.log_projection(lengths) - fine.log_projection(lengths)).max() < 2 * error < 4e-5

@@ -61,7 +61,21 @@ def test_a_detector_alloy_is_not_mistaken_for_mass_fractions():
         ("CsI(Tl)", "bracket"),
         ("CaSO4.2H2O", "hydrate"),
         ("H0.1119O0.8881", "mass fractions"),
+        ("CaSO42.5H2O", "hydrate"),
+        ("H11.19O88.81", "hydrate"),
+        ("CO", "'CO' may mean Co or C and O: write 'Co' or 'C1O1'"),
+        ("SN", "write 'Sn' or 'S1N1'"),
+        ("SIO2", "write 'SiO2' or 'S1IO2'"),
+        ("CSI", "may mean Cs"),
+        ("PBO", "may mean Pb"),
+        ("H\u2082O", "plain ASCII"),
         ("h2o", "unknown material"),
+        ("D2O", "unknown material"),
+        ("2H2O", "unknown material"),
+        ("Gd2O2S:Tb", "unknown material"),
+        ("(H2O", "unknown material"),
+        ("H2 O", "unknown material"),
+        ("Water", "did you mean 'water'"),
         ("Adamantium", "unknown material"),
         ("", "unknown material"),
         ({}, "at least one element"),
@@ -76,6 +90,25 @@ def test_compositions_that_would_be_misread_are_refused(composition, words):
         mass_fractions(composition)
 
 
+@pytest.mark.parametrize(
+    ("formula", "numbers"),
+    [
+        ("C1O1", [6, 8]),
+        ("Co", [27]),
+        ("CO2", [6, 8]),
+        ("C2HF5", [1, 6, 9]),
+        ("CuSO4(H2O)5", [1, 8, 16, 29]),
+        ("CS2", [6, 16]),
+        ("KNO3", [7, 8, 19]),
+        ("C6H12O6", [1, 6, 8]),
+        ("Gd2O2S", [8, 16, 64]),
+        ("BN", [5, 7]),
+    ],
+)
+def test_formulas_that_mean_what_they_say_are_taken(formula, numbers):
+    assert [number for number, _ in mass_fractions(formula)] == numbers
+
+
 @pytest.mark.parametrize("energy", [0.5, 801.0, np.nan, -3.0])
 def test_energies_without_data_are_refused(energy):
     with pytest.raises(InputError, match="1 to 800 keV"):
@@ -84,5 +117,7 @@ def test_energies_without_data_are_refused(energy):
 
 def test_atomic_number_wants_a_symbol():
     assert atomic_number("Lu") == 71
-    with pytest.raises(InputError, match="symbol"):
-        atomic_number("lutetium")
+    with pytest.raises(InputError, match="give its symbol"):
+        atomic_number("adamantium")
+    with pytest.raises(InputError, match="unknown element 'Lutetium': did you mean 'Lu'"):
+        atomic_number("Lutetium")

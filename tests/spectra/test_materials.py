@@ -27,6 +27,29 @@ def test_an_element_column_takes_a_contrast_agent_exactly():
     assert solution.fit_error(TWO, ENERGY, FLAT) > 0.05
 
 
+def test_an_element_column_holds_the_amount_of_the_element_and_nothing_else():
+    basis = Basis((*TWO.functions, *(BasisFunction("element", element=e) for e in ("I", "Gd"))))
+    water = Material("water", composition="Water, Liquid")
+    np.testing.assert_array_equal(
+        water.coefficients_in(basis, ENERGY, FLAT), [*water.coefficients_in(TWO, ENERGY, FLAT), 0, 0]
+    )
+    mixed = Material("mixed", 1.01, {"H": 0.1108, "O": 0.8792, "I": 0.01})
+    found = mixed.coefficients_in(basis, ENERGY, FLAT)
+    # mu/rho of iodine at 70.01 keV: NIST SRD 126 prints 7.579 at 60 and 3.510 cm^2/g at 80 keV, a straight line in log.
+    slope = np.log(3.510 / 7.579) / np.log(80 / 60)
+    assert found[2] == pytest.approx(0.1 * 1.01 * 0.01 * 7.579 * (70.01 / 60) ** slope, rel=2e-3)
+    assert found[3] == 0
+    iodine = Material("iodine", composition="I").coefficients_in(basis, ENERGY, FLAT)
+    np.testing.assert_allclose(iodine[[0, 1, 3]], 0, atol=1e-12)
+
+
+def test_a_step_is_for_materials_with_an_edge_nearby():
+    basis = Basis((*TWO.functions, BasisFunction("step", edge_energy=63.3)))
+    assert Material("bone", composition="cortical bone").coefficients_in(basis, ENERGY, FLAT)[2] == 0
+    lutetium = Material("solution", 1.02, {"H": 0.1097, "O": 0.8703, "Lu": 0.02})
+    assert lutetium.coefficients_in(basis, ENERGY, FLAT)[2] > 0.01
+
+
 def test_fitted_coefficients_are_never_negative():
     basis = Basis((*TWO.functions, BasisFunction("step", edge_energy=63.3)))
     assert (Material("bone", composition="Bone, Cortical (ICRP)").coefficients_in(basis, ENERGY, FLAT) >= 0).all()
