@@ -5,5 +5,6 @@ from phantomgen.shapes.ball import Ellipsoid, Sphere
 from phantomgen.shapes.base import Shape, rotation_matrix
 from phantomgen.shapes.box import Box
 from phantomgen.shapes.cylinder import Cylinder
+from phantomgen.shapes.mesh import Mesh, load_mesh
 
-__all__ = ["Box", "Cylinder", "Ellipsoid", "Shape", "ShapeArrays", "Sphere", "rotation_matrix"]
+__all__ = ["Box", "Cylinder", "Ellipsoid", "Mesh", "Shape", "ShapeArrays", "Sphere", "load_mesh", "rotation_matrix"]

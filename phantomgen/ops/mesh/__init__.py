@@ -15,7 +15,17 @@ from jaxtyping import Bool, Float, Int32, Int64, UInt8
 from phantomgen.ops.mesh.edges import CREASE, PLAIN, SILHOUETTE, closed_edges, sharp_edges
 from spectra.errors import InputError
 
-__all__ = ["CREASE", "PLAIN", "SILHOUETTE", "MeshView", "Surfaces", "mesh_crossings", "mesh_lengths", "mesh_view"]
+__all__ = [
+    "CREASE",
+    "PLAIN",
+    "SILHOUETTE",
+    "MeshView",
+    "Surfaces",
+    "enclosures",
+    "mesh_crossings",
+    "mesh_lengths",
+    "mesh_view",
+]
 
 
 class Surfaces(NamedTuple):
@@ -176,6 +186,32 @@ def mesh_crossings(
     places = np.empty(starts[-1])
     ray_crossings(*lists, uv, at, found, counts, places, True)
     return starts, places
+
+
+def enclosures(
+    points: Float[np.ndarray, "point 3"],
+    vertices: Float[np.ndarray, "vertex 3"],
+    triangles: Int64[np.ndarray, "triangle 3"],
+    labels: Int64[np.ndarray, " triangle"] | None = None,
+    own: Int64[np.ndarray, " point"] | None = None,
+) -> Int64[np.ndarray, " point"]:
+    """Number of crossings above each point (x, y, z) [mm], on a line along z: odd for points inside.
+
+    Parameters
+    ----------
+    points, vertices, triangles : what is asked for; the mesh [mm]
+    labels, own : each point does not see the triangles whose label is its own
+    """
+    from phantomgen.ops.mesh.cpu import count_beyond  # noqa: PLC0415
+
+    if labels is None or own is None:
+        labels, own = np.zeros(len(triangles), np.int64), np.ones(len(points), np.int64)
+    x, y, z = np.eye(3)
+    points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    uv, view, at = _cells_of_rays(np.stack([z, 0 * z, x, y]), points[:, :2], vertices, triangles, True)
+    depths, out = np.ascontiguousarray(points[:, 2]), np.empty(len(points), np.int64)
+    count_beyond(*view[:2], view.starts[0], view.candidates, uv, at, depths, labels, own, out)
+    return out
 
 
 def _checked(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

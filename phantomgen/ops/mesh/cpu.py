@@ -5,7 +5,7 @@ and t is the place along it (from a point source t = w, along parallel lines w =
 ``g = a - u w``; the plane f = 0 contains the ray and cuts a triangle in a segment between two of its edges, and the ray
 meets the triangle where that segment passes g = 0.
 
-The edge rule: a vertex is above the plane where ``f >= 0``, and the section of an edge from an upper vertex P to a
+The edge rule: a vertex is above the plane where ``f > 0``, and the section of an edge from an upper vertex P to a
 lower one M lies to the right where ``g_M f_P - g_P f_M > 0``. A triangle is crossed when of its two sections one lies
 to the right. Both statements are made per vertex and per edge, by the same operations for every triangle that shares
 it, so each edge counts in two triangles or in none and every line crosses a closed surface an even number of times,
@@ -29,6 +29,38 @@ NEAR = 1e-9
 
 @inlined
 @no_type_check
+def meet(corners, triangles, k, u, v):
+    """Whether the line of the ray (u, v) crosses triangle k, and where: the place t along it."""
+    p, q, r = triangles[k, 0], triangles[k, 1], triangles[k, 2]
+    fp = corners[p, B] - v * corners[p, W]
+    fq = corners[q, B] - v * corners[q, W]
+    fr = corners[r, B] - v * corners[r, W]
+    above = fp > 0.0
+    if above == (fq > 0.0):
+        if above == (fr > 0.0):
+            return False, 0.0
+        p, q, r, fp, fq, fr = r, p, q, fr, fp, fq
+    elif above == (fr > 0.0):
+        p, q, r, fp, fq, fr = q, r, p, fq, fr, fp
+    # p is alone on its side of the plane
+    gp = corners[p, A] - u * corners[p, W]
+    gq = corners[q, A] - u * corners[q, W]
+    gr = corners[r, A] - u * corners[r, W]
+    if fp > 0.0:
+        side_q, side_r = gq * fp - gp * fq, gr * fp - gp * fr
+    else:
+        side_q, side_r = gp * fq - gq * fp, gp * fr - gr * fp
+    if (side_q > 0.0) == (side_r > 0.0):
+        return False, 0.0
+    side_q, side_r = side_q / abs(fp - fq), side_r / abs(fp - fr)
+    tp = corners[p, T]
+    tq = tp + (corners[q, T] - tp) * (fp / (fp - fq))
+    tr = tp + (corners[r, T] - tp) * (fp / (fp - fr))
+    return True, tq + (tr - tq) * (side_q / (side_q - side_r)) if side_q != side_r else tq
+
+
+@inlined
+@no_type_check
 def crossings(corners, triangles, candidates, first, last, u, v, found):
     """Write the places t > 0 where the ray (u, v) crosses the listed triangles to `found`, ascending.
 
@@ -44,34 +76,8 @@ def crossings(corners, triangles, candidates, first, last, u, v, found):
     """
     count = 0
     for i in range(first, last):
-        k = candidates[i]
-        p, q, r = triangles[k, 0], triangles[k, 1], triangles[k, 2]
-        fp = corners[p, B] - v * corners[p, W]
-        fq = corners[q, B] - v * corners[q, W]
-        fr = corners[r, B] - v * corners[r, W]
-        above = fp >= 0.0
-        if above == (fq >= 0.0):
-            if above == (fr >= 0.0):
-                continue
-            p, q, r, fp, fq, fr = r, p, q, fr, fp, fq
-        elif above == (fr >= 0.0):
-            p, q, r, fp, fq, fr = q, r, p, fq, fr, fp
-        # p is alone on its side of the plane
-        gp = corners[p, A] - u * corners[p, W]
-        gq = corners[q, A] - u * corners[q, W]
-        gr = corners[r, A] - u * corners[r, W]
-        if fp >= 0.0:
-            side_q, side_r = gq * fp - gp * fq, gr * fp - gp * fr
-        else:
-            side_q, side_r = gp * fq - gq * fp, gp * fr - gr * fp
-        if (side_q > 0.0) == (side_r > 0.0):
-            continue
-        side_q, side_r = side_q / abs(fp - fq), side_r / abs(fp - fr)
-        tp = corners[p, T]
-        tq = tp + (corners[q, T] - tp) * (fp / (fp - fq))
-        tr = tp + (corners[r, T] - tp) * (fp / (fp - fr))
-        t = tq + (tr - tq) * (side_q / (side_q - side_r)) if side_q != side_r else tq
-        if t > 0.0:
+        met, t = meet(corners, triangles, candidates[i], u, v)
+        if met and t > 0.0:
             at = count
             while at > 0 and found[at - 1] > t:
                 found[at] = found[at - 1]
@@ -224,18 +230,6 @@ def bin_triangles(corners, places, triangles, begin, end, cells, columns, starts
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def centre_lengths(corners, triangles, starts, candidates, norms, columns, cells, found, out):
-    """Length inside of the ray through each cell's centre, in the unit of `norms`: the length of each ray."""
-    for cell in range(out.size):
-        u = cells[0] + (cell % columns + 0.5) * cells[2]
-        v = cells[1] + (cell // columns + 0.5) * cells[3]
-        out[cell] = 0.0
-        for i in range(intervals(corners, triangles, candidates, starts[cell], starts[cell + 1], u, v, found)):
-            out[cell] += (found[2 * i + 1] - found[2 * i]) * norms[cell]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
 def ray_lengths(corners, triangles, starts, candidates, uv, norms, at, found, out):
     """Length inside of each ray (u, v); `at` is the cell of each, `norms` its length [mm]."""
     for ray in range(uv.shape[0]):
@@ -258,3 +252,16 @@ def ray_crossings(corners, triangles, starts, candidates, uv, at, found, counts,
             for i in range(count):
                 out[filled + i] = found[i]
             filled += count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def count_beyond(corners, triangles, starts, candidates, uv, at, depths, labels, own, out):
+    """Number of crossings t > depth of each line (u, v), without those of triangles that bear the label `own`."""
+    for ray in range(uv.shape[0]):
+        out[ray] = 0
+        for i in range(starts[at[ray]], starts[at[ray] + 1]):
+            k = candidates[i]
+            met, t = meet(corners, triangles, k, uv[ray, 0], uv[ray, 1])
+            if met and t > depths[ray] and labels[k] != own[ray]:
+                out[ray] += 1
