@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from phantomgen.geometry import Geometry
-from phantomgen.ops.mesh import Surfaces, cpu, mesh_crossings, mesh_lengths, mesh_view
+from phantomgen.ops.mesh import Surfaces, cpu, mesh_crossings, mesh_view
 from phantomgen.panel import Panel
 from spectra.threads import run_parallel, thread_count
 

@@ -30,8 +30,8 @@ class Mesh:
     ------
     InputError
         When the surface has holes, faces that are duplicate, without corners of their own or turned over, when it is
-        turned inside out, or when it crosses itself. Faces without area are fine where the surface needs them to be
-        closed.
+        turned inside out, or when it pierces itself. Faces without area are fine where the surface needs them to be
+        closed; faces that overlap within a plane, or touch, are not noticed.
     """
 
     vertices: Float[np.ndarray, "vertex 3"]

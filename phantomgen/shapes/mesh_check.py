@@ -3,9 +3,11 @@
 import numpy as np
 from jaxtyping import Float, Int64
 
-from phantomgen.ops.mesh import enclosures
+from phantomgen.ops.mesh import enclosures, overlaps
 from phantomgen.ops.mesh.edges import EdgeUses, closed_edges, edge_uses
 from spectra.errors import InputError
+
+_UNITE = "unite the bodies, e.g. with trimesh.boolean.union(mesh.split()), or drop what lies inside"
 
 
 def check_surface(
@@ -18,7 +20,8 @@ def check_surface(
     InputError
         Naming what is wrong, how many faces it concerns, and what repairs it; the first of these that applies: arrays
         of the wrong kind, faces with a repeated corner, duplicate faces, holes, edges of more than two faces, faces
-        that are turned over, bodies without volume or inside out, faces that cross.
+        that are turned over, faces that pierce another one, bodies without volume, inside out, or within
+        another one.
     """
     _check_arrays(vertices, triangles, name)
     repeated = int((triangles == np.roll(triangles, 1, axis=1)).any(axis=1).sum())
@@ -29,6 +32,7 @@ def check_surface(
         )
     uses = edge_uses(triangles)
     _check_edges(triangles, uses, name)
+    _check_crossing(vertices, triangles, name)
     _check_bodies(vertices, triangles, name)
 
 
@@ -93,7 +97,7 @@ def _check_edges(triangles: np.ndarray, uses: EdgeUses, name: str) -> None:
 
 
 def _check_bodies(vertices: np.ndarray, triangles: np.ndarray, name: str) -> None:
-    """Bodies face outwards, cavities in them face inwards, and so on for bodies in cavities."""
+    """Bodies face outwards, cavities in them face inwards, and so on for bodies in cavities; none overlap."""
     from scipy.sparse import coo_array  # noqa: PLC0415 - half a second that only meshes need
     from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
 
@@ -101,20 +105,43 @@ def _check_bodies(vertices: np.ndarray, triangles: np.ndarray, name: str) -> Non
     links = coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(len(triangles),) * 2)
     count, labels = connected_components(links, directed=False)
     labels = labels.astype(np.int64)
-    _, representatives = np.unique(labels, return_index=True)
-    first = vertices[triangles[representatives, 0]]
-    p, q, r = (vertices[triangles[:, i]] - first[labels] for i in range(3))
-    six_volumes = np.einsum("ki,ki->k", p, np.cross(q, r))
+    p, q, r = (vertices[triangles[:, i]] for i in range(3))
+    normals = np.cross(q - p, r - p)
+    areas = np.linalg.norm(normals, axis=1)
+    order = np.lexsort([areas, labels])
+    largest = order[np.flatnonzero(np.diff(labels[order], append=count))]
+    six_volumes = np.einsum("ki,ki->k", p - p[largest][labels], normals)
     volumes = np.bincount(labels, six_volumes, count)
     flat = abs(volumes) <= 1e-12 * np.bincount(labels, abs(six_volumes), count)
     if flat.any():
         raise InputError(
             f"{name}: {_faces(int(flat[labels].sum()))} enclose no volume; drop them, e.g. with trimesh's mesh.split()"
         )
-    depth = enclosures(first, vertices, triangles, labels, np.arange(count))
-    inverted = (volumes < 0) != (depth % 2 == 1)
+    # A point next to the largest face of each body, on its inner side, where a body that touches it is not.
+    inwards = -np.sign(volumes)[:, None] * normals[largest] / np.sqrt(areas[largest])[:, None]
+    points = (p + q + r)[largest] / 3 + 1e-8 * inwards
+    depth = enclosures(points, vertices, triangles, labels, np.arange(count))
+    within = depth % 2 == 1
+    inverted = (volumes < 0) & ~within
     if inverted.any():
         raise InputError(
-            f"{name}: {_faces(int(inverted[labels].sum()))} of {inverted.sum()} of {count} bodies are inside out: "
-            "they must face outwards, and inwards around a cavity; turn them, e.g. with trimesh's mesh.invert()"
+            f"{name}: {_faces(int(inverted[labels].sum()))} of {inverted.sum()} of {count} bodies are inside out; "
+            "turn them, e.g. with trimesh's mesh.invert()"
         )
+    doubled = (volumes > 0) & within
+    if doubled.any():
+        raise InputError(
+            f"{name}: {_faces(int(doubled[labels].sum()))} of {doubled.sum()} of {count} bodies lie within another; "
+            f"turn those around a cavity, e.g. with trimesh's mesh.invert(), or {_UNITE}"
+        )
+    overlapping = int(overlaps(vertices, triangles).sum())
+    if overlapping:
+        raise InputError(f"{name}: {_faces(overlapping)} at least lie within another body; {_UNITE}")
+
+
+def _check_crossing(vertices: np.ndarray, triangles: np.ndarray, name: str) -> None:
+    from phantomgen.ops.mesh.piercing import piercing_faces  # noqa: PLC0415 - numba only where it computes
+
+    crossing = int(piercing_faces(vertices, triangles).sum())
+    if crossing:
+        raise InputError(f"{name}: {_faces(crossing)} cross another one; {_UNITE}")

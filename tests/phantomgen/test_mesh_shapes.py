@@ -129,7 +129,7 @@ def test_surfaces_that_are_refused() -> None:
     refused(faces * 1.0, "indices, got float64")
     refused(faces, "enclose no volume", vertices * [1, 1, 0])
     inner = joined(BALL, BALL.copy().apply_scale(0.5))
-    refused(np.array(inner.faces), "320 faces of 1 of 2 bodies are inside out", np.array(inner.vertices))
+    refused(np.array(inner.faces), "320 faces of 1 of 2 bodies lie within another", np.array(inner.vertices))
 
 
 def test_bodies_that_share_an_edge_are_refused() -> None:
@@ -139,3 +139,46 @@ def test_bodies_that_share_an_edge_are_refused() -> None:
     both.merge_vertices()
     with pytest.raises(InputError, match="meet at 1 edges that have more than two"):
         mesh_of(both)
+
+
+@pytest.mark.parametrize("shift", [(1.0, 0, 0), (0.3, 0.4, 0.5), (30.0, 3.0, 3.0)])
+def test_bodies_that_cross_are_refused(shift: tuple) -> None:
+    moved = BALL.copy()
+    moved.apply_translation(shift)
+    with pytest.raises(InputError, match=r"[0-9]+ faces .*(cross|within) another.*union"):
+        mesh_of(joined(BALL, moved))
+
+
+def test_boxes_that_overlap_along_common_faces_are_refused() -> None:
+    first, second = trimesh.creation.box((2, 2, 2)), trimesh.creation.box((2, 2, 2))
+    second.apply_translation([1, 0, 0])
+    with pytest.raises(InputError, match=r"faces .*(cross|within) another.*union"):
+        mesh_of(joined(first, second))
+
+
+@pytest.mark.parametrize("side", [*np.eye(3), *-np.eye(3)])
+def test_bodies_may_touch(side: np.ndarray) -> None:
+    first, second = trimesh.creation.box((2, 2, 2)), trimesh.creation.box((2, 2, 2))
+    second.apply_translation(2 * side + 0.5 * np.roll(side, 1))
+    assert mesh_of(joined(first, second)).volume == pytest.approx(16)
+    assert mesh_of(joined(second, first)).volume == pytest.approx(16)
+
+
+def test_a_vertex_pushed_through_the_other_side_is_refused() -> None:
+    vertices = np.array(BALL.vertices)
+    vertices[5] *= -1.2
+    with pytest.raises(InputError, match="cross another one"):
+        Mesh(vertices, np.array(BALL.faces))
+
+
+def test_slender_faces_far_from_the_origin_do_not_cross() -> None:
+    screw = trimesh.creation.torus(15.0, 5.0, major_sections=200, minor_sections=7)
+    screw.apply_translation([1e5, -2e5, 3e4])
+    assert mesh_of(screw).volume == pytest.approx(screw.volume, rel=1e-6)
+    large = trimesh.creation.box((1000, 1000, 0.01)).subdivide()
+    tip = trimesh.creation.icosphere(4, 1.0)
+    tip.apply_translation([300, 200, 1.006])
+    assert mesh_of(joined(large, tip)).volume == pytest.approx(large.volume + tip.volume)
+    tip.apply_translation([0, 0, -0.002])
+    with pytest.raises(InputError, match="faces cross"):
+        mesh_of(joined(large, tip))

@@ -7,6 +7,7 @@ vertices and along faces too. Surfaces must be closed and must not cross themsel
 """
 
 from collections.abc import Iterable
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -120,13 +121,13 @@ def mesh_view(
     cpu.project(vertices, matrix, offset, bool(parallel), grid, corners, places)
     starts = np.zeros((len(parts) - 1, rows * columns + 1), dtype=np.int64)
     none = np.empty(0, dtype=np.int32)
-    for m, (begin, end) in enumerate(zip(parts[:-1], parts[1:], strict=True)):
+    for m, (begin, end) in enumerate(pairwise(parts)):
         cpu.bin_triangles(corners, places, triangles, begin, end, grid, columns, starts[m, 1:], none, False)
     room = int(starts.max(initial=0)) + 1
     flat = starts.reshape(-1)
     np.cumsum(flat, out=flat)
     candidates = np.empty(flat[-1] if flat.size else 0, dtype=np.int32)
-    for m, (begin, end) in enumerate(zip(parts[:-1], parts[1:], strict=True)):
+    for m, (begin, end) in enumerate(pairwise(parts)):
         next_entry = starts[m, :-1].copy()
         cpu.bin_triangles(corners, places, triangles, begin, end, grid, columns, next_entry, candidates, True)
     outline = np.zeros((rows, columns), dtype=np.uint8)
@@ -214,6 +215,34 @@ def enclosures(
     return out
 
 
+def overlaps(
+    vertices: Float[np.ndarray, "vertex 3"], triangles: Int64[np.ndarray, "triangle 3"], lines: int = 128
+) -> Bool[np.ndarray, " triangle"]:
+    """Which faces begin or end a piece of a line that is inside of a body and inside or outside of another one, too.
+
+    Parameters
+    ----------
+    vertices, triangles : a closed mesh whose neighbours agree about which side is outside [mm]
+    lines : across the mesh in both directions, all in a direction that faces seldom have
+    """
+    from phantomgen.ops.mesh.cpu import mark_overlaps  # noqa: PLC0415
+
+    axes = np.linalg.qr([[0.3, 0.5, 0.81], [0.47, -0.8, 0.33], [0.7, 0.2, -0.6]])[0]
+    axes[2] *= np.linalg.det(axes)
+    middle = vertices.min(axis=0) / 2 + vertices.max(axis=0) / 2
+    places = (vertices - middle) @ axes.T
+    low, high = places.min(axis=0), places.max(axis=0)
+    part = (np.arange(lines) + 0.5) / lines
+    uv = np.stack(np.meshgrid(*(low[:2] + part[:, None] * (high - low)[:2]).T), axis=-1).reshape(-1, 2)
+    frame = np.stack([axes[2], middle, axes[0], axes[1]])
+    uv, view, at = _cells_of_rays(frame, uv, vertices, triangles, True)
+    scratch = np.empty(view.room), np.empty(view.room, np.int64), np.empty(view.room, np.bool_)
+    out = np.zeros(len(triangles), np.bool_)
+    least = 1e-9 * float(np.linalg.norm(high - low))
+    mark_overlaps(*view[:2], view.starts[0], view.candidates, uv, at, *scratch, least, out)
+    return out
+
+
 def _checked(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     triangles = np.ascontiguousarray(triangles, dtype=np.int32)
@@ -269,6 +298,7 @@ def _cells_of_rays(
     side = int(np.clip(np.sqrt(min(len(pair[1]), len(uv)) / 2), 1, 512))
     low, high = (uv.min(axis=0), uv.max(axis=0)) if len(uv) else (np.zeros(2), np.zeros(2))
     size = np.maximum((high - low) / side, 1e-6 * np.maximum(1.0, np.maximum(abs(low), abs(high))))
-    view = mesh_view(frame, side, side, surface, parallel, (*low, *size), with_outline=False)
+    cells = (float(low[0]), float(low[1]), float(size[0]), float(size[1]))
+    view = mesh_view(frame, side, side, surface, parallel, cells, with_outline=False)
     column, row = np.clip(np.floor((uv - low) / size), 0, side - 1).astype(np.int64).T
     return uv, view, row * side + column

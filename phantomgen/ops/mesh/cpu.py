@@ -17,7 +17,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from phantomgen.ops.device import inlined
+from phantomgen.ops.device import called, inlined
 
 # Columns of a table of corners: the homogeneous coordinates of a vertex.
 A, B, W, T = 0, 1, 2, 3
@@ -30,7 +30,7 @@ NEAR = 1e-9
 @inlined
 @no_type_check
 def meet(corners, triangles, k, u, v):
-    """Whether the line of the ray (u, v) crosses triangle k, and where: the place t along it."""
+    """Whether the line of the ray (u, v) crosses triangle k, where (t), and whether corners run from b to a there."""
     p, q, r = triangles[k, 0], triangles[k, 1], triangles[k, 2]
     fp = corners[p, B] - v * corners[p, W]
     fq = corners[q, B] - v * corners[q, W]
@@ -38,7 +38,7 @@ def meet(corners, triangles, k, u, v):
     above = fp > 0.0
     if above == (fq > 0.0):
         if above == (fr > 0.0):
-            return False, 0.0
+            return False, 0.0, False
         p, q, r, fp, fq, fr = r, p, q, fr, fp, fq
     elif above == (fr > 0.0):
         p, q, r, fp, fq, fr = q, r, p, fq, fr, fp
@@ -51,12 +51,13 @@ def meet(corners, triangles, k, u, v):
     else:
         side_q, side_r = gp * fq - gq * fp, gp * fr - gr * fp
     if (side_q > 0.0) == (side_r > 0.0):
-        return False, 0.0
+        return False, 0.0, False
     side_q, side_r = side_q / abs(fp - fq), side_r / abs(fp - fr)
     tp = corners[p, T]
     tq = tp + (corners[q, T] - tp) * (fp / (fp - fq))
     tr = tp + (corners[r, T] - tp) * (fp / (fp - fr))
-    return True, tq + (tr - tq) * (side_q / (side_q - side_r)) if side_q != side_r else tq
+    t = tq + (tr - tq) * (side_q / (side_q - side_r)) if side_q != side_r else tq
+    return True, t, (fp > 0.0) == (side_q > side_r)
 
 
 @inlined
@@ -76,7 +77,7 @@ def crossings(corners, triangles, candidates, first, last, u, v, found):
     """
     count = 0
     for i in range(first, last):
-        met, t = meet(corners, triangles, candidates[i], u, v)
+        met, t, _ = meet(corners, triangles, candidates[i], u, v)
         if met and t > 0.0:
             at = count
             while at > 0 and found[at - 1] > t:
@@ -144,7 +145,7 @@ def span(low, high, count):
 @inlined
 @no_type_check
 def clip(x, y, end_x, end_y, low, high, left, right):
-    """Widen the range left .. right by the columns of the line from (x, y) to its end where its row is in low .. high."""
+    """Widen the range left .. right by the columns of the line from (x, y) to its end in the rows low .. high."""
     dx, dy = end_x - x, end_y - y
     begin, end = 0.0, 1.0
     if dy != 0.0:
@@ -183,6 +184,17 @@ def _enter(starts, candidates, cell, k, listing):
     starts[cell] += 1
 
 
+@called
+@no_type_check
+def _enter_near(corners, p, q, r, cells, columns, starts, candidates, k, listing):
+    """Enter triangle k, which reaches next to the source or behind it, where a row and a column do not exclude it."""
+    for row in range(starts.size // columns):
+        if _spans_axis(corners, p, q, r, B, cells[1], cells[3], row):
+            for column in range(columns):
+                if _spans_axis(corners, p, q, r, A, cells[0], cells[2], column):
+                    _enter(starts, candidates, row * columns + column, k, listing)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def bin_triangles(corners, places, triangles, begin, end, cells, columns, starts, candidates, listing):
@@ -201,11 +213,7 @@ def bin_triangles(corners, places, triangles, begin, end, cells, columns, starts
         if max(corners[p, W], corners[q, W], corners[r, W]) <= 0.0:
             continue
         if min(corners[p, W], corners[q, W], corners[r, W]) < NEAR:
-            for row in range(rows):
-                if _spans_axis(corners, p, q, r, B, cells[1], cells[3], row):
-                    for column in range(columns):
-                        if _spans_axis(corners, p, q, r, A, cells[0], cells[2], column):
-                            _enter(starts, candidates, row * columns + column, k, listing)
+            _enter_near(corners, p, q, r, cells, columns, starts, candidates, k, listing)
             continue
         xp, xq, xr = places[p, 0], places[q, 0], places[r, 0]
         yp, yq, yr = places[p, 1], places[q, 1], places[r, 1]
@@ -262,6 +270,36 @@ def count_beyond(corners, triangles, starts, candidates, uv, at, depths, labels,
         out[ray] = 0
         for i in range(starts[at[ray]], starts[at[ray] + 1]):
             k = candidates[i]
-            met, t = meet(corners, triangles, k, uv[ray, 0], uv[ray, 1])
+            met, t, _ = meet(corners, triangles, k, uv[ray, 0], uv[ray, 1])
             if met and t > depths[ray] and labels[k] != own[ray]:
                 out[ray] += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def mark_overlaps(corners, triangles, starts, candidates, uv, at, found, faces, turns, least, out):
+    """Mark where the parallel line (u, v) enters twice, or leaves twice, and goes on so for more than `least` in t.
+
+    Parameters
+    ----------
+    corners : of a view whose column step, row step and direction are right-handed
+    found, faces, turns : scratch, as long as the longest list: places, triangles, and whether the line enters
+    out : (triangle,), set for the second of the two
+    """
+    for ray in range(uv.shape[0]):
+        count = 0
+        for i in range(starts[at[ray]], starts[at[ray] + 1]):
+            met, t, turn = meet(corners, triangles, candidates[i], uv[ray, 0], uv[ray, 1])
+            if met:
+                at_place = count
+                while at_place > 0 and found[at_place - 1] > t:
+                    found[at_place] = found[at_place - 1]
+                    faces[at_place], turns[at_place] = faces[at_place - 1], turns[at_place - 1]
+                    at_place -= 1
+                found[at_place], faces[at_place], turns[at_place] = t, candidates[i], turn
+                count += 1
+        within = 0
+        for i in range(count):
+            within += 1 if turns[i] else -1
+            if (within < 0 or within > 1) and found[i + 1] - found[i] > least:
+                out[faces[i]] = True

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int32, Int64
 
-# What passes a cell of a view: nothing, an edge where the surface turns sharply, an edge between a face that is seen from
-# outside and one that is seen from inside.
+# What passes a cell of a view: nothing, an edge where the surface turns sharply, an edge between a face seen from
+# outside and one seen from inside.
 PLAIN, CREASE, SILHOUETTE = 0, 1, 2
 # Cosine of the angle between neighbouring faces below which their edge is a crease.
 SHARP = 0.9
