@@ -83,12 +83,19 @@ def _pierces(x, side_p, side_q, p, q, a, b, c):
 
 @called
 @no_type_check
-def _edges_pierce(x, p, q, r, a, b, c):
-    """Whether an edge of the triangle p q r passes through the triangle a b c."""
+def _cross(x, p, q, r, a, b, c):
+    """Whether an edge of one of the triangles p q r and a b c passes through the other."""
     side_p, side_q, side_r = _side(x, a, b, c, p), _side(x, a, b, c, q), _side(x, a, b, c, r)
+    if min(side_p, side_q, side_r) >= 0 or max(side_p, side_q, side_r) <= 0:
+        return False
+    side_a, side_b, side_c = _side(x, p, q, r, a), _side(x, p, q, r, b), _side(x, p, q, r, c)
+    if min(side_a, side_b, side_c) >= 0 or max(side_a, side_b, side_c) <= 0:
+        return False
     if _pierces(x, side_p, side_q, p, q, a, b, c) or _pierces(x, side_q, side_r, q, r, a, b, c):
         return True
-    return _pierces(x, side_r, side_p, r, p, a, b, c)
+    if _pierces(x, side_r, side_p, r, p, a, b, c) or _pierces(x, side_a, side_b, a, b, p, q, r):
+        return True
+    return _pierces(x, side_b, side_c, b, c, p, q, r) or _pierces(x, side_c, side_a, c, a, p, q, r)
 
 
 @inlined
@@ -121,5 +128,5 @@ def _test_pairs(x, triangles, lows, highs, first, shape, ends, entries, found):
                 if max(first[k, 2], first[m, 2]) != n or _apart(triangles, lows, highs, k, m):
                     continue
                 a, b, c = triangles[m, 0], triangles[m, 1], triangles[m, 2]
-                if _edges_pierce(x, p, q, r, a, b, c) or _edges_pierce(x, a, b, c, p, q, r):
+                if _cross(x, p, q, r, a, b, c):
                     found[k] = found[m] = True
