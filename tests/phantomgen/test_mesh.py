@@ -5,7 +5,17 @@ import pytest
 import trimesh
 
 from phantomgen.geometry import Geometry
-from phantomgen.ops.mesh import CREASE, PLAIN, SILHOUETTE, Surfaces, cpu, mesh_crossings, mesh_lengths, mesh_view
+from phantomgen.ops.mesh import (
+    CREASE,
+    PLAIN,
+    SILHOUETTE,
+    Surfaces,
+    cpu,
+    mesh_crossings,
+    mesh_intervals,
+    mesh_lengths,
+    mesh_view,
+)
 from phantomgen.ops.mesh.reference import length_one
 from phantomgen.ops.trace import trace
 from phantomgen.panel import Panel
@@ -201,6 +211,23 @@ def test_outline_of_smooth_and_of_angular_meshes() -> None:
     box = mesh_view(FRAMES[1], SIDE, SIDE, Surfaces.of([box_mesh(Box((0, 0, 0), (20, 20, 20), (0.5, 0.4, 0)))])).outline
     assert set(box.ravel()) == {PLAIN, CREASE, SILHOUETTE}
     assert (box == PLAIN).sum() > SIDE**2 / 2
+
+
+def test_rays_from_anywhere_to_anywhere() -> None:
+    rng = np.random.default_rng(9)
+    origins = np.repeat(rng.normal(size=(20, 3)) * 25, 40, axis=0)
+    directions = rng.normal(size=(800, 3)) * 40
+    directions[5] = 0
+    meshes = [knot_mesh(), ball_mesh(2, 12.0)]
+    starts, ends = mesh_intervals(origins, directions, Surfaces.of(meshes))
+    assert starts.shape == (2, 801)
+    assert (ends[:, 0] < ends[:, 1]).all()
+    assert (ends.min(), ends.max()) == (0, 1)
+    for m, mesh in enumerate(meshes):
+        sums = np.add.reduceat(np.append(ends[:, 1] - ends[:, 0], 0), starts[m, :-1]) * (np.diff(starts[m]) > 0)
+        expected = [length_one(o, d, *mesh) for o, d in zip(origins, directions, strict=True)]
+        np.testing.assert_allclose(sums * np.linalg.norm(directions, axis=1), expected, atol=1e-10)
+    assert mesh_intervals(origins, directions, Surfaces.of([]))[0].shape == (0, 801)
 
 
 def test_order_of_triangles_and_vertices_does_not_matter() -> None:

@@ -90,10 +90,10 @@ def crossings(corners, triangles, candidates, first, last, u, v, found):
 
 @inlined
 @no_type_check
-def intervals(corners, triangles, candidates, first, last, u, v, found):
-    """Write where the ray (u, v), 0 <= t <= 1, is inside: from ``found[2 i]`` to ``found[2 i + 1]``, ascending.
+def intervals(corners, triangles, candidates, first, last, u, v, reach, found):
+    """Write where the ray (u, v), 0 <= t <= reach, is inside: from ``found[2 i]`` to ``found[2 i + 1]``, ascending.
 
-    Parameters are those of `crossings`. Returns the number of intervals; none is empty.
+    Other parameters are those of `crossings`. Returns the number of intervals; none is empty.
     """
     count = crossings(corners, triangles, candidates, first, last, u, v, found)
     if count % 2 == 1:
@@ -103,7 +103,7 @@ def intervals(corners, triangles, candidates, first, last, u, v, found):
         count += 1
     kept = 0
     for i in range(count // 2):
-        low, high = found[2 * i], min(1.0, found[2 * i + 1])
+        low, high = found[2 * i], min(reach, found[2 * i + 1])
         if low < high:
             found[2 * kept], found[2 * kept + 1] = low, high
             kept += 1
@@ -243,8 +243,23 @@ def ray_lengths(corners, triangles, starts, candidates, uv, norms, at, found, ou
     for ray in range(uv.shape[0]):
         first, last = starts[at[ray]], starts[at[ray] + 1]
         out[ray] = 0.0
-        for i in range(intervals(corners, triangles, candidates, first, last, uv[ray, 0], uv[ray, 1], found)):
+        for i in range(intervals(corners, triangles, candidates, first, last, uv[ray, 0], uv[ray, 1], 1.0, found)):
             out[ray] += (found[2 * i + 1] - found[2 * i]) * norms[ray]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def ray_intervals(corners, triangles, starts, candidates, uv, reach, at, found, counts, out, writing):
+    """Number of intervals 0 <= t <= reach of each ray, and if `writing` their ends, divided by reach."""
+    filled = 0
+    for ray in range(uv.shape[0]):
+        first, last = starts[at[ray]], starts[at[ray] + 1]
+        count = intervals(corners, triangles, candidates, first, last, uv[ray, 0], uv[ray, 1], reach[ray], found)
+        counts[ray] = count
+        if writing:
+            for i in range(count):
+                out[filled + i, 0], out[filled + i, 1] = found[2 * i] / reach[ray], found[2 * i + 1] / reach[ray]
+            filled += count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
