@@ -95,6 +95,29 @@ def test_lines_within_faces_belong_to_one_side() -> None:
     assert found.tolist() == np.where(within, 2.0, 0.0).tolist()
 
 
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.3, 0.5, 0.7)])
+@pytest.mark.parametrize(
+    ("direction", "lengths"),
+    [((1, 1, 1), (2 * 3**0.5,)), ((1, 0, 0), (0, 2)), ((1, 1, 0), (0, 2 * 2**0.5)), ((1, 2, 0), (0, 5**0.5))],
+    ids=["through two corners", "along an edge", "along a diagonal of a face", "within a face"],
+)
+@pytest.mark.parametrize("distance", [0.0, 1.0, 3.0])
+def test_rays_along_edges_and_faces(turn: tuple, direction: tuple, lengths: tuple, distance: float) -> None:
+    box = Box((0, 0, 0), (2, 2, 2), turn)
+    ends = np.array([[-1, -1, 1 - 2 * direction[2]], direction], dtype=np.float64) @ box.axes.T
+    frame = np.stack([ends[0] - distance * ends[1], 8 * ends[1], *(box.axes.T[1:] + 0.25)])
+    uv = np.array([[0.0, 0.0], [1e-15, 0], [-1e-15, 0], [0, 1e-15], [1e-15, -1e-15]])
+    found = mesh_lengths(frame, uv, *box_mesh(box))
+    assert found.min() >= -1e-12
+    assert found.max() <= max(lengths) + 1e-12
+    if len(lengths) == 1:
+        np.testing.assert_allclose(found, lengths[0], atol=1e-12)
+    elif turn == (0.0, 0.0, 0.0):
+        assert abs(np.subtract.outer(found, lengths)).min(axis=1).max() < 1e-12
+    counts = np.diff(mesh_crossings(frame, uv, *box_mesh(box))[0])
+    assert distance == 0 or (counts % 2 == 0).all()
+
+
 @pytest.mark.parametrize("mesh", [ball_mesh(2, 20.0), knot_mesh()], ids=["ball", "ring"])
 @pytest.mark.parametrize("source", [(100, 0, 0), (12, 3, 2), (0, 0, 0), (0, 14, 0), (-40, 0, 0)])
 def test_agrees_with_the_formula(mesh: MeshArrays, source: tuple) -> None:
