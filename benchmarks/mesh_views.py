@@ -20,6 +20,8 @@ RADIUS, VIEWS, SIDE = 50.0, 16, 256
 GEOMETRY = Geometry.circular(
     500.0, 1000.0, np.linspace(0, 2 * np.pi, VIEWS, endpoint=False), Panel(SIDE, SIDE, (0.8, 0.8))
 )
+AT = np.arange(SIDE * SIDE)
+UV = np.stack([AT % SIDE, AT // SIDE], axis=1).astype(np.float64)
 
 
 def sphere(parts: int, radius: float) -> tuple[np.ndarray, np.ndarray]:
@@ -42,19 +44,15 @@ def sphere(parts: int, radius: float) -> tuple[np.ndarray, np.ndarray]:
 def centres(frame: np.ndarray, surfaces: Surfaces) -> np.ndarray:
     """Length inside of the ray through each pixel's centre [mm]."""
     view = mesh_view(frame, SIDE, SIDE, surfaces)
-    v, u = np.indices((SIDE, SIDE)).reshape(2, -1, 1)
-    norms = np.linalg.norm(frame[1] + u * frame[2] + v * frame[3], axis=1)
-    uv = np.concatenate([u, v], axis=1).astype(np.float64)
+    norms = np.linalg.norm(frame[1] + UV @ frame[2:], axis=1)
     out = np.empty(SIDE * SIDE)
-    at = np.arange(SIDE * SIDE)
-    cpu.ray_lengths(*view[:2], view.starts[0], view.candidates, uv, norms, at, np.empty(view.room), out)
+    cpu.ray_lengths(*view[:2], view.starts[0], view.candidates, UV, norms, AT, np.empty(view.room), out)
     return out
 
 
 def chords(frame: np.ndarray) -> np.ndarray:
     """Length inside the analytic sphere of the same rays [mm]."""
-    v, u = np.indices((SIDE, SIDE)).reshape(2, -1, 1)
-    direction = frame[1] + u * frame[2] + v * frame[3]
+    direction = frame[1] + UV @ frame[2:]
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     missed = ((frame[0] - (direction @ frame[0])[:, None] * direction) ** 2).sum(axis=1)
     return 2 * np.sqrt(np.maximum(0, RADIUS**2 - missed))

@@ -26,7 +26,7 @@ def mesh_lengths(
 
     uv, view, at = _cells_of_rays(frame, uv, open_surface(vertices, triangles), parallel)
     directions = frame[0] if parallel else frame[1] + uv @ frame[2:]
-    norms = np.broadcast_to(np.linalg.norm(directions, axis=-1), len(uv))
+    norms = np.linalg.norm(directions, axis=-1) + np.zeros(len(uv))
     out = np.empty(len(uv))
     ray_lengths(*view[:2], view.starts[0], view.candidates, uv, norms, at, np.empty(view.room), out)
     return out
