@@ -7,6 +7,7 @@ from phantomgen.shapes.boolean import Difference, HalfSpace, Intersection, Place
 from phantomgen.shapes.box import Box
 from phantomgen.shapes.cone import Cone
 from phantomgen.shapes.cylinder import Capsule, Cylinder, Tube
+from phantomgen.shapes.mesh import Mesh, load_mesh
 from phantomgen.shapes.polygon import Polygon
 from phantomgen.shapes.torus import Torus
 
@@ -19,6 +20,7 @@ __all__ = [
     "Ellipsoid",
     "HalfSpace",
     "Intersection",
+    "Mesh",
     "Part",
     "Placed",
     "Polygon",
@@ -28,6 +30,7 @@ __all__ = [
     "Torus",
     "Tube",
     "Union",
+    "load_mesh",
     "rotation_matrix",
     "solids_of",
 ]
