@@ -5,6 +5,7 @@
 Prints, and writes to results/mesh_views.txt beside this file.
 """
 
+import os
 import platform
 import time
 from pathlib import Path
@@ -84,7 +85,8 @@ def wrong_parities(vertices: np.ndarray, triangles: np.ndarray, rays: int, rng: 
 
 
 def main() -> None:
-    lines = [f"{platform.processor() or platform.machine()}, {thread_count()} threads, {SIDE} x {SIDE} pixels"]
+    busy = f"{os.getloadavg()[0]:.1f} other processes busy" if hasattr(os, "getloadavg") else ""
+    lines = [f"{platform.machine()}, {thread_count()} threads, {SIDE} x {SIDE} pixels, {busy}"]
     frames = GEOMETRY.ray_frames()
     lines.append(
         "triangles  ms per view: processor  wall, all threads  project + list  outline   worst, rms error [mm]"
