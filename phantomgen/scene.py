@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,7 @@ class Scene:
     materials: tuple[Material, ...]
     background: int = -1
 
-    @property
+    @cached_property
     def solids(self) -> Solids:
         """The objects as arrays for kernels."""
         return solids_of(self.objects)

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from itertools import product
 from math import radians
+from pathlib import Path
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from phantomgen.shapes import (
     Torus,
     Tube,
     Union,
+    load_mesh,
     rotation_matrix,
 )
 
@@ -100,11 +102,18 @@ def _shape(file: SceneFile, model: schema.ObjectModel, where: Location) -> Shape
         shape = Placed(Difference(base, _parts(file, model.cut, (*where, "cut"))), np.eye(3), shift)
     else:
         with file.at(*where):
-            shape = _simple(model)
+            shape = _mesh(file, model) if isinstance(model, schema.MeshModel) else _simple(model)
     with file.at(*where):
         shape = _clipped(shape, model)
         _ = shape.terms  # refuses what falls into too many pieces
         return shape
+
+
+def _mesh(file: SceneFile, model: schema.MeshModel) -> Shape:
+    """A mesh from a file beside the scene."""
+    mesh = load_mesh(Path(file.name).parent / model.file, model.unit, model.file)
+    scale = np.broadcast_to(np.asarray(model.scale, dtype=np.float64), 3)
+    return Placed(mesh, rotation_matrix(_radians(model.rotation)) * scale, np.asarray(model.center))
 
 
 def _simple(m: schema.ObjectModel) -> Shape:  # noqa: PLR0911 - one line per type

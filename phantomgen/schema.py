@@ -247,6 +247,19 @@ class PolygonModel(ObjectModel):
     rotation: Vector = (0.0, 0.0, 0.0)
 
 
+class MeshModel(ObjectModel):
+    """A closed mesh from an STL, OBJ, PLY, GLB or 3MF file, in a unit, scaled, turned about x, then y, then z [degree].
+
+    A relative path starts at the folder of the scene file.
+    """
+
+    type: Literal["mesh"]
+    file: str
+    unit: Literal["mm", "cm", "m", "um", "inch"]
+    rotation: Vector = (0.0, 0.0, 0.0)
+    scale: PositiveFloat | Size = 1.0
+
+
 class CombinedModel(ObjectModel):
     """What lies in any (`union`) or in all (`intersection`) of some shapes."""
 
@@ -283,6 +296,7 @@ ShapeModel = Annotated[
     | ConeModel
     | TorusModel
     | PolygonModel
+    | MeshModel
     | CombinedModel
     | DifferenceModel
     | GroupModel,

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int64
 
-from phantomgen.ops.primitives import HALFSPACE, TORUS
+from phantomgen.ops.mesh import Surfaces
+from phantomgen.ops.primitives import HALFSPACE, MESH, TORUS
 from spectra.errors import InputError
 
 
@@ -25,6 +26,8 @@ class Solids(NamedTuple):
     owners : first row of the object that a row belongs to
     terms : first row of the term that a row belongs to
     inside : whether the term lies inside the primitive, or outside
+    meshes : which of the surfaces a row of kind `MESH` is, else -1
+    surfaces : closed triangle meshes, None where there are none
     """
 
     kinds: Int64[np.ndarray, " row"]
@@ -34,6 +37,8 @@ class Solids(NamedTuple):
     owners: Int64[np.ndarray, " row"]
     terms: Int64[np.ndarray, " row"]
     inside: Bool[np.ndarray, " row"]
+    meshes: Int64[np.ndarray, " row"]
+    surfaces: Surfaces | None = None
 
     @classmethod
     def plain(
@@ -44,7 +49,8 @@ class Solids(NamedTuple):
     ) -> "Solids":
         """One primitive per object."""
         rows = np.arange(len(kinds))
-        return cls(kinds, locals_, materials, np.zeros(len(rows)), rows, rows, np.ones(len(rows), np.bool_))
+        whole = np.ones(len(rows), np.bool_)
+        return cls(kinds, locals_, materials, np.zeros(len(rows)), rows, rows, whole, np.full(len(rows), -1))
 
     @property
     def rows(self) -> int:
@@ -55,11 +61,12 @@ class Solids(NamedTuple):
         """The same with the types that kernels want; refuses what would make a kernel write outside its arrays."""
         rows = self.rows
         integers = [
-            np.ascontiguousarray(a, dtype=np.int64) for a in (self.kinds, self.materials, self.owners, self.terms)
+            np.ascontiguousarray(a, dtype=np.int64)
+            for a in (self.kinds, self.materials, self.owners, self.terms, self.meshes)
         ]
         numbers = [np.ascontiguousarray(a, dtype=np.float64) for a in (self.locals_, self.tubes)]
         inside = np.ascontiguousarray(self.inside, dtype=np.bool_)
-        kinds, materials, owners, terms = integers
+        kinds, materials, owners, terms, meshes = integers
         if numbers[0].shape != (rows, 3, 4) or any(a.shape != (rows,) for a in (*integers, numbers[1], inside)):
             raise InputError(
                 f"{rows} shapes need maps (shape, 3, 4) and one material each, "
@@ -74,4 +81,7 @@ class Solids(NamedTuple):
             raise InputError("every part of a shape must lie inside something bounded")
         if not ((numbers[1] > 0) & (numbers[1] < 0.5))[kinds == TORUS].all():
             raise InputError("the tube of a torus must be thinner than its ring")
-        return Solids(kinds, numbers[0], materials, numbers[1], owners, terms, inside)
+        known = 0 if self.surfaces is None else len(self.surfaces.parts) - 1
+        if not ((meshes >= 0) & (meshes < known))[kinds == MESH].all():
+            raise InputError(f"meshes must be numbered 0..{known - 1}, got {meshes[kinds == MESH].tolist()}")
+        return Solids(kinds, numbers[0], materials, numbers[1], owners, terms, inside, meshes, self.surfaces)

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from phantomgen.ops.mesh import Surfaces
 from phantomgen.ops.solids import Solids
 from phantomgen.shapes.base import Part, Shape
 from spectra.errors import InputError
@@ -22,6 +23,8 @@ def solids_of(objects: Iterable[tuple[Shape, int]]) -> Solids:
             parts += term
             roles += [(material, owner, first)] * len(term)
     materials, owners, terms = np.array(roles, dtype=np.int64).reshape(-1, 3).T
+    meshes = np.array([part.surface is not None for part in parts], dtype=np.bool_)
+    surfaces = [part.surface for part in parts if part.surface is not None]
     return Solids(
         kinds=np.array([part.kind for part in parts], dtype=np.int64),
         locals_=np.array([part.local for part in parts], dtype=np.float64).reshape(-1, 3, 4),
@@ -30,4 +33,6 @@ def solids_of(objects: Iterable[tuple[Shape, int]]) -> Solids:
         owners=owners,
         terms=terms,
         inside=np.array([part.inside for part in parts], dtype=np.bool_),
+        meshes=np.where(meshes, np.cumsum(meshes) - 1, -1),
+        surfaces=Surfaces.of(surfaces) if surfaces else None,
     )

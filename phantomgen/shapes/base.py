@@ -11,12 +11,14 @@ from math import cos, pi, prod, sin
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int64
 
-from phantomgen.ops.primitives import BALL, BOX, CONE, CYLINDER, HALFSPACE, TORUS
+from phantomgen.ops.mesh import enclosures
+from phantomgen.ops.primitives import BALL, BOX, CONE, CYLINDER, HALFSPACE, MESH, TORUS
 from spectra.errors import InputError
 
 Triple = tuple[float, float, float]
+Surface = tuple[Float[np.ndarray, "vertex 3"], Int64[np.ndarray, "triangle 3"]]
 Bounds = tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]
 
 _UNIT_VOLUME = {BALL: 4 / 3 * pi, CYLINDER: 2 * pi, BOX: 8.0, CONE: pi / 3}
@@ -32,12 +34,14 @@ class Part:
     local : map from world [mm] to local coordinates, ``x_local = local[:, :3] @ x + local[:, 3]``
     inside : whether the term lies inside
     tube : radius of the tube of a torus in local coordinates
+    surface : vertices [mm] and triangles of a mesh
     """
 
     kind: int
     local: Float[np.ndarray, "3 4"]
     inside: bool = True
     tube: float = 0.0
+    surface: Surface | None = None
 
     @property
     def opposite(self) -> "Part":
@@ -46,6 +50,10 @@ class Part:
 
     def placed(self, matrix: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, " 3"]) -> "Part":
         """The part after every point x has gone to ``matrix @ x + offset``."""
+        if self.surface is not None:
+            vertices, triangles = self.surface
+            turned = triangles if np.linalg.det(matrix) > 0 else triangles[:, ::-1]
+            return replace(mesh_part(vertices @ matrix.T + offset, turned), inside=self.inside)
         linear = self.local[:, :3] @ np.linalg.inv(matrix)
         return replace(self, local=np.column_stack([linear, self.local[:, 3] - linear @ offset]))
 
@@ -64,12 +72,15 @@ class Part:
             BALL: np.linalg.norm(axes, axis=1),
             CYLINDER: disc + rod,
             BOX: np.abs(axes).sum(axis=1),
+            MESH: np.abs(axes).sum(axis=1),
             TORUS: (1 - self.tube) * disc + self.tube * np.linalg.norm(axes, axis=1),
         }[self.kind]
         return center - reach, center + reach
 
     def contains(self, points: Float[np.ndarray, "point 3"]) -> Bool[np.ndarray, " point"]:
         """Which points (x, y, z) [mm] the part contains; flat faces are half open."""
+        if self.surface is not None:
+            return (enclosures(points, *self.surface) % 2 == 1) == self.inside
         x, y, z = self.local[:, :3] @ np.asarray(points, dtype=np.float64).T + self.local[:, 3:]
         within = {
             BALL: lambda: x**2 + y**2 + z**2 < 1,
@@ -83,6 +94,13 @@ class Part:
 
 
 Term = tuple[Part, ...]
+
+
+def mesh_part(vertices: Float[np.ndarray, "vertex 3"], triangles: Int64[np.ndarray, "triangle 3"]) -> Part:
+    """The inside of a closed mesh."""
+    low, high = vertices[triangles.ravel()].min(axis=0), vertices[triangles.ravel()].max(axis=0)
+    half = np.maximum((high - low) / 2, 1e-9)
+    return Part(MESH, local_map(np.diag(half), (low + high) / 2), surface=(vertices, triangles))
 
 
 class Shape(ABC):

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Float, Int64
 
-from phantomgen.ops.mesh import enclosures
+from phantomgen.shapes.base import Shape, Term, mesh_part
 from phantomgen.shapes.mesh_check import check_surface
 from spectra.errors import InputError, NotInstalledError
 
@@ -17,7 +17,7 @@ FORMATS = (".stl", ".obj", ".ply", ".glb", ".3mf")
 
 
 @dataclass(frozen=True, eq=False)
-class Mesh:
+class Mesh(Shape):
     """The space inside a closed surface of triangles.
 
     Parameters
@@ -50,20 +50,15 @@ class Mesh:
         return f"Mesh({self.name}: {len(self.triangles)} triangles)"
 
     @property
+    def terms(self) -> tuple[Term, ...]:
+        """One term of one part."""
+        return ((mesh_part(self.vertices, self.triangles),),)
+
+    @property
     def volume(self) -> float:
         """Volume [mm^3]."""
         p, q, r = (self.vertices - self.vertices.mean(axis=0))[self.triangles.T]
         return float(np.einsum("ki,ki->", p, np.cross(q, r))) / 6
-
-    @property
-    def bounds(self) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
-        """Lowest and highest corner of the tight axis-aligned box around the mesh [mm]."""
-        corners = self.vertices[self.triangles.ravel()]
-        return corners.min(axis=0), corners.max(axis=0)
-
-    def contains(self, points: Float[np.ndarray, "point 3"]) -> Bool[np.ndarray, " point"]:
-        """Which points (x, y, z) [mm] lie inside; faces are half open."""
-        return enclosures(points, self.vertices, self.triangles) % 2 == 1
 
 
 def load_mesh(path: str | Path, unit: str, name: str | None = None) -> Mesh:

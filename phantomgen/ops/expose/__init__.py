@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int64, UInt8
 
 from phantomgen.ops.expose.classes import CLASSES, CROSSED, EMPTY, KINKED, NEAR, SMOOTH
+from phantomgen.ops.mesh import mesh_view
 from phantomgen.ops.solids import Solids
 from spectra.errors import InputError
 
@@ -63,14 +64,16 @@ def expose(
     from phantomgen.ops.expose.cpu import expose_view  # noqa: PLC0415 - numba only where it computes
     from phantomgen.ops.silhouette.quadrature import make_room, make_rules  # noqa: PLC0415
 
-    view = _View.of(frame, solids, attenuation, weights, starts, background)
+    view = _View.of(frame, rows, columns, solids, attenuation, weights, starts, background)
     gauss, pixels = make_rules(*rules), (rows, columns)
     out, rays = np.empty((len(starts) - 1, *pixels)), np.zeros(CLASSES, dtype=np.int64)
     classes, guess = np.empty(pixels, dtype=np.uint8), np.zeros(pixels, dtype=np.uint8)
     maps = (classes, guess, np.zeros(pixels, dtype=np.int64), np.empty((rows * columns, 3), dtype=np.int64))
     outline = (view.outline.forms, view.outline.shapes, view.outline.roots)
     expose_view(
-        *view.shapes,
+        *view.shapes[:3],
+        view.creases,
+        *view.shapes[3:],
         outline,
         float(reach),
         view.spectrum,
@@ -98,9 +101,10 @@ def expose_brute(
     """Expected counts of some pixels (row, column), each the mean over n x n rays on a regular grid of midpoints."""
     from phantomgen.ops.expose.cpu import expose_pixels  # noqa: PLC0415
 
-    view = _View.of(frame, solids, attenuation, weights, starts, background)
     pixels = np.ascontiguousarray(pixels, dtype=np.int64)
-    out = np.empty((len(starts) - 1, *(pixels.max(axis=0, initial=0) + 1)))
+    rows, columns = (pixels.max(axis=0, initial=0) + 1).tolist()
+    view = _View.of(frame, rows, columns, solids, attenuation, weights, starts, background)
+    out = np.empty((len(starts) - 1, rows, columns))
     places = (np.arange(n) + 0.5) / n - 0.5
     grid = np.stack([np.tile(places, n), np.repeat(places, n), np.full(n * n, 1 / n**2)], axis=1)
     maps = (np.empty(out.shape[1:], dtype=np.int64), np.empty((1, 3), dtype=np.int64))
@@ -111,7 +115,8 @@ def expose_brute(
 class _View(NamedTuple):
     """Arguments of one view as the kernels want them."""
 
-    shapes: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]
+    shapes: tuple[np.ndarray, np.ndarray, Any, np.ndarray, np.ndarray, int]
+    creases: np.ndarray | None
     outline: Any
     spectrum: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
     ray: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -120,6 +125,8 @@ class _View(NamedTuple):
     def of(
         cls,
         frame: np.ndarray,
+        rows: int,
+        columns: int,
         solids: Solids,
         attenuation: np.ndarray,
         weights: np.ndarray,
@@ -140,7 +147,11 @@ class _View(NamedTuple):
         solids = solids.checked(len(attenuation), background)
         air = np.array([weights[a:b].sum() for a, b in pairwise(starts)])
         outline = cone_silhouettes(frame, solids.kinds, solids.locals_)
-        room = np.empty(solids.rows, np.int64), event_room(solids.rows)
+        mesh, creases, pieces = None, None, 0
+        if solids.surfaces is not None:
+            seen = mesh_view(frame, rows, columns, solids.surfaces)
+            mesh, creases, pieces = seen.with_room(), seen.outline, seen.pieces
+        room = np.empty(solids.rows, np.int64), event_room(solids.rows, pieces)
         ray = (*room, np.empty(len(attenuation)), np.empty(len(air)))
-        shapes = (frame, solid_table(solids), solids.locals_, outline.bounds, int(background))
-        return cls(shapes, outline, (attenuation, weights, starts, air), ray)
+        shapes = (frame, solid_table(solids), mesh, solids.locals_, outline.bounds, int(background))
+        return cls(shapes, creases, outline, (attenuation, weights, starts, air), ray)

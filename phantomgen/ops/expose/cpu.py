@@ -10,6 +10,7 @@ from numba import njit
 
 from phantomgen.ops.device import called, inlined
 from phantomgen.ops.expose.classes import CROSSED, EMPTY, KINKED, NEAR, SMOOTH
+from phantomgen.ops.mesh.cpu import list_pieces
 from phantomgen.ops.silhouette.quadrature import CONICS, grid_nodes, may_vanish, shift_form, square_nodes
 from phantomgen.ops.trace.cpu import set_origin, trace_ray
 from spectra.ops.transmit.cpu import expected_ray
@@ -45,11 +46,12 @@ def _is_near(local, i, root, reach):
 
 @called
 @no_type_check
-def _send_rays(frame, table, bounds, background, spectrum, jobs, count, nodes, ray, remember, target, signatures):
+def _send_rays(frame, table, mesh, bounds, background, spectrum, jobs, count, nodes, ray, remember, target, signatures):
     """Write the average counts of pixels.
 
     Parameters
     ----------
+    mesh : argument of `list_pieces`, or None
     jobs, count : row, column and index after the last node of each pixel; how many pixels
     nodes : offset from the centre in column and row, and weight, of each ray
     ray : scratch: indices of shapes, events, path lengths, counts of one ray
@@ -74,7 +76,11 @@ def _send_rays(frame, table, bounds, background, spectrum, jobs, count, nodes, r
             dx = frame[1, 0] + u * frame[2, 0] + v * frame[3, 0]
             dy = frame[1, 1] + u * frame[2, 1] + v * frame[3, 1]
             dz = frame[1, 2] + u * frame[2, 2] + v * frame[3, 2]
-            signature = trace_ray(table, background, dx, dy, dz, active, shapes, events, lengths)
+            if mesh is None:
+                signature = trace_ray(table, None, background, dx, dy, dz, active, shapes, events, lengths)
+            else:
+                list_pieces(mesh, row * signatures.shape[1] + column, u, v)
+                signature = trace_ray(table, mesh[5:], background, dx, dy, dz, active, shapes, events, lengths)
             if signature == 0 and background < 0:
                 for c in range(air.size):
                     target[c, row, column] += weight * air[c]
@@ -120,6 +126,16 @@ def _classify(forms, shapes, roots, bounds, background, reach, local, classes):
 
 @inlined
 @no_type_check
+def _mark_creases(creases, classes):
+    """Class of the pixels that a silhouette or a crease of a mesh passes."""
+    for row in range(classes.shape[0]):
+        for column in range(classes.shape[1]):
+            if creases[row, column]:
+                classes[row, column] = KINKED
+
+
+@inlined
+@no_type_check
 def _gather(forms, shapes, roots, bounds, reach, u, v, local):
     """Collect the conics that cross the pixel (u, v), and the tangents that pass near it; return how many."""
     found = np.int64(0)
@@ -145,7 +161,7 @@ def _settled(classes, signatures, level, row, column):
     """
     rows, columns = classes.shape
     kind = classes[row, column]
-    if kind in (EMPTY, CROSSED):
+    if kind in (EMPTY, CROSSED, KINKED):
         return kind
     if level > 0:
         kind = NEAR
@@ -192,13 +208,30 @@ def _curved(centres, channel, row, column):
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def expose_view(
-    frame, table, locals_, bounds, background, outline, reach, spectrum, rules, room, ray, maps, centres, out, rays
+    frame,
+    table,
+    mesh,
+    creases,
+    locals_,
+    bounds,
+    background,
+    outline,
+    reach,
+    spectrum,
+    rules,
+    room,
+    ray,
+    maps,
+    centres,
+    out,
+    rays,
 ):
     """Average expected counts over all pixels of one view.
 
     Parameters
     ----------
     table, locals_, bounds, background : the shapes; table gets the source as origin
+    mesh, creases : argument of `list_pieces`, and which pixels a silhouette or a crease of a mesh passes; or None
     outline : forms, shapes and roots of the silhouettes
     reach : width [pixel] of the band inside a tangent where pixels are near
     spectrum : attenuation per material and node, weights, starts, counts without attenuation
@@ -217,6 +250,8 @@ def expose_view(
     rows, columns = classes.shape
     set_origin(table, locals_, frame[0, 0], frame[0, 1], frame[0, 2])
     _classify(forms, shapes, roots, bounds, background, reach, local, guess)
+    if creases is not None:
+        _mark_creases(creases, guess)
     # The first round sends rays through centres, the second one completes the pixels that need more.
     for completing in range(2):
         target = out if completing else centres
@@ -247,6 +282,7 @@ def expose_view(
                     _send_rays(
                         frame,
                         table,
+                        mesh,
                         bounds,
                         background,
                         spectrum,
@@ -260,17 +296,29 @@ def expose_view(
                     )
                     count = filled = np.int64(0)
         _send_rays(
-            frame, table, bounds, background, spectrum, jobs, count, nodes, ray, not completing, target, signatures
+            frame,
+            table,
+            mesh,
+            bounds,
+            background,
+            spectrum,
+            jobs,
+            count,
+            nodes,
+            ray,
+            not completing,
+            target,
+            signatures,
         )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def expose_pixels(frame, table, locals_, bounds, background, spectrum, nodes, ray, pixels, maps, out):
+def expose_pixels(frame, table, mesh, locals_, bounds, background, spectrum, nodes, ray, pixels, maps, out):
     """Average over the same nodes in each of some pixels (row, column), written to ``out[:, row, column]``."""
     signatures, job = maps
     one, forget = np.int64(1), np.bool_(False)  # typed, as literals would compile `_send_rays` a second time
     set_origin(table, locals_, frame[0, 0], frame[0, 1], frame[0, 2])
     for i in range(pixels.shape[0]):
         job[0, 0], job[0, 1], job[0, 2] = pixels[i, 0], pixels[i, 1], nodes.shape[0]
-        _send_rays(frame, table, bounds, background, spectrum, job, one, nodes, ray, forget, out, signatures)
+        _send_rays(frame, table, mesh, bounds, background, spectrum, job, one, nodes, ray, forget, out, signatures)

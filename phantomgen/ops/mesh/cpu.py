@@ -110,6 +110,25 @@ def intervals(corners, triangles, candidates, first, last, u, v, reach, found):
     return kept
 
 
+@called
+@no_type_check
+def list_pieces(mesh, cell, u, v):
+    """Write where the ray (u, v), 0 <= t <= 1, through a cell is inside of each mesh.
+
+    `mesh` holds the first four fields of a `MeshView`, scratch for `intervals`, and what is written: the first and the
+    last piece of each mesh, and the ends of all pieces (piece, 2).
+    """
+    corners, triangles, starts, candidates, found, first, last, ends = mesh
+    filled = np.int64(0)
+    for m in range(starts.shape[0]):
+        first[m] = filled
+        begin, end = starts[m, cell], starts[m, cell + 1]
+        for i in range(intervals(corners, triangles, candidates, begin, end, u, v, 1.0, found)):
+            ends[filled, 0], ends[filled, 1] = found[2 * i], found[2 * i + 1]
+            filled += 1
+        last[m] = filled
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def project(vertices, matrix, offset, parallel, cells, corners, places):

@@ -72,6 +72,16 @@ class MeshView(NamedTuple):
     room: int
     outline: UInt8[np.ndarray, "row column"]
 
+    @property
+    def pieces(self) -> int:
+        """Most pieces of a ray that lie in meshes."""
+        return len(self.starts) * (self.room // 2 + 1)
+
+    def with_room(self) -> tuple[np.ndarray, ...]:
+        """The argument of `phantomgen.ops.mesh.cpu.list_pieces`, with scratch of its own."""
+        first, last = np.empty((2, len(self.starts)), dtype=np.int64)
+        return *self[:4], np.empty(self.room), first, last, np.empty((self.pieces, 2))
+
 
 def open_surface(vertices: np.ndarray, triangles: np.ndarray) -> Surfaces:
     """One mesh as surfaces that know none of their edges."""

@@ -7,6 +7,7 @@ piece belongs to the last shape that covers it. Source or panel may lie inside a
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.ops.mesh import mesh_intervals
 from phantomgen.ops.solids import Solids
 
 
@@ -31,7 +32,10 @@ def trace(
     solids = solids.checked(count, background)
     origins, directions = (np.ascontiguousarray(a, dtype=np.float64) for a in (origins, directions))
     out = np.empty((len(directions), count))
-    table = cpu.solid_table(solids)
-    active, events = np.arange(solids.rows), cpu.event_room(solids.rows)
-    cpu.trace_rays(table, solids.locals_, background, origins, directions, active, events, out)
+    table, listed, pieces = cpu.solid_table(solids), None, 0
+    if solids.surfaces is not None:
+        starts, ends = mesh_intervals(origins, directions, solids.surfaces)
+        listed, pieces = (starts, ends), int(np.diff(starts, axis=1).max(axis=1, initial=0).sum())
+    active, events = np.arange(solids.rows), cpu.event_room(solids.rows, pieces)
+    cpu.trace_rays(table, listed, solids.locals_, background, origins, directions, active, events, out)
     return out

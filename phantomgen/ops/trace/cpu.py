@@ -12,32 +12,32 @@ from jaxtyping import Float
 from numba import njit
 
 from phantomgen.ops.device import inlined
-from phantomgen.ops.primitives import BALL, CONE, CYLINDER, HALFSPACE, TORUS
+from phantomgen.ops.primitives import BALL, CONE, CYLINDER, HALFSPACE, MESH, TORUS
 from phantomgen.ops.solids import Solids
 from phantomgen.ops.trace.torus import torus_intervals
 
 # One row of a table of solids: what a ray needs to know about a primitive, side by side in memory. Few arrays, inlined
 # functions: numba counts references to each array that a function is handed, which costs more than a chord.
 # NEED counts the primitives that a term lies inside; it is 0 for a primitive that the term lies outside.
-KIND, MATERIAL, ORIGIN, MAP, TUBE, OWNER, TERM, NEED, WIDTH = 0, 1, 2, 5, 14, 15, 16, 17, 18
+KIND, MATERIAL, ORIGIN, MAP, TUBE, OWNER, TERM, NEED, SURFACE, WIDTH = 0, 1, 2, 5, 14, 15, 16, 17, 18, 19
 # Rows of the scratch for the events along one ray.
 ENTER, LEAVE, HIT, CUT, PIECE, EVENT_ROWS = 0, 1, 2, 3, 4, 5
 
 
-def solid_table(solids: Solids) -> Float[np.ndarray, "row 18"]:
+def solid_table(solids: Solids) -> Float[np.ndarray, "row 19"]:
     """Primitives as rows: kind, material, the rays' local origin (to be filled in), linear map, roles."""
     table = np.zeros((solids.rows, WIDTH))
     table[:, KIND], table[:, MATERIAL], table[:, TUBE] = solids.kinds, solids.materials, solids.tubes
     table[:, MAP:TUBE] = solids.locals_[:, :, :3].reshape(-1, 9)
-    table[:, OWNER], table[:, TERM] = solids.owners, solids.terms
+    table[:, OWNER], table[:, TERM], table[:, SURFACE] = solids.owners, solids.terms, solids.meshes
     needs = np.bincount(solids.terms[solids.inside], minlength=solids.rows)
     table[:, NEED] = np.where(solids.inside, needs[solids.terms], 0)
     return table
 
 
-def event_room(rows: int) -> Float[np.ndarray, "5 event"]:
-    """Scratch for the events along a ray that meets all primitives, a torus twice."""
-    return np.empty((EVENT_ROWS, 4 * rows + 1))
+def event_room(rows: int, pieces: int = 0) -> Float[np.ndarray, "5 event"]:
+    """Scratch for the events along a ray that meets all primitives, a torus twice, and `pieces` of meshes."""
+    return np.empty((EVENT_ROWS, 4 * rows + 2 * pieces + 1))
 
 
 @inlined
@@ -119,11 +119,19 @@ def chord(kind, ox, oy, oz, dx, dy, dz):
 
 @inlined
 @no_type_check
-def _collect(table, dx, dy, dz, active, count, events):
+def _collect(table, listed, dx, dy, dz, active, count, events):
     """Fill `events` with those of the active primitives that the ray meets, in order; return how many."""
     hits = 0
     for i in range(count):
         s = active[i]
+        if listed is not None:
+            first_piece, last_piece, ends = listed
+            if table[s, KIND] == MESH:
+                mesh = int(table[s, SURFACE])
+                for piece in range(first_piece[mesh], last_piece[mesh]):
+                    events[ENTER, hits], events[LEAVE, hits], events[HIT, hits] = ends[piece, 0], ends[piece, 1], s
+                    hits += 1
+                continue
         kind, ox, oy, oz = table[s, KIND], table[s, 2], table[s, 3], table[s, 4]
         lx = table[s, 5] * dx + table[s, 6] * dy + table[s, 7] * dz
         ly = table[s, 8] * dx + table[s, 9] * dy + table[s, 10] * dz
@@ -177,7 +185,7 @@ def _sort_cuts(events, hits):
 
 @inlined
 @no_type_check
-def owned_pieces(table, dx, dy, dz, active, count, events):
+def owned_pieces(table, listed, dx, dy, dz, active, count, events):
     """Cut the ray where its owner changes.
 
     Afterwards the object that begins with row ``events[PIECE, i]`` owns the ray from ``events[CUT, i]`` to
@@ -186,6 +194,7 @@ def owned_pieces(table, dx, dy, dz, active, count, events):
     Parameters
     ----------
     table : primitives as `solid_table` makes them, with the ray's origin filled in
+    listed : first and last piece of each mesh that the ray runs in, and their ends (piece, 2); None without meshes
     dx, dy, dz : direction [mm]
     active, count : rows that the ray may meet, ascending; how many of them
 
@@ -193,7 +202,7 @@ def owned_pieces(table, dx, dy, dz, active, count, events):
     -------
     Number of pieces; 0 for a ray that meets nothing.
     """
-    hits = _collect(table, dx, dy, dz, active, count, events)
+    hits = _collect(table, listed, dx, dy, dz, active, count, events)
     if hits == 0:
         return 0
     _sort_cuts(events, hits)
@@ -215,7 +224,7 @@ def owned_pieces(table, dx, dy, dz, active, count, events):
 
 @inlined
 @no_type_check
-def trace_ray(table, background, dx, dy, dz, active, count, events, lengths):
+def trace_ray(table, listed, background, dx, dy, dz, active, count, events, lengths):
     """Write the path length per material of one ray, in mm.
 
     Parameters
@@ -228,7 +237,7 @@ def trace_ray(table, background, dx, dy, dz, active, count, events, lengths):
     """
     for m in range(lengths.size):
         lengths[m] = 0.0
-    pieces = owned_pieces(table, dx, dy, dz, active, count, events)
+    pieces = owned_pieces(table, listed, dx, dy, dz, active, count, events)
     norm = sqrt(dx * dx + dy * dy + dz * dz)
     signature = 0
     covered = 0.0
@@ -258,9 +267,17 @@ def set_origin(table, locals_, x, y, z):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def trace_rays(table, locals_, background, origins, directions, active, events, out):
-    """Path length per material of many rays, (R, 3) and (R, 3) -> (R, material)."""
+def trace_rays(table, listed, locals_, background, origins, directions, active, events, out):
+    """Path length per material of many rays, (R, 3) and (R, 3) -> (R, material).
+
+    `listed` has, per mesh and ray, where its pieces start (mesh, ray + 1), and their ends (piece, 2); or is None.
+    """
     for ray in range(directions.shape[0]):
         set_origin(table, locals_, origins[ray, 0], origins[ray, 1], origins[ray, 2])
         dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
-        trace_ray(table, background, dx, dy, dz, active, active.size, events, out[ray])
+        if listed is None:
+            trace_ray(table, None, background, dx, dy, dz, active, active.size, events, out[ray])
+        else:
+            starts, ends = listed
+            own = (starts[:, ray], starts[:, ray + 1], ends)
+            trace_ray(table, own, background, dx, dy, dz, active, active.size, events, out[ray])

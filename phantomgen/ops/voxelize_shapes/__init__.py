@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from phantomgen.grid import Grid
+from phantomgen.ops.mesh import mesh_view
 from phantomgen.ops.solids import Solids
 from spectra.threads import run_parallel
 
@@ -40,14 +41,20 @@ def fractions(
     depth, rows, columns = grid.shape
     out = np.empty((count, depth, rows, columns), dtype=np.float32)
 
+    seen = None
+    if solids.surfaces is not None:
+        seen = mesh_view(frame, rows, columns, solids.surfaces, parallel=True, with_outline=False)
+
     def voxelize(row: int) -> None:
+        mesh, pieces = (None, 0) if seen is None else (seen.with_room(), seen.pieces)
         part = np.empty((count, depth, columns), dtype=np.float32)
         table, room = solid_table(solids), tuple(quadrature.make_room(rules))
-        events = event_room(solids.rows), event_room(solids.rows)
+        events = event_room(solids.rows, pieces), event_room(solids.rows, pieces)
         scratch = (np.arange(solids.rows), *events, np.empty((count, depth)))
         voxelize_row(
             frame,
             table,
+            mesh,
             solids.locals_,
             background,
             outline.forms,

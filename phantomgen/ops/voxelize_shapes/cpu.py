@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from phantomgen.ops.device import called
+from phantomgen.ops.mesh.cpu import list_pieces
 from phantomgen.ops.silhouette.quadrature import CONICS, may_vanish, shift_form, square_nodes
 from phantomgen.ops.trace.cpu import CUT, MATERIAL, PIECE, owned_pieces, set_origin
 
@@ -20,11 +21,14 @@ _SAME = 1e-9
 
 @called
 @no_type_check
-def _cut_line(frame, table, locals_, u, v, active, events):
-    """Cut the line through (u, v) of the column grid; return the number of pieces."""
+def _cut_line(frame, table, mesh, cell, locals_, u, v, active, events):
+    """Cut the line through (u, v) in a cell of the column grid; return the number of pieces."""
     x, y = frame[1, 0] + u * frame[2, 0], frame[1, 1] + v * frame[3, 1]
     set_origin(table, locals_, x, y, frame[1, 2])
-    return owned_pieces(table, 0.0, 0.0, frame[0, 2], active, active.size, events)
+    if mesh is None:
+        return owned_pieces(table, None, 0.0, 0.0, frame[0, 2], active, active.size, events)
+    list_pieces(mesh, cell, u, v)
+    return owned_pieces(table, mesh[5:], 0.0, 0.0, frame[0, 2], active, active.size, events)
 
 
 @called
@@ -44,15 +48,15 @@ def _share_out(table, events, pieces, weight, share):
 
 @called
 @no_type_check
-def _is_uniform(frame, table, locals_, ix, iy, active, events, other):
+def _is_uniform(frame, table, mesh, cell, locals_, ix, iy, active, events, other):
     """Whether lines through the corners of a column are cut like that through its centre, and the number of pieces.
 
     The cuts through the centre are left in `events`.
     """
-    pieces = _cut_line(frame, table, locals_, ix, iy, active, events)
+    pieces = _cut_line(frame, table, mesh, cell, locals_, ix, iy, active, events)
     for corner in range(4):
         u, v = ix + (0.499 if corner % 2 else -0.499), iy + (0.499 if corner // 2 else -0.499)
-        if _cut_line(frame, table, locals_, u, v, active, other) != pieces:
+        if _cut_line(frame, table, mesh, cell, locals_, u, v, active, other) != pieces:
             return False, pieces
         for i in range(pieces):
             if events[PIECE, i] != other[PIECE, i]:
@@ -80,12 +84,13 @@ def _gather(forms, roots, u, v, local):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def voxelize_row(frame, table, locals_, background, forms, roots, rule, room, scratch, iy, out):
+def voxelize_row(frame, table, mesh, locals_, background, forms, roots, rule, room, scratch, iy, out):
     """Volume fractions of the columns of one row y, (material, z, x).
 
     Parameters
     ----------
     frame : whole line along z, foot of column (0, 0), step to the next column, step to the next row
+    mesh : argument of `list_pieces`, or None
     forms, roots : silhouettes of the shapes seen along z
     rule, room, scratch : Gauss rules; conics, splits, nodes of one column; shapes, events, its fractions
     """
@@ -95,18 +100,18 @@ def voxelize_row(frame, table, locals_, background, forms, roots, rule, room, sc
     materials, voxels, columns = out.shape
     v, start = float(iy), np.int64(0)  # typed, as a literal would compile `square_nodes` a second time
     for ix in range(columns):
-        u = float(ix)
+        u, cell = float(ix), iy * columns + ix
         for m in range(materials):
             for k in range(voxels):
                 share[m, k] = 0.0
         conics = _gather(forms, roots, u, v, local)
-        uniform, pieces = _is_uniform(frame, table, locals_, u, v, active, events, other)
+        uniform, pieces = _is_uniform(frame, table, mesh, cell, locals_, u, v, active, events, other)
         if uniform and conics == 0:
             _share_out(table, events, pieces, 1.0, share)
         else:
             for i in range(square_nodes(local, conics, rule_nodes, rule_sizes, lines, nodes, start)):
                 a, b, weight = nodes[i, 0], nodes[i, 1], nodes[i, 2]
-                pieces = _cut_line(frame, table, locals_, u + a, v + b, active, events)
+                pieces = _cut_line(frame, table, mesh, cell, locals_, u + a, v + b, active, events)
                 _share_out(table, events, pieces, weight, share)
         for k in range(voxels):
             free = 1.0
