@@ -19,7 +19,7 @@ from phantomgen.ops.mesh import (
 from phantomgen.ops.mesh.reference import length_one
 from phantomgen.ops.trace import trace
 from phantomgen.panel import Panel
-from phantomgen.shapes import Box, Shape, ShapeArrays, Sphere, rotation_matrix
+from phantomgen.shapes import Box, Shape, Sphere, rotation_matrix, solids_of
 from spectra.errors import InputError
 
 SIDE = 48
@@ -62,10 +62,9 @@ def aimed(frame: np.ndarray, mesh: MeshArrays, count: int) -> np.ndarray:
 
 
 def analytic(frame: np.ndarray, uv: np.ndarray, shape: Shape) -> np.ndarray:
-    arrays = ShapeArrays.of([(shape, 0)])
     directions = frame[1] + uv @ frame[2:]
     origins = np.broadcast_to(frame[0], directions.shape)
-    return trace(origins, directions, arrays.kinds, arrays.locals_, arrays.materials, 1)[:, 0]
+    return trace(origins, directions, solids_of([(shape, 0)]), 1)[:, 0]
 
 
 def by_formula(frame: np.ndarray, uv: np.ndarray, mesh: MeshArrays) -> list[float]:
