@@ -103,14 +103,21 @@ def exact(shape: Shape, origin, direction, grid: int = 100, batch: int = 500) ->
             middle = (low + high) / 2
             moved = (values_at(shape, o, d, ray, middle, which) < 0) == begins
             low, high = np.where(moved, middle, low), np.where(moved, high, middle)
-        total = np.zeros(len(o), L)
-        for r in range(len(o)):
-            cuts = np.concatenate([[L(0)], np.sort(low[ray == r]), [L(1)]])
-            middles = (cuts[1:] + cuts[:-1]) / 2
-            inside = within(shape, values(shape, o[r : r + 1], d[r : r + 1], middles[None]))[0]
-            total[r] = (np.diff(cuts) * inside).sum()
-        lengths.append(total * np.sqrt((d * d).sum(axis=1)))
+        cuts = sorted_cuts(len(o), ray, low)
+        inside = within(shape, values(shape, o, d, (cuts[:, 1:] + cuts[:, :-1]) / 2))
+        lengths.append((np.diff(cuts) * inside).sum(axis=1) * np.sqrt((d * d).sum(axis=1)))
     return np.concatenate(lengths)
+
+
+def sorted_cuts(count: int, ray, t) -> np.ndarray:
+    """Cuts of each ray between 0 and 1, ascending, the short rows filled with ones."""
+    order = np.lexsort((t, ray))
+    ray, t = ray[order], t[order]
+    places = np.arange(len(ray)) - np.searchsorted(ray, ray)
+    cuts = np.ones((count, int(places.max(initial=-1)) + 3), L)
+    cuts[:, 0] = 0
+    cuts[ray, places + 1] = t
+    return cuts
 
 
 def dips(shape: Shape, o, d, t, found):

@@ -59,9 +59,7 @@ class SceneFile:
         try:
             model = SceneModel.model_validate(values)
         except ValidationError as error:
-            found = min(
-                error.errors(), key=lambda e: e["type"] != "extra_forbidden"
-            )  # a misspelt key explains the rest
+            found = min(error.errors(), key=_rank)
             location = (*found["loc"], "type") if found["type"].startswith("union_tag") else found["loc"]
             raise self.error(location, _sentence(found)) from None
         return model
@@ -137,6 +135,11 @@ def closest(word: str, known: Iterable[str]) -> str:
     known = list(known)
     near = difflib.get_close_matches(word, known, 1)
     return f"; did you mean {near[0]!r}?" if near else f": choose from {', '.join(known)}"
+
+
+def _rank(error: Any) -> tuple[bool, bool]:
+    """Order of errors: a misspelt key explains the rest, and a wrong value is nearer the point than a wrong type."""
+    return error["type"] != "extra_forbidden", error["type"].endswith("_type")
 
 
 def _sentence(error: Any) -> str:

@@ -17,8 +17,8 @@ _SKIN = 1e-6
 
 
 def coverage_warnings(scan: Scan) -> list[str]:
-    """Sentences about objects that the panel or the volume cuts off, with how much of them."""
-    return [*_panel_warnings(scan), *_volume_warnings(scan)]
+    """Sentences about objects that are empty, hold the source, or are cut off by panel or volume, with how much."""
+    return [*_solid_warnings(scan), *_panel_warnings(scan), *_volume_warnings(scan)]
 
 
 def sampled_lengths(scan: Scan) -> Float[np.ndarray, "ray material"]:
@@ -31,6 +31,22 @@ def sampled_lengths(scan: Scan) -> Float[np.ndarray, "ray material"]:
     directions = to_target[in_front] / depth[in_front][:, None]
     origins = np.broadcast_to(frames[:, None, 0], to_target.shape)[in_front]
     return trace(origins, directions, scan.scene.solids, len(scan.scene.materials), scan.scene.background)
+
+
+def _solid_warnings(scan: Scan) -> Iterator[str]:
+    """Objects without a point inside, and objects that the source runs into."""
+    sources = scan.geometry.ray_frames()[:, 0]
+    for i, (shape, material) in enumerate(scan.scene.objects):
+        name = f"object {i} ({scan.scene.materials[material].name})"
+        inside = shape.contains(sources).mean()
+        if inside:
+            yield (
+                f"{name} contains the source in {inside:.0%} of the views, {np.linalg.norm(sources[0]):.4g} mm from "
+                "the centre: rays count its length from the source on; make it smaller, or move the source, if that "
+                "is not meant"
+            )
+        if not len(_points(shape, _POINTS)[0]):
+            yield f"{name} is empty, or too thin to be found: no random point of its bounds lies inside it"
 
 
 def _panel_warnings(scan: Scan) -> Iterator[str]:

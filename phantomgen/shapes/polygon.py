@@ -12,6 +12,9 @@ from spectra.errors import InputError
 
 Points = Float[np.ndarray, "corner 2"]
 
+FLAT = 1e-12
+"""Area over squared extent below which rounding decides what is inside."""
+
 
 @dataclass(frozen=True)
 class Polygon(Shape):
@@ -43,6 +46,8 @@ class Polygon(Shape):
             raise InputError(
                 f"polygon edges {crossing[0]} and {crossing[1]} cross or touch: its outline must be simple"
             )
+        if abs(_area(points)) <= FLAT * np.ptp(points, axis=0).max() ** 2:
+            raise InputError("polygon points lie on one line: its outline must enclose an area")
 
     @property
     def terms(self) -> tuple[Term, ...]:

@@ -101,6 +101,11 @@ def test_planes_cut_in_the_coordinates_of_the_group() -> None:
             "objects.0.cut.0.radius - input should be greater than 0",
         ),
         ("objects: [{type: sphere, material: water, radius: 1, clip: [{normal: [0, 0, 0]}]}]", "half-space normal"),
+        (
+            "objects: [{type: group, scale: [1, 0, 1], objects: [{type: sphere, material: water, radius: 1}]}]",
+            "objects.0.scale.1 - input should be greater than 0, got 0",
+        ),
+        ("objects: [{type: box, material: water, size: [1, 0, 1]}]", "objects.0.size.1 - input should be greater than"),
     ],
 )
 def test_mistakes_are_one_sentence(text: str, words: str) -> None:

@@ -126,6 +126,7 @@ def test_equality_and_repr() -> None:
         (lambda: Cone((0, 0, 0), (0.0, 0.0), 2.0), "cone radii"),
         (lambda: Cone((0, 0, 0), (-1.0, 2.0), 2.0), "must not be negative"),
         (lambda: Torus((0, 0, 0), 1.0, 1.0), "smaller than its radius"),
+        (lambda: Polygon(((0, 0), (1, 1), (3, 3.0)), 1.0), "lie on one line"),
         (lambda: Polygon(((0, 0), (1, 1)), 1.0), "at least three"),
         (lambda: Polygon(((0, 0), (1, 1), (1, 0), (0, 1)), 1.0), "edges 0 and 2 cross"),
         (lambda: HalfSpace((0, 0, 0), 1.0), "half-space normal"),

@@ -218,6 +218,21 @@ def test_what_the_panel_and_the_volume_cut_off_is_said_with_how_much():
     assert "reaches 0.5 mm beyond the volume" in warning
 
 
+def test_a_source_inside_an_object_is_allowed_and_said():
+    scan = toy("objects.0={type: sphere, material: water, radius: 600}")
+    warning = coverage_warnings(scan)[0]
+    assert "object 0 (water) contains the source in 100% of the views" in warning
+    assert f"{np.linalg.norm(scan.geometry.ray_frames()[0, 0]):.4g} mm from the centre" in warning
+
+
+def test_an_object_that_nothing_is_left_of_is_said():
+    base, cut = "{type: sphere, radius: 3}", "[{type: sphere, radius: 4}]"
+    hollow = f"objects.0={{type: difference, material: water, base: {base}, cut: {cut}}}"
+    assert coverage_warnings(toy(hollow)) == [
+        "object 0 (water) is empty, or too thin to be found: no random point of its bounds lies inside it"
+    ]
+
+
 def test_a_failure_leaves_nothing(tmp_path):
     with pytest.raises(InputError, match="expected counts must lie in"):
         made(tmp_path, "source.photons=1e12")

@@ -8,36 +8,37 @@ from phantomgen.ops.mesh import mesh_view
 from phantomgen.ops.solids import Solids
 from spectra.threads import run_parallel
 
+# Gauss nodes across and along a silhouette: of the rule, and of a weaker one that must agree with it.
+RULES = ((4, 4), (3, 3))
+
 
 def fractions(
     grid: Grid,
     solids: Solids,
     count: int,
-    n_sub: int = 6,
     background: int = -1,
 ) -> Float32[np.ndarray, "material z y x"]:
     """Part of each voxel's volume that each material fills.
 
     Exact along z. Across (y, x), columns that a silhouette or a sloped surface passes are averaged over Gauss nodes,
-    split along the silhouettes: cylinders and boxes along z come out to rounding, sloped surfaces to about 1e-3 of a
-    voxel, and better in sums.
+    split along the silhouettes and refined until they agree: cylinders and boxes along z come out to rounding, other
+    solids to some 1e-4 of a voxel (`benchmarks/partial_volume.py`), and far better in sums.
 
     Parameters
     ----------
     grid : the voxels
     solids : the objects; a later one overrides an earlier one
     count : number of materials
-    n_sub : Gauss nodes per axis and smooth part of a column
     background : material outside all shapes, -1 for none
     """
     from phantomgen.ops.silhouette import forms, quadrature  # noqa: PLC0415 - numba only where it computes
     from phantomgen.ops.trace.cpu import event_room, solid_table  # noqa: PLC0415
-    from phantomgen.ops.voxelize_shapes.cpu import voxelize_row  # noqa: PLC0415
+    from phantomgen.ops.voxelize_shapes.cpu import stack, voxelize_row  # noqa: PLC0415
 
     solids = solids.checked(count, background)
     frame = column_frame(grid)
     outline = forms.parallel_silhouettes(frame, solids.kinds, solids.locals_)
-    rules = quadrature.make_rules((n_sub, n_sub))
+    rules = quadrature.make_rules(*RULES)
     depth, rows, columns = grid.shape
     out = np.empty((count, depth, rows, columns), dtype=np.float32)
 
@@ -50,7 +51,7 @@ def fractions(
         part = np.empty((count, depth, columns), dtype=np.float32)
         table, room = solid_table(solids), tuple(quadrature.make_room(rules))
         events = event_room(solids.rows, pieces), event_room(solids.rows, pieces)
-        scratch = (np.arange(solids.rows), *events, np.empty((count, depth)))
+        scratch = (np.arange(solids.rows), *events, *stack(count, depth), np.empty((count, depth)))
         voxelize_row(
             frame,
             table,
@@ -59,7 +60,7 @@ def fractions(
             background,
             outline.forms,
             outline.roots,
-            (rules.nodes[0], rules.sizes[0]),
+            tuple(rules),
             room,
             scratch,
             row,

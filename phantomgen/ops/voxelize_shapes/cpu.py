@@ -1,8 +1,10 @@
 """Volume fractions in numba, one column of voxels along z after the other.
 
 A line along z through a column is cut exactly where its owner changes, and the pieces are shared out to the voxels.
-Lines average over the column's square: one is enough where centre and corners are cut alike and no silhouette passes;
-elsewhere a product Gauss rule, split along the silhouettes where one passes.
+Lines average over the column's square: one is enough where centre and corners are cut alike and no silhouette passes.
+Elsewhere a product Gauss rule, split along the silhouettes where one passes, is compared with a weaker one and with
+those of the square's quarters, and these with theirs, until the fractions agree: surfaces that slope through a voxel's
+top or bottom, edges and meshes leave kinks that no rule sees in advance.
 """
 
 from typing import no_type_check
@@ -15,8 +17,18 @@ from phantomgen.ops.mesh.cpu import list_pieces
 from phantomgen.ops.silhouette.quadrature import CONICS, may_vanish, shift_form, square_nodes
 from phantomgen.ops.trace.cpu import CUT, MATERIAL, PIECE, owned_pieces, set_origin
 
+# A square of a column is quartered until its fractions change by less than this, in parts of the square's side, or
+# until it is this small: errors of squares along a kink have either sign.
+TOLERANCE = 3e-4
+SMALLEST = 1 / 16
+STACK = 18
 # Cuts closer than this part of the column's height are the same.
 _SAME = 1e-9
+
+
+def stack(materials: int, voxels: int):
+    """Room for squares of a column, and for their fractions."""
+    return np.empty((STACK, 3)), np.empty((STACK, materials, voxels))
 
 
 @called
@@ -69,11 +81,13 @@ def _is_uniform(frame, table, mesh, cell, locals_, ix, iy, active, events, other
 
 @called
 @no_type_check
-def _gather(forms, roots, u, v, local):
-    """Collect the conics that cross the column's square; return how many."""
+def _gather(forms, roots, u, v, side, local):
+    """Collect the conics that cross a square of a column, relative to that square; return how many."""
     found = np.int64(0)
     for f in range(forms.shape[0]):
         shift_form(forms, f, u, v, local, found)
+        for power in range(1, 6):
+            local[found, power] *= side if power < 3 else side * side
         if may_vanish(local, found):
             local[found, 7] = roots[f]
             found += 1
@@ -82,9 +96,67 @@ def _gather(forms, roots, u, v, local):
     return found
 
 
+@called
+@no_type_check
+def _estimate(frame, table, mesh, cell, locals_, forms, roots, rules, level, room, active, events, square, share):
+    """Fractions that a square (u, v, side) of a column adds to its voxels, by one Gauss rule split along the conics."""
+    local, lines, nodes = room
+    u, v, side = square
+    share[:] = 0.0
+    conics, start = _gather(forms, roots, u, v, side, local), np.int64(0)
+    for i in range(square_nodes(local, conics, rules[0][level], rules[1][level], lines, nodes, start)):
+        a, b, weight = u + side * nodes[i, 0], v + side * nodes[i, 1], side * side * nodes[i, 2]
+        pieces = _cut_line(frame, table, mesh, cell, locals_, a, b, active, events)
+        _share_out(table, events, pieces, weight, share)
+
+
+@called
+@no_type_check
+def _disagree(shares, top, limit):
+    """Whether the estimates of a square by two rules differ from the sum of those of its quarters, in this order."""
+    for m in range(shares.shape[1]):
+        for k in range(shares.shape[2]):
+            quarters = shares[top + 2, m, k] + shares[top + 3, m, k] + shares[top + 4, m, k] + shares[top + 5, m, k]
+            if abs(quarters - shares[top, m, k]) > limit or abs(quarters - shares[top + 1, m, k]) > limit:
+                return True
+    return False
+
+
+@called
+@no_type_check
+def _average(
+    frame, table, mesh, cell, locals_, forms, roots, rules, room, active, events, u, v, squares, shares, share
+):
+    """Fractions of a column, its squares quartered until they agree with another rule and with their quarters.
+
+    `squares` and `shares` are a stack of squares (u, v, side) and of their estimates. Two rules and the quarters must
+    agree, as any two of them do by chance for some kinks.
+    """
+    view = (frame, table, mesh, cell, locals_, forms, roots, rules)
+    top, root = 0, (u, v, 1.0)
+    squares[0, 0], squares[0, 1], squares[0, 2] = root
+    _estimate(*view, 0, room, active, events, root, shares[0])
+    while top >= 0:
+        x, y, side = squares[top, 0], squares[top, 1], squares[top, 2]
+        _estimate(*view, 1, room, active, events, (x, y, side), shares[top + 1])
+        for quarter in range(4):
+            at, step = top + 2 + quarter, 0.25 * side
+            part = (x + (step if quarter % 2 else -step), y + (step if quarter // 2 else -step), 0.5 * side)
+            squares[at, 0], squares[at, 1], squares[at, 2] = part
+            _estimate(*view, 0, room, active, events, part, shares[at])
+        if side > SMALLEST and _disagree(shares, top, TOLERANCE * side):
+            for k in range(2):
+                squares[top + k], shares[top + k] = squares[top + 4 + k], shares[top + 4 + k]
+            top += 3
+        else:
+            for quarter in range(2, 6):
+                share += shares[top + quarter]
+            top -= 1
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def voxelize_row(frame, table, mesh, locals_, background, forms, roots, rule, room, scratch, iy, out):
+def voxelize_row(frame, table, mesh, locals_, background, forms, roots, rules, room, scratch, iy, out):
     """Volume fractions of the columns of one row y, (material, z, x).
 
     Parameters
@@ -92,27 +164,22 @@ def voxelize_row(frame, table, mesh, locals_, background, forms, roots, rule, ro
     frame : whole line along z, foot of column (0, 0), step to the next column, step to the next row
     mesh : argument of `list_pieces`, or None
     forms, roots : silhouettes of the shapes seen along z
-    rule, room, scratch : Gauss rules; conics, splits, nodes of one column; shapes, events, its fractions
+    rules, room : two Gauss rules; conics, splits and nodes of one square
+    scratch : shapes, events twice, stack of squares and of their fractions, fractions of a column
     """
-    local, lines, nodes = room
-    active, events, other, share = scratch
-    rule_nodes, rule_sizes = rule
+    active, events, other, squares, shares, share = scratch
     materials, voxels, columns = out.shape
-    v, start = float(iy), np.int64(0)  # typed, as a literal would compile `square_nodes` a second time
+    v = float(iy)
     for ix in range(columns):
         u, cell = float(ix), iy * columns + ix
-        for m in range(materials):
-            for k in range(voxels):
-                share[m, k] = 0.0
-        conics = _gather(forms, roots, u, v, local)
+        share[:] = 0.0
+        conics = _gather(forms, roots, u, v, 1.0, room[0])
         uniform, pieces = _is_uniform(frame, table, mesh, cell, locals_, u, v, active, events, other)
         if uniform and conics == 0:
             _share_out(table, events, pieces, 1.0, share)
         else:
-            for i in range(square_nodes(local, conics, rule_nodes, rule_sizes, lines, nodes, start)):
-                a, b, weight = nodes[i, 0], nodes[i, 1], nodes[i, 2]
-                pieces = _cut_line(frame, table, mesh, cell, locals_, u + a, v + b, active, events)
-                _share_out(table, events, pieces, weight, share)
+            view = (frame, table, mesh, cell, locals_, forms, roots, rules)
+            _average(*view, room, active, events, u, v, squares, shares, share)
         for k in range(voxels):
             free = 1.0
             for m in range(materials):
