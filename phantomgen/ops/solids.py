@@ -76,8 +76,9 @@ class Solids(NamedTuple):
             raise InputError(f"material indices must lie in 0..{count - 1}, got {materials.min()}..{materials.max()}")
         if not -1 <= background < count:
             raise InputError(f"background must be -1 or a material index below {count}, got {background}")
-        bounded = set(terms[inside & (kinds != HALFSPACE)].tolist())
-        if rows and not bounded.issuperset(terms.tolist()):
+        bounded = np.zeros(rows, np.bool_)
+        bounded[terms[inside & (kinds != HALFSPACE)]] = True
+        if not bounded[terms].all():
             raise InputError("every part of a shape must lie inside something bounded")
         if not ((numbers[1] > 0) & (numbers[1] < 0.5))[kinds == TORUS].all():
             raise InputError("the tube of a torus must be thinner than its ring")

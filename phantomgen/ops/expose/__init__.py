@@ -115,7 +115,7 @@ def expose_brute(
 class _View(NamedTuple):
     """Arguments of one view as the kernels want them."""
 
-    shapes: tuple[np.ndarray, np.ndarray, Any, np.ndarray, np.ndarray, int]
+    shapes: tuple[np.ndarray, np.ndarray, Any, np.ndarray, tuple, int]
     creases: np.ndarray | None
     outline: Any
     spectrum: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -135,6 +135,7 @@ class _View(NamedTuple):
     ) -> "_View":
         """Check and arrange the arguments of `expose`."""
         from phantomgen.ops.silhouette.forms import cone_silhouettes  # noqa: PLC0415
+        from phantomgen.ops.silhouette.tiles import Tiles  # noqa: PLC0415
         from phantomgen.ops.trace.cpu import event_room, solid_table  # noqa: PLC0415
 
         frame, attenuation, weights = (np.ascontiguousarray(a, dtype=np.float64) for a in (frame, attenuation, weights))
@@ -153,5 +154,6 @@ class _View(NamedTuple):
             mesh, creases, pieces = seen.with_room(), seen.outline, seen.pieces
         room = np.empty(solids.rows, np.int64), event_room(solids.rows, pieces)
         ray = (*room, np.empty(len(attenuation)), np.empty(len(air)))
-        shapes = (frame, solid_table(solids), mesh, solids.locals_, outline.bounds, int(background))
+        tiles = Tiles.of(outline.bounds, outline.shapes, rows, columns)
+        shapes = (frame, solid_table(solids), mesh, solids.locals_, tuple(tiles), int(background))
         return cls(shapes, creases, outline, (attenuation, weights, starts, air), ray)

@@ -12,6 +12,7 @@ from phantomgen.ops.device import called, inlined
 from phantomgen.ops.expose.classes import CROSSED, EMPTY, KINKED, NEAR, SMOOTH
 from phantomgen.ops.mesh.cpu import list_pieces
 from phantomgen.ops.silhouette.quadrature import CONICS, grid_nodes, may_vanish, shift_form, square_nodes
+from phantomgen.ops.silhouette.tiles import TILE
 from phantomgen.ops.trace.cpu import set_origin, trace_ray
 from spectra.ops.transmit.cpu import expected_ray
 
@@ -46,11 +47,12 @@ def _is_near(local, i, root, reach):
 
 @called
 @no_type_check
-def _send_rays(frame, table, mesh, bounds, background, spectrum, jobs, count, nodes, ray, remember, target, signatures):
+def _send_rays(frame, table, mesh, tiles, background, spectrum, jobs, count, nodes, ray, remember, target, signatures):
     """Write the average counts of pixels.
 
     Parameters
     ----------
+    tiles : fields of `phantomgen.ops.silhouette.tiles.Tiles`
     mesh : argument of `list_pieces`, or None
     jobs, count : row, column and index after the last node of each pixel; how many pixels
     nodes : offset from the centre in column and row, and weight, of each ray
@@ -60,11 +62,14 @@ def _send_rays(frame, table, mesh, bounds, background, spectrum, jobs, count, no
     """
     attenuation, weights, starts, air = spectrum
     active, events, lengths, counts = ray
+    begins, members, bounds, _, across = tiles
     first = np.int64(0)
     for job in range(count):
         row, column, last = jobs[job, 0], jobs[job, 1], jobs[job, 2]
         shapes = np.int64(0)  # a plain 0 is a type of its own to numba, which would compile callees once more
-        for s in range(table.shape[0]):
+        tile = row // TILE * across + column // TILE
+        for i in range(begins[tile], begins[tile + 1]):
+            s = members[i]
             if _touches(bounds, s, float(column), float(row)):
                 active[shapes] = s
                 shapes += 1
@@ -136,18 +141,23 @@ def _mark_creases(creases, classes):
 
 @inlined
 @no_type_check
-def _gather(forms, shapes, roots, bounds, reach, u, v, local):
-    """Collect the conics that cross the pixel (u, v), and the tangents that pass near it; return how many."""
+def _gather(forms, roots, tiles, reach, row, column, local):
+    """Collect the conics that cross a pixel, and the tangents that pass near it; return how many."""
+    begins, members, bounds, firsts, across = tiles
+    u, v = float(column), float(row)
+    tile = row // TILE * across + column // TILE
     found = np.int64(0)
-    for f in range(shapes.size):
-        if not _touches(bounds, shapes[f], u, v):
+    for i in range(begins[tile], begins[tile + 1]):
+        s = members[i]
+        if not _touches(bounds, s, u, v):
             continue
-        shift_form(forms, f, u, v, local, found)
-        if may_vanish(local, found) or _is_near(local, found, roots[f], reach):
-            local[found, 7] = roots[f]
-            found += 1
-            if found > CONICS:
-                break
+        for f in range(firsts[s], firsts[s + 1]):
+            shift_form(forms, f, u, v, local, found)
+            if may_vanish(local, found) or _is_near(local, found, roots[f], reach):
+                local[found, 7] = roots[f]
+                found += 1
+                if found > CONICS:
+                    return found
     return found
 
 
@@ -213,7 +223,7 @@ def expose_view(
     mesh,
     creases,
     locals_,
-    bounds,
+    tiles,
     background,
     outline,
     reach,
@@ -230,7 +240,8 @@ def expose_view(
 
     Parameters
     ----------
-    table, locals_, bounds, background : the shapes; table gets the source as origin
+    table, locals_, background : the shapes; table gets the source as origin
+    tiles : fields of `phantomgen.ops.silhouette.tiles.Tiles`
     mesh, creases : argument of `list_pieces`, and which pixels a silhouette or a crease of a mesh passes; or None
     outline : forms, shapes and roots of the silhouettes
     reach : width [pixel] of the band inside a tangent where pixels are near
@@ -249,7 +260,7 @@ def expose_view(
     air = spectrum[3]
     rows, columns = classes.shape
     set_origin(table, locals_, frame[0, 0], frame[0, 1], frame[0, 2])
-    _classify(forms, shapes, roots, bounds, background, reach, local, guess)
+    _classify(forms, shapes, roots, tiles[2], background, reach, local, guess)
     if creases is not None:
         _mark_creases(creases, guess)
     # The first round sends rays through centres, the second one completes the pixels that need more.
@@ -271,7 +282,7 @@ def expose_view(
                 if not completing or kind == KINKED:
                     filled = grid_nodes(nodes, begun, _KINK_GRID if completing else 1)
                 else:
-                    conics = _gather(forms, shapes, roots, bounds, reach, float(column), float(row), local)
+                    conics = _gather(forms, roots, tiles, reach, row, column, local)
                     if kind == CROSSED:
                         level = max(level, min(conics, 2))
                     filled = square_nodes(local, conics, rule_nodes[level], rule_sizes[level], lines, nodes, begun)
@@ -283,7 +294,7 @@ def expose_view(
                         frame,
                         table,
                         mesh,
-                        bounds,
+                        tiles,
                         background,
                         spectrum,
                         jobs,
@@ -299,7 +310,7 @@ def expose_view(
             frame,
             table,
             mesh,
-            bounds,
+            tiles,
             background,
             spectrum,
             jobs,
@@ -314,11 +325,11 @@ def expose_view(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def expose_pixels(frame, table, mesh, locals_, bounds, background, spectrum, nodes, ray, pixels, maps, out):
+def expose_pixels(frame, table, mesh, locals_, tiles, background, spectrum, nodes, ray, pixels, maps, out):
     """Average over the same nodes in each of some pixels (row, column), written to ``out[:, row, column]``."""
     signatures, job = maps
     one, forget = np.int64(1), np.bool_(False)  # typed, as literals would compile `_send_rays` a second time
     set_origin(table, locals_, frame[0, 0], frame[0, 1], frame[0, 2])
     for i in range(pixels.shape[0]):
         job[0, 0], job[0, 1], job[0, 2] = pixels[i, 0], pixels[i, 1], nodes.shape[0]
-        _send_rays(frame, table, mesh, bounds, background, spectrum, job, one, nodes, ray, forget, out, signatures)
+        _send_rays(frame, table, mesh, tiles, background, spectrum, job, one, nodes, ray, forget, out, signatures)
