@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int64
 
 from phantomgen.ops.mesh import Surfaces
-from phantomgen.ops.primitives import HALFSPACE, MESH, TORUS
+from phantomgen.ops.primitives import BALL, HALFSPACE, MESH, TORUS
 from spectra.errors import InputError
 
 
@@ -57,6 +57,13 @@ class Solids(NamedTuple):
         """Number of primitives."""
         return len(self.kinds)
 
+    @property
+    def balls(self) -> Float[np.ndarray, "row 4"]:
+        """Balls around all primitives: centre [mm], and radius squared [mm^2], infinite for a half-space."""
+        center, axes = half_axes(self.locals_)
+        radius = np.linalg.norm(axes, ord=2, axis=(1, 2)) * np.where(self.kinds == BALL, 1.0, np.sqrt(3.0))
+        return np.column_stack([center, np.where(self.kinds == HALFSPACE, np.inf, radius**2)])
+
     def checked(self, count: int, background: int) -> "Solids":
         """The same with the types that kernels want; refuses what would make a kernel write outside its arrays."""
         rows = self.rows
@@ -86,3 +93,13 @@ class Solids(NamedTuple):
         if not ((meshes >= 0) & (meshes < known))[kinds == MESH].all():
             raise InputError(f"meshes must be numbered 0..{known - 1}, got {meshes[kinds == MESH].tolist()}")
         return Solids(kinds, numbers[0], materials, numbers[1], owners, terms, inside, meshes, self.surfaces)
+
+
+def half_axes(
+    locals_: Float[np.ndarray, "row 3 4"],
+) -> tuple[Float[np.ndarray, "row 3"], Float[np.ndarray, "row 3 3"]]:
+    """Centre of the cube -1 .. 1 of each local system, and its half axes as columns [mm]."""
+    x, y, z = locals_[:, 0, :3], locals_[:, 1, :3], locals_[:, 2, :3]
+    axes = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=2)
+    axes /= (x * axes[:, :, 0]).sum(axis=1)[:, None, None]
+    return -(axes @ locals_[:, :, 3:])[:, :, 0], axes

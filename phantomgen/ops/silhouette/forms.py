@@ -26,6 +26,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int64
 
 from phantomgen.ops.primitives import BALL, BOX, CONE, CYLINDER, HALFSPACE
+from phantomgen.ops.solids import half_axes
 
 # Relative size below which a form is rounding noise: every ray, or none, is singular (a mantle seen along its axis).
 _ZERO_FORM = 1e-26
@@ -54,7 +55,7 @@ def cone_silhouettes(
     """Silhouettes for rays ``frame[0] + t (frame[1] + u frame[2] + v frame[3])``."""
     origin = np.zeros((3, 3))
     origin[:, 0] = frame[0]
-    return _silhouettes(origin, frame[1:].T, kinds, locals_, _cone_bounds(frame, kinds, locals_))
+    return _silhouettes(origin, frame[1:].T, kinds, locals_, cone_bounds(frame, kinds, locals_))
 
 
 def parallel_silhouettes(
@@ -64,6 +65,11 @@ def parallel_silhouettes(
     direction = np.zeros((3, 3))
     direction[:, 0] = frame[0]
     return _silhouettes(frame[1:].T, direction, kinds, locals_, _parallel_bounds(frame, kinds, locals_))
+
+
+def no_silhouettes(bounds: Float[np.ndarray, "shape 4"]) -> Silhouettes:
+    """Bounds alone."""
+    return Silhouettes(np.empty((0, 6)), np.empty(0, np.int64), np.empty(0), bounds)
 
 
 def _silhouettes(
@@ -120,7 +126,7 @@ def _primitive_forms(
     return np.stack(edges, axis=1), np.zeros(6, np.bool_)
 
 
-def _cone_bounds(
+def cone_bounds(
     frame: Float[np.ndarray, "4 3"], kinds: Int64[np.ndarray, " shape"], locals_: Float[np.ndarray, "shape 3 4"]
 ) -> Float[np.ndarray, "shape 4"]:
     """Panel rectangle around the shadow: tight for balls, that of the enclosing cube for the rest.
@@ -163,8 +169,5 @@ def _projected(
     matrix: Float[np.ndarray, "3 3"], origin: Float[np.ndarray, " 3"], locals_: Float[np.ndarray, "shape 3 4"]
 ) -> tuple[Float[np.ndarray, "shape 3"], Float[np.ndarray, "shape 3 3"]]:
     """Depth, u and v (homogeneous) of the centre and of the half axes of the cubes that enclose primitives."""
-    x, y, z = locals_[:, 0, :3], locals_[:, 1, :3], locals_[:, 2, :3]
-    inverse = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=2)
-    inverse /= (x * inverse[:, :, 0]).sum(axis=1)[:, None, None]
-    center = -(inverse @ locals_[:, :, 3:])[:, :, 0]
-    return (center - origin) @ matrix.T, matrix @ inverse
+    center, axes = half_axes(locals_)
+    return (center - origin) @ matrix.T, matrix @ axes

@@ -280,26 +280,47 @@ def trace_ray(table, listed, background, dx, dy, dz, active, count, events, leng
 
 @inlined
 @no_type_check
-def set_origin(table, locals_, x, y, z):
-    """Write the point (x, y, z), where rays begin, to the table in local coordinates of each shape."""
-    for s in range(table.shape[0]):
-        for i in range(3):
-            table[s, ORIGIN + i] = locals_[s, i, 0] * x + locals_[s, i, 1] * y + locals_[s, i, 2] * z + locals_[s, i, 3]
+def set_origin(table, locals_, s, x, y, z):
+    """Write the point (x, y, z), where rays begin, to row s of the table in local coordinates."""
+    for i in range(3):
+        table[s, ORIGIN + i] = locals_[s, i, 0] * x + locals_[s, i, 1] * y + locals_[s, i, 2] * z + locals_[s, i, 3]
+
+
+@inlined
+@no_type_check
+def _list_near(balls, ox, oy, oz, dx, dy, dz, active):
+    """Write the rows whose balls the line meets to `active`, ascending; return how many."""
+    count = 0
+    reach = (1.0 + 1e-9) * (dx * dx + dy * dy + dz * dz)
+    for s in range(balls.shape[0]):
+        x, y, z = balls[s, 0] - ox, balls[s, 1] - oy, balls[s, 2] - oz
+        mx, my, mz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
+        active[count] = s
+        count += mx * mx + my * my + mz * mz <= reach * balls[s, 3]
+    return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def trace_rays(table, listed, locals_, background, origins, directions, active, events, out):
+def trace_rays(table, listed, balls, locals_, background, origins, directions, active, events, out):
     """Path length per material of many rays, (R, 3) and (R, 3) -> (R, material).
 
     `listed` has, per mesh and ray, where its pieces start (mesh, ray + 1), and their ends (piece, 2); or is None.
+    `balls` enclose the rows: centre, and radius squared; with none of them, rays look at all rows.
     """
+    for s in range(table.shape[0]):
+        active[s] = s
     for ray in range(directions.shape[0]):
-        set_origin(table, locals_, origins[ray, 0], origins[ray, 1], origins[ray, 2])
+        ox, oy, oz = origins[ray, 0], origins[ray, 1], origins[ray, 2]
         dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
+        count = active.size
+        if balls.shape[0] > 0:
+            count = _list_near(balls, ox, oy, oz, dx, dy, dz, active)
+        for i in range(count):
+            set_origin(table, locals_, active[i], ox, oy, oz)
         if listed is None:
-            trace_ray(table, None, background, dx, dy, dz, active, active.size, events, out[ray])
+            trace_ray(table, None, background, dx, dy, dz, active, count, events, out[ray])
         else:
             starts, ends = listed
             own = (starts[:, ray], starts[:, ray + 1], ends)
-            trace_ray(table, own, background, dx, dy, dz, active, active.size, events, out[ray])
+            trace_ray(table, own, background, dx, dy, dz, active, count, events, out[ray])

@@ -13,6 +13,7 @@ from numba import njit
 from phantomgen.ops.device import called
 from phantomgen.ops.mesh.cpu import list_pieces
 from phantomgen.ops.silhouette.quadrature import CONICS, may_vanish, shift_form, square_nodes
+from phantomgen.ops.silhouette.tiles_cpu import list_active
 from phantomgen.ops.trace.cpu import CUT, MATERIAL, PIECE, owned_pieces, set_origin
 
 # Cuts closer than this part of the column's height are the same.
@@ -21,14 +22,15 @@ _SAME = 1e-9
 
 @called
 @no_type_check
-def _cut_line(frame, table, mesh, cell, locals_, u, v, active, events):
+def _cut_line(frame, table, mesh, cell, locals_, u, v, active, count, events):
     """Cut the line through (u, v) in a cell of the column grid; return the number of pieces."""
     x, y = frame[1, 0] + u * frame[2, 0], frame[1, 1] + v * frame[3, 1]
-    set_origin(table, locals_, x, y, frame[1, 2])
+    for i in range(count):
+        set_origin(table, locals_, active[i], x, y, frame[1, 2])
     if mesh is None:
-        return owned_pieces(table, None, 0.0, 0.0, frame[0, 2], active, active.size, events)
+        return owned_pieces(table, None, 0.0, 0.0, frame[0, 2], active, count, events)
     list_pieces(mesh, cell, u, v)
-    return owned_pieces(table, mesh[5:], 0.0, 0.0, frame[0, 2], active, active.size, events)
+    return owned_pieces(table, mesh[5:], 0.0, 0.0, frame[0, 2], active, count, events)
 
 
 @called
@@ -48,15 +50,15 @@ def _share_out(table, events, pieces, weight, share):
 
 @called
 @no_type_check
-def _is_uniform(frame, table, mesh, cell, locals_, ix, iy, active, events, other):
+def _is_uniform(frame, table, mesh, cell, locals_, ix, iy, active, count, events, other):
     """Whether lines through the corners of a column are cut like that through its centre, and the number of pieces.
 
     The cuts through the centre are left in `events`.
     """
-    pieces = _cut_line(frame, table, mesh, cell, locals_, ix, iy, active, events)
+    pieces = _cut_line(frame, table, mesh, cell, locals_, ix, iy, active, count, events)
     for corner in range(4):
         u, v = ix + (0.499 if corner % 2 else -0.499), iy + (0.499 if corner // 2 else -0.499)
-        if _cut_line(frame, table, mesh, cell, locals_, u, v, active, other) != pieces:
+        if _cut_line(frame, table, mesh, cell, locals_, u, v, active, count, other) != pieces:
             return False, pieces
         for i in range(pieces):
             if events[PIECE, i] != other[PIECE, i]:
@@ -69,28 +71,30 @@ def _is_uniform(frame, table, mesh, cell, locals_, ix, iy, active, events, other
 
 @called
 @no_type_check
-def _gather(forms, roots, u, v, local):
-    """Collect the conics that cross the column's square; return how many."""
+def _gather(forms, roots, firsts, active, count, u, v, local):
+    """Collect the conics of the active shapes that cross the column's square; return how many."""
     found = np.int64(0)
-    for f in range(forms.shape[0]):
-        shift_form(forms, f, u, v, local, found)
-        if may_vanish(local, found):
-            local[found, 7] = roots[f]
-            found += 1
-            if found > CONICS:
-                break
+    for i in range(count):
+        for f in range(firsts[active[i]], firsts[active[i] + 1]):
+            shift_form(forms, f, u, v, local, found)
+            if may_vanish(local, found):
+                local[found, 7] = roots[f]
+                found += 1
+                if found > CONICS:
+                    return found
     return found
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def voxelize_row(frame, table, mesh, locals_, background, forms, roots, rule, room, scratch, iy, out):
+def voxelize_row(frame, table, mesh, locals_, tiles, background, forms, roots, rule, room, scratch, iy, out):
     """Volume fractions of the columns of one row y, (material, z, x).
 
     Parameters
     ----------
     frame : whole line along z, foot of column (0, 0), step to the next column, step to the next row
     mesh : argument of `list_pieces`, or None
+    tiles : fields of `phantomgen.ops.silhouette.tiles.Tiles`
     forms, roots : silhouettes of the shapes seen along z
     rule, room, scratch : Gauss rules; conics, splits, nodes of one column; shapes, events, its fractions
     """
@@ -104,14 +108,15 @@ def voxelize_row(frame, table, mesh, locals_, background, forms, roots, rule, ro
         for m in range(materials):
             for k in range(voxels):
                 share[m, k] = 0.0
-        conics = _gather(forms, roots, u, v, local)
-        uniform, pieces = _is_uniform(frame, table, mesh, cell, locals_, u, v, active, events, other)
+        count = list_active(tiles, iy, ix, active)
+        conics = _gather(forms, roots, tiles[3], active, count, u, v, local)
+        uniform, pieces = _is_uniform(frame, table, mesh, cell, locals_, u, v, active, count, events, other)
         if uniform and conics == 0:
             _share_out(table, events, pieces, 1.0, share)
         else:
             for i in range(square_nodes(local, conics, rule_nodes, rule_sizes, lines, nodes, start)):
                 a, b, weight = nodes[i, 0], nodes[i, 1], nodes[i, 2]
-                pieces = _cut_line(frame, table, mesh, cell, locals_, u + a, v + b, active, events)
+                pieces = _cut_line(frame, table, mesh, cell, locals_, u + a, v + b, active, count, events)
                 _share_out(table, events, pieces, weight, share)
         for k in range(voxels):
             free = 1.0
