@@ -98,8 +98,9 @@ class Solids(NamedTuple):
 def half_axes(
     locals_: Float[np.ndarray, "row 3 4"],
 ) -> tuple[Float[np.ndarray, "row 3"], Float[np.ndarray, "row 3 3"]]:
-    """Centre of the cube -1 .. 1 of each local system, and its half axes as columns [mm]."""
+    """Centre of the cube -1 .. 1 of each local system, and its half axes as columns [mm]; no use for half-spaces."""
     x, y, z = locals_[:, 0, :3], locals_[:, 1, :3], locals_[:, 2, :3]
     axes = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=2)
-    axes /= (x * axes[:, :, 0]).sum(axis=1)[:, None, None]
+    size = (x * axes[:, :, 0]).sum(axis=1)
+    axes /= np.where(size == 0, 1.0, size)[:, None, None]
     return -(axes @ locals_[:, :, 3:])[:, :, 0], axes

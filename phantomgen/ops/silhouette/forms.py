@@ -95,7 +95,9 @@ def _silhouettes(
         shapes.append(rows[s])
         roots.append(root[f].astype(np.float64))
     order = np.argsort(np.concatenate(shapes), kind="stable")
-    return Silhouettes(np.concatenate(forms)[order], np.concatenate(shapes)[order], np.concatenate(roots)[order], bounds)
+    return Silhouettes(
+        np.concatenate(forms)[order], np.concatenate(shapes)[order], np.concatenate(roots)[order], bounds
+    )
 
 
 def _primitive_forms(
