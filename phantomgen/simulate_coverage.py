@@ -1,6 +1,7 @@
 """What the scan can see of the scene: where points of the objects fall on the panel, and the rays through them."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -8,12 +9,17 @@ from jaxtyping import Bool, Float
 from phantomgen.ops.primitives import BALL, CONE, CYLINDER, HALFSPACE, TORUS
 from phantomgen.ops.trace import trace
 from phantomgen.panel import Panel
-from phantomgen.scene import Scan
+from phantomgen.scene import Scan, Scene
 from phantomgen.shapes import Part, Shape
 
 _POINTS = 500
 _RAYS_PER_OBJECT = 40
 _SKIN = 1e-6
+# Of scenes with more objects than `_MANY`, the largest ones of each material are sampled, in some of the views.
+_MANY = 64
+_RAYS = 20_000
+# Objects that are cut off are described one by one up to this number, and counted beyond it.
+_DESCRIBED = 8
 
 
 def coverage_warnings(scan: Scan) -> list[str]:
@@ -21,10 +27,14 @@ def coverage_warnings(scan: Scan) -> list[str]:
     return [*_solid_warnings(scan), *_panel_warnings(scan), *_volume_warnings(scan)]
 
 
+@lru_cache(maxsize=1)
 def sampled_lengths(scan: Scan) -> Float[np.ndarray, "ray material"]:
-    """Path lengths per material [mm] of rays through every object in every view."""
-    targets = np.concatenate([_points(shape, _RAYS_PER_OBJECT)[0] for shape, _ in scan.scene.objects])
-    frames = scan.geometry.ray_frames()
+    """Path lengths per material [mm] of rays through objects: all of them in all views, unless they are many."""
+    objects, frames = scan.scene.objects, scan.geometry.ray_frames()
+    picked = range(len(objects)) if len(objects) <= _MANY else _largest(scan.scene)
+    targets = np.concatenate([_points(objects[i][0], _RAYS_PER_OBJECT)[0] for i in picked])
+    if len(objects) > _MANY:
+        frames = frames[:: -(-len(frames) * len(targets) // _RAYS)]
     to_target = targets[None] - frames[:, None, 0]
     depth = _on_panel(frames, targets)[..., 0]
     in_front = depth > 1e-6
@@ -34,29 +44,64 @@ def sampled_lengths(scan: Scan) -> Float[np.ndarray, "ray material"]:
 
 
 def _solid_warnings(scan: Scan) -> Iterator[str]:
-    """Objects without a point inside, and objects that the source runs into."""
+    """Objects that the source runs into, and objects without a point inside."""
     sources = scan.geometry.ray_frames()[:, 0]
-    for i, (shape, material) in enumerate(scan.scene.objects):
-        name = f"object {i} ({scan.scene.materials[material].name})"
+    for i, name, shape in _named(scan, _around(scan, sources)):
         inside = shape.contains(sources).mean()
         if inside:
             yield (
-                f"{name} contains the source in {inside:.0%} of the views, {np.linalg.norm(sources[0]):.4g} mm from "
-                "the centre: rays count its length from the source on; make it smaller, or move the source, if that "
-                "is not meant"
+                f"object {i} ({name}) contains the source in {inside:.0%} of the views, "
+                f"{np.linalg.norm(sources[0]):.4g} mm from the centre: rays count its length from the source on; make "
+                "it smaller, or move the source, if that is not meant"
             )
+    combined = [i for i, (shape, _) in enumerate(scan.scene.objects) if shape.volume is None]
+    for i, name, shape in _named(scan, combined):
         if not len(_points(shape, _POINTS)[0]):
-            yield f"{name} is empty, or too thin to be found: no random point of its bounds lies inside it"
+            yield f"object {i} ({name}) is empty, or too thin to be found: no random point of its bounds lies inside it"
+
+
+def _named(scan: Scan, numbers: Iterable[int]) -> Iterator[tuple[int, str, Shape]]:
+    """Objects with their numbers and the names of their materials."""
+    for i in numbers:
+        shape, material = scan.scene.objects[i]
+        yield i, scan.scene.materials[material].name, shape
+
+
+def _around(scan: Scan, points: Float[np.ndarray, "point 3"]) -> list[int]:
+    """Numbers of objects that may contain one of some points; balls around them do."""
+    solids = scan.scene.solids
+    near = np.zeros(len(solids.balls), np.bool_)
+    for point in points:
+        near |= ((solids.balls[:, :3] - point) ** 2).sum(axis=1) <= solids.balls[:, 3]
+    return np.searchsorted(np.unique(solids.owners), np.unique(solids.owners[near & solids.inside])).tolist()
+
+
+def _largest(scene: Scene) -> list[int]:
+    """Numbers of the largest objects of each material, `_MANY` in all or one of each."""
+    solids = scene.solids
+    size = np.where(solids.inside & (solids.kinds != HALFSPACE), solids.balls[:, 3], 0.0)
+    first_rows = np.unique(solids.owners)
+    by_size = np.argsort(-np.maximum.reduceat(size, first_rows), kind="stable")
+    materials = solids.materials[first_rows][by_size]
+    share = max(1, _MANY // len(scene.materials))
+    return [int(i) for m in range(len(scene.materials)) for i in by_size[materials == m][:share]]
 
 
 def _panel_warnings(scan: Scan) -> Iterator[str]:
     """Objects that leave the panel in some view."""
     frames, panel = scan.geometry.ray_frames(), scan.geometry.panel
-    for i, (shape, material) in enumerate(scan.scene.objects):
+    suspects = _outside(scan, _panel_planes(frames, panel))
+    described = 0
+    for rank, i in enumerate(suspects):
+        if described == _DESCRIBED:
+            yield f"up to {len(suspects) - rank} more objects leave the panel's field of view in some view"
+            return
+        shape, material = scan.scene.objects[i]
         inside, surface = _points(shape, _POINTS)
         outside, beyond = _missed(frames, surface, panel)
         if not outside.any():
             continue
+        described += 1
         share = _missed(frames, inside, panel)[0].any(axis=0).mean()
         views = outside.any(axis=1).mean()
         yield (
@@ -70,16 +115,50 @@ def _volume_warnings(scan: Scan) -> Iterator[str]:
     grid = scan.grid
     low = np.array([grid.origin[i] - grid.spacing[i] / 2 for i in (2, 1, 0)])
     high = low + np.array([grid.shape[i] * grid.spacing[i] for i in (2, 1, 0)])
-    for i, (shape, material) in enumerate(scan.scene.objects):
+    suspects = _outside(scan, (np.concatenate([np.eye(3), -np.eye(3)])[None], np.concatenate([-low, high])[None]))
+    described = 0
+    for rank, i in enumerate(suspects):
+        if described == _DESCRIBED:
+            yield f"up to {len(suspects) - rank} more objects reach beyond the volume"
+            return
+        shape, material = scan.scene.objects[i]
         lowest, highest = shape.bounds
         beyond = max((low - lowest).max(), (highest - high).max())
         if beyond > 1e-9:
+            described += 1
             inside, _ = _points(shape, _POINTS)
             share = ((inside < low) | (inside > high)).any(axis=1).mean()
             yield (
                 f"object {i} ({scan.scene.materials[material].name}) reaches {beyond:.3g} mm beyond the volume: "
                 f"{share:.1%} of it has no truth there"
             )
+
+
+def _outside(
+    scan: Scan, planes: tuple[Float[np.ndarray, "view plane 3"], Float[np.ndarray, "view plane"]]
+) -> list[int]:
+    """Numbers of objects that may reach where ``normal . x + offset < 0`` for some plane; balls around them do."""
+    solids = scan.scene.solids
+    inside = np.flatnonzero(solids.inside & (solids.kinds != HALFSPACE))
+    balls = solids.balls[inside]
+    radius, reached = np.sqrt(balls[:, 3]), np.zeros(len(inside), np.bool_)
+    for normals, offsets in zip(*planes, strict=True):
+        level = balls[:, :3] @ normals.T + offsets
+        reached |= (level < np.linalg.norm(normals, axis=1) * radius[:, None]).any(axis=1)
+    first_rows = np.unique(solids.owners)
+    return np.searchsorted(first_rows, np.unique(solids.owners[inside[reached]])).tolist()
+
+
+def _panel_planes(
+    frames: Float[np.ndarray, "view 4 3"], panel: Panel
+) -> tuple[Float[np.ndarray, "view plane 3"], Float[np.ndarray, "view plane"]]:
+    """Planes between which the panel sees points, by their inner normals and offsets."""
+    depth, u, v = np.moveaxis(np.linalg.inv(np.moveaxis(frames[:, 1:], 1, 2)), 1, 0)
+    right, bottom = panel.columns - 0.5, panel.rows - 0.5
+    normals = np.stack([depth, -depth, u + 0.5 * depth, right * depth - u, v + 0.5 * depth, bottom * depth - v], axis=1)
+    offsets = -np.einsum("vpi,vi->vp", normals, frames[:, 0])
+    offsets[:, 1] += 1.0
+    return normals, offsets
 
 
 def _missed(

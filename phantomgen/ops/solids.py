@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int64
 
 from phantomgen.ops.mesh import Surfaces
-from phantomgen.ops.primitives import HALFSPACE, MESH, TORUS
+from phantomgen.ops.primitives import BALL, HALFSPACE, MESH, TORUS
 from spectra.errors import InputError
 
 
@@ -57,6 +57,13 @@ class Solids(NamedTuple):
         """Number of primitives."""
         return len(self.kinds)
 
+    @property
+    def balls(self) -> Float[np.ndarray, "row 4"]:
+        """Balls around all primitives: centre [mm], and radius squared [mm^2], infinite for a half-space."""
+        center, axes = half_axes(self.locals_)
+        radius = np.linalg.norm(axes, ord=2, axis=(1, 2)) * np.where(self.kinds == BALL, 1.0, np.sqrt(3.0))
+        return np.column_stack([center, np.where(self.kinds == HALFSPACE, np.inf, radius**2)])
+
     def checked(self, count: int, background: int) -> "Solids":
         """The same with the types that kernels want; refuses what would make a kernel write outside its arrays."""
         rows = self.rows
@@ -76,8 +83,9 @@ class Solids(NamedTuple):
             raise InputError(f"material indices must lie in 0..{count - 1}, got {materials.min()}..{materials.max()}")
         if not -1 <= background < count:
             raise InputError(f"background must be -1 or a material index below {count}, got {background}")
-        bounded = set(terms[inside & (kinds != HALFSPACE)].tolist())
-        if rows and not bounded.issuperset(terms.tolist()):
+        bounded = np.zeros(rows, np.bool_)
+        bounded[terms[inside & (kinds != HALFSPACE)]] = True
+        if not bounded[terms].all():
             raise InputError("every part of a shape must lie inside something bounded")
         if not ((numbers[1] > 0) & (numbers[1] < 0.5))[kinds == TORUS].all():
             raise InputError("the tube of a torus must be thinner than its ring")
@@ -85,3 +93,14 @@ class Solids(NamedTuple):
         if not ((meshes >= 0) & (meshes < known))[kinds == MESH].all():
             raise InputError(f"meshes must be numbered 0..{known - 1}, got {meshes[kinds == MESH].tolist()}")
         return Solids(kinds, numbers[0], materials, numbers[1], owners, terms, inside, meshes, self.surfaces)
+
+
+def half_axes(
+    locals_: Float[np.ndarray, "row 3 4"],
+) -> tuple[Float[np.ndarray, "row 3"], Float[np.ndarray, "row 3 3"]]:
+    """Centre of the cube -1 .. 1 of each local system, and its half axes as columns [mm]; no use for half-spaces."""
+    x, y, z = locals_[:, 0, :3], locals_[:, 1, :3], locals_[:, 2, :3]
+    axes = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=2)
+    size = (x * axes[:, :, 0]).sum(axis=1)
+    axes /= np.where(size == 0, 1.0, size)[:, None, None]
+    return -(axes @ locals_[:, :, 3:])[:, :, 0], axes

@@ -25,6 +25,7 @@ __all__ = ["CLASSES", "CROSSED", "EMPTY", "KINKED", "NEAR", "SMOOTH", "Exposed",
 
 # Gauss nodes across and along a silhouette for pixels of growing contrast.
 RULES = ((2, 2), (3, 2), (4, 3), (6, 4), (9, 6))
+MOST_SUB_RAYS = 16
 
 
 class Exposed(NamedTuple):
@@ -46,6 +47,7 @@ def expose(
     background: int = -1,
     rules: tuple[tuple[int, int], ...] = RULES,
     reach: float = 5.0,
+    sub_rays: int | None = None,
 ) -> Exposed:
     """Expected counts of all pixels of one view, each averaged over the pixel's area.
 
@@ -60,11 +62,15 @@ def expose(
     background : material outside all shapes, -1 for none
     rules : Gauss nodes across and along a silhouette, per smooth part of a pixel, for growing contrast
     reach : width of the band inside a tangent where one ray per pixel does not do [pixel]
+    sub_rays : if given, a plain grid of so many rays along each edge of a pixel, 1 to 16, in place of Gauss nodes along
+        silhouettes; 1 means the ray through the centre of every pixel and nothing else
     """
     from phantomgen.ops.expose.cpu import expose_view  # noqa: PLC0415 - numba only where it computes
     from phantomgen.ops.silhouette.quadrature import make_room, make_rules  # noqa: PLC0415
 
-    view = _View.of(frame, rows, columns, solids, attenuation, weights, starts, background)
+    if sub_rays is not None and not 1 <= sub_rays <= MOST_SUB_RAYS:
+        raise InputError(f"sub-rays along the edge of a pixel must be 1 to {MOST_SUB_RAYS}, got {sub_rays}")
+    view = _View.of(frame, rows, columns, solids, attenuation, weights, starts, background, sub_rays != 1)
     gauss, pixels = make_rules(*rules), (rows, columns)
     out, rays = np.empty((len(starts) - 1, *pixels)), np.zeros(CLASSES, dtype=np.int64)
     classes, guess = np.empty(pixels, dtype=np.uint8), np.zeros(pixels, dtype=np.uint8)
@@ -76,6 +82,7 @@ def expose(
         *view.shapes[3:],
         outline,
         float(reach),
+        sub_rays or 0,
         view.spectrum,
         tuple(gauss),
         tuple(make_room(gauss)),
@@ -103,7 +110,7 @@ def expose_brute(
 
     pixels = np.ascontiguousarray(pixels, dtype=np.int64)
     rows, columns = (pixels.max(axis=0, initial=0) + 1).tolist()
-    view = _View.of(frame, rows, columns, solids, attenuation, weights, starts, background)
+    view = _View.of(frame, rows, columns, solids, attenuation, weights, starts, background, False)
     out = np.empty((len(starts) - 1, rows, columns))
     places = (np.arange(n) + 0.5) / n - 0.5
     grid = np.stack([np.tile(places, n), np.repeat(places, n), np.full(n * n, 1 / n**2)], axis=1)
@@ -115,7 +122,7 @@ def expose_brute(
 class _View(NamedTuple):
     """Arguments of one view as the kernels want them."""
 
-    shapes: tuple[np.ndarray, np.ndarray, Any, np.ndarray, np.ndarray, int]
+    shapes: tuple[np.ndarray, np.ndarray, Any, np.ndarray, tuple, int]
     creases: np.ndarray | None
     outline: Any
     spectrum: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -132,9 +139,11 @@ class _View(NamedTuple):
         weights: np.ndarray,
         starts: np.ndarray,
         background: int,
+        with_silhouettes: bool,
     ) -> "_View":
-        """Check and arrange the arguments of `expose`."""
-        from phantomgen.ops.silhouette.forms import cone_silhouettes  # noqa: PLC0415
+        """Check and arrange the arguments of `expose`; silhouettes are left out for rays that do not ask for them."""
+        from phantomgen.ops.silhouette.forms import cone_bounds, cone_silhouettes, no_silhouettes  # noqa: PLC0415
+        from phantomgen.ops.silhouette.tiles import Tiles  # noqa: PLC0415
         from phantomgen.ops.trace.cpu import event_room, solid_table  # noqa: PLC0415
 
         frame, attenuation, weights = (np.ascontiguousarray(a, dtype=np.float64) for a in (frame, attenuation, weights))
@@ -146,12 +155,14 @@ class _View(NamedTuple):
             )
         solids = solids.checked(len(attenuation), background)
         air = np.array([weights[a:b].sum() for a, b in pairwise(starts)])
-        outline = cone_silhouettes(frame, solids.kinds, solids.locals_)
+        shapes = frame, solids.kinds, solids.locals_
+        outline = cone_silhouettes(*shapes) if with_silhouettes else no_silhouettes(cone_bounds(*shapes))
         mesh, creases, pieces = None, None, 0
         if solids.surfaces is not None:
-            seen = mesh_view(frame, rows, columns, solids.surfaces)
+            seen = mesh_view(frame, rows, columns, solids.surfaces, with_outline=with_silhouettes)
             mesh, creases, pieces = seen.with_room(), seen.outline, seen.pieces
         room = np.empty(solids.rows, np.int64), event_room(solids.rows, pieces)
         ray = (*room, np.empty(len(attenuation)), np.empty(len(air)))
-        shapes = (frame, solid_table(solids), mesh, solids.locals_, outline.bounds, int(background))
-        return cls(shapes, creases, outline, (attenuation, weights, starts, air), ray)
+        tiles = Tiles.of(outline.bounds, outline.shapes, rows, columns)
+        arrays = (frame, solid_table(solids), mesh, solids.locals_, tuple(tiles), int(background))
+        return cls(arrays, creases, outline, (attenuation, weights, starts, air), ray)

@@ -12,6 +12,7 @@ from phantomgen.ops.device import called, inlined
 from phantomgen.ops.expose.classes import CROSSED, EMPTY, KINKED, NEAR, SMOOTH
 from phantomgen.ops.mesh.cpu import list_pieces
 from phantomgen.ops.silhouette.quadrature import CONICS, grid_nodes, may_vanish, shift_form, square_nodes
+from phantomgen.ops.silhouette.tiles_cpu import list_active
 from phantomgen.ops.trace.cpu import set_origin, trace_ray
 from spectra.ops.transmit.cpu import expected_ray
 
@@ -30,14 +31,6 @@ def _pixel_range(low, high, count):
 
 @inlined
 @no_type_check
-def _touches(bounds, s, u, v):
-    """Whether the pixel (u, v) meets the bounds of a shape."""
-    inside_u = bounds[s, 0] - 0.5 <= u <= bounds[s, 1] + 0.5
-    return inside_u and bounds[s, 2] - 0.5 <= v <= bounds[s, 3] + 0.5
-
-
-@inlined
-@no_type_check
 def _is_near(local, i, root, reach):
     """Whether the pixel's centre lies inside a tangent conic and closer to it than `reach` (to first order)."""
     slopes = local[i, 1] * local[i, 1] + local[i, 2] * local[i, 2]
@@ -46,11 +39,12 @@ def _is_near(local, i, root, reach):
 
 @called
 @no_type_check
-def _send_rays(frame, table, mesh, bounds, background, spectrum, jobs, count, nodes, ray, remember, target, signatures):
+def _send_rays(frame, table, mesh, tiles, background, spectrum, jobs, count, nodes, ray, remember, target, signatures):
     """Write the average counts of pixels.
 
     Parameters
     ----------
+    tiles : fields of `phantomgen.ops.silhouette.tiles.Tiles`
     mesh : argument of `list_pieces`, or None
     jobs, count : row, column and index after the last node of each pixel; how many pixels
     nodes : offset from the centre in column and row, and weight, of each ray
@@ -63,11 +57,7 @@ def _send_rays(frame, table, mesh, bounds, background, spectrum, jobs, count, no
     first = np.int64(0)
     for job in range(count):
         row, column, last = jobs[job, 0], jobs[job, 1], jobs[job, 2]
-        shapes = np.int64(0)  # a plain 0 is a type of its own to numba, which would compile callees once more
-        for s in range(table.shape[0]):
-            if _touches(bounds, s, float(column), float(row)):
-                active[shapes] = s
-                shapes += 1
+        shapes = list_active(tiles, row, column, active)
         for c in range(air.size):
             target[c, row, column] = 0.0
         signature = 0
@@ -136,18 +126,18 @@ def _mark_creases(creases, classes):
 
 @inlined
 @no_type_check
-def _gather(forms, shapes, roots, bounds, reach, u, v, local):
-    """Collect the conics that cross the pixel (u, v), and the tangents that pass near it; return how many."""
+def _gather(forms, roots, tiles, reach, row, column, active, local):
+    """Collect the conics that cross a pixel, and the tangents that pass near it; return how many."""
+    firsts, u, v = tiles[3], float(column), float(row)
     found = np.int64(0)
-    for f in range(shapes.size):
-        if not _touches(bounds, shapes[f], u, v):
-            continue
-        shift_form(forms, f, u, v, local, found)
-        if may_vanish(local, found) or _is_near(local, found, roots[f], reach):
-            local[found, 7] = roots[f]
-            found += 1
-            if found > CONICS:
-                break
+    for i in range(list_active(tiles, row, column, active)):
+        for f in range(firsts[active[i]], firsts[active[i] + 1]):
+            shift_form(forms, f, u, v, local, found)
+            if may_vanish(local, found) or _is_near(local, found, roots[f], reach):
+                local[found, 7] = roots[f]
+                found += 1
+                if found > CONICS:
+                    return found
     return found
 
 
@@ -213,10 +203,11 @@ def expose_view(
     mesh,
     creases,
     locals_,
-    bounds,
+    tiles,
     background,
     outline,
     reach,
+    sub_rays,
     spectrum,
     rules,
     room,
@@ -230,10 +221,12 @@ def expose_view(
 
     Parameters
     ----------
-    table, locals_, bounds, background : the shapes; table gets the source as origin
+    table, locals_, background : the shapes; table gets the source as origin
+    tiles : fields of `phantomgen.ops.silhouette.tiles.Tiles`
     mesh, creases : argument of `list_pieces`, and which pixels a silhouette or a crease of a mesh passes; or None
     outline : forms, shapes and roots of the silhouettes
     reach : width [pixel] of the band inside a tangent where pixels are near
+    sub_rays : 0, or send so many rays squared where more than the centre is needed; 1 for centres and nothing else
     spectrum : attenuation per material and node, weights, starts, counts without attenuation
     rules, room : levels of Gauss rules; scratch for conics, splits and nodes
     ray : scratch of `_send_rays`
@@ -248,13 +241,15 @@ def expose_view(
     classes, guess, signatures, jobs = maps
     air = spectrum[3]
     rows, columns = classes.shape
-    set_origin(table, locals_, frame[0, 0], frame[0, 1], frame[0, 2])
-    _classify(forms, shapes, roots, bounds, background, reach, local, guess)
+    for s in range(table.shape[0]):
+        set_origin(table, locals_, s, frame[0, 0], frame[0, 1], frame[0, 2])
+    _classify(forms, shapes, roots, tiles[2], background, reach, local, guess)
+    grid = np.int64(_KINK_GRID) if sub_rays == 0 else sub_rays
     if creases is not None:
         _mark_creases(creases, guess)
     # The first round sends rays through centres, the second one completes the pixels that need more.
-    for completing in range(2):
-        target = out if completing else centres
+    for completing in range(min(grid, 2)):
+        target = out if completing or grid == 1 else centres
         count = filled = np.int64(0)
         for row in range(rows):
             for column in range(columns):
@@ -268,10 +263,10 @@ def expose_view(
                         target[c, row, column] = _curved(centres, c, row, column) if kind == SMOOTH else air[c]
                     continue
                 begun = filled
-                if not completing or kind == KINKED:
-                    filled = grid_nodes(nodes, begun, _KINK_GRID if completing else 1)
+                if not completing or kind == KINKED or sub_rays > 0:
+                    filled = grid_nodes(nodes, begun, grid if completing else np.int64(1))
                 else:
-                    conics = _gather(forms, shapes, roots, bounds, reach, float(column), float(row), local)
+                    conics = _gather(forms, roots, tiles, reach, row, column, ray[0], local)
                     if kind == CROSSED:
                         level = max(level, min(conics, 2))
                     filled = square_nodes(local, conics, rule_nodes[level], rule_sizes[level], lines, nodes, begun)
@@ -283,7 +278,7 @@ def expose_view(
                         frame,
                         table,
                         mesh,
-                        bounds,
+                        tiles,
                         background,
                         spectrum,
                         jobs,
@@ -299,7 +294,7 @@ def expose_view(
             frame,
             table,
             mesh,
-            bounds,
+            tiles,
             background,
             spectrum,
             jobs,
@@ -314,11 +309,12 @@ def expose_view(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def expose_pixels(frame, table, mesh, locals_, bounds, background, spectrum, nodes, ray, pixels, maps, out):
+def expose_pixels(frame, table, mesh, locals_, tiles, background, spectrum, nodes, ray, pixels, maps, out):
     """Average over the same nodes in each of some pixels (row, column), written to ``out[:, row, column]``."""
     signatures, job = maps
     one, forget = np.int64(1), np.bool_(False)  # typed, as literals would compile `_send_rays` a second time
-    set_origin(table, locals_, frame[0, 0], frame[0, 1], frame[0, 2])
+    for s in range(table.shape[0]):
+        set_origin(table, locals_, s, frame[0, 0], frame[0, 1], frame[0, 2])
     for i in range(pixels.shape[0]):
         job[0, 0], job[0, 1], job[0, 2] = pixels[i, 0], pixels[i, 1], nodes.shape[0]
-        _send_rays(frame, table, mesh, bounds, background, spectrum, job, one, nodes, ray, forget, out, signatures)
+        _send_rays(frame, table, mesh, tiles, background, spectrum, job, one, nodes, ray, forget, out, signatures)

@@ -26,6 +26,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int64
 
 from phantomgen.ops.primitives import BALL, BOX, CONE, CYLINDER, HALFSPACE
+from phantomgen.ops.solids import half_axes
 
 # Relative size below which a form is rounding noise: every ray, or none, is singular (a mantle seen along its axis).
 _ZERO_FORM = 1e-26
@@ -54,17 +55,21 @@ def cone_silhouettes(
     """Silhouettes for rays ``frame[0] + t (frame[1] + u frame[2] + v frame[3])``."""
     origin = np.zeros((3, 3))
     origin[:, 0] = frame[0]
-    return _silhouettes(origin, frame[1:].T, kinds, locals_, _projected_bounds(frame, kinds, locals_))
+    return _silhouettes(origin, frame[1:].T, kinds, locals_, cone_bounds(frame, kinds, locals_))
 
 
 def parallel_silhouettes(
     frame: Float[np.ndarray, "4 3"], kinds: Int64[np.ndarray, " shape"], locals_: Float[np.ndarray, "shape 3 4"]
 ) -> Silhouettes:
-    """Silhouettes for parallel rays ``frame[1] + u frame[2] + v frame[3] + t frame[0]``; bounds are not looked for."""
+    """Silhouettes for parallel rays ``frame[1] + u frame[2] + v frame[3] + t frame[0]``."""
     direction = np.zeros((3, 3))
     direction[:, 0] = frame[0]
-    bounds = np.tile([-np.inf, np.inf, -np.inf, np.inf], (len(kinds), 1))
-    return _silhouettes(frame[1:].T, direction, kinds, locals_, bounds)
+    return _silhouettes(frame[1:].T, direction, kinds, locals_, _parallel_bounds(frame, kinds, locals_))
+
+
+def no_silhouettes(bounds: Float[np.ndarray, "shape 4"]) -> Silhouettes:
+    """Bounds alone."""
+    return Silhouettes(np.empty((0, 6)), np.empty(0, np.int64), np.empty(0), bounds)
 
 
 def _silhouettes(
@@ -74,58 +79,97 @@ def _silhouettes(
     locals_: Float[np.ndarray, "shape 3 4"],
     bounds: Float[np.ndarray, "shape 4"],
 ) -> Silhouettes:
-    forms, shapes, roots = [np.empty((0, 6))], [], []
-    for s, (kind, m) in enumerate(zip(kinds, locals_, strict=True)):
-        d, o = m[:, :3] @ direction, m[:, :3] @ origin
-        o[:, 0] += m[:, 3]
-        moment = np.cross(o[:, :1], d, axis=0)
-        moment[:, 1:] += np.cross(o[:, 1:], d[:, :1], axis=0)
-        found, root = _primitive_forms(kind, d, moment)
-        size = np.abs(found).max(axis=(1, 2))
-        kept = size > _ZERO_FORM * max(np.abs(d).max(), np.abs(moment).max()) ** 2
-        q = found[kept] / size[kept, None, None]
+    d, o = locals_[:, :, :3] @ direction, locals_[:, :, :3] @ origin
+    o[:, :, 0] += locals_[:, :, 3]
+    moment = np.cross(o[:, :, :1], d, axis=1)
+    moment[:, :, 1:] += np.cross(o[:, :, 1:], d[:, :, :1], axis=1)
+    forms, shapes, roots = [np.empty((0, 6))], [np.empty(0, np.int64)], [np.empty(0)]
+    for kind in (BALL, CYLINDER, CONE, BOX):
+        rows = np.flatnonzero(kinds == kind)
+        found, root = _primitive_forms(kind, d[rows], moment[rows])
+        size = np.abs(found).max(axis=(2, 3))
+        largest = np.maximum(np.abs(d[rows]).max(axis=(1, 2)), np.abs(moment[rows]).max(axis=(1, 2)))
+        s, f = np.nonzero(size > _ZERO_FORM * largest[:, None] ** 2)
+        q = found[s, f] / size[s, f, None, None]
         forms.append(np.stack([q[:, 0, 0], 2 * q[:, 0, 1], 2 * q[:, 0, 2], q[:, 1, 1], 2 * q[:, 1, 2], q[:, 2, 2]], 1))
-        shapes += [s] * len(q)
-        roots += list(root[kept])
-    return Silhouettes(np.concatenate(forms), np.array(shapes, np.int64), np.array(roots, np.float64), bounds)
+        shapes.append(rows[s])
+        roots.append(root[f].astype(np.float64))
+    order = np.argsort(np.concatenate(shapes), kind="stable")
+    return Silhouettes(
+        np.concatenate(forms)[order], np.concatenate(shapes)[order], np.concatenate(roots)[order], bounds
+    )
 
 
 def _primitive_forms(
-    kind: int, d: Float[np.ndarray, "3 3"], m: Float[np.ndarray, "3 3"]
-) -> tuple[Float[np.ndarray, "form 3 3"], Bool[np.ndarray, " form"]]:
-    """Forms of one primitive, and whether each is a tangent; direction and moment come as rows over (1, u, v)."""
+    kind: int, d: Float[np.ndarray, "shape 3 3"], m: Float[np.ndarray, "shape 3 3"]
+) -> tuple[Float[np.ndarray, "shape form 3 3"], Bool[np.ndarray, " form"]]:
+    """Forms of primitives of a kind, and whether each is a tangent.
+
+    Direction and moment come as rows over (1, u, v).
+    """
 
     def square(row: np.ndarray) -> np.ndarray:
-        return np.outer(row, row)
+        return row[:, :, None] * row[:, None, :]
 
     if kind == BALL:
-        return (d.T @ d - m.T @ m)[None], np.array([True])
+        return (d.swapaxes(1, 2) @ d - m.swapaxes(1, 2) @ m)[:, None], np.array([True])
+    d0, d1, d2 = d[:, 0], d[:, 1], d[:, 2]
+    m0, m1, m2 = m[:, 0], m[:, 1], m[:, 2]
     if kind == CYLINDER:
-        mantle = square(d[0]) + square(d[1]) - square(m[2])
-        rims = [square(d[2]) - square(h * d[0] - m[1]) - square(h * d[1] + m[0]) for h in (-1.0, 1.0)]
-        return np.stack([mantle, *rims]), np.array([True, False, False])
+        mantle = square(d0) + square(d1) - square(m2)
+        rims = [square(d2) - square(h * d0 - m1) - square(h * d1 + m0) for h in (-1.0, 1.0)]
+        return np.stack([mantle, *rims], axis=1), np.array([True, False, False])
     if kind == CONE:
-        mantle = square(m[0]) + square(m[1]) - square(m[2])
-        rim = square(d[2]) - square(d[0] - m[1]) - square(d[1] + m[0])
-        return np.stack([mantle, rim]), np.array([True, False])
-    if kind != BOX:
-        return np.empty((0, 3, 3)), np.empty(0, np.bool_)
+        mantle = square(m0) + square(m1) - square(m2)
+        rim = square(d2) - square(d0 - m1) - square(d1 + m0)
+        return np.stack([mantle, rim], axis=1), np.array([True, False])
     cyclic = [(1, 2, 0), (2, 0, 1), (0, 1, 2)]
-    edges = [square(m[k]) - square(d[i] + sign * d[j]) for i, j, k in cyclic for sign in (-1.0, 1.0)]
-    return np.stack(edges), np.zeros(6, np.bool_)
+    edges = [square(m[:, k]) - square(d[:, i] + sign * d[:, j]) for i, j, k in cyclic for sign in (-1.0, 1.0)]
+    return np.stack(edges, axis=1), np.zeros(6, np.bool_)
 
 
-def _projected_bounds(
+def cone_bounds(
     frame: Float[np.ndarray, "4 3"], kinds: Int64[np.ndarray, " shape"], locals_: Float[np.ndarray, "shape 3 4"]
 ) -> Float[np.ndarray, "shape 4"]:
-    """Panel rectangle around the projection of the cube that encloses each bounded primitive."""
-    corners = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8)
+    """Panel rectangle around the shadow: tight for balls, that of the enclosing cube for the rest.
+
+    A plane ``u = constant`` touches the ball with homogeneous centre c and half axes b where
+    ``(c_u - u c_d)^2 = |b_u - u b_d|^2``; the roots are taken relative to the projected centre, where nothing cancels.
+    """
+    center, axes = _projected(np.linalg.inv(frame[1:].T), frame[0], locals_)
+    depth, along = center[:, 0], axes[:, 0]
+    ball = kinds == BALL
+    reach = np.where(ball, np.sqrt((along**2).sum(axis=1)), np.abs(along).sum(axis=1))
+    before = (depth - reach > 1e-9) & (kinds != HALFSPACE)
     bounds = np.tile([-np.inf, np.inf, -np.inf, np.inf], (len(locals_), 1))
-    for s in np.flatnonzero(kinds != HALFSPACE):
-        m = locals_[s]
-        world = np.linalg.solve(m[:, :3], corners - m[:, 3:])
-        depth, u, v = np.linalg.solve(frame[1:].T, world - frame[0][:, None])
-        if depth.min() > 1e-9:
-            u, v = u / depth, v / depth
-            bounds[s] = u.min(), u.max(), v.min(), v.max()
+    round_, other = before & ball, before & ~ball
+    for low, across in ((0, 1), (2, 2)):
+        c, d, b = center[round_, across], depth[round_], along[round_]
+        side = axes[round_, across] - (c / d)[:, None] * b
+        a, half = d**2 - (b**2).sum(axis=1), (side * b).sum(axis=1)
+        root = np.sqrt(half**2 + (side**2).sum(axis=1) * a)
+        bounds[round_, low], bounds[round_, low + 1] = c / d + (-half - root) / a, c / d + (-half + root) / a
+        corners = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8)
+        w = depth[other, None] + along[other] @ corners
+        ratio = (center[other, across, None] + axes[other, across] @ corners) / w
+        bounds[other, low], bounds[other, low + 1] = ratio.min(axis=1), ratio.max(axis=1)
     return bounds
+
+
+def _parallel_bounds(
+    frame: Float[np.ndarray, "4 3"], kinds: Int64[np.ndarray, " shape"], locals_: Float[np.ndarray, "shape 3 4"]
+) -> Float[np.ndarray, "shape 4"]:
+    """The same for parallel rays."""
+    center, axes = _projected(np.linalg.inv(frame[[0, 2, 3]].T), frame[1], locals_)
+    ball = (kinds == BALL)[:, None]
+    reach = np.where(ball, np.sqrt((axes[:, 1:] ** 2).sum(axis=2)), np.abs(axes[:, 1:]).sum(axis=2))
+    reach[kinds == HALFSPACE] = np.inf
+    return np.stack([center[:, 1:] - reach, center[:, 1:] + reach], axis=2).reshape(-1, 4)
+
+
+def _projected(
+    matrix: Float[np.ndarray, "3 3"], origin: Float[np.ndarray, " 3"], locals_: Float[np.ndarray, "shape 3 4"]
+) -> tuple[Float[np.ndarray, "shape 3"], Float[np.ndarray, "shape 3 3"]]:
+    """Depth, u and v (homogeneous) of the centre and of the half axes of the cubes that enclose primitives."""
+    center, axes = half_axes(locals_)
+    return (center - origin) @ matrix.T, matrix @ axes

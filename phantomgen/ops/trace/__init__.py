@@ -10,6 +10,9 @@ from jaxtyping import Float
 from phantomgen.ops.mesh import mesh_intervals
 from phantomgen.ops.solids import Solids
 
+# Rows of primitives from which on a ray first looks for those near it.
+_MANY = 32
+
 
 def trace(
     origins: Float[np.ndarray, "ray 3"],
@@ -36,6 +39,7 @@ def trace(
     if solids.surfaces is not None:
         starts, ends = mesh_intervals(origins, directions, solids.surfaces)
         listed, pieces = (starts, ends), int(np.diff(starts, axis=1).max(axis=1, initial=0).sum())
-    active, events = np.arange(solids.rows), cpu.event_room(solids.rows, pieces)
-    cpu.trace_rays(table, listed, solids.locals_, background, origins, directions, active, events, out)
+    active, events = np.empty(solids.rows, np.int64), cpu.event_room(solids.rows, pieces)
+    balls = solids.balls if solids.rows > _MANY else np.empty((0, 4))
+    cpu.trace_rays(table, listed, balls, solids.locals_, background, origins, directions, active, events, out)
     return out

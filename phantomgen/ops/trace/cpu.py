@@ -21,7 +21,9 @@ from phantomgen.ops.trace.torus import torus_intervals
 # NEED counts the primitives that a term lies inside; it is 0 for a primitive that the term lies outside.
 KIND, MATERIAL, ORIGIN, MAP, TUBE, OWNER, TERM, NEED, SURFACE, WIDTH = 0, 1, 2, 5, 14, 15, 16, 17, 18, 19
 # Rows of the scratch for the events along one ray.
-ENTER, LEAVE, HIT, CUT, PIECE, EVENT_ROWS = 0, 1, 2, 3, 4, 5
+# Cut i is the end ``events[END, i]`` of a hit: its number times two, plus one where the ray leaves; `OPEN` lists the
+# hits that the ray has entered and not left.
+ENTER, LEAVE, HIT, CUT, PIECE, END, OPEN, EVENT_ROWS = 0, 1, 2, 3, 4, 5, 6, 7
 
 
 def solid_table(solids: Solids) -> Float[np.ndarray, "row 19"]:
@@ -35,7 +37,7 @@ def solid_table(solids: Solids) -> Float[np.ndarray, "row 19"]:
     return table
 
 
-def event_room(rows: int, pieces: int = 0) -> Float[np.ndarray, "5 event"]:
+def event_room(rows: int, pieces: int = 0) -> Float[np.ndarray, "7 event"]:
     """Scratch for the events along a ray that meets all primitives, a torus twice, and `pieces` of meshes."""
     return np.empty((EVENT_ROWS, 4 * rows + 2 * pieces + 1))
 
@@ -150,21 +152,22 @@ def _collect(table, listed, dx, dy, dz, active, count, events):
 
 @inlined
 @no_type_check
-def _owner(table, events, hits, low, high):
-    """First row of the last object that covers the ray from `low` to `high`; -1: none does."""
-    h = hits - 1
-    while h >= 0:
-        s = int(events[HIT, h])
+def _owner(table, events, count):
+    """First row of the last object that covers the ray where `count` hits are open; -1: none does."""
+    i = count - 1
+    while i >= 0:
+        s = int(events[HIT, int(events[OPEN, i])])
         term, met, need = table[s, TERM], 0, 1
-        while h >= 0 and table[int(events[HIT, h]), TERM] == term:
-            row = int(events[HIT, h])
-            covered = events[ENTER, h] <= low and events[LEAVE, h] >= high
+        while i >= 0:
+            row = int(events[HIT, int(events[OPEN, i])])
+            if table[row, TERM] != term:
+                break
             if table[row, NEED] > 0.0:
                 need = int(table[row, NEED])
-                met += covered
-            elif covered:
-                met = -hits  # outside is wanted: never enough
-            h -= 1
+                met += 1
+            else:
+                met = -count  # outside is wanted: never enough
+            i -= 1
         if met == need:
             return table[s, OWNER]
     return -1.0
@@ -173,14 +176,32 @@ def _owner(table, events, hits, low, high):
 @inlined
 @no_type_check
 def _sort_cuts(events, hits):
-    """Write all ends of the hits to the row of cuts, ascending."""
+    """Write all ends of the hits to the row of cuts, ascending, and whose ends they are."""
     for i in range(2 * hits):
         value = events[i % 2, i // 2]
         at = i
         while at > 0 and events[CUT, at - 1] > value:
-            events[CUT, at] = events[CUT, at - 1]
+            events[CUT, at], events[END, at] = events[CUT, at - 1], events[END, at - 1]
             at -= 1
-        events[CUT, at] = value
+        events[CUT, at], events[END, at] = value, i
+
+
+@inlined
+@no_type_check
+def _pass_end(events, end, count):
+    """Open or close the hit whose end the ray passes; open hits stay in ascending order. Return their number."""
+    hit, at = end // 2, count
+    if end % 2 == 0:
+        while at > 0 and events[OPEN, at - 1] > hit:
+            events[OPEN, at] = events[OPEN, at - 1]
+            at -= 1
+        events[OPEN, at] = hit
+        return count + 1
+    while events[OPEN, at - 1] != hit:
+        at -= 1
+    for i in range(at, count):
+        events[OPEN, i - 1] = events[OPEN, i]
+    return count - 1
 
 
 @inlined
@@ -206,12 +227,13 @@ def owned_pieces(table, listed, dx, dy, dz, active, count, events):
     if hits == 0:
         return 0
     _sort_cuts(events, hits)
-    pieces = 0
+    pieces = count = 0
     for i in range(2 * hits - 1):
+        count = _pass_end(events, int(events[END, i]), count)
         low, high = events[CUT, i], events[CUT, i + 1]
         if high <= low:
             continue
-        owner = _owner(table, events, hits, low, high)
+        owner = _owner(table, events, count)
         if pieces > 0 and events[PIECE, pieces - 1] == owner:
             events[CUT, pieces] = high
         else:
@@ -258,26 +280,47 @@ def trace_ray(table, listed, background, dx, dy, dz, active, count, events, leng
 
 @inlined
 @no_type_check
-def set_origin(table, locals_, x, y, z):
-    """Write the point (x, y, z), where rays begin, to the table in local coordinates of each shape."""
-    for s in range(table.shape[0]):
-        for i in range(3):
-            table[s, ORIGIN + i] = locals_[s, i, 0] * x + locals_[s, i, 1] * y + locals_[s, i, 2] * z + locals_[s, i, 3]
+def set_origin(table, locals_, s, x, y, z):
+    """Write the point (x, y, z), where rays begin, to row s of the table in local coordinates."""
+    for i in range(3):
+        table[s, ORIGIN + i] = locals_[s, i, 0] * x + locals_[s, i, 1] * y + locals_[s, i, 2] * z + locals_[s, i, 3]
+
+
+@inlined
+@no_type_check
+def _list_near(balls, ox, oy, oz, dx, dy, dz, active):
+    """Write the rows whose balls the line meets to `active`, ascending; return how many."""
+    count = 0
+    reach = (1.0 + 1e-9) * (dx * dx + dy * dy + dz * dz)
+    for s in range(balls.shape[0]):
+        x, y, z = balls[s, 0] - ox, balls[s, 1] - oy, balls[s, 2] - oz
+        mx, my, mz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
+        active[count] = s
+        count += mx * mx + my * my + mz * mz <= reach * balls[s, 3]
+    return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def trace_rays(table, listed, locals_, background, origins, directions, active, events, out):
+def trace_rays(table, listed, balls, locals_, background, origins, directions, active, events, out):
     """Path length per material of many rays, (R, 3) and (R, 3) -> (R, material).
 
     `listed` has, per mesh and ray, where its pieces start (mesh, ray + 1), and their ends (piece, 2); or is None.
+    `balls` enclose the rows: centre, and radius squared; with none of them, rays look at all rows.
     """
+    for s in range(table.shape[0]):
+        active[s] = s
     for ray in range(directions.shape[0]):
-        set_origin(table, locals_, origins[ray, 0], origins[ray, 1], origins[ray, 2])
+        ox, oy, oz = origins[ray, 0], origins[ray, 1], origins[ray, 2]
         dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
+        count = active.size
+        if balls.shape[0] > 0:
+            count = _list_near(balls, ox, oy, oz, dx, dy, dz, active)
+        for i in range(count):
+            set_origin(table, locals_, active[i], ox, oy, oz)
         if listed is None:
-            trace_ray(table, None, background, dx, dy, dz, active, active.size, events, out[ray])
+            trace_ray(table, None, background, dx, dy, dz, active, count, events, out[ray])
         else:
             starts, ends = listed
             own = (starts[:, ray], starts[:, ray + 1], ends)
-            trace_ray(table, own, background, dx, dy, dz, active, active.size, events, out[ray])
+            trace_ray(table, own, background, dx, dy, dz, active, count, events, out[ray])

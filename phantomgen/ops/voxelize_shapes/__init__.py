@@ -31,7 +31,7 @@ def fractions(
     count : number of materials
     background : material outside all shapes, -1 for none
     """
-    from phantomgen.ops.silhouette import forms, quadrature  # noqa: PLC0415 - numba only where it computes
+    from phantomgen.ops.silhouette import forms, quadrature, tiles  # noqa: PLC0415 - numba only where it computes
     from phantomgen.ops.trace.cpu import event_room, solid_table  # noqa: PLC0415
     from phantomgen.ops.voxelize_shapes.cpu import stack, voxelize_row  # noqa: PLC0415
 
@@ -40,23 +40,27 @@ def fractions(
     outline = forms.parallel_silhouettes(frame, solids.kinds, solids.locals_)
     rules = quadrature.make_rules(*RULES)
     depth, rows, columns = grid.shape
+    near = tuple(tiles.Tiles.of(outline.bounds, outline.shapes, rows, columns))
     out = np.empty((count, depth, rows, columns), dtype=np.float32)
 
     seen = None
     if solids.surfaces is not None:
         seen = mesh_view(frame, rows, columns, solids.surfaces, parallel=True, with_outline=False)
 
+    table = solid_table(solids)
+
     def voxelize(row: int) -> None:
         mesh, pieces = (None, 0) if seen is None else (seen.with_room(), seen.pieces)
         part = np.empty((count, depth, columns), dtype=np.float32)
-        table, room = solid_table(solids), tuple(quadrature.make_room(rules))
+        room = tuple(quadrature.make_room(rules))
         events = event_room(solids.rows, pieces), event_room(solids.rows, pieces)
-        scratch = (np.arange(solids.rows), *events, *stack(count, depth), np.empty((count, depth)))
+        scratch = (np.empty(solids.rows, np.int64), *events, *stack(count, depth), np.empty((count, depth)))
         voxelize_row(
             frame,
-            table,
+            table.copy(),
             mesh,
             solids.locals_,
+            near,
             background,
             outline.forms,
             outline.roots,

@@ -15,6 +15,7 @@ from numba import njit
 from phantomgen.ops.device import called
 from phantomgen.ops.mesh.cpu import list_pieces
 from phantomgen.ops.silhouette.quadrature import CONICS, may_vanish, shift_form, square_nodes
+from phantomgen.ops.silhouette.tiles_cpu import list_active
 from phantomgen.ops.trace.cpu import CUT, MATERIAL, PIECE, owned_pieces, set_origin
 
 # A square of a column is quartered until its fractions change by less than this, in parts of the square's side, or
@@ -33,14 +34,15 @@ def stack(materials: int, voxels: int):
 
 @called
 @no_type_check
-def _cut_line(frame, table, mesh, cell, locals_, u, v, active, events):
+def _cut_line(frame, table, mesh, cell, locals_, u, v, active, count, events):
     """Cut the line through (u, v) in a cell of the column grid; return the number of pieces."""
     x, y = frame[1, 0] + u * frame[2, 0], frame[1, 1] + v * frame[3, 1]
-    set_origin(table, locals_, x, y, frame[1, 2])
+    for i in range(count):
+        set_origin(table, locals_, active[i], x, y, frame[1, 2])
     if mesh is None:
-        return owned_pieces(table, None, 0.0, 0.0, frame[0, 2], active, active.size, events)
+        return owned_pieces(table, None, 0.0, 0.0, frame[0, 2], active, count, events)
     list_pieces(mesh, cell, u, v)
-    return owned_pieces(table, mesh[5:], 0.0, 0.0, frame[0, 2], active, active.size, events)
+    return owned_pieces(table, mesh[5:], 0.0, 0.0, frame[0, 2], active, count, events)
 
 
 @called
@@ -60,15 +62,15 @@ def _share_out(table, events, pieces, weight, share):
 
 @called
 @no_type_check
-def _is_uniform(frame, table, mesh, cell, locals_, ix, iy, active, events, other):
+def _is_uniform(frame, table, mesh, cell, locals_, ix, iy, active, count, events, other):
     """Whether lines through the corners of a column are cut like that through its centre, and the number of pieces.
 
     The cuts through the centre are left in `events`.
     """
-    pieces = _cut_line(frame, table, mesh, cell, locals_, ix, iy, active, events)
+    pieces = _cut_line(frame, table, mesh, cell, locals_, ix, iy, active, count, events)
     for corner in range(4):
         u, v = ix + (0.499 if corner % 2 else -0.499), iy + (0.499 if corner // 2 else -0.499)
-        if _cut_line(frame, table, mesh, cell, locals_, u, v, active, other) != pieces:
+        if _cut_line(frame, table, mesh, cell, locals_, u, v, active, count, other) != pieces:
             return False, pieces
         for i in range(pieces):
             if events[PIECE, i] != other[PIECE, i]:
@@ -81,32 +83,35 @@ def _is_uniform(frame, table, mesh, cell, locals_, ix, iy, active, events, other
 
 @called
 @no_type_check
-def _gather(forms, roots, u, v, side, local):
-    """Collect the conics that cross a square of a column, relative to that square; return how many."""
+def _gather(forms, roots, firsts, active, count, square, local):
+    """Collect the conics of the active shapes that cross a square of a column, relative to it; return how many."""
+    u, v, side = square
     found = np.int64(0)
-    for f in range(forms.shape[0]):
-        shift_form(forms, f, u, v, local, found)
-        for power in range(1, 6):
-            local[found, power] *= side if power < 3 else side * side
-        if may_vanish(local, found):
-            local[found, 7] = roots[f]
-            found += 1
-            if found > CONICS:
-                break
+    for i in range(count):
+        for f in range(firsts[active[i]], firsts[active[i] + 1]):
+            shift_form(forms, f, u, v, local, found)
+            for power in range(1, 6):
+                local[found, power] *= side if power < 3 else side * side
+            if may_vanish(local, found):
+                local[found, 7] = roots[f]
+                found += 1
+                if found > CONICS:
+                    return found
     return found
 
 
 @called
 @no_type_check
-def _estimate(frame, table, mesh, cell, locals_, forms, roots, rules, level, room, active, events, square, share):
+def _estimate(view, level, room, active, count, events, square, share):
     """Fractions that a square (u, v, side) of a column adds to its voxels, by one Gauss rule split along the conics."""
+    frame, table, mesh, cell, locals_, forms, roots, firsts, rules = view
     local, lines, nodes = room
     u, v, side = square
     share[:] = 0.0
-    conics, start = _gather(forms, roots, u, v, side, local), np.int64(0)
+    conics, start = _gather(forms, roots, firsts, active, count, square, local), np.int64(0)
     for i in range(square_nodes(local, conics, rules[0][level], rules[1][level], lines, nodes, start)):
         a, b, weight = u + side * nodes[i, 0], v + side * nodes[i, 1], side * side * nodes[i, 2]
-        pieces = _cut_line(frame, table, mesh, cell, locals_, a, b, active, events)
+        pieces = _cut_line(frame, table, mesh, cell, locals_, a, b, active, count, events)
         _share_out(table, events, pieces, weight, share)
 
 
@@ -124,26 +129,23 @@ def _disagree(shares, top, limit):
 
 @called
 @no_type_check
-def _average(
-    frame, table, mesh, cell, locals_, forms, roots, rules, room, active, events, u, v, squares, shares, share
-):
+def _average(view, room, active, count, events, square, squares, shares, share):
     """Fractions of a column, its squares quartered until they agree with another rule and with their quarters.
 
     `squares` and `shares` are a stack of squares (u, v, side) and of their estimates. Two rules and the quarters must
     agree, as any two of them do by chance for some kinks.
     """
-    view = (frame, table, mesh, cell, locals_, forms, roots, rules)
-    top, root = 0, (u, v, 1.0)
-    squares[0, 0], squares[0, 1], squares[0, 2] = root
-    _estimate(*view, 0, room, active, events, root, shares[0])
+    top = 0
+    squares[0, 0], squares[0, 1], squares[0, 2] = square
+    _estimate(view, 0, room, active, count, events, square, shares[0])
     while top >= 0:
         x, y, side = squares[top, 0], squares[top, 1], squares[top, 2]
-        _estimate(*view, 1, room, active, events, (x, y, side), shares[top + 1])
+        _estimate(view, 1, room, active, count, events, (x, y, side), shares[top + 1])
         for quarter in range(4):
             at, step = top + 2 + quarter, 0.25 * side
             part = (x + (step if quarter % 2 else -step), y + (step if quarter // 2 else -step), 0.5 * side)
             squares[at, 0], squares[at, 1], squares[at, 2] = part
-            _estimate(*view, 0, room, active, events, part, shares[at])
+            _estimate(view, 0, room, active, count, events, part, shares[at])
         if side > SMALLEST and _disagree(shares, top, TOLERANCE * side):
             for k in range(2):
                 squares[top + k], shares[top + k] = squares[top + 4 + k], shares[top + 4 + k]
@@ -156,13 +158,14 @@ def _average(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def voxelize_row(frame, table, mesh, locals_, background, forms, roots, rules, room, scratch, iy, out):
+def voxelize_row(frame, table, mesh, locals_, tiles, background, forms, roots, rules, room, scratch, iy, out):
     """Volume fractions of the columns of one row y, (material, z, x).
 
     Parameters
     ----------
     frame : whole line along z, foot of column (0, 0), step to the next column, step to the next row
     mesh : argument of `list_pieces`, or None
+    tiles : fields of `phantomgen.ops.silhouette.tiles.Tiles`
     forms, roots : silhouettes of the shapes seen along z
     rules, room : two Gauss rules; conics, splits and nodes of one square
     scratch : shapes, events twice, stack of squares and of their fractions, fractions of a column
@@ -173,13 +176,14 @@ def voxelize_row(frame, table, mesh, locals_, background, forms, roots, rules, r
     for ix in range(columns):
         u, cell = float(ix), iy * columns + ix
         share[:] = 0.0
-        conics = _gather(forms, roots, u, v, 1.0, room[0])
-        uniform, pieces = _is_uniform(frame, table, mesh, cell, locals_, u, v, active, events, other)
+        count = list_active(tiles, iy, ix, active)
+        conics = _gather(forms, roots, tiles[3], active, count, (u, v, 1.0), room[0])
+        uniform, pieces = _is_uniform(frame, table, mesh, cell, locals_, u, v, active, count, events, other)
         if uniform and conics == 0:
             _share_out(table, events, pieces, 1.0, share)
         else:
-            view = (frame, table, mesh, cell, locals_, forms, roots, rules)
-            _average(*view, room, active, events, u, v, squares, shares, share)
+            view = (frame, table, mesh, cell, locals_, forms, roots, tiles[3], rules)
+            _average(view, room, active, count, events, (u, v, 1.0), squares, shares, share)
         for k in range(voxels):
             free = 1.0
             for m in range(materials):
