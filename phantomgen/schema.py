@@ -248,7 +248,7 @@ class PolygonModel(ObjectModel):
 
 
 class MeshModel(ObjectModel):
-    """A closed mesh from an STL, OBJ, PLY, GLB or 3MF file, in a unit, scaled, turned about x, then y, then z [degree].
+    """A closed mesh: STL, OBJ, PLY, GLB, 3MF or STEP file, scaled, turned (about x, then y, then z; degrees) and moved.
 
     A relative path starts at the folder of the scene file.
     """

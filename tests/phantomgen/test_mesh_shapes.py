@@ -11,6 +11,7 @@ import trimesh
 from phantomgen.shapes import Box, Mesh, load_mesh
 from spectra.errors import InputError
 
+DATA = Path(__file__).parent / "data"
 BALL = trimesh.creation.icosphere(2, 20.0)
 
 
@@ -45,6 +46,18 @@ def test_a_file_that_contradicts_the_unit(tmp_path: Path) -> None:
         load_mesh(tmp_path / "ball.3mf", "inch")
 
 
+@pytest.mark.parametrize(("prefix", "scale"), [(".MILLI.", 1.0), (".CENTI.", 10.0), ("$", 1000.0)])
+def test_step_files_become_closed_meshes_in_their_own_unit(prefix: str, scale: float, tmp_path: Path) -> None:
+    """A cylinder of radius 5 and height 20 in the unit of the file."""
+    path = tmp_path / "cylinder.step"
+    path.write_text((DATA / "cylinder.step").read_text().replace("SI_UNIT(.MILLI.", f"SI_UNIT({prefix}"))
+    mesh = load_mesh(path, "mm")
+    assert mesh.volume == pytest.approx(np.pi * 25 * 20 * scale**3, rel=1e-4)
+    np.testing.assert_allclose(mesh.bounds[1] / scale, [5, 5, 20], rtol=1e-3)
+    with pytest.raises(InputError, match=r"cylinder\.step: a STEP file states its unit itself and is read in mm"):
+        load_mesh(path, "inch")
+
+
 def test_trimesh_is_imported_for_files_only() -> None:
     program = (
         "import sys, numpy as np\nfrom phantomgen.shapes import Mesh, load_mesh\n"
@@ -58,9 +71,10 @@ def test_trimesh_is_imported_for_files_only() -> None:
 @pytest.mark.parametrize(
     ("name", "content", "unit", "message"),
     [
+        ("a.step", b"garbage", "mm", "cannot be read as STEP: it holds no solid"),
         ("a.stl", None, "mm", "no such file"),
         ("a.stl", b"solid", "furlong", "one of mm, cm, m, um, inch, got 'furlong'"),
-        ("a.step", b"", "mm", "must be one of .stl"),
+        ("a.iges", b"", "mm", "must be one of .stl"),
         ("a.glb", b"not a mesh at all", "mm", "cannot be read as GLB"),
         ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
          b"end_header\n0 0 0\n", "mm", "holds no triangles"),
