@@ -136,7 +136,7 @@ def presets(ctx: click.Context) -> None:
     from phantomgen.scene_yaml import preset_summaries
 
     for name, summary in preset_summaries().items():
-        click.echo(f"{name:<16}{summary}")
+        click.echo(f"{name:<18}{summary}")
 
 
 @presets.command(
