@@ -108,7 +108,7 @@ class Arrangement:
     def _boxes_meet(self) -> Bool[np.ndarray, "shape shape"]:
         """Whose bounds overlap."""
         low, high = (np.array(corners) for corners in zip(*(shape.bounds for shape in self.shapes), strict=True))
-        return np.logical_and(low[:, None] < high[None], low[None] < high[:, None]).all(axis=2)
+        return np.all((low[:, None] < high[None]) & (low[None] < high[:, None]), axis=2)
 
     @cached_property
     def _enclosed(self) -> Bool[np.ndarray, "outer inner"]:

@@ -260,6 +260,19 @@ class MeshModel(ObjectModel):
     scale: PositiveFloat | Size = 1.0
 
 
+class SweepModel(ObjectModel):
+    """A round tube along a smooth curve: points that it passes, one radius [mm] or one per point.
+
+    It is a mesh, with so many corners around and so many rings from point to point.
+    """
+
+    type: Literal["sweep"]
+    points: Annotated[tuple[Vector, ...], Field(min_length=2)]
+    radius: PositiveFloat | tuple[PositiveFloat, ...]
+    sides: Annotated[int, Field(ge=3)] = 24
+    steps: PositiveInt = 8
+
+
 class CombinedModel(ObjectModel):
     """What lies in any (`union`) or in all (`intersection`) of some shapes."""
 
@@ -297,6 +310,7 @@ ShapeModel = Annotated[
     | TorusModel
     | PolygonModel
     | MeshModel
+    | SweepModel
     | CombinedModel
     | DifferenceModel
     | GroupModel,
