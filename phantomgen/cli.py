@@ -151,6 +151,33 @@ def presets_show(name: str) -> None:
     click.echo(SceneFile.preset(name).text, nl=False)
 
 
+@main.group("import", epilog="\b\nExamples:\n  phantomgen import forbild HeadPhantom.pha -o head.yaml")
+def import_() -> None:
+    """Turn phantoms of other programs into scenes."""
+
+
+@import_.command(
+    "forbild",
+    epilog="\b\nExamples:\n  phantomgen import forbild HeadPhantom.pha -o head.yaml\n  phantomgen make head.yaml",
+)
+@click.argument("file", type=click.Path(dir_okay=False))
+@click.option("-o", "--out", required=True, type=click.Path(dir_okay=False), help="The scene to write.")
+@click.option("--overwrite", is_flag=True, help="Replace a scene that exists.")
+@debug_option
+def import_forbild(file: str, out: str, overwrite: bool) -> None:
+    """Write a scene from FILE, a phantom in the text format of the FORBILD group.
+
+    Lengths become millimetres; a later object replaces what it overlaps. A scan is put around it, to be edited.
+    """
+    from phantomgen.dataset_writer import check_output
+    from phantomgen.io.forbild import forbild_scene
+
+    path = Path(out)
+    check_output(path, overwrite)
+    path.write_text(forbild_scene(file), encoding="utf-8")
+    click.echo(f"{path}\nnext     phantomgen view {path}")
+
+
 @main.command(
     epilog="\b\nExamples:\n  phantomgen materials liver --plot liver.png\n"
     "  phantomgen materials iodine_10 --scene contrast-vials"
