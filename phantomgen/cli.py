@@ -136,7 +136,7 @@ def presets(ctx: click.Context) -> None:
     from phantomgen.scene_yaml import preset_summaries
 
     for name, summary in preset_summaries().items():
-        click.echo(f"{name:<16}{summary}")
+        click.echo(f"{name:<18}{summary}")
 
 
 @presets.command(
@@ -149,6 +149,33 @@ def presets_show(name: str) -> None:
     from phantomgen.scene_yaml import SceneFile
 
     click.echo(SceneFile.preset(name).text, nl=False)
+
+
+@main.group("import", epilog="\b\nExamples:\n  phantomgen import forbild HeadPhantom.pha -o head.yaml")
+def import_() -> None:
+    """Turn phantoms of other programs into scenes."""
+
+
+@import_.command(
+    "forbild",
+    epilog="\b\nExamples:\n  phantomgen import forbild HeadPhantom.pha -o head.yaml\n  phantomgen make head.yaml",
+)
+@click.argument("file", type=click.Path(dir_okay=False))
+@click.option("-o", "--out", required=True, type=click.Path(dir_okay=False), help="The scene to write.")
+@click.option("--overwrite", is_flag=True, help="Replace a scene that exists.")
+@debug_option
+def import_forbild(file: str, out: str, overwrite: bool) -> None:
+    """Write a scene from FILE, a phantom in the text format of the FORBILD group.
+
+    Lengths become millimetres; a later object replaces what it overlaps. A scan is put around it, to be edited.
+    """
+    from phantomgen.dataset_writer import check_output
+    from phantomgen.io.forbild import forbild_scene
+
+    path = Path(out)
+    check_output(path, overwrite)
+    path.write_text(forbild_scene(file), encoding="utf-8")
+    click.echo(f"{path}\nnext     phantomgen view {path}")
 
 
 @main.command(

@@ -15,6 +15,7 @@ from phantomgen.ops.solids import Solids
 from phantomgen.panel import Panel
 from phantomgen.scene_materials import scene_materials
 from phantomgen.scene_objects import objects_of
+from phantomgen.scene_overlap import added_up
 from phantomgen.scene_yaml import SceneFile, closest, preset_names
 from phantomgen.shapes import Shape, solids_of
 from spectra.attenuation import edge_energy, mass_fractions, symbol
@@ -107,11 +108,14 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
     objects = objects_of(file)
     source = _source(file)
     detector = _detector(file, source)
-    materials = scene_materials(file)
+    if model.overlap == "add":
+        objects, materials = added_up(file, objects)
+    else:
+        materials = scene_materials(file)
     filled = {name for _, name in objects} | {_background(file)}
     used = [name for name in materials if name in filled]
     basis = _basis(file, [materials[name] for name in used], detector)
-    _check_coefficients(file, materials, basis)
+    _check_coefficients(file, basis)
     geometry, splits = _geometry(file)
     return Scan(
         name=model.name,
@@ -246,12 +250,10 @@ def _uses(material: Material, function: BasisFunction) -> bool:
     return bool(material.k_edges(edge - SAME_EDGE, edge + SAME_EDGE))
 
 
-def _check_coefficients(file: SceneFile, materials: Mapping[str, Material], basis: Basis) -> None:
+def _check_coefficients(file: SceneFile, basis: Basis) -> None:
     """Refuse coefficients of functions that are not in the basis, also of materials that no object uses."""
-    for name, material in materials.items():
-        if material.coefficients is None:
-            continue
-        for function in material.coefficients:
+    for name, material in file.model.materials.items():
+        for function in material.coefficients or ():
             if function not in basis.names:
                 raise file.error(
                     ("materials", name, "coefficients", function),

@@ -27,6 +27,7 @@ from phantomgen.shapes import (
     Union,
     load_mesh,
     rotation_matrix,
+    sweep,
 )
 
 
@@ -137,6 +138,8 @@ def _simple(m: schema.ObjectModel) -> Shape:  # noqa: PLR0911 - one line per typ
             return Torus(m.center, m.radius, m.tube, m.axis)
         case schema.PolygonModel():
             return Polygon(m.points, m.length, m.center, _radians(m.rotation))
+        case schema.SweepModel():
+            return Placed(sweep(m.points, m.radius, m.sides, m.steps), np.eye(3), np.asarray(m.center))
     raise AssertionError(type(m))
 
 

@@ -48,7 +48,7 @@ class SceneFile:
     def preset(cls, name: str, overrides: Sequence[str] = ()) -> "SceneFile":
         """From a scene that comes with this package."""
         if name not in preset_names():
-            raise SceneError(f"unknown preset {name!r}: choose from {', '.join(preset_names())}")
+            raise SceneError(f"unknown preset {name!r}{closest(name, preset_names())}")
         text = resources.files("phantomgen").joinpath("presets", f"{name}.yaml").read_text(encoding="utf-8")
         return cls(f"{name}.yaml", text, tuple(overrides))
 

@@ -122,12 +122,12 @@ class MaterialModel(Model):
     """One of: composition (formula, name or mass fractions), mixture, solution, or basis coefficients [1/mm].
 
     The density [g/cm^3] is needed for formulas and mass fractions; that of mixtures and solutions follows from their
-    parts where it is left out.
+    parts where it is left out. Coefficients may be negative where objects add up.
     """
 
     composition: Composition | None = None
     density: PositiveFloat | None = None
-    coefficients: dict[str, Annotated[FiniteFloat, Field(ge=0)]] | None = None
+    coefficients: dict[str, FiniteFloat] | None = None
     mixture: MixtureModel | None = None
     solution: SolutionModel | None = None
 
@@ -260,6 +260,19 @@ class MeshModel(ObjectModel):
     scale: PositiveFloat | Size = 1.0
 
 
+class SweepModel(ObjectModel):
+    """A round tube along a smooth curve: points that it passes, one radius [mm] or one per point.
+
+    It is a mesh, with so many corners around and so many rings from point to point.
+    """
+
+    type: Literal["sweep"]
+    points: Annotated[tuple[Vector, ...], Field(min_length=2)]
+    radius: PositiveFloat | tuple[PositiveFloat, ...]
+    sides: Annotated[int, Field(ge=3)] = 24
+    steps: PositiveInt = 8
+
+
 class CombinedModel(ObjectModel):
     """What lies in any (`union`) or in all (`intersection`) of some shapes."""
 
@@ -297,6 +310,7 @@ ShapeModel = Annotated[
     | TorusModel
     | PolygonModel
     | MeshModel
+    | SweepModel
     | CombinedModel
     | DifferenceModel
     | GroupModel,
@@ -307,9 +321,9 @@ ShapeModel = Annotated[
 class SceneModel(Model):
     """One scene file: what is scanned, with what, and how the truth is wanted.
 
-    Later objects override earlier ones where they overlap; what none of them fills, from source to panel, is vacuum or
-    the material `background`. Basis functions left out are chosen from the materials; a
-    K-edge function that no object needs is left out of the dataset.
+    Later objects override earlier ones where they overlap; with `overlap: add` their coefficients add up. What none of
+    them fills, from source to panel, is vacuum or the material `background`. Basis functions left out are chosen from
+    the materials; a K-edge function that no object needs is left out of the dataset.
     """
 
     version: Literal[1]
@@ -322,6 +336,7 @@ class SceneModel(Model):
     basis: tuple[FunctionModel, ...] | None = None
     materials: dict[str, MaterialModel]
     objects: Annotated[tuple[ShapeModel, ...], Field(min_length=1)]
+    overlap: Literal["replace", "add"] = "replace"
     background: str | None = None
     seed: NonNegativeInt = 0
     noise: bool = True

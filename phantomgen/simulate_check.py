@@ -80,7 +80,7 @@ def _check(scan: Scan, transmission: Transmission, pixels_per_scan: int | None, 
     """Errors of edge pixels and of rays; all edge pixels where no number of them is given."""
     rng = np.random.default_rng(scan.seed)
     views = np.linspace(0, len(scan.geometry) - 1, min(_FULL_VIEWS, len(scan.geometry))).round().astype(int)
-    yardstick = compressed_transmission(scan, sampled_lengths(scan), STEP / FINER, TOLERANCE / FINER)[0]
+    yardstick, _ = compressed_transmission(scan, sampled_lengths(scan), STEP / FINER, TOLERANCE / FINER, refine=False)
     share = None if pixels_per_scan is None else -(-pixels_per_scan // len(views))
     edges = [_edge_errors(scan, transmission, yardstick, int(view), share, rng) for view in views]
     edge = np.concatenate(edges)

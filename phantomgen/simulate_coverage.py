@@ -18,6 +18,8 @@ _SKIN = 1e-6
 # Of scenes with more objects than `_MANY`, the largest ones of each material are sampled, in some of the views.
 _MANY = 64
 _RAYS = 20_000
+# Other scenes are sampled in as many views as give no more rays than this.
+_MOST_RAYS = 150_000
 # Objects that are cut off are described one by one up to this number, and counted beyond it.
 _DESCRIBED = 8
 
@@ -29,12 +31,12 @@ def coverage_warnings(scan: Scan) -> list[str]:
 
 @lru_cache(maxsize=1)
 def sampled_lengths(scan: Scan) -> Float[np.ndarray, "ray material"]:
-    """Path lengths per material [mm] of rays through objects: all of them in all views, unless they are many."""
+    """Path lengths per material [mm] of rays through objects: all of them in all views, as far as rays are few."""
     objects, frames = scan.scene.objects, scan.geometry.ray_frames()
-    picked = range(len(objects)) if len(objects) <= _MANY else _largest(scan.scene)
+    many = len(objects) > _MANY
+    picked = _largest(scan.scene) if many else range(len(objects))
     targets = np.concatenate([_points(objects[i][0], _RAYS_PER_OBJECT)[0] for i in picked])
-    if len(objects) > _MANY:
-        frames = frames[:: -(-len(frames) * len(targets) // _RAYS)]
+    frames = frames[:: -(-len(frames) * len(targets) // (_RAYS if many else _MOST_RAYS))]
     to_target = targets[None] - frames[:, None, 0]
     depth = _on_panel(frames, targets)[..., 0]
     in_front = depth > 1e-6
@@ -124,10 +126,14 @@ def _volume_warnings(scan: Scan) -> Iterator[str]:
         shape, material = scan.scene.objects[i]
         lowest, highest = shape.bounds
         beyond = max((low - lowest).max(), (highest - high).max())
+        if beyond <= 1e-9:
+            continue
+        inside, surface = _points(shape, _POINTS)
+        share = ((inside < low) | (inside > high)).any(axis=1).mean()
+        if not _is_whole(shape):  # bounds may then lie far outside the shape: points of its surface tell
+            beyond = max((low - surface).max(), (surface - high).max())
         if beyond > 1e-9:
             described += 1
-            inside, _ = _points(shape, _POINTS)
-            share = ((inside < low) | (inside > high)).any(axis=1).mean()
             yield (
                 f"object {i} ({scan.scene.materials[material].name}) reaches {beyond:.3g} mm beyond the volume: "
                 f"{share:.1%} of it has no truth there"
@@ -159,6 +165,11 @@ def _panel_planes(
     offsets = -np.einsum("vpi,vi->vp", normals, frames[:, 0])
     offsets[:, 1] += 1.0
     return normals, offsets
+
+
+def _is_whole(shape: Shape) -> bool:
+    """Whether nothing is cut off the primitives of a shape, so that its bounds are tight."""
+    return all(len(term) == 1 for term in shape.terms)
 
 
 def _missed(

@@ -44,6 +44,7 @@ def compressed_transmission(
     lengths: Float[np.ndarray, "ray material"],
     step: float = STEP,
     tolerance: float = TOLERANCE,
+    refine: bool = True,
 ) -> tuple[Transmission, float]:
     """The same with few nodes.
 
@@ -53,6 +54,7 @@ def compressed_transmission(
     lengths : path lengths of rays that meet every object [mm]; they span the box of what can be reached
     step : bin width before nodes are sought [keV]
     tolerance : worst error of log counts that is wanted
+    refine : whether nodes are merged and moved, for the fewest of them, or chosen only
 
     Returns
     -------
@@ -60,11 +62,11 @@ def compressed_transmission(
     """
     materials = scan.scene.materials
     if any(m.composition is not None for m in materials) or len(materials) <= len(scan.basis):
-        return _compress(fine_transmission(scan, step), lengths, tolerance)
+        return _compress(fine_transmission(scan, step), lengths, tolerance, refine)
     energies, weights = _weights(scan, ceil(_range(scan) / step))
     fine = Transmission.from_spectrum(weights, scan.basis.evaluate(energies.nodes), scan.detector.names)
     coefficients = material_coefficients(scan)
-    small, error = _compress(fine, lengths @ coefficients, tolerance)
+    small, error = _compress(fine, lengths @ coefficients, tolerance, refine)
     return Transmission(coefficients @ small.columns, small.weights, small.starts, small.channel_names), error
 
 
@@ -144,17 +146,17 @@ def _curves(scan: Scan, energies: Energies) -> Float[np.ndarray, "material energ
 
 
 def _compress(
-    fine: Transmission, integrals: Float[np.ndarray, "ray column"], tolerance: float
+    fine: Transmission, integrals: Float[np.ndarray, "ray column"], tolerance: float, refine: bool
 ) -> tuple[Transmission, float]:
     """Fewer nodes for the box that `integrals` span."""
     if len(fine.columns) > _MOST_COLUMNS:
-        return _compress_many(fine, integrals, tolerance)
+        return _compress_many(fine, integrals, tolerance, refine)
     high = _MARGIN * integrals.max(axis=0, initial=0.0)
-    return fine.compress(np.zeros_like(high), high, tolerance)
+    return fine.compress(np.zeros_like(high), high, tolerance, refine=refine)
 
 
 def _compress_many(
-    fine: Transmission, integrals: Float[np.ndarray, "ray column"], tolerance: float
+    fine: Transmission, integrals: Float[np.ndarray, "ray column"], tolerance: float, refine: bool
 ) -> tuple[Transmission, float]:
     """The same by way of a few columns that the others are combinations of, where there are such."""
     sample = integrals[:: max(1, len(integrals) // _SPANNING_RAYS)]
@@ -164,7 +166,7 @@ def _compress_many(
     few = Transmission(fine.columns[picked], fine.weights, fine.starts, fine.channel_names)
     along = integrals @ mixture
     low, high = (_MARGIN * bound for bound in (along.min(axis=0, initial=0.0), along.max(axis=0, initial=0.0)))
-    small, error = few.compress(low, high, tolerance)
+    small, error = few.compress(low, high, tolerance, refine=refine)
     columns = mixture @ small.columns
     if len(small.weights) == len(fine.weights) or columns.min() < 0:
         return fine, 0.0

@@ -35,6 +35,7 @@ def compress_channel(
     box: Float[np.ndarray, "2 basis"],
     tolerance: float,
     rng: np.random.Generator,
+    refine: bool = True,
 ) -> tuple[Float[np.ndarray, " few"], Float[np.ndarray, "basis few"], float]:
     """Fewest nodes found whose log counts err by at most `tolerance` in the box.
 
@@ -44,6 +45,7 @@ def compress_channel(
     box : smallest and largest line integrals
     tolerance : largest error of log counts
     rng : source of the sampled line integrals
+    refine : whether nodes are merged and moved; without, they are a choice of those handed in, found sooner
 
     Returns
     -------
@@ -56,7 +58,7 @@ def compress_channel(
         return weights, columns, 0.0
     fitted, fresh = (sample_box(box / scale, count, rng) for count in (_SAMPLES, _FRESH))
     wanted = log_counts(full, fitted), log_counts(full, fresh)
-    for nodes in _ever_more(full, fitted, wanted[0], tolerance / 2):
+    for nodes in _ever_more(full, fitted, wanted[0], tolerance / 2 if refine else None):
         error = float(np.abs(log_counts(nodes, fresh) - wanted[1]).max())
         if error <= tolerance and len(nodes.weights) < len(weights):
             return nodes.weights, (nodes.columns / scale).T, error
@@ -95,11 +97,14 @@ def _attenuation(nodes: Nodes, rays: Float[np.ndarray, "ray basis"]) -> Float[np
 
 
 def _ever_more(
-    full: Nodes, rays: Float[np.ndarray, "ray basis"], wanted: Float[np.ndarray, " ray"], goal: float
+    full: Nodes, rays: Float[np.ndarray, "ray basis"], wanted: Float[np.ndarray, " ray"], goal: float | None
 ) -> Iterator[Nodes]:
-    """Yield ever larger sets of refined nodes, and last the sparse set that the merging started from."""
+    """Yield ever larger sets of refined nodes, where there is a goal, and last the sparse set that they came from."""
     limits = full.columns.min(axis=0), full.columns.max(axis=0)
     levels = [_sparse(full, rays, wanted)]
+    if goal is None:
+        yield levels[0]
+        return
     while len(levels[-1].weights) > 1:
         levels.append(_with_closest_merged(levels[-1], rays))
     for nodes in reversed(levels[max(1, len(levels) - _MOST_REFINED) :]):

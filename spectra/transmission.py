@@ -133,6 +133,7 @@ class Transmission:
         box_high: Float[np.ndarray, " basis"],
         tolerance: float,
         seed: int = 0,
+        refine: bool = True,
     ) -> tuple["Transmission", float]:
         """Fewer nodes that give the same counts for every ray whose line integrals lie in a box.
 
@@ -141,6 +142,7 @@ class Transmission:
         box_low, box_high : smallest and largest line integral per column that the scene can reach
         tolerance : largest error of log counts that is wanted
         seed : of the sampled line integrals
+        refine : whether nodes are merged and moved; without, some of the nodes are kept: more of them, found sooner
 
         Returns
         -------
@@ -156,7 +158,7 @@ class Transmission:
         def channel(c: int) -> tuple[np.ndarray, np.ndarray, float]:
             own = slice(self.starts[c], self.starts[c + 1])
             rng = np.random.default_rng([seed, c])
-            return compress_channel(self.weights[own], self.columns[:, own], box, tolerance, rng)
+            return compress_channel(self.weights[own], self.columns[:, own], box, tolerance, rng, refine)
 
         weights, columns, errors = zip(*run_parallel(channel, range(len(self))), strict=True)
         starts = np.concatenate([[0], np.cumsum([len(w) for w in weights])])

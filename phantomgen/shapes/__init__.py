@@ -9,6 +9,7 @@ from phantomgen.shapes.cone import Cone
 from phantomgen.shapes.cylinder import Capsule, Cylinder, Tube
 from phantomgen.shapes.mesh import Mesh, load_mesh
 from phantomgen.shapes.polygon import Polygon
+from phantomgen.shapes.sweep import sweep
 from phantomgen.shapes.torus import Torus
 
 __all__ = [
@@ -33,4 +34,5 @@ __all__ = [
     "load_mesh",
     "rotation_matrix",
     "solids_of",
+    "sweep",
 ]

@@ -20,6 +20,15 @@ def test_compression_keeps_its_promise_on_other_rays(transmission_on, tolerance)
     assert np.abs(found - wanted).max() < 2 * tolerance
 
 
+def test_without_refinement_given_nodes_are_chosen(transmission_on):
+    full = transmission_on(480)
+    small, error = full.compress(np.zeros(3), HIGH, 1e-6, refine=False)
+    assert error <= 1e-6
+    assert len(small.weights) < 120
+    given = {tuple(column) for column in full.columns.T.round(12)}
+    assert {tuple(column) for column in small.columns.T.round(12)} <= given
+
+
 def test_compression_is_reproducible(transmission_on):
     full = transmission_on(128)
     first, second = (full.compress(np.zeros(3), HIGH, 1e-5, seed=4)[0] for _ in range(2))
