@@ -44,7 +44,7 @@ def _panel_warnings(scan: Scan) -> Iterator[str]:
         share = _missed(frames, inside, panel)[0].any(axis=0).mean()
         views = outside.any(axis=1).mean()
         yield (
-            f"object {i} ({scan.scene.materials[material].name}) leaves the panel's field of view in {views:.0%} of "
+            f"object {i} ({_name(scan, material)}) leaves the panel's field of view in {views:.0%} of "
             f"the views: {share:.1%} of its volume is cut off in some view, by up to {beyond:.3g} mm on the panel"
         )
 
@@ -61,9 +61,15 @@ def _volume_warnings(scan: Scan) -> Iterator[str]:
             inside, _ = _points(shape, _POINTS)
             share = ((inside < low) | (inside > high)).any(axis=1).mean()
             yield (
-                f"object {i} ({scan.scene.materials[material].name}) reaches {beyond:.3g} mm beyond the volume: "
+                f"object {i} ({_name(scan, material)}) reaches {beyond:.3g} mm beyond the volume: "
                 f"{share:.1%} of it has no truth there"
             )
+
+
+def _name(scan: Scan, material: int | tuple[int, ...]) -> str:
+    """What an object consists of."""
+    indices = material if isinstance(material, tuple) else (material,)
+    return ", ".join(scan.scene.materials[i].name for i in indices)
 
 
 def _missed(

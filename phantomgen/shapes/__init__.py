@@ -10,6 +10,7 @@ from phantomgen.shapes.cylinder import Capsule, Cylinder, Tube
 from phantomgen.shapes.mesh import Mesh, load_mesh
 from phantomgen.shapes.polygon import Polygon
 from phantomgen.shapes.torus import Torus
+from phantomgen.shapes.voxels import Voxels
 
 __all__ = [
     "Box",
@@ -30,6 +31,7 @@ __all__ = [
     "Torus",
     "Tube",
     "Union",
+    "Voxels",
     "load_mesh",
     "rotation_matrix",
     "solids_of",

@@ -15,16 +15,30 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int64, UInt8
 
-from phantomgen.ops.expose.classes import CLASSES, CROSSED, EMPTY, KINKED, NEAR, SMOOTH
+from phantomgen.ops.expose.classes import CLASSES, CROSSED, EMPTY, KINKED, NEAR, SMOOTH, VOXELS
 from phantomgen.ops.mesh import mesh_view
 from phantomgen.ops.solids import Solids
+from phantomgen.ops.voxel_maps import VoxelMaps
 from spectra.errors import InputError
 
-__all__ = ["CLASSES", "CROSSED", "EMPTY", "KINKED", "NEAR", "SMOOTH", "Exposed", "expose", "expose_brute"]
+__all__ = [
+    "CLASSES",
+    "CROSSED",
+    "EMPTY",
+    "KINKED",
+    "NEAR",
+    "SMOOTH",
+    "VOXELS",
+    "Exposed",
+    "expose",
+    "expose_brute",
+]
 
 
 # Gauss nodes across and along a silhouette for pixels of growing contrast.
 RULES = ((2, 2), (3, 2), (4, 3), (6, 4), (9, 6))
+# Where a voxel map projects to: rays per voxel along each axis of a pixel, and least and most rays per pixel.
+RAYS_PER_VOXEL, FEWEST_RAYS, MOST_RAYS = 4, 4, 16
 
 
 class Exposed(NamedTuple):
@@ -46,6 +60,7 @@ def expose(
     background: int = -1,
     rules: tuple[tuple[int, int], ...] = RULES,
     reach: float = 5.0,
+    map_grid: int | None = None,
 ) -> Exposed:
     """Expected counts of all pixels of one view, each averaged over the pixel's area.
 
@@ -60,6 +75,8 @@ def expose(
     background : material outside all shapes, -1 for none
     rules : Gauss nodes across and along a silhouette, per smooth part of a pixel, for growing contrast
     reach : width of the band inside a tangent where one ray per pixel does not do [pixel]
+    map_grid : rays per pixel and axis where a voxel map projects to; by default `RAYS_PER_VOXEL` for each of the
+        voxels that fit into a pixel, within limits
     """
     from phantomgen.ops.expose.cpu import expose_view  # noqa: PLC0415 - numba only where it computes
     from phantomgen.ops.silhouette.quadrature import make_room, make_rules  # noqa: PLC0415
@@ -73,7 +90,9 @@ def expose(
     expose_view(
         *view.shapes[:3],
         view.creases,
-        *view.shapes[3:],
+        view.shapes[3],
+        np.int64(view.map_grid if map_grid is None else min(map_grid, MOST_RAYS)),
+        *view.shapes[4:],
         outline,
         float(reach),
         view.spectrum,
@@ -115,8 +134,9 @@ def expose_brute(
 class _View(NamedTuple):
     """Arguments of one view as the kernels want them."""
 
-    shapes: tuple[np.ndarray, np.ndarray, Any, np.ndarray, np.ndarray, int]
+    shapes: tuple[np.ndarray, np.ndarray, Any, Any, np.ndarray, np.ndarray, int]
     creases: np.ndarray | None
+    map_grid: int
     outline: Any
     spectrum: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
     ray: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -134,7 +154,7 @@ class _View(NamedTuple):
         background: int,
     ) -> "_View":
         """Check and arrange the arguments of `expose`."""
-        from phantomgen.ops.silhouette.forms import cone_silhouettes  # noqa: PLC0415
+        from phantomgen.ops.silhouette.forms import Silhouettes, cone_silhouettes  # noqa: PLC0415
         from phantomgen.ops.trace.cpu import event_room, solid_table  # noqa: PLC0415
 
         frame, attenuation, weights = (np.ascontiguousarray(a, dtype=np.float64) for a in (frame, attenuation, weights))
@@ -153,5 +173,23 @@ class _View(NamedTuple):
             mesh, creases, pieces = seen.with_room(), seen.outline, seen.pieces
         room = np.empty(solids.rows, np.int64), event_room(solids.rows, pieces)
         ray = (*room, np.empty(len(attenuation)), np.empty(len(air)))
-        shapes = (frame, solid_table(solids), mesh, solids.locals_, outline.bounds, int(background))
-        return cls(shapes, creases, outline, (attenuation, weights, starts, air), ray)
+        maps, map_grid = None, 0
+        if solids.voxels is not None:
+            maps, map_grid = tuple(solids.voxels), _map_grid(frame, solids, solids.voxels)
+            # The faces of a map's box are faces of voxels like all others.
+            plain = solids.voxels.numbers[outline.shapes] < 0
+            outline = Silhouettes(outline.forms[plain], outline.shapes[plain], outline.roots[plain], outline.bounds)
+        shapes = (frame, solid_table(solids), mesh, maps, solids.locals_, outline.bounds, int(background))
+        return cls(shapes, creases, map_grid, outline, (attenuation, weights, starts, air), ray)
+
+
+def _map_grid(frame: Float[np.ndarray, "4 3"], solids: Solids, maps: VoxelMaps) -> int:
+    """Rays per pixel and axis for voxel maps: by the widest pixel, as seen in the middle of a map, in its voxels."""
+    fewest = FEWEST_RAYS
+    for row in np.flatnonzero(maps.numbers >= 0):
+        axes = np.linalg.inv(solids.locals_[row, :, :3])
+        depth = np.linalg.solve(frame[1:].T, -axes @ solids.locals_[row, :, 3] - frame[0])[0]
+        voxel = (2 * np.linalg.norm(axes, axis=0) / maps.shapes[maps.numbers[row], ::-1]).min()
+        pixel = abs(depth) * np.linalg.norm(frame[2:], axis=1).max()
+        fewest = max(fewest, int(np.ceil(min(RAYS_PER_VOXEL * pixel / voxel, MOST_RAYS))))
+    return fewest

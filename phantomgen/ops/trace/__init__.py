@@ -36,6 +36,7 @@ def trace(
     if solids.surfaces is not None:
         starts, ends = mesh_intervals(origins, directions, solids.surfaces)
         listed, pieces = (starts, ends), int(np.diff(starts, axis=1).max(axis=1, initial=0).sum())
+    maps = None if solids.voxels is None else tuple(solids.voxels)
     active, events = np.arange(solids.rows), cpu.event_room(solids.rows, pieces)
-    cpu.trace_rays(table, listed, solids.locals_, background, origins, directions, active, events, out)
+    cpu.trace_rays(table, listed, maps, solids.locals_, background, origins, directions, active, events, out)
     return out
