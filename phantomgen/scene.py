@@ -14,7 +14,7 @@ from phantomgen.grid import Grid
 from phantomgen.ops.solids import Solids
 from phantomgen.panel import Panel
 from phantomgen.scene_materials import scene_materials
-from phantomgen.scene_objects import objects_of
+from phantomgen.scene_objects import Filling, objects_of
 from phantomgen.scene_overlap import added_up
 from phantomgen.scene_yaml import SceneFile, closest, preset_names
 from phantomgen.shapes import Shape, solids_of
@@ -31,12 +31,12 @@ class Scene:
 
     Parameters
     ----------
-    objects : shapes with the index of their material
+    objects : shapes with the index of their material; voxel maps with those of their parts
     materials : those that an object or the background consists of, in the order of the file
     background : index of the material around the objects, -1 for vacuum
     """
 
-    objects: tuple[tuple[Shape, int], ...]
+    objects: tuple[tuple[Shape, int | tuple[int, ...]], ...]
     materials: tuple[Material, ...]
     background: int = -1
 
@@ -112,7 +112,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
         objects, materials = added_up(file, objects)
     else:
         materials = scene_materials(file)
-    filled = {name for _, name in objects} | {_background(file)}
+    filled = {name for _, filling in objects for name in _names(filling)} | {_background(file)}
     used = [name for name in materials if name in filled]
     basis = _basis(file, [materials[name] for name in used], detector)
     _check_coefficients(file, basis)
@@ -120,7 +120,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
     return Scan(
         name=model.name,
         scene=Scene(
-            objects=tuple((shape, used.index(name)) for shape, name in objects),
+            objects=tuple((shape, _indices(filling, used)) for shape, filling in objects),
             materials=tuple(materials[name] for name in used),
             background=used.index(model.background) if model.background else -1,
         ),
@@ -144,6 +144,16 @@ def circular_angles(views: int, test_views: int) -> Float[np.ndarray, " view"]:
     train = np.arange(views) * (360.0 / views)
     test = (np.arange(test_views) + 0.5) * (360.0 / max(test_views, 1))
     return np.deg2rad(np.concatenate([train, test]))
+
+
+def _names(filling: Filling) -> tuple[str, ...]:
+    """Names of an object's materials."""
+    return filling if isinstance(filling, tuple) else (filling,)
+
+
+def _indices(filling: Filling, used: list[str]) -> int | tuple[int, ...]:
+    """Indices of an object's materials."""
+    return tuple(map(used.index, filling)) if isinstance(filling, tuple) else used.index(filling)
 
 
 def _find(scene: str | Path, overrides: Sequence[str]) -> SceneFile:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from phantomgen import schema
+from phantomgen.scene_voxels import voxels_of
 from phantomgen.scene_yaml import Location, SceneFile, closest
 from phantomgen.shapes import (
     Box,
@@ -30,8 +31,11 @@ from phantomgen.shapes import (
     sweep,
 )
 
+# Name of an object's material; of a voxel map those of its parts.
+Filling = str | tuple[str, ...]
 
-def objects_of(file: SceneFile) -> list[tuple[Shape, str]]:
+
+def objects_of(file: SceneFile) -> list[tuple[Shape, Filling]]:
     """Shapes with the names of their materials, lowest priority first, groups and patterns resolved.
 
     Raises
@@ -42,19 +46,26 @@ def objects_of(file: SceneFile) -> list[tuple[Shape, str]]:
     return list(_members(file, file.model.objects, ("objects",)))
 
 
-def _members(file: SceneFile, models: tuple[schema.ObjectModel, ...], where: Location) -> Iterator[tuple[Shape, str]]:
+def _members(
+    file: SceneFile, models: tuple[schema.ObjectModel, ...], where: Location
+) -> Iterator[tuple[Shape, Filling]]:
     """Objects of the scene or of a group."""
     for i, model in enumerate(models):
         place = (*where, i)
         if isinstance(model, schema.GroupModel):
             found = list(_group(file, model, place))
+        elif isinstance(model, schema.VoxelsModel):
+            _refuse_material(file, model, place)
+            shape, materials = voxels_of(file, model, place)
+            with file.at(*place):
+                found = [(_clipped(shape, model), materials)]
         else:
             found = [(_shape(file, model, place), _material(file, model, place))]
         for copy in _copies(model):
             yield from ((copy(shape), material) for shape, material in found)
 
 
-def _group(file: SceneFile, model: schema.GroupModel, where: Location) -> Iterator[tuple[Shape, str]]:
+def _group(file: SceneFile, model: schema.GroupModel, where: Location) -> Iterator[tuple[Shape, Filling]]:
     """Members of a group where they belong."""
     _refuse_material(file, model, where)
     scale = np.broadcast_to(np.asarray(model.scale, dtype=np.float64), 3)
@@ -83,6 +94,8 @@ def _part(file: SceneFile, model: schema.ObjectModel, where: Location) -> Shape:
     """A shape that another one is combined from."""
     if isinstance(model, schema.GroupModel):
         raise file.error((*where, "type"), "a group cannot be combined with shapes: use a union")
+    if isinstance(model, schema.VoxelsModel):
+        raise file.error((*where, "type"), "voxels cannot be combined with shapes: they bring materials of their own")
     _refuse_material(file, model, where)
     copies = [copy(_shape(file, model, where)) for copy in _copies(model)]
     return copies[0] if len(copies) == 1 else Union(tuple(copies))

@@ -22,7 +22,7 @@ _MOST_REGIONS = 2000
 # Coefficients of a file are decimal numbers: what their sums have beyond this many digits is rounding.
 _DIGITS = 12
 
-Objects = Sequence[tuple[Shape, str]]
+Objects = Sequence[tuple[Shape, str | tuple[str, ...]]]
 Region = frozenset[int]
 
 
@@ -43,14 +43,15 @@ def added_up(file: SceneFile, objects: Objects) -> tuple[list[tuple[Shape, str]]
         raise file.error(
             ("background",), "'overlap: add' knows no background: let the first object be a box around all"
         )
-    values = {name: _coefficients(file, name) for _, name in objects}
+    fillings = [_one_material(file, filling) for _, filling in objects]
+    values = {name: _coefficients(file, name) for name in fillings}
     arrangement = Arrangement(tuple(shape for shape, _ in objects))
     with file.at("overlap"):
         regions = arrangement.regions()
     found: list[tuple[Shape, str]] = []
     names: dict[tuple[tuple[str, float], ...], str] = {}
     for region in regions:
-        members = [objects[i][1] for i in sorted(region)]
+        members = [fillings[i] for i in sorted(region)]
         total, label = _sum(values[name] for name in members), _label(members)
         for function, value in total:
             if value < 0:
@@ -119,6 +120,13 @@ class Arrangement:
         for i, k in np.argwhere(self._boxes_meet):
             found[i, k] = i != k and encloses(self.shapes[i], self.shapes[k])
         return found
+
+
+def _one_material(file: SceneFile, filling: str | tuple[str, ...]) -> str:
+    """Name of the material of an object that has just one."""
+    if isinstance(filling, str):
+        return filling
+    raise file.error(("overlap",), "a voxel map, of several materials, cannot be added to: write 'replace'")
 
 
 def _coefficients(file: SceneFile, name: str) -> Mapping[str, float]:

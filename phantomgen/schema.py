@@ -273,6 +273,23 @@ class SweepModel(ObjectModel):
     steps: PositiveInt = 8
 
 
+class VoxelsModel(ObjectModel):
+    """A box of voxels from a file: labels, volume fractions, or Hounsfield units, and the materials they stand for.
+
+    Spacing [mm] along x, y and z, and the centre, are the file's own unless given; turned about x, then y, then z
+    [degree]. Voxels without material are background. A relative path starts at the folder of the scene file.
+    """
+
+    type: Literal["voxels"]
+    file: str | None = None
+    labels: dict[int, str | None] | None = None
+    fractions: dict[str, str] | tuple[str, ...] | None = None
+    hu: Literal["default"] | Annotated[dict[str, tuple[FiniteFloat, FiniteFloat]], Field(min_length=1)] | None = None
+    spacing: PositiveFloat | Size | None = None
+    center: Vector | None = None  # type: ignore[assignment]
+    rotation: Vector = (0.0, 0.0, 0.0)
+
+
 class CombinedModel(ObjectModel):
     """What lies in any (`union`) or in all (`intersection`) of some shapes."""
 
@@ -311,6 +328,7 @@ ShapeModel = Annotated[
     | PolygonModel
     | MeshModel
     | SweepModel
+    | VoxelsModel
     | CombinedModel
     | DifferenceModel
     | GroupModel,

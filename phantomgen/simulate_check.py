@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from phantomgen.ops.expose import CROSSED, expose, expose_brute
+from phantomgen.ops.expose import CROSSED, VOXELS, expose, expose_brute
 from phantomgen.ops.trace import trace
 from phantomgen.scene import Scan
 from phantomgen.simulate_coverage import sampled_lengths
@@ -24,6 +24,8 @@ FINER = 10
 _QUICK_PIXELS, _QUICK_RAYS = 24, 2000
 _FULL_VIEWS, _FULL_RAYS = 3, 100_000
 _PIXELS_PER_PIECE = 8
+# Of the pixels that voxel maps project to, which may be all, no more than these are looked at per view.
+_MOST_VOXEL_PIXELS = 200
 # Log projections are compared where at least this part of the open beam is left; below it there is nothing to measure.
 _LEAST = 1e-12
 
@@ -100,7 +102,11 @@ def _edge_errors(
     """Errors of all edge pixels of a view, or of `count` of them."""
     frame, panel = scan.geometry.ray_frames()[view], scan.geometry.panel
     found = expose(frame, panel.rows, panel.columns, *_arguments(scan, transmission))
-    pixels = np.argwhere(found.classes >= CROSSED)
+    pixels, mapped = np.argwhere((found.classes >= CROSSED) & (found.classes != VOXELS)), found.classes == VOXELS
+    if mapped.any():
+        chosen = np.argwhere(mapped)
+        chosen = chosen[rng.choice(len(chosen), min(len(chosen), _MOST_VOXEL_PIXELS), replace=False)]
+        pixels = np.concatenate([pixels, chosen])
     if count is not None and len(pixels) > count:
         pixels = pixels[rng.choice(len(pixels), count, replace=False)]
     brute = _brute(scan, yardstick, frame, pixels)

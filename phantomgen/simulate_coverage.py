@@ -66,7 +66,7 @@ def _named(scan: Scan, numbers: Iterable[int]) -> Iterator[tuple[int, str, Shape
     """Objects with their numbers and the names of their materials."""
     for i in numbers:
         shape, material = scan.scene.objects[i]
-        yield i, scan.scene.materials[material].name, shape
+        yield i, _name(scan, material), shape
 
 
 def _around(scan: Scan, points: Float[np.ndarray, "point 3"]) -> list[int]:
@@ -107,7 +107,7 @@ def _panel_warnings(scan: Scan) -> Iterator[str]:
         share = _missed(frames, inside, panel)[0].any(axis=0).mean()
         views = outside.any(axis=1).mean()
         yield (
-            f"object {i} ({scan.scene.materials[material].name}) leaves the panel's field of view in {views:.0%} of "
+            f"object {i} ({_name(scan, material)}) leaves the panel's field of view in {views:.0%} of "
             f"the views: {share:.1%} of its volume is cut off in some view, by up to {beyond:.3g} mm on the panel"
         )
 
@@ -135,7 +135,7 @@ def _volume_warnings(scan: Scan) -> Iterator[str]:
         if beyond > 1e-9:
             described += 1
             yield (
-                f"object {i} ({scan.scene.materials[material].name}) reaches {beyond:.3g} mm beyond the volume: "
+                f"object {i} ({_name(scan, material)}) reaches {beyond:.3g} mm beyond the volume: "
                 f"{share:.1%} of it has no truth there"
             )
 
@@ -170,6 +170,12 @@ def _panel_planes(
 def _is_whole(shape: Shape) -> bool:
     """Whether nothing is cut off the primitives of a shape, so that its bounds are tight."""
     return all(len(term) == 1 for term in shape.terms)
+
+
+def _name(scan: Scan, material: int | tuple[int, ...]) -> str:
+    """What an object consists of."""
+    indices = material if isinstance(material, tuple) else (material,)
+    return ", ".join(scan.scene.materials[i].name for i in indices)
 
 
 def _missed(

@@ -50,13 +50,15 @@ def test_everything_imported_is_a_dependency(imports):
     known = {**metadata.packages_distributions(), **BROUGHT_ALONG}
     external = {name for name in imports.modules if name.partition(".")[0] not in {*PACKAGES, *sys.stdlib_module_names}}
     needed = {known[name.partition(".")[0]][0].lower() for name in external}
-    assert needed == {Requirement(text).name for text in PROJECT["project"]["dependencies"]}
+    optional = {Requirement(text).name.lower() for text in PROJECT["project"]["optional-dependencies"]["images"]}
+    assert needed == {Requirement(text).name for text in PROJECT["project"]["dependencies"]} | optional
 
 
 def test_tables_of_physics_and_files_of_meshes_have_one_door_each(imports):
     assert imports.find_modules_that_directly_import("xraylib") == {"spectra.attenuation"}
     assert imports.find_modules_that_directly_import("spekpy") == {"spectra.tube"}
     assert imports.find_modules_that_directly_import("trimesh") == {"phantomgen.shapes.mesh"}
+    assert imports.find_modules_that_directly_import("SimpleITK") == {"phantomgen.voxel_files"}
 
 
 def test_no_file_is_longer_than_600_lines():

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int64
 
 from phantomgen.ops.mesh import Surfaces
 from phantomgen.ops.primitives import BALL, HALFSPACE, MESH, TORUS
+from phantomgen.ops.voxel_maps import VoxelMaps
 from spectra.errors import InputError
 
 
@@ -28,6 +29,7 @@ class Solids(NamedTuple):
     inside : whether the term lies inside the primitive, or outside
     meshes : which of the surfaces a row of kind `MESH` is, else -1
     surfaces : closed triangle meshes, None where there are none
+    voxels : voxel maps, None where there are none; a map is a row of kind `BOX`, the first one of its object
     """
 
     kinds: Int64[np.ndarray, " row"]
@@ -39,6 +41,7 @@ class Solids(NamedTuple):
     inside: Bool[np.ndarray, " row"]
     meshes: Int64[np.ndarray, " row"]
     surfaces: Surfaces | None = None
+    voxels: VoxelMaps | None = None
 
     @classmethod
     def plain(
@@ -92,7 +95,8 @@ class Solids(NamedTuple):
         known = 0 if self.surfaces is None else len(self.surfaces.parts) - 1
         if not ((meshes >= 0) & (meshes < known))[kinds == MESH].all():
             raise InputError(f"meshes must be numbered 0..{known - 1}, got {meshes[kinds == MESH].tolist()}")
-        return Solids(kinds, numbers[0], materials, numbers[1], owners, terms, inside, meshes, self.surfaces)
+        voxels = None if self.voxels is None else self.voxels.checked(rows, count)
+        return Solids(kinds, numbers[0], materials, numbers[1], owners, terms, inside, meshes, self.surfaces, voxels)
 
 
 def half_axes(

@@ -11,6 +11,7 @@ from phantomgen.shapes.mesh import Mesh, load_mesh
 from phantomgen.shapes.polygon import Polygon
 from phantomgen.shapes.sweep import sweep
 from phantomgen.shapes.torus import Torus
+from phantomgen.shapes.voxels import Voxels
 
 __all__ = [
     "Box",
@@ -31,6 +32,7 @@ __all__ = [
     "Torus",
     "Tube",
     "Union",
+    "Voxels",
     "load_mesh",
     "rotation_matrix",
     "solids_of",

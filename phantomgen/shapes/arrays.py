@@ -6,22 +6,29 @@ import numpy as np
 
 from phantomgen.ops.mesh import Surfaces
 from phantomgen.ops.solids import Solids
+from phantomgen.ops.voxel_maps import VoxelMap, VoxelMaps
 from phantomgen.shapes.base import Part, Shape
 from spectra.errors import InputError
 
 
-def solids_of(objects: Iterable[tuple[Shape, int]]) -> Solids:
-    """Arrays of (shape, material index) pairs; a later shape owns what it shares with an earlier one."""
+def solids_of(objects: Iterable[tuple[Shape, int | tuple[int, ...]]]) -> Solids:
+    """Arrays of (shape, material index) pairs; a later shape owns what it shares with an earlier one.
+
+    A voxel map comes with the material of each of its parts.
+    """
     parts: list[Part] = []
+    maps: list[tuple[VoxelMap, tuple[int, ...]] | None] = []
     roles: list[tuple[int, int, int]] = []
     for shape, material in objects:
-        if material < 0:
+        named = material if isinstance(material, tuple) else (material,)
+        if min(named, default=0) < 0:
             raise InputError(f"material indices must not be negative, got {material}")
         owner = len(parts)
         for term in shape.terms:
             first = len(parts)
             parts += term
-            roles += [(material, owner, first)] * len(term)
+            roles += [((*named, 0)[0], owner, first)] * len(term)
+            maps += [None if part.voxels is None else (part.voxels, named) for part in term]
     materials, owners, terms = np.array(roles, dtype=np.int64).reshape(-1, 3).T
     meshes = np.array([part.surface is not None for part in parts], dtype=np.bool_)
     surfaces = [part.surface for part in parts if part.surface is not None]
@@ -35,4 +42,5 @@ def solids_of(objects: Iterable[tuple[Shape, int]]) -> Solids:
         inside=np.array([part.inside for part in parts], dtype=np.bool_),
         meshes=np.where(meshes, np.cumsum(meshes) - 1, -1),
         surfaces=Surfaces.of(surfaces) if surfaces else None,
+        voxels=VoxelMaps.of(maps),
     )

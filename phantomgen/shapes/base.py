@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int64
 
 from phantomgen.ops.mesh import enclosures
 from phantomgen.ops.primitives import BALL, BOX, CONE, CYLINDER, HALFSPACE, MESH, TORUS
+from phantomgen.ops.voxel_maps import VoxelMap
 from spectra.errors import InputError
 
 Triple = tuple[float, float, float]
@@ -35,6 +36,7 @@ class Part:
     inside : whether the term lies inside
     tube : radius of the tube of a torus in local coordinates
     surface : vertices [mm] and triangles of a mesh
+    voxels : what fills the box of a voxel map
     """
 
     kind: int
@@ -42,6 +44,7 @@ class Part:
     inside: bool = True
     tube: float = 0.0
     surface: Surface | None = None
+    voxels: VoxelMap | None = None
 
     @property
     def opposite(self) -> "Part":
@@ -64,6 +67,9 @@ class Part:
             return np.full(3, -np.inf), np.full(3, np.inf)
         axes = np.linalg.inv(self.local[:, :3])
         center = -axes @ self.local[:, 3]
+        if self.voxels is not None:
+            low, high = self.voxels.filled_box
+            center, axes = center + axes @ ((low + high) / 2), axes * ((high - low) / 2)
         disc, rod = np.linalg.norm(axes[:, :2], axis=1), np.abs(axes[:, 2])
         if self.kind == CONE:
             tip, base = center, center + axes[:, 2]
@@ -85,7 +91,7 @@ class Part:
         within = {
             BALL: lambda: x**2 + y**2 + z**2 < 1,
             CYLINDER: lambda: (x**2 + y**2 < 1) & (z >= -1) & (z < 1),
-            BOX: lambda: (x >= -1) & (x < 1) & (y >= -1) & (y < 1) & (z >= -1) & (z < 1),
+            BOX: lambda: _in_box(x, y, z, self.voxels),
             CONE: lambda: (x**2 + y**2 < z**2) & (z >= 0) & (z < 1),
             HALFSPACE: lambda: z < 0,
             TORUS: lambda: (np.hypot(x, y) - 1 + self.tube) ** 2 + z**2 < self.tube**2,
@@ -94,6 +100,13 @@ class Part:
 
 
 Term = tuple[Part, ...]
+
+
+def _in_box(x: np.ndarray, y: np.ndarray, z: np.ndarray, voxels: VoxelMap | None) -> Bool[np.ndarray, " point"]:
+    """Which local points lie in a box, of a voxel map only in voxels that are not empty."""
+    if voxels is not None:
+        return np.any(voxels.at(np.stack([x, y, z])) > 0, axis=1)
+    return (x >= -1) & (x < 1) & (y >= -1) & (y < 1) & (z >= -1) & (z < 1)
 
 
 def mesh_part(vertices: Float[np.ndarray, "vertex 3"], triangles: Int64[np.ndarray, "triangle 3"]) -> Part:

@@ -15,17 +15,31 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int64, UInt8
 
-from phantomgen.ops.expose.classes import CLASSES, CROSSED, EMPTY, KINKED, NEAR, SMOOTH
+from phantomgen.ops.expose.classes import CLASSES, CROSSED, EMPTY, KINKED, NEAR, SMOOTH, VOXELS
 from phantomgen.ops.mesh import mesh_view
 from phantomgen.ops.solids import Solids
+from phantomgen.ops.voxel_maps import VoxelMaps
 from spectra.errors import InputError
 
-__all__ = ["CLASSES", "CROSSED", "EMPTY", "KINKED", "NEAR", "SMOOTH", "Exposed", "expose", "expose_brute"]
+__all__ = [
+    "CLASSES",
+    "CROSSED",
+    "EMPTY",
+    "KINKED",
+    "NEAR",
+    "SMOOTH",
+    "VOXELS",
+    "Exposed",
+    "expose",
+    "expose_brute",
+]
 
 
 # Gauss nodes across and along a silhouette for pixels of growing contrast.
 RULES = ((2, 2), (3, 2), (4, 3), (6, 4), (9, 6))
 MOST_SUB_RAYS = 16
+# Where a voxel map projects to: rays per voxel along each axis of a pixel, and least and most rays per pixel.
+RAYS_PER_VOXEL, FEWEST_RAYS, MOST_RAYS = 4, 4, 16
 
 
 class Exposed(NamedTuple):
@@ -48,6 +62,7 @@ def expose(
     rules: tuple[tuple[int, int], ...] = RULES,
     reach: float = 5.0,
     sub_rays: int | None = None,
+    map_grid: int | None = None,
 ) -> Exposed:
     """Expected counts of all pixels of one view, each averaged over the pixel's area.
 
@@ -64,6 +79,8 @@ def expose(
     reach : width of the band inside a tangent where one ray per pixel does not do [pixel]
     sub_rays : if given, a plain grid of so many rays along each edge of a pixel, 1 to 16, in place of Gauss nodes along
         silhouettes; 1 means the ray through the centre of every pixel and nothing else
+    map_grid : rays per pixel and axis where a voxel map projects to; by default `RAYS_PER_VOXEL` for each of the
+        voxels that fit into a pixel, within limits
     """
     from phantomgen.ops.expose.cpu import expose_view  # noqa: PLC0415 - numba only where it computes
     from phantomgen.ops.silhouette.quadrature import make_room, make_rules  # noqa: PLC0415
@@ -79,7 +96,9 @@ def expose(
     expose_view(
         *view.shapes[:3],
         view.creases,
-        *view.shapes[3:],
+        view.shapes[3],
+        np.int64(view.map_grid if map_grid is None else min(map_grid, MOST_RAYS)),
+        *view.shapes[4:],
         outline,
         float(reach),
         sub_rays or 0,
@@ -122,8 +141,9 @@ def expose_brute(
 class _View(NamedTuple):
     """Arguments of one view as the kernels want them."""
 
-    shapes: tuple[np.ndarray, np.ndarray, Any, np.ndarray, tuple, int]
+    shapes: tuple[np.ndarray, np.ndarray, Any, Any, np.ndarray, tuple, int]
     creases: np.ndarray | None
+    map_grid: int
     outline: Any
     spectrum: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
     ray: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -142,7 +162,12 @@ class _View(NamedTuple):
         with_silhouettes: bool,
     ) -> "_View":
         """Check and arrange the arguments of `expose`; silhouettes are left out for rays that do not ask for them."""
-        from phantomgen.ops.silhouette.forms import cone_bounds, cone_silhouettes, no_silhouettes  # noqa: PLC0415
+        from phantomgen.ops.silhouette.forms import (  # noqa: PLC0415
+            Silhouettes,
+            cone_bounds,
+            cone_silhouettes,
+            no_silhouettes,
+        )
         from phantomgen.ops.silhouette.tiles import Tiles  # noqa: PLC0415
         from phantomgen.ops.trace.cpu import event_room, solid_table  # noqa: PLC0415
 
@@ -163,6 +188,24 @@ class _View(NamedTuple):
             mesh, creases, pieces = seen.with_room(), seen.outline, seen.pieces
         room = np.empty(solids.rows, np.int64), event_room(solids.rows, pieces)
         ray = (*room, np.empty(len(attenuation)), np.empty(len(air)))
+        maps, map_grid = None, 0
+        if solids.voxels is not None:
+            maps, map_grid = tuple(solids.voxels), _map_grid(frame, solids, solids.voxels)
+            # The faces of a map's box are faces of voxels like all others.
+            plain = solids.voxels.numbers[outline.shapes] < 0
+            outline = Silhouettes(outline.forms[plain], outline.shapes[plain], outline.roots[plain], outline.bounds)
         tiles = Tiles.of(outline.bounds, outline.shapes, rows, columns)
-        arrays = (frame, solid_table(solids), mesh, solids.locals_, tuple(tiles), int(background))
-        return cls(arrays, creases, outline, (attenuation, weights, starts, air), ray)
+        arrays = (frame, solid_table(solids), mesh, maps, solids.locals_, tuple(tiles), int(background))
+        return cls(arrays, creases, map_grid, outline, (attenuation, weights, starts, air), ray)
+
+
+def _map_grid(frame: Float[np.ndarray, "4 3"], solids: Solids, maps: VoxelMaps) -> int:
+    """Rays per pixel and axis for voxel maps: by the widest pixel, as seen in the middle of a map, in its voxels."""
+    fewest = FEWEST_RAYS
+    for row in np.flatnonzero(maps.numbers >= 0):
+        axes = np.linalg.inv(solids.locals_[row, :, :3])
+        depth = np.linalg.solve(frame[1:].T, -axes @ solids.locals_[row, :, 3] - frame[0])[0]
+        voxel = (2 * np.linalg.norm(axes, axis=0) / maps.shapes[maps.numbers[row], ::-1]).min()
+        pixel = abs(depth) * np.linalg.norm(frame[2:], axis=1).max()
+        fewest = max(fewest, int(np.ceil(min(RAYS_PER_VOXEL * pixel / voxel, MOST_RAYS))))
+    return fewest

@@ -11,6 +11,7 @@ class      where                                             rule
 `KINKED`   the order of shapes along the ray changes though  regular grid of rays
            no silhouette passes: surfaces of two shapes
            intersect there
+`VOXELS`   a voxel map projects there                        small regular grid of rays, unless one of the two above
 =========  ================================================  =======================================================
 """
 
@@ -19,4 +20,5 @@ SMOOTH = 1
 NEAR = 2
 CROSSED = 3
 KINKED = 4
-CLASSES = 5
+VOXELS = 5
+CLASSES = 6

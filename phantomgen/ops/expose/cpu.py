@@ -9,10 +9,10 @@ import numpy as np
 from numba import njit
 
 from phantomgen.ops.device import called, inlined
-from phantomgen.ops.expose.classes import CROSSED, EMPTY, KINKED, NEAR, SMOOTH
+from phantomgen.ops.expose.classes import CROSSED, EMPTY, KINKED, NEAR, SMOOTH, VOXELS
 from phantomgen.ops.mesh.cpu import list_pieces
-from phantomgen.ops.silhouette.quadrature import CONICS, grid_nodes, may_vanish, shift_form, square_nodes
-from phantomgen.ops.silhouette.tiles_cpu import list_active
+from phantomgen.ops.silhouette.quadrature import CONICS, grid_nodes, lattice_nodes, may_vanish, shift_form, square_nodes
+from phantomgen.ops.silhouette.tiles_cpu import list_active, touches
 from phantomgen.ops.trace.cpu import set_origin, trace_ray
 from spectra.ops.transmit.cpu import expected_ray
 
@@ -39,13 +39,16 @@ def _is_near(local, i, root, reach):
 
 @called
 @no_type_check
-def _send_rays(frame, table, mesh, tiles, background, spectrum, jobs, count, nodes, ray, remember, target, signatures):
+def _send_rays(
+    frame, table, mesh, maps, tiles, background, spectrum, jobs, count, nodes, ray, remember, target, signatures
+):
     """Write the average counts of pixels.
 
     Parameters
     ----------
     tiles : fields of `phantomgen.ops.silhouette.tiles.Tiles`
     mesh : argument of `list_pieces`, or None
+    maps : fields of `VoxelMaps`, or None
     jobs, count : row, column and index after the last node of each pixel; how many pixels
     nodes : offset from the centre in column and row, and weight, of each ray
     ray : scratch: indices of shapes, events, path lengths, counts of one ray
@@ -67,10 +70,10 @@ def _send_rays(frame, table, mesh, tiles, background, spectrum, jobs, count, nod
             dy = frame[1, 1] + u * frame[2, 1] + v * frame[3, 1]
             dz = frame[1, 2] + u * frame[2, 2] + v * frame[3, 2]
             if mesh is None:
-                signature = trace_ray(table, None, background, dx, dy, dz, active, shapes, events, lengths)
+                signature = trace_ray(table, None, maps, background, dx, dy, dz, active, shapes, events, lengths)
             else:
                 list_pieces(mesh, row * signatures.shape[1] + column, u, v)
-                signature = trace_ray(table, mesh[5:], background, dx, dy, dz, active, shapes, events, lengths)
+                signature = trace_ray(table, mesh[5:], maps, background, dx, dy, dz, active, shapes, events, lengths)
             if signature == 0 and background < 0:
                 for c in range(air.size):
                     target[c, row, column] += weight * air[c]
@@ -126,6 +129,42 @@ def _mark_creases(creases, classes):
 
 @inlined
 @no_type_check
+def _mark_maps(numbers, bounds, classes):
+    """Class of the pixels that a voxel map projects to, where no stronger rule is needed anyway."""
+    for s in range(numbers.size):
+        if numbers[s] >= 0:
+            first, last = _pixel_range(bounds[s, 0], bounds[s, 1], classes.shape[1])
+            top, bottom = _pixel_range(bounds[s, 2], bounds[s, 3], classes.shape[0])
+            for row in range(top, bottom):
+                for column in range(first, last):
+                    if classes[row, column] < CROSSED:
+                        classes[row, column] = VOXELS
+
+
+@inlined
+@no_type_check
+def _mark(creases, maps, bounds, classes):
+    """Raise the class of pixels because of meshes and voxel maps."""
+    if creases is not None:
+        _mark_creases(creases, classes)
+    if maps is not None:
+        _mark_maps(maps[0], bounds, classes)
+
+
+@inlined
+@no_type_check
+def _crossed_level(level, conics, strongest, maps, bounds, u, v):
+    """Level of Gauss rules in a pixel (u, v) that silhouettes cross: the strongest where there are voxels, too."""
+    level = max(level, min(conics, 2))
+    if maps is not None:
+        for s in range(maps[0].size):
+            if maps[0][s] >= 0 and touches(bounds, s, u, v):
+                level = strongest
+    return level
+
+
+@inlined
+@no_type_check
 def _gather(forms, roots, tiles, reach, row, column, active, local):
     """Collect the conics that cross a pixel, and the tangents that pass near it; return how many."""
     firsts, u, v = tiles[3], float(column), float(row)
@@ -151,13 +190,13 @@ def _settled(classes, signatures, level, row, column):
     """
     rows, columns = classes.shape
     kind = classes[row, column]
-    if kind in (EMPTY, CROSSED, KINKED):
+    if kind in (EMPTY, CROSSED, KINKED, VOXELS):
         return kind
     if level > 0:
         kind = NEAR
     for i in range(9):
         r, c = row + i // 3 - 1, column + i % 3 - 1
-        if not (0 <= r < rows and 0 <= c < columns) or classes[r, c] == CROSSED:
+        if not (0 <= r < rows and 0 <= c < columns) or classes[r, c] in (CROSSED, VOXELS):
             if i % 2:  # the four that share a side, which differences are taken with
                 kind = max(kind, NEAR)
         elif signatures[r, c] != signatures[row, column]:
@@ -202,6 +241,8 @@ def expose_view(
     table,
     mesh,
     creases,
+    maps,
+    map_grid,
     locals_,
     tiles,
     background,
@@ -212,7 +253,7 @@ def expose_view(
     rules,
     room,
     ray,
-    maps,
+    pixels,
     centres,
     out,
     rays,
@@ -224,13 +265,14 @@ def expose_view(
     table, locals_, background : the shapes; table gets the source as origin
     tiles : fields of `phantomgen.ops.silhouette.tiles.Tiles`
     mesh, creases : argument of `list_pieces`, and which pixels a silhouette or a crease of a mesh passes; or None
+    maps, map_grid : fields of `VoxelMaps` or None; rays per pixel and axis that meet one
     outline : forms, shapes and roots of the silhouettes
     reach : width [pixel] of the band inside a tangent where pixels are near
     sub_rays : 0, or send so many rays squared where more than the centre is needed; 1 for centres and nothing else
     spectrum : attenuation per material and node, weights, starts, counts without attenuation
     rules, room : levels of Gauss rules; scratch for conics, splits and nodes
     ray : scratch of `_send_rays`
-    maps : per pixel its class (written), a first guess of that (zero on entry), signature (zero on entry), and jobs
+    pixels : per pixel its class (written), a first guess of that (zero on entry), signature (zero on entry), and jobs
     centres : scratch: counts of the rays through centres (channel, row, column)
     out : counts (channel, row, column), written
     rays : number of rays traced per class, (class,), added to
@@ -238,15 +280,14 @@ def expose_view(
     forms, shapes, roots = outline
     rule_nodes, rule_sizes = rules
     local, lines, nodes = room
-    classes, guess, signatures, jobs = maps
+    classes, guess, signatures, jobs = pixels
     air = spectrum[3]
     rows, columns = classes.shape
     for s in range(table.shape[0]):
         set_origin(table, locals_, s, frame[0, 0], frame[0, 1], frame[0, 2])
     _classify(forms, shapes, roots, tiles[2], background, reach, local, guess)
+    _mark(creases, maps, tiles[2], guess)
     grid = np.int64(_KINK_GRID) if sub_rays == 0 else sub_rays
-    if creases is not None:
-        _mark_creases(creases, guess)
     # The first round sends rays through centres, the second one completes the pixels that need more.
     for completing in range(min(grid, 2)):
         target = out if completing or grid == 1 else centres
@@ -265,10 +306,13 @@ def expose_view(
                 begun = filled
                 if not completing or kind == KINKED or sub_rays > 0:
                     filled = grid_nodes(nodes, begun, grid if completing else np.int64(1))
+                elif kind == VOXELS:
+                    filled = lattice_nodes(nodes, begun, map_grid * map_grid)
                 else:
                     conics = _gather(forms, roots, tiles, reach, row, column, ray[0], local)
                     if kind == CROSSED:
-                        level = max(level, min(conics, 2))
+                        strongest = np.int64(rule_nodes.shape[0] - 1)
+                        level = _crossed_level(level, conics, strongest, maps, tiles[2], float(column), float(row))
                     filled = square_nodes(local, conics, rule_nodes[level], rule_sizes[level], lines, nodes, begun)
                 rays[kind] += filled - begun
                 jobs[count, 0], jobs[count, 1], jobs[count, 2] = row, column, filled
@@ -278,6 +322,7 @@ def expose_view(
                         frame,
                         table,
                         mesh,
+                        maps,
                         tiles,
                         background,
                         spectrum,
@@ -294,6 +339,7 @@ def expose_view(
             frame,
             table,
             mesh,
+            maps,
             tiles,
             background,
             spectrum,
@@ -309,12 +355,12 @@ def expose_view(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def expose_pixels(frame, table, mesh, locals_, tiles, background, spectrum, nodes, ray, pixels, maps, out):
+def expose_pixels(frame, table, mesh, maps, locals_, tiles, background, spectrum, nodes, ray, pixels, scratch, out):
     """Average over the same nodes in each of some pixels (row, column), written to ``out[:, row, column]``."""
-    signatures, job = maps
+    signatures, job = scratch
     one, forget = np.int64(1), np.bool_(False)  # typed, as literals would compile `_send_rays` a second time
     for s in range(table.shape[0]):
         set_origin(table, locals_, s, frame[0, 0], frame[0, 1], frame[0, 2])
     for i in range(pixels.shape[0]):
         job[0, 0], job[0, 1], job[0, 2] = pixels[i, 0], pixels[i, 1], nodes.shape[0]
-        _send_rays(frame, table, mesh, tiles, background, spectrum, job, one, nodes, ray, forget, out, signatures)
+        _send_rays(frame, table, mesh, maps, tiles, background, spectrum, job, one, nodes, ray, forget, out, signatures)

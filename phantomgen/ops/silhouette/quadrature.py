@@ -7,7 +7,7 @@ them) leaves a smooth function even where the tangent lies outside the square, a
 """
 
 from functools import lru_cache
-from math import asin, cos, isnan, nan, sin, sqrt
+from math import asin, cos, gcd, isnan, nan, sin, sqrt
 from typing import NamedTuple, no_type_check
 
 import numpy as np
@@ -303,6 +303,23 @@ def grid_nodes(nodes, at, n):
         nodes[at + i, 0], nodes[at + i, 1] = (i // n + 0.5) / n - 0.5, (i % n + 0.5) / n - 0.5
         nodes[at + i, 2] = 1.0 / (n * n)
     return at + n * n
+
+
+@inlined
+@no_type_check
+def lattice_nodes(nodes, at, count):
+    """Points of a lattice in the square, `count` different ones along either side, from index `at` on.
+
+    An edge along a side so cuts off the right share to 1 / count, not 1 / sqrt(count) as with a square grid. Steps are
+    close to the golden ratio, and have no divisor in common with `count`. Returns the next index.
+    """
+    step = int(0.6180339887498949 * count)
+    while gcd(step, count) > 1:
+        step += 1
+    for i in range(count):
+        nodes[at + i, 0], nodes[at + i, 1] = (i + 0.5) / count - 0.5, (i * step % count + 0.5) / count - 0.5
+        nodes[at + i, 2] = 1.0 / count
+    return at + count
 
 
 @njit(error_model="numpy")

@@ -39,7 +39,8 @@ def trace(
     if solids.surfaces is not None:
         starts, ends = mesh_intervals(origins, directions, solids.surfaces)
         listed, pieces = (starts, ends), int(np.diff(starts, axis=1).max(axis=1, initial=0).sum())
+    maps = None if solids.voxels is None else tuple(solids.voxels)
     active, events = np.empty(solids.rows, np.int64), cpu.event_room(solids.rows, pieces)
     balls = solids.balls if solids.rows > _MANY else np.empty((0, 4))
-    cpu.trace_rays(table, listed, balls, solids.locals_, background, origins, directions, active, events, out)
+    cpu.trace_rays(table, listed, maps, balls, solids.locals_, background, origins, directions, active, events, out)
     return out

@@ -15,6 +15,7 @@ from phantomgen.ops.device import inlined
 from phantomgen.ops.primitives import BALL, CONE, CYLINDER, HALFSPACE, MESH, TORUS
 from phantomgen.ops.solids import Solids
 from phantomgen.ops.trace.torus import torus_intervals
+from phantomgen.ops.trace.voxels import add_map
 
 # One row of a table of solids: what a ray needs to know about a primitive, side by side in memory. Few arrays, inlined
 # functions: numba counts references to each array that a function is handed, which costs more than a chord.
@@ -246,11 +247,12 @@ def owned_pieces(table, listed, dx, dy, dz, active, count, events):
 
 @inlined
 @no_type_check
-def trace_ray(table, listed, background, dx, dy, dz, active, count, events, lengths):
+def trace_ray(table, listed, maps, background, dx, dy, dz, active, count, events, lengths):
     """Write the path length per material of one ray, in mm.
 
     Parameters
     ----------
+    maps : fields of `VoxelMaps`; None without voxel maps
     background : material of what no shape owns, -1 for none
 
     Returns
@@ -267,6 +269,10 @@ def trace_ray(table, listed, background, dx, dy, dz, active, count, events, leng
         owner = int(events[PIECE, i])
         signature = signature * 1000003 + owner + 2
         if owner >= 0:
+            if maps is not None and maps[0][owner] >= 0:
+                low, high = events[CUT, i], events[CUT, i + 1]
+                covered += add_map(maps, table, owner, dx, dy, dz, low, high, norm, lengths)
+                continue
             part = (events[CUT, i + 1] - events[CUT, i]) * norm
             lengths[int(table[owner, MATERIAL])] += part
             covered += part
@@ -302,7 +308,7 @@ def _list_near(balls, ox, oy, oz, dx, dy, dz, active):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def trace_rays(table, listed, balls, locals_, background, origins, directions, active, events, out):
+def trace_rays(table, listed, maps, balls, locals_, background, origins, directions, active, events, out):
     """Path length per material of many rays, (R, 3) and (R, 3) -> (R, material).
 
     `listed` has, per mesh and ray, where its pieces start (mesh, ray + 1), and their ends (piece, 2); or is None.
@@ -319,8 +325,8 @@ def trace_rays(table, listed, balls, locals_, background, origins, directions, a
         for i in range(count):
             set_origin(table, locals_, active[i], ox, oy, oz)
         if listed is None:
-            trace_ray(table, None, background, dx, dy, dz, active, count, events, out[ray])
+            trace_ray(table, None, maps, background, dx, dy, dz, active, count, events, out[ray])
         else:
             starts, ends = listed
             own = (starts[:, ray], starts[:, ray + 1], ends)
-            trace_ray(table, own, background, dx, dy, dz, active, count, events, out[ray])
+            trace_ray(table, own, maps, background, dx, dy, dz, active, count, events, out[ray])

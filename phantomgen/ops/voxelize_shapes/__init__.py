@@ -6,6 +6,8 @@ from jaxtyping import Float, Float32
 from phantomgen.grid import Grid
 from phantomgen.ops.mesh import mesh_view
 from phantomgen.ops.solids import Solids
+from phantomgen.ops.voxel_maps import VoxelMaps
+from phantomgen.ops.voxelize_shapes.resample import mean_mixture
 from spectra.threads import run_parallel
 
 # Gauss nodes across and along a silhouette: of the rule, and of a weaker one that must agree with it.
@@ -27,12 +29,13 @@ def fractions(
     Parameters
     ----------
     grid : the voxels
-    solids : the objects; a later one overrides an earlier one
+    solids : the objects; a later one overrides an earlier one. Of a voxel map that shares a voxel with other objects,
+        a voxel gets its mean mixture there.
     count : number of materials
     background : material outside all shapes, -1 for none
     """
     from phantomgen.ops.silhouette import forms, quadrature, tiles  # noqa: PLC0415 - numba only where it computes
-    from phantomgen.ops.trace.cpu import event_room, solid_table  # noqa: PLC0415
+    from phantomgen.ops.trace.cpu import MATERIAL, event_room, solid_table  # noqa: PLC0415
     from phantomgen.ops.voxelize_shapes.cpu import stack, voxelize_row  # noqa: PLC0415
 
     solids = solids.checked(count, background)
@@ -41,20 +44,25 @@ def fractions(
     rules = quadrature.make_rules(*RULES)
     depth, rows, columns = grid.shape
     near = tuple(tiles.Tiles.of(outline.bounds, outline.shapes, rows, columns))
-    out = np.empty((count, depth, rows, columns), dtype=np.float32)
+    # Each map is a material of its own until the end.
+    maps = None if solids.voxels is None else solids.voxels.numbers
+    kinds = count if maps is None else count + int(maps.max()) + 1
+    out = np.empty((kinds, depth, rows, columns), dtype=np.float32)
 
     seen = None
     if solids.surfaces is not None:
         seen = mesh_view(frame, rows, columns, solids.surfaces, parallel=True, with_outline=False)
 
     table = solid_table(solids)
+    if maps is not None:
+        table[maps >= 0, MATERIAL] = count + maps[maps >= 0]
 
     def voxelize(row: int) -> None:
         mesh, pieces = (None, 0) if seen is None else (seen.with_room(), seen.pieces)
-        part = np.empty((count, depth, columns), dtype=np.float32)
+        part = np.empty((kinds, depth, columns), dtype=np.float32)
         room = tuple(quadrature.make_room(rules))
         events = event_room(solids.rows, pieces), event_room(solids.rows, pieces)
-        scratch = (np.empty(solids.rows, np.int64), *events, *stack(count, depth), np.empty((count, depth)))
+        scratch = (np.empty(solids.rows, np.int64), *events, *stack(kinds, depth), np.empty((kinds, depth)))
         voxelize_row(
             frame,
             table.copy(),
@@ -74,7 +82,21 @@ def fractions(
 
     for _ in run_parallel(voxelize, range(rows)):
         pass
-    return out
+    return out if solids.voxels is None else _with_contents(grid, solids, solids.voxels, out, count, background)
+
+
+def _with_contents(
+    grid: Grid, solids: Solids, maps: VoxelMaps, filled: Float32[np.ndarray, "kind z y x"], count: int, background: int
+) -> Float32[np.ndarray, "material z y x"]:
+    """Materials, with the contents of each map in the place of its box; what is empty there is background."""
+    out = filled[:count]
+    for row in np.flatnonzero(maps.numbers >= 0).tolist():
+        share = filled[count + maps.numbers[row]]
+        contents = share * mean_mixture(grid, solids, maps, row)
+        out += contents
+        if background >= 0:
+            out[background] += share - contents.sum(axis=0)
+    return out.clip(0, 1)
 
 
 def column_frame(grid: Grid) -> Float[np.ndarray, "4 3"]:

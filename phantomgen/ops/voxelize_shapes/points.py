@@ -1,0 +1,34 @@
+"""Mean mixture of a turned voxel map, in numba."""
+
+from math import floor
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def mean_of_points(cells, linear, offset, mixtures, spacing, origin, n, z, out):
+    """Write layer z of `out` (material, z, y, x): means over those of n x n x n points that lie in the map."""
+    point, index, sums = np.empty(3), np.empty(3, np.int64), np.empty(out.shape[0])
+    for y in range(out.shape[2]):
+        for x in range(out.shape[3]):
+            found = 0
+            sums[:] = 0.0
+            for i in range(n * n * n):
+                point[0] = origin[0] + spacing[0] * (z + (i // (n * n) + 0.5) / n - 0.5)
+                point[1] = origin[1] + spacing[1] * (y + (i // n % n + 0.5) / n - 0.5)
+                point[2] = origin[2] + spacing[2] * (x + (i % n + 0.5) / n - 0.5)
+                inside = True
+                for a in range(3):
+                    place = linear[a, 0] * point[0] + linear[a, 1] * point[1] + linear[a, 2] * point[2] + offset[a]
+                    index[a] = int(floor(place))
+                    inside = inside and 0 <= index[a] < cells.shape[a]
+                if inside:
+                    found += 1
+                    cell = cells[index[0], index[1], index[2]]
+                    for m in range(sums.size):
+                        sums[m] += mixtures[cell, m]
+            for m in range(sums.size):
+                out[m, z, y, x] = sums[m] / max(found, 1)

@@ -1,0 +1,91 @@
+"""Voxel maps on another grid: what each of its voxels holds on average, in the part that lies in the map's box."""
+
+import numpy as np
+from jaxtyping import Float, Float32, Int32
+from scipy.sparse import csr_array
+
+from phantomgen.grid import Grid
+from phantomgen.ops.solids import Solids
+from phantomgen.ops.voxel_maps import VoxelMaps
+from spectra.threads import run_parallel
+
+# Points per voxel and axis where the axes of a map and of the grid are not parallel.
+POINTS = 4
+_PARALLEL = 1e-9
+
+
+def mean_mixture(grid: Grid, solids: Solids, maps: VoxelMaps, row: int) -> Float32[np.ndarray, "material z y x"]:
+    """Mean mixture of that one of the maps which is row `row` of the primitives, in each voxel of a grid.
+
+    Overlaps of voxels are exact where axes are parallel, in any order and direction; else points are counted.
+    """
+    number = int(maps.numbers[row])
+    shape = maps.shapes[number]
+    cells = maps.cells[maps.starts[number] :][: shape.prod()].reshape(shape)
+    # From position (z, y, x) [mm] to voxel index, faces at integers.
+    linear = (solids.locals_[row, ::-1, 2::-1] / 2) * shape[:, None]
+    offset = (solids.locals_[row, ::-1, 3] + 1) / 2 * shape
+    sources = np.abs(linear).argmax(axis=1)
+    others = np.abs(linear).sum(axis=1) - np.abs(linear).max(axis=1)
+    if len(set(sources.tolist())) == 3 and (others < _PARALLEL * np.abs(linear).max(axis=1)).all():
+        order = np.argsort(sources)  # axis of the map that runs along each axis of the grid
+        scale = linear[order, np.arange(3)]
+        return _by_overlap(grid, cells.transpose(order), scale, offset[order], maps.mixtures)
+    return _by_points(grid, cells, linear, offset, maps.mixtures)
+
+
+def _by_overlap(
+    grid: Grid,
+    cells: Int32[np.ndarray, "k j i"],
+    scale: Float[np.ndarray, " 3"],
+    offset: Float[np.ndarray, " 3"],
+    mixtures: Float[np.ndarray, "mixture material"],
+) -> Float32[np.ndarray, "material z y x"]:
+    """Exact, one axis after the other."""
+    weights = [_overlaps(grid, axis, cells.shape[axis], scale[axis], offset[axis]) for axis in range(3)]
+    out = np.zeros((mixtures.shape[1], *grid.shape), dtype=np.float32)
+    for material in np.flatnonzero(mixtures.any(axis=0)):
+        volume = mixtures[:, material][cells]
+        for axis in range(3):
+            moved = np.moveaxis(volume, axis, 0)
+            mixed = weights[axis] @ moved.reshape(len(moved), -1)
+            volume = np.moveaxis(mixed.reshape(-1, *moved.shape[1:]), 0, axis)
+        out[material] = volume
+    return out
+
+
+def _overlaps(grid: Grid, axis: int, count: int, scale: float, offset: float) -> csr_array:
+    """Matrix (voxel of the grid, voxel of the map) of overlaps along an axis; rows sum to 1 where there are any."""
+    centre = grid.origin[axis] + grid.spacing[axis] * np.arange(grid.shape[axis])
+    one = scale * (centre - grid.spacing[axis] / 2) + offset
+    other = scale * (centre + grid.spacing[axis] / 2) + offset
+    low, high = np.minimum(one, other).clip(0, count), np.maximum(one, other).clip(0, count)
+    first, last = np.floor(low).astype(int), np.ceil(high).astype(int)
+    rows = np.repeat(np.arange(len(low)), last - first)
+    columns = np.concatenate([np.arange(a, b) for a, b in zip(first, last, strict=True)]).astype(int)
+    shares = np.minimum(columns + 1, high[rows]) - np.maximum(columns, low[rows])
+    # A sliver that rounding leaves would be worth a whole voxel where nothing else is there.
+    shares[shares < _PARALLEL * abs(scale) * grid.spacing[axis]] = 0
+    sums = np.bincount(rows, shares, minlength=len(low))
+    return csr_array((shares / np.where(sums == 0, 1, sums)[rows], (rows, columns)), shape=(len(low), count))
+
+
+def _by_points(
+    grid: Grid,
+    cells: Int32[np.ndarray, "k j i"],
+    linear: Float[np.ndarray, "3 3"],
+    offset: Float[np.ndarray, " 3"],
+    mixtures: Float[np.ndarray, "mixture material"],
+) -> Float32[np.ndarray, "material z y x"]:
+    """By a regular grid of points in each voxel."""
+    from phantomgen.ops.voxelize_shapes.points import mean_of_points  # noqa: PLC0415 - numba only where it computes
+
+    out = np.zeros((mixtures.shape[1], *grid.shape), dtype=np.float32)
+    spacing, origin = np.array(grid.spacing), np.array(grid.origin)
+
+    def layer(z: int) -> None:
+        mean_of_points(cells, linear, offset, mixtures, spacing, origin, POINTS, z, out)
+
+    for _ in run_parallel(layer, range(grid.shape[0])):
+        pass
+    return out
