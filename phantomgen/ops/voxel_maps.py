@@ -46,7 +46,7 @@ class VoxelMap(NamedTuple):
     @property
     def filled_box(self) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
         """Lowest and highest corner (x, y, z), in the local box, of all voxels that are not empty."""
-        solid = self.mixtures.any(axis=1)[self.cells]
+        solid = np.any(self.mixtures > 0, axis=1)[self.cells]
         ends = [np.flatnonzero(solid.any(axis=axes)) for axes in ((0, 1), (0, 2), (1, 2))]
         faces = np.array([(e[0], e[-1] + 1) if len(e) else (0, 0) for e in ends])
         low, high = 2 * faces.T / self.cells.shape[::-1] - 1
@@ -56,7 +56,7 @@ class VoxelMap(NamedTuple):
         """Mixtures at points (x, y, z) of the local box; 0 outside."""
         counts = np.array(self.cells.shape[::-1])[:, None]
         index = np.floor((local + 1) / 2 * counts).astype(np.int64)
-        inside = ((index >= 0) & (index < counts)).all(axis=0)
+        inside = np.all((index >= 0) & (index < counts), axis=0)
         x, y, z = np.where(inside, index, 0)
         return self.mixtures[self.cells[z, y, x]] * inside[:, None]
 
