@@ -206,6 +206,10 @@ def _on_panel(
 def _points(shape: Shape, count: int) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
     """Points spread evenly inside a shape, the middle of its bounds first if inside, and points of its surface."""
     rng = np.random.default_rng(0)
+    if maps := [part for term in shape.terms for part in term if part.voxels is not None]:
+        found = _voxel_points(maps[0], 4 * count, rng)
+        found = found[shape.contains(found)]
+        return found[:count], found
     parts = [part for term in shape.terms for part in term if part.inside and part.kind != HALFSPACE]
     outer, inner = zip(*(_surface(part, -(-count // len(parts)), rng) for part in parts), strict=True)
     surface = np.concatenate(outer)[shape.contains(np.concatenate(inner))]
@@ -214,6 +218,12 @@ def _points(shape: Shape, count: int) -> tuple[Float[np.ndarray, "point 3"], Flo
     points = low + unit * (high - low)
     inside = points[shape.contains(points)][: count + 1]
     return (inside, surface) if len(surface) else (inside, inside)
+
+
+def _voxel_points(part: Part, count: int, rng: np.random.Generator) -> Float[np.ndarray, "point 3"]:
+    """Points [mm] in voxels of a map that are not empty."""
+    local = part.voxels.points(count, rng) if part.voxels is not None else np.empty((3, 0))
+    return (local.T - part.local[:, 3]) @ np.linalg.inv(part.local[:, :3]).T
 
 
 def _surface(

@@ -46,11 +46,18 @@ class VoxelMap(NamedTuple):
     @property
     def filled_box(self) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
         """Lowest and highest corner (x, y, z), in the local box, of all voxels that are not empty."""
-        solid = np.any(self.mixtures, axis=1)[self.cells]
+        solid = np.any(self.mixtures > 0, axis=1)[self.cells]
         ends = [np.flatnonzero(solid.any(axis=axes)) for axes in ((0, 1), (0, 2), (1, 2))]
         faces = np.array([(e[0], e[-1] + 1) if len(e) else (0, 0) for e in ends])
         low, high = 2 * faces.T / self.cells.shape[::-1] - 1
         return low, high
+
+    def points(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "3 point"]:
+        """Random points (x, y, z) of the local box in voxels that are not empty."""
+        solid = np.flatnonzero(np.any(self.mixtures > 0, axis=1)[self.cells])
+        z, y, x = np.unravel_index(rng.choice(solid, count), self.cells.shape)
+        counts = np.array(self.cells.shape[::-1])[:, None]
+        return 2 * (np.stack([x, y, z]) + rng.random((3, count))) / counts - 1
 
     def at(self, local: Float[np.ndarray, "3 point"]) -> Float[np.ndarray, "point part"]:
         """Mixtures at points (x, y, z) of the local box; 0 outside."""

@@ -1,5 +1,7 @@
 """Voxel maps in scene files: formats, where a file lies in space, what values mean, and one sentence per mistake."""
 
+import runpy
+import shutil
 import sys
 from pathlib import Path
 
@@ -10,7 +12,7 @@ import pytest
 from phantomgen.dataset_truth import read_truth
 from phantomgen.scene import load_scene
 from phantomgen.scene_yaml import SceneFile
-from phantomgen.simulate import simulate
+from phantomgen.simulate import scan_truth, simulate
 from phantomgen.simulate_coverage import coverage_warnings
 from phantomgen.voxel_files import read_volume
 from spectra.errors import InputError, NotInstalledError, SceneError
@@ -29,6 +31,7 @@ materials:
   lung: {composition: lung, density: 0.26}
   adipose: {composition: adipose}
 """
+EXAMPLES = Path(__file__).parents[2] / "examples"
 LABELS = np.random.default_rng(0).integers(0, 3, (4, 5, 6)).astype(np.uint8)
 SPACING = (1.0, 1.5, 2.0)  # x, y, z
 
@@ -155,15 +158,29 @@ def test_a_scan_with_voxels_among_solids(tmp_path: Path) -> None:
     np.testing.assert_allclose(copy.scene.objects[0][0].axes, 8 * np.eye(3))
 
 
+def test_the_example_reads_what_its_script_writes(tmp_path: Path) -> None:
+    for name in ("voxels.yaml", "make_voxels.py"):
+        shutil.copy(EXAMPLES / name, tmp_path)
+    runpy.run_path(str(tmp_path / "make_voxels.py"), run_name="__main__")
+    scan = load_scene(tmp_path / "voxels.yaml", ["volume.voxels=32"])
+    assert [m.name for m in scan.scene.materials] == ["tissue", "bone", "marrow", "iodine"]
+    assert coverage_warnings(scan) == []
+    truth = scan_truth(scan)
+    filled = truth.fractions.sum(axis=(1, 2, 3)) / 65535 * truth.grid.voxel_volume
+    labels = np.load(tmp_path / "voxels.npy")
+    np.testing.assert_allclose(filled[1:3], [(labels == i).sum() / 8 for i in (2, 3)], rtol=0.01)
+    assert truth.fractions.sum(axis=0).max() <= 65536
+
+
 def test_warnings_are_about_what_is_not_empty(tmp_path: Path) -> None:
     labels = np.zeros((40, 40, 40), np.uint8)
-    labels[18:22, 18:22, 18:22] = 1
+    labels[19, 20:22, 20] = 1
     np.save(tmp_path / "map.npy", labels)
     assert coverage_warnings(scan_of(tmp_path, "file: map.npy, spacing: 2, labels: {1: bone}")) == []
     (warning, *_) = coverage_warnings(
         scan_of(tmp_path, "file: map.npy, spacing: 2, labels: {1: bone}, center: [9, 0, 0]")
     )
-    assert "object 0 (bone) reaches 5 mm beyond the volume" in warning
+    assert "object 0 (bone) reaches 3 mm beyond the volume" in warning
 
 
 @pytest.mark.parametrize(

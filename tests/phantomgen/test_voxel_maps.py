@@ -163,6 +163,12 @@ def test_truth_on_any_grid_is_counted_points(turn: np.ndarray, worst: float) -> 
     assert found.sum() == pytest.approx(expected.sum(), rel=5e-3)
 
 
+def test_a_turned_box_leaves_no_gaps_in_what_surrounds_it() -> None:
+    full = Voxels(VoxelMap.of_labels(np.ones((4, 4, 4)), [1]), TURN * 5, np.array([0.3, 0.2, 0.1]))
+    found = fractions(Grid.cube(24, 24.0), solids_of([(Box((0, 0, 0), (30, 30, 30)), 0), (full, (0,))]), 1)
+    np.testing.assert_allclose(found, 1, atol=1e-6)
+
+
 def test_bounds_and_points_are_those_of_voxels_that_are_not_empty() -> None:
     labels = np.zeros((4, 5, 6), int)
     labels[1, 2:4, 3] = 7

@@ -92,7 +92,7 @@ def _with_contents(
     out = filled[:count]
     for row in np.flatnonzero(maps.numbers >= 0).tolist():
         share = filled[count + maps.numbers[row]]
-        contents = share * mean_mixture(grid, solids, maps, row)
+        contents = share * mean_mixture(grid, solids, maps, int(row))
         out += contents
         if background >= 0:
             out[background] += share - contents.sum(axis=0)

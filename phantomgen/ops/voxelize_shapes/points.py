@@ -30,5 +30,12 @@ def mean_of_points(cells, linear, offset, mixtures, spacing, origin, n, z, out):
                     cell = cells[index[0], index[1], index[2]]
                     for m in range(sums.size):
                         sums[m] += mixtures[cell, m]
+            if found == 0:  # the map may still touch the voxel, beside all points: what is nearest to the middle
+                for a in range(3):
+                    place = linear[a, 0] * (origin[0] + spacing[0] * z) + linear[a, 1] * (origin[1] + spacing[1] * y)
+                    place += linear[a, 2] * (origin[2] + spacing[2] * x) + offset[a]
+                    index[a] = int(min(max(place, 0.0), cells.shape[a] - 1.0))
+                for m in range(sums.size):
+                    sums[m] = mixtures[cells[index[0], index[1], index[2]], m]
             for m in range(sums.size):
                 out[m, z, y, x] = sums[m] / max(found, 1)
