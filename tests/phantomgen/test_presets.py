@@ -1,5 +1,7 @@
 """Every scene that comes with the program: complete, inside the panel and the volume, and traceable."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from phantomgen.scene_yaml import SceneFile, preset_names, preset_summaries
 from phantomgen.simulate_coverage import coverage_warnings
 from phantomgen.simulate_spectra import fit_warnings, material_fit
 
+DOCS = Path(__file__).parents[2] / "docs"
 FEW_VIEWS = ("geometry.views=4", "geometry.test_views=1")
 
 
@@ -23,8 +26,8 @@ def test_every_preset_is_whole(name: str) -> None:
     scene, frames = scan.scene, scan.geometry.ray_frames()
     assert coverage_warnings(scan) == []
     assert fit_warnings(scan, material_fit(scan)) == []
-    used = {word for m in scene.materials for word in m.name.split()} if file.model.overlap == "add" else None
-    assert set(file.model.materials) <= (used or {m.name for m in scene.materials}), "a material of no object"
+    objects = file.text.partition("\nobjects:")[2]
+    assert all(material in objects for material in file.model.materials), "a material of no object"
 
     panel = scan.geometry.panel
     rng = np.random.default_rng(0)
@@ -36,6 +39,17 @@ def test_every_preset_is_whole(name: str) -> None:
     assert (lengths >= 0).all()
     assert (lengths.sum(axis=1) <= np.linalg.norm(directions, axis=1) * (1 + 1e-12)).all()
     assert (lengths > 0).any(axis=1).mean() > 0.2
+
+
+def test_every_preset_has_its_picture_and_its_sources() -> None:
+    page = (DOCS / "presets.md").read_text(encoding="utf-8")
+    sources = page.partition("## Sources")[2]
+    for name in preset_names():
+        assert f"](images/presets/{name}.png)" in page, f"add {name} to docs/presets.md"
+        assert f"`{name}`" in sources, f"say in docs/presets.md where {name} comes from"
+        picture = DOCS / "images" / "presets" / f"{name}.png"
+        assert picture.is_file(), f"run python docs/make_thumbnails.py {name}"
+        assert picture.stat().st_size < 60_000
 
 
 def test_the_inner_ear_of_the_forbild_head_has_its_air_cells() -> None:

@@ -1,0 +1,108 @@
+"""Pictures of all presets, for `docs/presets.md`: an axial slice, a coronal slice, and one projection.
+
+    python docs/make_thumbnails.py [PRESET ...]
+
+Slices show the attenuation at 70 keV, averaged over pixels; x runs to the right, y and z upwards. The projection is the
+line integral at 70 keV from the first view. Nothing random is in them, so the same program makes the same pictures.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from matplotlib import image
+
+from phantomgen.grid import Grid
+from phantomgen.ops.trace import trace
+from phantomgen.ops.voxelize_shapes import fractions
+from phantomgen.scene import Scan, load_scene
+from phantomgen.scene_yaml import preset_names
+
+FOLDER = Path(__file__).parent / "images" / "presets"
+PIXELS, GAP = 216, 6
+ENERGY = 70.0
+WATER = 0.0193  # 1/mm at 70 keV
+# Where slices cut (x, y, z) [mm], and the window of grey values in multiples of water; else the centre, and all values.
+PLACES = {
+    "aorta": (-3, -12, -4),
+    "bird-chest": (0, 1, 2),
+    "defrise": (0, 0, 7.1),
+    "forbild-head": (0, 0, 0.1),
+    "kedge": (0, -6, 0),
+    "kedge-physical": (0, -6, 0),
+    "kedge-small": (0, -6, 0),
+    "kedge-sphere": (0, -6, 0),
+    "line-pairs": (0, 0, 1),
+    "metal-hip": (0, 0, -20),
+    "multi-energy": (0, 25, 0),
+    "shepp-logan-3d": (0, -8, -25),
+}
+WINDOWS = {
+    "aorta": (0, 2.0),
+    "bird-chest": (0, 3.0),
+    "contrast-vials": (0.8, 3.0),
+    "forbild-head": (0.95, 1.15),
+    "metal-hip": (0, 4),
+    "multi-energy": (0.7, 2.0),
+    "shepp-logan-3d": (0.96, 1.08),
+}
+
+
+def slices(scan: Scan, at: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Attenuation [1/mm] in an axial and a coronal plane through a point, top rows first."""
+    size = scan.grid.shape[0] * scan.grid.spacing[0]
+    step = size / PIXELS
+    first = (step - size) / 2
+    axial = Grid((1, PIXELS, PIXELS), (step, step, step), (at[2], first, first))
+    coronal = Grid((PIXELS, 1, PIXELS), (step, step, step), (first, at[1], first))
+    filled = [
+        fractions(grid, scan.scene.solids, len(scan.scene.materials), background=scan.scene.background)
+        for grid in (axial, coronal)
+    ]
+    seen, behind = (np.tensordot(attenuation(scan), volume, 1) for volume in filled)
+    return seen[0, ::-1], behind[::-1, 0]
+
+
+def projection(scan: Scan) -> np.ndarray:
+    """Line integrals of the first view on a square panel that holds the real one."""
+    panel = scan.geometry.panel
+    frame = scan.geometry.ray_frames()[0]
+    side = max(panel.rows * panel.row_pitch, panel.columns * panel.column_pitch)
+    u, v = np.meshgrid(*[((np.arange(PIXELS) + 0.5) / PIXELS - 0.5) * side] * 2)
+    column = (panel.columns - 1) / 2 + u / panel.column_pitch
+    row = (panel.rows - 1) / 2 + v / panel.row_pitch
+    directions = frame[1] + column[..., None] * frame[2] + row[..., None] * frame[3]
+    rays = directions.reshape(-1, 3)
+    origins = np.broadcast_to(frame[0], rays.shape)
+    lengths = trace(origins, rays, scan.scene.solids, len(scan.scene.materials), scan.scene.background)
+    return (lengths @ attenuation(scan)).reshape(PIXELS, PIXELS)
+
+
+def attenuation(scan: Scan) -> np.ndarray:
+    """Of the materials at 70 keV [1/mm]."""
+    return np.array([m.attenuation(np.array([ENERGY]), scan.basis)[0] for m in scan.scene.materials])
+
+
+def grey(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Values as bytes."""
+    return np.round(255 * np.clip((values - low) / (high - low), 0, 1)).astype(np.uint8)
+
+
+def thumbnail(name: str) -> np.ndarray:
+    """One picture: three squares side by side."""
+    scan = load_scene(name, ["geometry.views=1", "geometry.test_views=0"])
+    axial, coronal = slices(scan, PLACES.get(name, (0, 0, 0)))
+    shadow = projection(scan)
+    low, high = (WATER * value for value in WINDOWS.get(name, (0, np.inf)))
+    high = min(high, float(max(axial.max(), coronal.max())))
+    gap = np.full((PIXELS, GAP), 255, np.uint8)
+    dark = grey(shadow, 0, float(np.quantile(shadow, 0.999)))
+    return np.hstack([grey(axial, low, high), gap, grey(coronal, low, high), gap, dark])
+
+
+if __name__ == "__main__":
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    for preset in sys.argv[1:] or preset_names():
+        picture = FOLDER / f"{preset}.png"
+        image.imsave(picture, thumbnail(preset), cmap="gray", vmin=0, vmax=255)
+        print(picture, picture.stat().st_size // 1000, "kB")
