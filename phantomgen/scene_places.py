@@ -5,7 +5,7 @@ from math import pi
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 PLACE_KEYS = ("within", "gap", "fill")
 Points = Float[np.ndarray, "item 3"]
@@ -42,11 +42,11 @@ def place(
     if room < 0:
         raise refuse(("within",), f"is {-room:.3g} mm too small for an object that reaches {reach.max():.3g} mm")
 
-    def candidates(attempt: int) -> Points:
-        u = np.stack([chances("within", axis, str(attempt)) for axis in "xyz"], axis=1)
-        return _points(region, reach, u)
+    def candidates(attempt: int, which: Int[np.ndarray, " ball"]) -> Points:
+        u = np.stack([chances("within", axis, str(attempt))[which] for axis in "xyz"], axis=1)
+        return _points(region, reach[which], u)
 
-    centers = candidates(0)
+    centers = candidates(0, np.arange(len(items)))
     if "gap" in rules:
         gap = rules["gap"]
         if isinstance(gap, bool) or not isinstance(gap, int | float) or not gap >= 0:
@@ -93,7 +93,7 @@ def _scale(
     volume = {
         "sphere": lambda: 4 / 3 * pi * region["radius"] ** 3,
         "cylinder": lambda: pi * region["radius"] ** 2 * region["length"],
-        "box": lambda: region["size"].prod(),
+        "box": lambda: np.prod(region["size"]),
     }[region["type"]]()
     factor = float(np.cbrt(fill * volume / sum(4 / 3 * pi * item["radius"] ** 3 for item in items)))
     for item in items:
@@ -102,7 +102,7 @@ def _scale(
 
 
 # Radius of the ball around an object's centre that holds it, whichever way it is turned [mm].
-_REACH: dict[str, Callable[[dict[str, Any]], float]] = {
+_REACH: dict[str, Callable[[dict[str, Any]], Any]] = {
     "sphere": lambda o: o["radius"],
     "ellipsoid": lambda o: np.max(o["radii"]),
     "cylinder": lambda o: np.hypot(np.max(o["radius"]), o["length"] / 2),

@@ -73,7 +73,7 @@ def source_place(values: Any, location: Location) -> Location:
 
 
 def drawn_item(values: Any, location: Location) -> int | None:
-    """Which of the objects that one entry stands for the outermost one at a place is; None where it is one of a kind."""
+    """Number of the outermost object at a place among those of its entry; None where there is no `count`."""
     for part in location:
         try:
             values = values[part]
@@ -153,7 +153,9 @@ class _Draw:
         if not options:
             raise self.refuse((*where, "choice"), f"needs {DISTRIBUTIONS['choice']}, got []")
         if shared and not all(isinstance(option, dict) for option in options):
-            raise self.refuse((*where, "choice"), f"must hold mappings where other keys stand beside it: {list(shared)}")
+            raise self.refuse(
+                (*where, "choice"), f"must hold mappings where other keys stand beside it: {list(shared)}"
+            )
         inside = (*where, "choice")
         drawn = [self.values(o, (*path, "choice", str(i)), (*inside, i), count) for i, o in enumerate(options)]
         picked = (numbers(self.seed, (*path, "choice"), count) * len(options)).astype(int)

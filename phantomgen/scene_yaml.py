@@ -1,6 +1,7 @@
 """Reading a scene file: YAML text to a checked model, every complaint with file, line, column and key."""
 
 import difflib
+import json
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ from phantomgen.schema import SceneModel
 from spectra.errors import Error, SceneError
 
 Location = tuple[str | int, ...]
+# More objects are written as one line of JSON each, which is YAML too: PyYAML takes half a millisecond for each.
+_MANY = 1000
 
 
 @dataclass(frozen=True)
@@ -85,7 +88,13 @@ class SceneFile:
     def resolved(self) -> str:
         """The scene as YAML, overrides and defaults included."""
         data = self.model.model_dump(mode="json", exclude_none=True)
-        return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120)
+        if len(data["objects"]) <= _MANY:
+            return _dump(data)
+        lines = "".join(f"- {json.dumps(values)}\n" for values in data["objects"])
+        keys = list(data)
+        head, tail = keys[: keys.index("objects")], keys[keys.index("objects") + 1 :]
+        rest = yaml.safe_dump({key: data[key] for key in tail}, sort_keys=False)
+        return f"{_dump({key: data[key] for key in head})}objects:\n{lines}{rest}"
 
     def error(self, location: Location, message: str) -> SceneError:
         """An error that says where in the file its cause stands, or which override put it there."""
@@ -213,12 +222,17 @@ def _next_key(holder: Any, path: str, override: str) -> tuple[Any, str]:
     return first, ""
 
 
+def _dump(data: dict[str, Any]) -> str:
+    """Values as YAML."""
+    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120)
+
+
 def _keys(values: Any, location: Location) -> Location:
     """`location` without the tags of unions, which pydantic adds and the file does not have."""
     keys: list[str | int] = []
     for part in location:
         if isinstance(values, dict):
-            if part not in values and part == values.get("type"):
+            if part not in values and (part == values.get("type") or not str(part).isidentifier()):
                 continue
             values = values.get(part)
         elif isinstance(values, list | tuple) and isinstance(part, int):

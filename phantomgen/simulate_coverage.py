@@ -29,7 +29,7 @@ def coverage_warnings(scan: Scan) -> list[str]:
 
 @lru_cache(maxsize=1)
 def sampled_lengths(scan: Scan) -> Float[np.ndarray, "ray material"]:
-    """Path lengths per material [mm] of rays through objects: through all of them in all views, unless they are many."""
+    """Path lengths per material [mm] of rays through all objects in all views, through a selection of many."""
     objects, frames = scan.scene.objects, scan.geometry.ray_frames()
     picked = range(len(objects)) if len(objects) <= _MANY else _largest(scan.scene)
     targets = np.concatenate([_points(objects[i][0], _RAYS_PER_OBJECT)[0] for i in picked])

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 # Rounds without a ball that finds a place after which there is taken to be none.
 PATIENCE = 300
@@ -12,7 +12,9 @@ GROUPS = 16
 
 
 def place_balls(
-    radii: Float[np.ndarray, " ball"], candidates: Callable[[int], Float[np.ndarray, "ball 3"]], gap: float
+    radii: Float[np.ndarray, " ball"],
+    candidates: Callable[[int, Int[np.ndarray, " some"]], Float[np.ndarray, "some 3"]],
+    gap: float,
 ) -> tuple[Float[np.ndarray, "ball 3"], int]:
     """Centres of balls with at least `gap` between any two, and how many found a place.
 
@@ -22,7 +24,7 @@ def place_balls(
     Parameters
     ----------
     radii : of the balls [mm]
-    candidates : centres that all balls try in a round [mm]
+    candidates : centres that some of the balls try in a round [mm]
     gap : least distance of two surfaces [mm]
     """
     from phantomgen.ops.place_balls.cpu import fill_round  # noqa: PLC0415 - numba only where it computes
@@ -34,7 +36,7 @@ def place_balls(
     for group in np.array_split(np.argsort(-radii, kind="stable"), GROUPS):
         waiting, attempt, last = group, 0, 0
         while len(waiting) and attempt - last <= PATIENCE:
-            fill_round(candidates(attempt), radii, gap, width, waiting, heads, following, centers, placed)
+            fill_round(candidates(attempt, waiting), radii, gap, width, waiting, heads, following, centers, placed)
             left = waiting[~placed[waiting]]
             last = attempt if len(left) < len(waiting) else last
             waiting, attempt = left, attempt + 1

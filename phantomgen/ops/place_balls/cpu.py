@@ -22,14 +22,15 @@ def fill_round(points, radii, gap, width, waiting, heads, following, centers, pl
 
     Parameters
     ----------
-    points, radii : where balls try, and how large they are [mm]
+    points, radii : where the waiting balls try, and how large all are [mm]
     gap, width : least distance of two surfaces, width of a cell [mm]
     waiting : balls without a place, in the order in which they try
     heads, following : first ball of each slot, next ball of the same slot; -1 for none
     centers, placed : written for balls that find a place
     """
-    for b in waiting:
-        x, y, z = points[b, 0], points[b, 1], points[b, 2]
+    for w in range(waiting.size):
+        b = waiting[w]
+        x, y, z = points[w, 0], points[w, 1], points[w, 2]
         i, j, k = np.int64(np.floor(x / width)), np.int64(np.floor(y / width)), np.int64(np.floor(z / width))
         free = True
         for cell in range(27):

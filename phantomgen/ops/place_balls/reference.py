@@ -3,12 +3,12 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 
 def place_one_by_one(
     radii: Float[np.ndarray, " ball"],
-    candidates: Callable[[int], Float[np.ndarray, "ball 3"]],
+    candidates: Callable[[int, Int[np.ndarray, " some"]], Float[np.ndarray, "some 3"]],
     gap: float,
     rounds: int,
     groups: int,
@@ -17,7 +17,7 @@ def place_one_by_one(
     found: dict[int, np.ndarray] = {}
     for group in np.array_split(np.argsort(-radii, kind="stable"), groups):
         for attempt in range(rounds):
-            points = candidates(attempt)
+            points = candidates(attempt, np.arange(len(radii)))
             for b in group.tolist():
                 if b not in found and all(
                     np.linalg.norm(points[b] - center) >= radii[a] + radii[b] + gap for a, center in found.items()
