@@ -104,7 +104,11 @@ def test_an_output_that_exists_is_refused_before_any_work(made):
     [
         (["make"], 2, "name either a scene file or a preset"),
         (["make", "a.yaml", "--preset", "kedge"], 2, "name either a scene file or a preset"),
-        (["make", "--preset", "kegde"], 1, "unknown preset 'kegde': choose from contrast-vials, kedge, kedge-small"),
+        (
+            ["make", "--preset", "kegde"],
+            1,
+            "unknown preset 'kegde': choose from contrast-vials, foam, kedge, kedge-small",
+        ),
         (["make", "none.yaml"], 1, "none.yaml cannot be read as a scene: No such file or directory"),
         (["make", "--preset", "kedge", "--views", "0"], 2, "0 is not in the range x>=1"),
         (
@@ -235,7 +239,7 @@ def test_a_look_at_a_dataset_without_truth_says_so(made, tmp_path):
 
 def test_presets_are_listed_and_shown_as_scenes_that_can_be_made(tmp_path):
     names = [line.split()[0] for line in run("presets").stdout.splitlines()]
-    assert names == ["contrast-vials", "kedge", "kedge-small", "multi-energy"]
+    assert names == ["contrast-vials", "foam", "kedge", "kedge-small", "multi-energy", "random"]
     from phantomgen.scene_yaml import SceneFile
 
     (tmp_path / "my.yaml").write_text(run("presets", "show", "kedge").stdout)
@@ -307,3 +311,14 @@ def test_make_imports_neither_torch_nor_the_viewer():
         "sys.exit(bool({'torch', 'pyvista', 'vtkmodules'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_drawn_scene_is_shown_as_it_is_made(tmp_path):
+    shown = run("presets", "show", "random", "--seed", 7, "--resolved")
+    assert "uniform" not in shown.stdout
+    assert shown.stdout == run("presets", "show", "random", "--set", "seed=7", "--resolved").stdout
+    (tmp_path / "drawn.yaml").write_text(shown.stdout)
+    assert run("presets", "show", tmp_path / "drawn.yaml", "--resolved").stdout == shown.stdout
+    result = run("presets", "show", "random", "--seed", 7)
+    assert result.exit_code == 2
+    assert "--seed and --set need --resolved" in result.stderr
