@@ -40,7 +40,7 @@ def main() -> None:
 @click.option("--views", type=click.IntRange(min=1), help="Number of training views.")
 @click.option("--test-views", type=click.IntRange(min=0), help="Number of test views.")
 @click.option("--voxels", type=click.IntRange(min=1), help="Voxels along each edge of the volume.")
-@click.option("--seed", type=click.IntRange(min=0), help="Seed of the noise.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the noise, and of a scene's random values.")
 @click.option("--noise/--no-noise", default=None, help="Poisson counts, or their means.")
 @click.option("--set", "settings", metavar="PATH=VALUE", multiple=True, help="Override any value of the scene.")
 @click.option("--keep", type=click.Choice(["expected"]), multiple=True, help="Store the noise-free counts as well.")
@@ -140,15 +140,27 @@ def presets(ctx: click.Context) -> None:
 
 
 @presets.command(
-    "show", epilog="\b\nExamples:\n  phantomgen presets show kedge\n  phantomgen presets show kedge > my.yaml"
+    "show",
+    epilog="\b\nExamples:\n  phantomgen presets show kedge > my.yaml\n"
+    "  phantomgen presets show random --seed 7 --resolved",
 )
 @click.argument("name")
+@click.option("--resolved", is_flag=True, help="Print what is simulated: random values drawn, defaults filled in.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed that random values are drawn from.")
+@click.option("--set", "settings", metavar="PATH=VALUE", multiple=True, help="Override any value of the scene.")
 @debug_option
-def presets_show(name: str) -> None:
-    """Print the YAML of preset NAME, to start a scene of your own."""
-    from phantomgen.scene_yaml import SceneFile
+def presets_show(name: str, resolved: bool, seed: int | None, settings: tuple[str, ...]) -> None:
+    """Print the YAML of preset NAME, to start a scene of your own; with --resolved also of a scene file."""
+    from phantomgen.scene_yaml import SceneFile, preset_names
 
-    click.echo(SceneFile.preset(name).text, nl=False)
+    if not resolved and (seed is not None or settings):
+        raise click.UsageError("--seed and --set need --resolved: the text of a preset is shown as it is")
+    overrides = [*([] if seed is None else [f"seed={seed}"]), *settings]
+    if resolved and name not in preset_names() and Path(name).suffix in {".yaml", ".yml", ".json"}:
+        click.echo(SceneFile.read(name, overrides).resolved, nl=False)
+        return
+    file = SceneFile.preset(name, overrides)
+    click.echo(file.resolved if resolved else file.text, nl=False)
 
 
 @main.group("import", epilog="\b\nExamples:\n  phantomgen import forbild HeadPhantom.pha -o head.yaml")

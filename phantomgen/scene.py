@@ -63,6 +63,7 @@ class Scan:
     flats, darks : number of open-beam frames and of frames without beam
     source_fields : what a file says about the tube, as (value, unit)
     text : the resolved scene as YAML
+    sub_rays : rays along each edge of a pixel, None where pixels are split along silhouettes
     """
 
     name: str
@@ -79,6 +80,7 @@ class Scan:
     darks: int
     source_fields: Mapping[str, tuple[float | str, str | None]]
     text: str
+    sub_rays: int | None = None
 
     def __repr__(self) -> str:
         objects, channels = len(self.scene.objects), len(self.detector)
@@ -136,6 +138,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
         darks=model.darks,
         source_fields=_source_fields(model.source),
         text=file.resolved,
+        sub_rays=model.panel.sub_rays,
     )
 
 

@@ -1,6 +1,7 @@
 """Reading a scene file: YAML text to a checked model, every complaint with file, line, column and key."""
 
 import difflib
+import json
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,10 +14,13 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from phantomgen import schema
+from phantomgen.scene_random import DISTRIBUTIONS, draw, drawn_item, source_place
 from phantomgen.schema import SceneModel
 from spectra.errors import Error, SceneError
 
 Location = tuple[str | int, ...]
+# More objects are written as one line of JSON each, which is YAML too: PyYAML takes half a millisecond for each.
+_MANY = 1000
 
 
 @dataclass(frozen=True)
@@ -55,9 +59,8 @@ class SceneFile:
     @cached_property
     def model(self) -> SceneModel:
         """The checked scene."""
-        values = self.values
         try:
-            model = SceneModel.model_validate(values)
+            model = SceneModel.model_validate(self.values)
         except ValidationError as error:
             found = min(error.errors(), key=_rank)
             location = (*found["loc"], "type") if found["type"].startswith("union_tag") else found["loc"]
@@ -66,6 +69,11 @@ class SceneFile:
 
     @cached_property
     def values(self) -> dict[str, Any]:
+        """The mapping in the file, with the overrides put in and all distributions drawn."""
+        return draw(self.template, self._error_at)
+
+    @cached_property
+    def template(self) -> dict[str, Any]:
         """The mapping in the file, with the overrides put in."""
         if not isinstance(self._root, yaml.MappingNode):
             raise SceneError(f"{self.name}:1:1: a scene is a mapping of keys to values that starts with 'version: 1'")
@@ -78,11 +86,24 @@ class SceneFile:
     def resolved(self) -> str:
         """The scene as YAML, overrides and defaults included."""
         data = self.model.model_dump(mode="json", exclude_none=True)
-        return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120)
+        if len(data["objects"]) <= _MANY:
+            return _dump(data)
+        lines = "".join(f"- {json.dumps(values)}\n" for values in data["objects"])
+        keys = list(data)
+        head, tail = keys[: keys.index("objects")], keys[keys.index("objects") + 1 :]
+        rest = yaml.safe_dump({key: data[key] for key in tail}, sort_keys=False)
+        return f"{_dump({key: data[key] for key in head})}objects:\n{lines}{rest}"
 
     def error(self, location: Location, message: str) -> SceneError:
         """An error that says where in the file its cause stands, or which override put it there."""
-        key = ".".join(_keys(self.values, location))
+        keys = _keys(self.values, location)
+        item = drawn_item(self.values, keys)
+        drawn = "" if item is None else f" (object {item} of those drawn)"
+        return self._error_at(source_place(self.values, keys), message + drawn)
+
+    def _error_at(self, location: Location, message: str) -> SceneError:
+        """The same for a place in the file, where an entry may stand for many objects."""
+        key = ".".join(map(str, location))
         for override in self.overrides:
             path = override.partition("=")[0].strip()
             if key == path or key.startswith(f"{path}."):
@@ -151,6 +172,12 @@ def _sentence(error: Any) -> str:
         return f"unknown key{_hint(str(error['loc'][-1]))}"
     if kind == "union_tag_invalid":
         return f"unknown type {error['ctx']['tag']!r}: choose from {error['ctx']['expected_tags']}"
+    if isinstance(got, dict) and len(got) == 1 and not kind.startswith("missing"):
+        name = str(next(iter(got)))
+        if name in DISTRIBUTIONS:
+            return f"{name} needs {DISTRIBUTIONS[name]}, got {got[name]!r}"
+        if isinstance(got[name], list):
+            return f"unknown distribution {name!r}{closest(name, DISTRIBUTIONS)}"
     text = error["msg"][0].lower() + error["msg"][1:]
     return f"{text}, got {got!r}" if isinstance(got, str | int | float | bool | None) else text
 
@@ -198,20 +225,25 @@ def _next_key(holder: Any, path: str, override: str) -> tuple[Any, str]:
     return first, ""
 
 
-def _keys(values: Any, location: Location) -> list[str]:
+def _dump(data: dict[str, Any]) -> str:
+    """Values as YAML."""
+    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120)
+
+
+def _keys(values: Any, location: Location) -> Location:
     """`location` without the tags of unions, which pydantic adds and the file does not have."""
-    keys = []
+    keys: list[str | int] = []
     for part in location:
         if isinstance(values, dict):
-            if part not in values and part == values.get("type"):
+            if part not in values and (part == values.get("type") or not str(part).isidentifier()):
                 continue
             values = values.get(part)
         elif isinstance(values, list | tuple) and isinstance(part, int):
             values = values[part] if part < len(values) else None
         else:
             continue
-        keys.append(str(part))
-    return keys
+        keys.append(part)
+    return tuple(keys)
 
 
 def _mark(node: yaml.Node | None, location: Location) -> str:

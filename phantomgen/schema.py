@@ -68,11 +68,16 @@ class CircularModel(Model):
 
 
 class PanelModel(Model):
-    """The pixel grid; one pitch [mm] for square pixels, else (between rows, between columns)."""
+    """The pixel grid; one pitch [mm] for square pixels, else (between rows, between columns).
+
+    Pixels average over their area, split along silhouettes; `sub_rays` takes a plain grid of so many rays along each
+    edge of a pixel instead, faster and less exact, and 1 takes the ray through the centre alone.
+    """
 
     rows: PositiveInt
     columns: PositiveInt
     pitch: PositiveFloat | tuple[PositiveFloat, PositiveFloat]
+    sub_rays: Annotated[int, Field(ge=1, le=16)] | None = None
 
 
 class VolumeModel(Model):

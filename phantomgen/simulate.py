@@ -152,6 +152,7 @@ def expected_view(scan: Scan, transmission: Transmission, view: int) -> Images:
         transmission.weights,
         transmission.starts,
         scan.scene.background,
+        sub_rays=scan.sub_rays,
     ).counts
 
 

@@ -101,7 +101,10 @@ def _edge_errors(
 ) -> Errors:
     """Errors of all edge pixels of a view, or of `count` of them."""
     frame, panel = scan.geometry.ray_frames()[view], scan.geometry.panel
-    found = expose(frame, panel.rows, panel.columns, *_arguments(scan, transmission))
+    found = expose(frame, panel.rows, panel.columns, *_arguments(scan, transmission), sub_rays=scan.sub_rays)
+    if scan.sub_rays == 1:  # rays through centres know of no edges
+        edges = expose(frame, panel.rows, panel.columns, *_arguments(scan, transmission), sub_rays=2)
+        found = found._replace(classes=edges.classes)
     pixels, mapped = np.argwhere((found.classes >= CROSSED) & (found.classes != VOXELS)), found.classes == VOXELS
     if mapped.any():
         chosen = np.argwhere(mapped)

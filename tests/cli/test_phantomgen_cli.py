@@ -309,3 +309,14 @@ def test_make_imports_neither_torch_nor_the_viewer():
         "sys.exit(bool({'torch', 'pyvista', 'vtkmodules'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_drawn_scene_is_shown_as_it_is_made(tmp_path):
+    shown = run("presets", "show", "random", "--seed", 7, "--resolved")
+    assert "uniform" not in shown.stdout
+    assert shown.stdout == run("presets", "show", "random", "--set", "seed=7", "--resolved").stdout
+    (tmp_path / "drawn.yaml").write_text(shown.stdout)
+    assert run("presets", "show", tmp_path / "drawn.yaml", "--resolved").stdout == shown.stdout
+    result = run("presets", "show", "random", "--seed", 7)
+    assert result.exit_code == 2
+    assert "--seed and --set need --resolved" in result.stderr

@@ -1,6 +1,7 @@
 """The examples run, and each says the same as its scene file."""
 
 import importlib.util
+import runpy
 import sys
 from pathlib import Path
 
@@ -66,3 +67,15 @@ def test_by_default_script_and_scene_file_have_the_same_size(kedge):
     assert (model.geometry.views, model.geometry.test_views) == (size.views, size.test_views)
     assert (model.panel.rows, model.panel.columns, model.volume.voxels) == (size.pixels, size.pixels, size.voxels)
     assert model.panel.pitch == 204.8 / size.pixels
+
+
+def test_the_training_set_skips_items_that_are_there(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("phantomgen.simulate.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
+    monkeypatch.setattr(sys, "argv", ["training_set.py", "2"])
+    for _ in range(2):
+        runpy.run_path(str(EXAMPLES / "training_set.py"))
+    assert [line.partition(":")[0] for line in capsys.readouterr().out.splitlines()] == [
+        "training/item0000.h5",
+        "training/item0001.h5",
+    ]

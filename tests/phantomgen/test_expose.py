@@ -10,9 +10,11 @@ from phantomgen.ops.expose import CROSSED, EMPTY, NEAR, SMOOTH, expose, expose_b
 from phantomgen.ops.expose.reference import expose_one
 from phantomgen.ops.silhouette.forms import cone_silhouettes, parallel_silhouettes
 from phantomgen.ops.silhouette.quadrature import CONICS, make_room, make_rules, square_nodes
+from phantomgen.ops.silhouette.tiles import TILE, Tiles
 from phantomgen.ops.trace import trace
+from phantomgen.ops.trace.reference import trace_one
 from phantomgen.panel import Panel
-from phantomgen.shapes import Box, Cylinder, Ellipsoid, Shape, Sphere, solids_of
+from phantomgen.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Shape, Sphere, Tube, Union, solids_of
 from spectra.errors import InputError
 from spectra.threads import run_parallel, set_threads
 
@@ -153,6 +155,77 @@ def test_column_of_a_cylinder_along_the_rays_has_only_its_rims() -> None:
     assert outline.roots.tolist() == [0, 0]
     a, b, c, _, e, f = outline.forms[0] / outline.forms[0, 3]
     np.testing.assert_allclose([a, b, c, e, f], [128 - 9, -16, -16, 0, 1], atol=1e-12)
+
+
+def crowd(count: int) -> list[tuple[Shape, int]]:
+    """A cylinder with small solids of all kinds in it, some of which overlap."""
+    rng = np.random.default_rng(3)
+    found: list[tuple[Shape, int]] = [(Cylinder((0, 0, 0), 50.0, 100.0), 0)]
+    for i in range(count):
+        center, size = tuple(rng.uniform(-32, 32, 3)), rng.uniform(2, 6)
+        axis, angles, material = tuple(rng.normal(size=3)), tuple(rng.uniform(0, 6, 3)), int(rng.integers(4))
+        shape = (
+            Sphere(center, size),
+            Ellipsoid(center, (size, size / 2, size), angles),
+            Box(center, (size, size, 2 * size), angles),
+            Cone(center, (size, 1.0), 2 * size, axis),
+            Capsule(center, size / 2, size, axis),
+            Tube(center, size, size / 2, size, axis),
+            Union((Sphere(center, size), Box(center, (2 * size, size, size)))),
+        )[i % 7]
+        found.append((shape, material))
+    return found
+
+
+def test_many_objects_are_traced_like_the_definition() -> None:
+    """Rays that look at near objects only find what rays that sort all crossings find."""
+    frame, solids = frame_of(48, 4.3), solids_of(crowd(120))
+    found = expose(frame, 48, 48, solids, *SPECTRUM, sub_rays=1)
+    directions = np.array([frame[1] + c * frame[2] + r * frame[3] for r in range(48) for c in range(48)])
+    lengths = trace(np.tile(frame[0], (48 * 48, 1)), directions, solids, 4)
+    for i in range(7, 48 * 48, 497):
+        np.testing.assert_allclose(lengths[i], trace_one(frame[0], directions[i], solids, 4), atol=1e-9)
+    counts = WEIGHTS * np.exp(-lengths @ ATTENUATION)
+    np.testing.assert_allclose(found.counts.reshape(4, -1).T, counts, rtol=1e-6)
+
+
+def test_a_plain_grid_is_the_mean_of_its_rays_and_converges() -> None:
+    frame, solids = frame_of(48, 4.3), solids_of(crowd(60))
+    exact = expose(frame, 48, 48, solids, *SPECTRUM, sub_rays=16)
+    pixels = np.argwhere(exact.classes == CROSSED)[::25]
+    coarse = expose(frame, 48, 48, solids, *SPECTRUM, sub_rays=4)
+    np.testing.assert_allclose(
+        coarse.counts[:, pixels[:, 0], pixels[:, 1]].T, expose_brute(frame, pixels, solids, *SPECTRUM, n=4), rtol=1e-12
+    )
+    brute = expose_brute(frame, pixels, solids, *SPECTRUM, n=96)
+    found = [expose(frame, 48, 48, solids, *SPECTRUM, sub_rays=n) for n in (1, 4, 16)]
+    errors = [log_error(each, brute, pixels) for each in found]
+    assert errors[0].mean() > 8 * errors[1].mean() > 64 * errors[2].mean()
+
+
+@pytest.mark.parametrize("sub_rays", [0, 17])
+def test_refuses_impossible_sub_rays(sub_rays: int) -> None:
+    with pytest.raises(InputError, match=f"1 to 16, got {sub_rays}"):
+        expose(frame_of(4, 1.0), 4, 4, solids_of(NESTED), *SPECTRUM, sub_rays=sub_rays)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32), st.integers(1, 40), st.integers(1, 40))
+def test_tiles_list_what_meets_them(seed: int, rows: int, columns: int) -> None:
+    rng = np.random.default_rng(seed)
+    low = rng.uniform(-20, 50, (12, 2))
+    high = low + rng.exponential(6, (12, 2))
+    bounds = np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]], axis=1)
+    bounds[0] = -np.inf, np.inf, -np.inf, np.inf
+    tiles = Tiles.of(bounds, np.arange(12), rows, columns)
+    for row, column in np.ndindex(rows, columns):
+        tile = row // TILE * tiles.across + column // TILE
+        listed = tiles.members[tiles.starts[tile] : tiles.starts[tile + 1]]
+        assert (np.diff(listed) > 0).all()
+        place = np.array([column, row])
+        meets = ((low - 0.5 <= place) & (place <= high + 0.5)).all(axis=1)
+        meets[0] = True
+        assert set(np.flatnonzero(meets)) <= set(listed)
 
 
 coefficient = st.floats(-1, 1)

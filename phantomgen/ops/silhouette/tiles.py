@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int64
 
-# Cells along each edge of a tile: smaller ones cost memory where shapes are large, larger ones time where small.
+# Cells along each edge of a tile: small ones cost memory where shapes are large, large ones time where they are small.
 TILE = 8
 
 

@@ -21,9 +21,8 @@ from phantomgen.ops.trace.voxels import add_map
 # functions: numba counts references to each array that a function is handed, which costs more than a chord.
 # NEED counts the primitives that a term lies inside; it is 0 for a primitive that the term lies outside.
 KIND, MATERIAL, ORIGIN, MAP, TUBE, OWNER, TERM, NEED, SURFACE, WIDTH = 0, 1, 2, 5, 14, 15, 16, 17, 18, 19
-# Rows of the scratch for the events along one ray.
-# Cut i is the end ``events[END, i]`` of a hit: its number times two, plus one where the ray leaves; `OPEN` lists the
-# hits that the ray has entered and not left.
+# Rows of the scratch for the events along one ray. Cut i is the end ``events[END, i]`` of a hit: its number times two,
+# plus one where the ray leaves. `OPEN` lists the hits that the ray has entered and not left.
 ENTER, LEAVE, HIT, CUT, PIECE, END, OPEN, EVENT_ROWS = 0, 1, 2, 3, 4, 5, 6, 7
 
 
