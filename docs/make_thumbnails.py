@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from matplotlib import image
+from PIL import Image
 
 from phantomgen.grid import Grid
 from phantomgen.ops.trace import trace
@@ -104,5 +104,5 @@ if __name__ == "__main__":
     FOLDER.mkdir(parents=True, exist_ok=True)
     for preset in sys.argv[1:] or preset_names():
         picture = FOLDER / f"{preset}.png"
-        image.imsave(picture, thumbnail(preset), cmap="gray", vmin=0, vmax=255)
+        Image.fromarray(thumbnail(preset)).save(picture, optimize=True)
         print(picture, picture.stat().st_size // 1000, "kB")

@@ -2,9 +2,13 @@
 
 import subprocess
 import sys
+from contextlib import suppress
 
 import pytest
 from hypothesis import settings
+
+with suppress(ImportError):  # before anything is rendered: its LLVM and that of Mesa load in this order only
+    import triton  # noqa: F401
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
