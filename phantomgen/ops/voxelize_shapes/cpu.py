@@ -102,12 +102,39 @@ def _gather(forms, roots, firsts, active, count, square, local):
 
 @called
 @no_type_check
+def _clear(share):
+    """``share[:] = 0``, by loops like the next two: for whole arrays numba compiles seconds of checks."""
+    for m in range(share.shape[0]):
+        for k in range(share.shape[1]):
+            share[m, k] = 0.0
+
+
+@called
+@no_type_check
+def _copy(share, other):
+    """``share[:] = other``."""
+    for m in range(share.shape[0]):
+        for k in range(share.shape[1]):
+            share[m, k] = other[m, k]
+
+
+@called
+@no_type_check
+def _add(share, other):
+    """``share += other``."""
+    for m in range(share.shape[0]):
+        for k in range(share.shape[1]):
+            share[m, k] += other[m, k]
+
+
+@called
+@no_type_check
 def _estimate(view, level, room, active, count, events, square, share):
     """Fractions that a square (u, v, side) of a column adds to its voxels, by one Gauss rule split along the conics."""
     frame, table, mesh, cell, locals_, forms, roots, firsts, rules = view
     local, lines, nodes = room
     u, v, side = square
-    share[:] = 0.0
+    _clear(share)
     conics, start = _gather(forms, roots, firsts, active, count, square, local), np.int64(0)
     for i in range(square_nodes(local, conics, rules[0][level], rules[1][level], lines, nodes, start)):
         a, b, weight = u + side * nodes[i, 0], v + side * nodes[i, 1], side * side * nodes[i, 2]
@@ -135,24 +162,26 @@ def _average(view, room, active, count, events, square, squares, shares, share):
     `squares` and `shares` are a stack of squares (u, v, side) and of their estimates. Two rules and the quarters must
     agree, as any two of them do by chance for some kinks.
     """
-    top = 0
-    squares[0, 0], squares[0, 1], squares[0, 2] = square
-    _estimate(view, 0, room, active, count, events, square, shares[0])
+    top, strong, weak = 0, np.int64(0), np.int64(1)  # typed, as literals would compile `_estimate` once for each
+    squares[0, 0], squares[0, 1], squares[0, 2] = square[0], square[1], square[2]
+    _estimate(view, strong, room, active, count, events, square, shares[0])
     while top >= 0:
         x, y, side = squares[top, 0], squares[top, 1], squares[top, 2]
-        _estimate(view, 1, room, active, count, events, (x, y, side), shares[top + 1])
+        _estimate(view, weak, room, active, count, events, (x, y, side), shares[top + 1])
         for quarter in range(4):
             at, step = top + 2 + quarter, 0.25 * side
             part = (x + (step if quarter % 2 else -step), y + (step if quarter // 2 else -step), 0.5 * side)
-            squares[at, 0], squares[at, 1], squares[at, 2] = part
-            _estimate(view, 0, room, active, count, events, part, shares[at])
+            squares[at, 0], squares[at, 1], squares[at, 2] = part[0], part[1], part[2]
+            _estimate(view, strong, room, active, count, events, part, shares[at])
         if side > SMALLEST and _disagree(shares, top, TOLERANCE * side):
-            for k in range(2):
-                squares[top + k], shares[top + k] = squares[top + 4 + k], shares[top + 4 + k]
+            for i in range(top, top + 2):
+                for k in range(3):
+                    squares[i, k] = squares[i + 4, k]
+                _copy(shares[i], shares[i + 4])
             top += 3
         else:
-            for quarter in range(2, 6):
-                share += shares[top + quarter]
+            for i in range(top + 2, top + 6):
+                _add(share, shares[i])
             top -= 1
 
 
@@ -175,7 +204,7 @@ def voxelize_row(frame, table, mesh, locals_, tiles, background, forms, roots, r
     v = float(iy)
     for ix in range(columns):
         u, cell = float(ix), iy * columns + ix
-        share[:] = 0.0
+        _clear(share)
         count = list_active(tiles, iy, ix, active)
         conics = _gather(forms, roots, tiles[3], active, count, (u, v, 1.0), room[0])
         uniform, pieces = _is_uniform(frame, table, mesh, cell, locals_, u, v, active, count, events, other)
