@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Float, Float32, Shaped
 
 from phantomgen.dataset_layout import FRACTION_SCALE
 from phantomgen.dataset_truth import Truth
@@ -152,6 +152,15 @@ def round_scale(top: float) -> tuple[float, int]:
     counts = [int(np.ceil(top / step - 1e-6)) for step in steps]
     end, count = min((step * count, count) for step, count in zip(steps, counts, strict=True) if 3 <= count <= 7)
     return float(end), count + 1
+
+
+def usual_top(values: Float32[np.ndarray, "z y x"]) -> float:
+    """Largest value, or what all but 1 % of the filled voxels stay below where metal would drown the rest."""
+    filled = values[values > 0]
+    if not filled.size:
+        return 0.0
+    top, usual = float(filled.max()), float(np.percentile(filled, 99))
+    return top if top <= 2 * usual else usual
 
 
 def source_path(geometry: Geometry) -> Float[np.ndarray, "point 3"]:

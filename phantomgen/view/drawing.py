@@ -19,6 +19,7 @@ from phantomgen.view.content import (
     round_scale,
     scan_title,
     source_path,
+    usual_top,
 )
 from phantomgen.view.panes import COLOUR_MAP, FAINT, FONT, INK, Pane
 from spectra.basis import pretty
@@ -73,7 +74,8 @@ def draw(
 def draw_basis(pane: Pane, content: Content, truth: Truth, basis: int) -> None:
     """Three slices through one basis volume, where there is anything, with its colour bar."""
     pane.plotter.subplot(*pane.place)
-    top, ticks = round_scale(float(truth.volumes[basis].max()))
+    highest, usual = float(truth.volumes[basis].max()), usual_top(truth.volumes[basis])
+    top, ticks = round_scale(usual)
     filled, most = np.logical_or.reduce(truth.fractions), _PAGE_VOXELS if pane.for_page else max(content.grid.shape)
     shown = list(planes(truth.volumes[basis], content.grid, content.at))
     for plane, part in zip(shown, planes(filled, content.grid, content.at), strict=True):
@@ -84,6 +86,8 @@ def draw_basis(pane: Pane, content: Content, truth: Truth, basis: int) -> None:
     pane.set_bar(top, ticks)
     pane.words.title = pretty(truth.basis_names[basis])
     pane.words.note = ", ".join(f"{plane.axis} = {plane.position:.4g}" for plane in shown) + " mm"
+    if highest > top:
+        pane.words.note += f"; brightest colour up to {highest:.2g} 1/mm"
     _look_at_volume(pane, content)
 
 

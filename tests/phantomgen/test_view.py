@@ -23,6 +23,7 @@ from phantomgen.view.content import (
     planes,
     round_scale,
     source_path,
+    usual_top,
 )
 from phantomgen.view.load import load, point_of, size_of
 from phantomgen.view.output import show
@@ -171,6 +172,17 @@ def test_the_first_corner_of_the_panel_is_that_of_pixel_0_0():
 )
 def test_a_colour_bar_ends_at_a_round_number(top, end, ticks):
     assert round_scale(top) == (pytest.approx(end), ticks)
+
+
+def test_a_little_metal_does_not_darken_the_rest():
+    volume = np.zeros((10, 10, 10), np.float32)
+    volume[:5] = 0.02
+    assert usual_top(volume) == pytest.approx(0.02)
+    volume[0, 0, :3] = 0.7
+    assert usual_top(volume) == pytest.approx(0.02)
+    volume[0, 0, :3] = 0.03
+    assert usual_top(volume) == pytest.approx(0.03)
+    assert usual_top(0 * volume) == 0.0
 
 
 def test_points_and_sizes_are_read_or_refused():
