@@ -48,6 +48,9 @@ WINDOWS = {
 }
 
 
+FRONT = (("foam", "shepp-logan-3d"), ("aorta", "bird-chest"))
+
+
 def slices(scan: Scan, at: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Attenuation [1/mm] in an axial and a coronal plane through a point, top rows first."""
     size = scan.grid.shape[0] * scan.grid.spacing[0]
@@ -100,9 +103,18 @@ def thumbnail(name: str) -> np.ndarray:
     return np.hstack([grey(axial, low, high), gap, grey(coronal, low, high), gap, dark])
 
 
+def gallery() -> np.ndarray:
+    """Four of the pictures, two by two, for the front page."""
+    (a, b), (c, d) = ([np.array(Image.open(FOLDER / f"{name}.png")) for name in pair] for pair in FRONT)
+    gap = np.full((PIXELS, GAP), 255, np.uint8)
+    rows = np.hstack([a, gap, b]), np.hstack([c, gap, d])
+    return np.vstack([rows[0], np.full((GAP, rows[0].shape[1]), 255, np.uint8), rows[1]])
+
+
 if __name__ == "__main__":
     FOLDER.mkdir(parents=True, exist_ok=True)
     for preset in sys.argv[1:] or preset_names():
         picture = FOLDER / f"{preset}.png"
         Image.fromarray(thumbnail(preset)).save(picture, optimize=True)
         print(picture, picture.stat().st_size // 1000, "kB")
+    Image.fromarray(gallery()).save(FOLDER / "gallery.png", optimize=True)
