@@ -1,6 +1,6 @@
 """Chords of every shape against extended precision: random rays, a fifth of them grazing.
 
-    python benchmarks/chords.py [RAYS]
+    python benchmarks/chords.py [RAYS [SHAPE ...]]
 
 The reference knows the implicit functions only, in long double (64-bit mantissa): it cuts a ray where one of them
 changes sign on a fine grid or dips below zero between its points, bisects to the last digit, and adds the pieces whose
@@ -167,12 +167,13 @@ def rays_of(shape: Shape, count: int, rng: np.random.Generator):
     return origin, direction
 
 
-def main(count: int) -> None:
+def main(count: int, names: list[str]) -> None:
     print(
         f"{'shape':<20}{'rays':>8}{'hits':>8}{'worst':>10}{'rms':>10}{'grazing worst':>15}{'shortest':>10}"
         f"{'of rays':>8}{'NaN':>5}{'ns/ray':>8}"
     )
-    for name, shape in SHAPES.items():
+    for name in names or SHAPES:
+        shape = SHAPES[name]
         rng = np.random.default_rng(0)
         origin, direction = rays_of(shape, count, rng)
         solids = solids_of([(shape, 0)])
@@ -195,4 +196,4 @@ def main(count: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 10_000)
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 10_000, sys.argv[2:])
