@@ -1,13 +1,17 @@
 """Voxel projectors compared: error against exact chords through what was voxelized, and time per view.
 
     python benchmarks/voxel_projector.py
+    python benchmarks/voxel_projector.py --device cuda
 
 A ball and a tilted cylinder are voxelized by volume fractions and projected from six sides. Errors are rms over all
 pixels, against the exact chord of the central ray and against the mean of 8 x 8 exact chords per pixel, in % of the
 longest chord. Times are those of one thread, for one component, and for each of four at once; all projectors but the
-last are written out below. Prints, and writes to results/voxel_projector.txt beside this file.
+last are written out below. On a GPU, the Triton kernels are timed on as many components, and compared with numba's: the
+greatest difference is in % of the greatest value. Without one, that is left out. Prints, and writes to
+results/voxel_projector.txt beside this file, with a GPU to results/voxel_projector_cuda.txt.
 """
 
+import argparse
 import os
 import platform
 import time
@@ -15,6 +19,7 @@ from math import floor
 from pathlib import Path
 
 import numpy as np
+import torch
 from numba import njit
 
 from phantomgen.geometry import Geometry
@@ -126,21 +131,44 @@ class Case:
         return project_transpose(np.repeat(self.mean[None], components, axis=0), self.grid, self.frames)
 
 
-def seconds(task) -> float:
+def seconds(task, clock=time.thread_time) -> float:
     """Least time per view of three runs; of this thread's processor only, which others disturb less."""
     task()
     times = []
     for _ in range(3):
-        begin = time.thread_time()
+        begin = clock()
         task()
-        times.append(time.thread_time() - begin)
+        times.append(clock() - begin)
     return min(times) / len(ANGLES)
 
 
+def on_gpu(case: Case) -> list[str]:
+    """Time and differences of the Triton kernels; a tensor on a GPU is all that they take."""
+    tasks = {
+        "project": (case.volume, lambda x: project(x, case.grid, case.frames, case.pixels, case.pixels)),
+        "project_transpose": (case.mean[None], lambda y: project_transpose(y, case.grid, case.frames)),
+    }
+    lines = []
+    for name, (values, task) in tasks.items():
+        one, four = (torch.tensor(np.repeat(values, n, axis=0), dtype=torch.float32, device="cuda") for n in (1, 4))
+        wanted, times = task(values.astype(np.float32)), []
+        for tensor in (one, four):
+            # Copying one number back waits for the rest.
+            times.append(seconds(lambda x=tensor, f=task: f(x).flatten()[-1].item(), time.perf_counter))
+        difference = abs(task(one).cpu().numpy() - wanted).max() / abs(wanted).max()
+        label, both = f"{name} on GPU, and each of 4", f"{1e3 * times[0]:.2f} {1e3 * times[1] / 4:.2f}"
+        lines.append(f"{label:42s}{both:>42s}   differs by {100 * difference:.1e} %")
+    return lines
+
+
 def main() -> None:
+    parser = argparse.ArgumentParser(description="Voxel projectors compared: errors and times.")
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="cuda: the GPU, too")
+    with_gpu = parser.parse_args().device == "cuda" and torch.cuda.is_available()
     set_threads(1)
     busy = f"{os.getloadavg()[0]:.1f} processes busy" if hasattr(os, "getloadavg") else ""
     lines = [f"{platform.machine()}, one thread, {busy}; errors in % of the longest chord"]
+    lines += [f"GPU: {torch.cuda.get_device_name()}"] if with_gpu else []
     for voxels, pixels in ((64, 64), (128, 128), (256, 256), (128, 256), (128, 64), (128, 32)):
         case = Case(voxels, pixels)
         lines.append(f"\n{voxels}^3 voxels, {pixels}^2 pixels   central ray  pixel mean  worst of these  ms per view")
@@ -162,9 +190,11 @@ def main() -> None:
         back, back_four = seconds(case.transposed), seconds(lambda c=case: c.transposed(4)) / 4
         lines.append(f"project, each of 4 {1e3 * four:60.1f}")
         lines.append(f"project_transpose, and each of 4 {1e3 * back:46.1f} {1e3 * back_four:.1f}")
+        lines += on_gpu(case) if with_gpu else []
     text = "\n".join(lines) + "\n"
     print(text)
-    (Path(__file__).parent / "results" / "voxel_projector.txt").write_text(text, encoding="utf-8")
+    file = "voxel_projector_cuda.txt" if with_gpu else "voxel_projector.txt"
+    (Path(__file__).parent / "results" / file).write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

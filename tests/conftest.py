@@ -1,5 +1,6 @@
 """Settings of all tests: hypothesis draws the same examples in every run, however slow the machine."""
 
+import os
 import subprocess
 import sys
 from contextlib import suppress
@@ -7,6 +8,7 @@ from contextlib import suppress
 import pytest
 from hypothesis import settings
 
+os.environ.setdefault("TRITON_INTERPRET", "1")  # asked at import; 0 tests on a GPU, where there is one
 with suppress(ImportError):  # before anything is rendered: its LLVM and that of Mesa load in this order only
     import triton  # noqa: F401
 
