@@ -306,7 +306,7 @@ def expose_view(
                 begun = filled
                 if not completing or kind == KINKED or sub_rays > 0:
                     filled = grid_nodes(nodes, begun, grid if completing else np.int64(1))
-                elif kind == VOXELS:
+                elif maps is not None and kind == VOXELS:  # in this order, so that no code is compiled without maps
                     filled = lattice_nodes(nodes, begun, map_grid * map_grid)
                 else:
                     conics = _gather(forms, roots, tiles, reach, row, column, ray[0], local)
