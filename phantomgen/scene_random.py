@@ -144,7 +144,7 @@ class _Draw:
         """How many objects an entry stands for."""
         count = self.values(entry.get("count", 1), (*path, "count"), (*where, "count"), 1)[0]
         if not isinstance(count, int) or isinstance(count, bool) or count < 0:
-            raise self.refuse((*where, "count"), f"must be a whole number of objects, 0 or more, got {count!r}")
+            raise self.refuse((*where, "count"), f"must be a whole number of objects, 0 or more, got {count!r}{hint}")
         return count
 
     def _choices(self, value: dict[str, Any], path: Path, where: Location, count: int) -> list[Any]:

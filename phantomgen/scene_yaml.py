@@ -129,7 +129,7 @@ class SceneFile:
         except yaml.MarkedYAMLError as error:
             mark = error.problem_mark
             place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
-            raise SceneError(f"{self.name}:{place}: {error.problem}") from None
+            raise SceneError(f"{self.name}:{place}: this is no YAML: {error.problem}") from None
         except yaml.YAMLError as error:
             raise SceneError(f"{self.name}:1:1: {str(error).splitlines()[0]}") from None
         _refuse_repeats(root, self.name)

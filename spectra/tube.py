@@ -4,6 +4,8 @@ SpekPy 2 (Poludniowski et al. 2021, doi:10.1002/mp.14945) with its default model
 beams within 5 %. This module imports SpekPy and is itself imported only when a tube is asked for.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 
 import numpy as np
@@ -34,7 +36,8 @@ def unfiltered_tube(kvp: float, angle: float, anode: str = "tungsten") -> Source
     anode : ``tungsten``, ``molybdenum``, ``rhodium`` or ``silver``
     """
     symbol = _checked(kvp, angle, anode)
-    tube = spekpy.Spek(kvp=kvp, th=angle, dk=_STEP, targ=symbol, physics="casim")
+    with _interruptible():
+        tube = spekpy.Spek(kvp=kvp, th=angle, dk=_STEP, targ=symbol, physics="casim")
     energy, density = _part(tube, lines=False)
     line_bins, line_density = _part(tube, lines=True)
     lines = np.flatnonzero(line_density)
@@ -44,6 +47,20 @@ def unfiltered_tube(kvp: float, angle: float, anode: str = "tungsten") -> Source
         energy, density = _sharpened(energy, density, value)
     energy, density = _with_ends(energy, density, kvp)
     return Source(energy, density, line_bins[lines], line_density[lines] * _STEP, float(kvp), breaks)
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Give back Ctrl-C, which SpekPy takes for a damaged table while it reads one."""
+    try:
+        yield
+    except Exception as error:
+        cause: BaseException | None = error
+        while cause is not None and not isinstance(cause, KeyboardInterrupt):
+            cause = cause.__context__
+        if cause is not None:
+            raise KeyboardInterrupt from None
+        raise
 
 
 def _checked(kvp: float, angle: float, anode: str) -> str:

@@ -130,3 +130,23 @@ def test_a_monochromatic_source_has_one_energy_everywhere():
 def test_impossible_sources_are_refused(make, words):
     with pytest.raises(InputError, match=words):
         make()
+
+
+@pytest.mark.parametrize("first", [KeyboardInterrupt, OSError])
+def test_an_interrupt_while_tables_are_read_stays_one(monkeypatch, first):
+    from spectra import tube
+
+    def spek(**_):
+        try:
+            try:
+                raise first
+            except BaseException:
+                raise Exception("no JSON")  # noqa: B904
+        except Exception:
+            raise Exception("error in loading state")  # noqa: B904
+
+    monkeypatch.setattr(tube.spekpy, "Spek", spek)
+    expected = KeyboardInterrupt if first is KeyboardInterrupt else Exception
+    with pytest.raises(expected) as caught:
+        tube.unfiltered_tube(61.0, 12.0)
+    assert type(caught.value) is expected

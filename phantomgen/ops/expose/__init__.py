@@ -124,7 +124,10 @@ def expose_brute(
     background: int = -1,
     n: int = 256,
 ) -> Float[np.ndarray, "pixel channel"]:
-    """Expected counts of some pixels (row, column), each the mean over n x n rays on a regular grid of midpoints."""
+    """Expected counts of some pixels (row, column), each the mean over n x n rays on a grid of midpoints.
+
+    The other parameters are those of `expose`.
+    """
     from phantomgen.ops.expose.cpu import expose_pixels  # noqa: PLC0415
 
     pixels = np.ascontiguousarray(pixels, dtype=np.int64)
