@@ -4,8 +4,8 @@
 
 The reference traces lines along z through each column of voxels that a surface passes, at the midpoints of a regular
 grid, clips each chord to each voxel and takes the mean; the chords are those that `chords.py` holds to extended
-precision. Its own error is that of midpoints across an edge, below
-1/LINES of a voxel for a surface along z and far below that for others. Errors are in parts of a voxel.
+precision. Its own error is that of midpoints across an edge, below 1/LINES of a voxel for a surface along z and far
+below that for others. Errors are in parts of a voxel.
 """
 
 import sys

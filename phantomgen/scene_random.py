@@ -144,6 +144,7 @@ class _Draw:
         """How many objects an entry stands for."""
         count = self.values(entry.get("count", 1), (*path, "count"), (*where, "count"), 1)[0]
         if not isinstance(count, int) or isinstance(count, bool) or count < 0:
+            hint = "; write such as {integers: [1, 9]}" if isinstance(count, dict) else ""
             raise self.refuse((*where, "count"), f"must be a whole number of objects, 0 or more, got {count!r}{hint}")
         return count
 
