@@ -32,6 +32,7 @@ ENERGIES = np.linspace(30, 120, 40)
 # Plastic and three materials from air to bone, 4 channels of 10 energies.
 ATTENUATION = np.stack([a * (70 / ENERGIES) ** b for a, b in ((0.018, 0.7), (0.0, 1), (0.02, 0.8), (0.05, 2))])
 SPECTRUM = (ATTENUATION, np.full(40, 5000.0), np.array([0, 10, 20, 30, 40]))
+ONE_ENERGY = (ATTENUATION[:, :1], np.ones(1), np.array([0, 1]))  # little but path lengths
 
 
 def mixed(count: int) -> Solids:
@@ -79,34 +80,45 @@ def ray_error(solids: Solids, count: int) -> float:
     return float(np.abs(found - exact).max())
 
 
+def times_of(view: Callable[[np.ndarray], object], heavy: bool) -> str:
+    """Time of a view on one thread, and on all threads that each compute views."""
+    view(FRAMES[1])
+    alone = seconds(lambda: view(FRAMES[1]), 1 if heavy else 10)
+    some = FRAMES[: thread_count()] if heavy else np.tile(FRAMES, (4, 1, 1))
+    begin = time.perf_counter()
+    list(run_parallel(view, some))
+    wall = (time.perf_counter() - begin) / len(some)
+    return f"{1e3 * alone:14.1f} {1e3 * wall:12.1f}"
+
+
 def lines_of(name: str, solids: Solids, rules: tuple[int | None, ...], rays: int) -> list[str]:
-    """One line per way to average over pixels."""
-    views, threads = FRAMES, thread_count()
-    lines = []
+    """One line per way to average over pixels, after one for a single energy."""
+    single = f"{ray_error(solids, rays):9.1e}" if rays else ""
+
+    def lengths(frame: np.ndarray):
+        return expose(frame, SIDE, SIDE, solids, *ONE_ENERGY, sub_rays=1)
+
+    times = times_of(lengths, solids.rows > 20_000)
+    lines = [f"{name:<14} {'1 energy':<8} {lengths(FRAMES[1]).rays.sum() / SIDE**2:10.1f} {times}{'':23}{single}"]
+    print(lines[0], flush=True)
     classes = expose(FRAMES[1], SIDE, SIDE, solids, *SPECTRUM, sub_rays=2).classes
     pixels = np.argwhere(classes >= CROSSED)
     pixels = pixels[np.random.default_rng(0).choice(len(pixels), 24, replace=False)]
     exact = np.concatenate(
         list(run_parallel(lambda p: expose_brute(FRAMES[1], p, solids, *SPECTRUM, n=128), np.split(pixels, 6)))
     )
-    single = f"{ray_error(solids, rays):9.1e}" if rays else f"{'':9}"
     for sub_rays in rules:
         heavy = sub_rays != 1 or solids.rows > 20_000
 
         def view(frame: np.ndarray, sub_rays: int | None = sub_rays):
             return expose(frame, SIDE, SIDE, solids, *SPECTRUM, sub_rays=sub_rays)
 
-        found = view(FRAMES[1])
-        alone = seconds(lambda view=view: view(FRAMES[1]), 1 if heavy else 10)
-        some = views[:threads] if heavy else np.tile(views, (4, 1, 1))
-        begin = time.perf_counter()
-        list(run_parallel(view, some))
-        wall = (time.perf_counter() - begin) / len(some)
+        found, times = view(FRAMES[1]), times_of(view, heavy)
         error = np.log(found.counts[:, pixels[:, 0], pixels[:, 1]].T / exact)
         way = "split" if sub_rays is None else f"{sub_rays} x {sub_rays}"
         lines.append(
-            f"{name:<14} {way:<8} {found.rays.sum() / SIDE**2:10.1f} {1e3 * alone:14.1f} {1e3 * wall:12.1f}"
-            f"   {np.sqrt((error**2).mean()):8.1e} {np.abs(error).max():8.1e}   {single}"
+            f"{name:<14} {way:<8} {found.rays.sum() / SIDE**2:10.1f} {times}"
+            f"   {np.sqrt((error**2).mean()):8.1e} {np.abs(error).max():8.1e}"
         )
         print(lines[-1], flush=True)
     return lines

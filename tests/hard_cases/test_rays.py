@@ -1,5 +1,7 @@
 """Rays that graze, run along an axis or in a face, begin or end inside, and shapes that share surfaces."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
@@ -51,6 +53,50 @@ def test_tangent_ray_has_no_length_and_its_neighbour_inside_has_one() -> None:
         assert path([(shape, 0)], (-50, 10 * (1 - 1e-12), 0), (50, 10 * (1 - 1e-12), 0))[0] == pytest.approx(
             20 * np.sqrt(2e-12), rel=1e-3
         )
+
+
+def rational_chord(shape: Shape, signs: tuple[int, int, int], level: int, origin, direction) -> float:
+    """Chord where ``sum(sign x^2) < level`` in local coordinates of the only primitive, without rounding."""
+    ((part,),) = shape.terms
+    rows = [[Fraction(number) for number in row] for row in part.local.tolist()]
+    start, along = ([Fraction(number) for number in vector.tolist()] for vector in (origin, direction))
+    o = [sum((m * x for m, x in zip(row, start, strict=False)), row[3]) for row in rows]
+    d = [sum((m * x for m, x in zip(row, along, strict=False)), Fraction(0)) for row in rows]
+    a, b, c = (sum(s * x * y for s, x, y in zip(signs, *pair, strict=True)) for pair in ((d, d), (o, d), (o, o)))
+    discriminant = float(b * b - a * (c - level))
+    return 2 * np.sqrt(max(discriminant, 0.0)) / float(a) * float(np.linalg.norm(direction))
+
+
+@pytest.mark.parametrize(
+    ("shape", "signs", "level"),
+    [
+        (Ellipsoid((1, 2, 3), (10.0, 20.0, 30.0), (0.3, 0.5, 0.7)), (1, 1, 1), 1),
+        (Cylinder((1, 2, 3), (20.0, 10.0), 1e4, (1, 2, 3)), (1, 1, 0), 1),
+        (Cone((1, 2, 3), (0.0, 20.0), 50.0, (1, 2, 3)), (1, 1, -1), 0),
+    ],
+)
+@pytest.mark.parametrize("distance", [200.0, 2e4])
+def test_grazing_chords_against_rational_arithmetic(shape, signs, level, distance) -> None:
+    """Rays are moved sideways until chords are some 1e-4 to 1e-9 of the shape."""
+    rng = np.random.default_rng(1)
+    middle = np.array([1.0, 2, 3])
+    axis = np.array([1.0, 2, 3]) / np.sqrt(14)
+    side = np.cross(rng.normal(size=(300, 3)), axis)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    direction = 2 * distance * (np.cross(side, axis) + 0.1 * rng.normal(size=(300, 1)) * axis)
+    solids, near, far = solids_of([(shape, 0)]), np.zeros(300), np.full(300, 100.0)
+    steps = rng.integers(25, 60, 300)
+    for step in range(60):
+        between = (near + far) / 2
+        start = middle + between[:, None] * side - direction / 2
+        hit = trace(start, direction, solids, 1)[:, 0] > 0
+        near = np.where(hit & (step < steps), between, near)
+        far = np.where(~hit & (step < steps), between, far)
+    origin = middle + near[:, None] * side - direction / 2
+    found = trace(origin, direction, solids, 1)[:, 0]
+    exact = [rational_chord(shape, signs, level, o, d) for o, d in zip(origin, direction, strict=True)]
+    assert np.sort(found)[30] < 1e-3
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize(("x", "length"), [(0.0, 8.0), (9.999999999, 8.0), (10.000000001, 0.0)])

@@ -94,11 +94,11 @@ def expose(
     maps = (classes, guess, np.zeros(pixels, dtype=np.int64), np.empty((rows * columns, 3), dtype=np.int64))
     outline = (view.outline.forms, view.outline.shapes, view.outline.roots)
     expose_view(
-        *view.shapes[:3],
+        *view.shapes[:4],
         view.creases,
-        view.shapes[3],
+        view.shapes[4],
         np.int64(view.map_grid if map_grid is None else min(map_grid, MOST_RAYS)),
-        *view.shapes[4:],
+        *view.shapes[5:],
         outline,
         float(reach),
         sub_rays or 0,
@@ -144,7 +144,7 @@ def expose_brute(
 class _View(NamedTuple):
     """Arguments of one view as the kernels want them."""
 
-    shapes: tuple[np.ndarray, np.ndarray, Any, Any, np.ndarray, tuple, int]
+    shapes: tuple[np.ndarray, np.ndarray, np.ndarray | None, Any, Any, tuple, int]
     creases: np.ndarray | None
     map_grid: int
     outline: Any
@@ -172,7 +172,8 @@ class _View(NamedTuple):
             no_silhouettes,
         )
         from phantomgen.ops.silhouette.tiles import Tiles  # noqa: PLC0415
-        from phantomgen.ops.trace.cpu import event_room, solid_table  # noqa: PLC0415
+        from phantomgen.ops.trace.cpu import event_room  # noqa: PLC0415
+        from phantomgen.ops.trace.table import ring_tubes, solid_table  # noqa: PLC0415
 
         frame, attenuation, weights = (np.ascontiguousarray(a, dtype=np.float64) for a in (frame, attenuation, weights))
         starts = np.ascontiguousarray(starts, dtype=np.int64)
@@ -198,7 +199,7 @@ class _View(NamedTuple):
             plain = solids.voxels.numbers[outline.shapes] < 0
             outline = Silhouettes(outline.forms[plain], outline.shapes[plain], outline.roots[plain], outline.bounds)
         tiles = Tiles.of(outline.bounds, outline.shapes, rows, columns)
-        arrays = (frame, solid_table(solids), mesh, maps, solids.locals_, tuple(tiles), int(background))
+        arrays = (frame, solid_table(solids), ring_tubes(solids), mesh, maps, tuple(tiles), int(background))
         return cls(arrays, creases, map_grid, outline, (attenuation, weights, starts, air), ray)
 
 

@@ -13,7 +13,8 @@ from phantomgen.ops.expose.classes import CROSSED, EMPTY, KINKED, NEAR, SMOOTH, 
 from phantomgen.ops.mesh.cpu import list_pieces
 from phantomgen.ops.silhouette.quadrature import CONICS, grid_nodes, lattice_nodes, may_vanish, shift_form, square_nodes
 from phantomgen.ops.silhouette.tiles_cpu import list_active, touches
-from phantomgen.ops.trace.cpu import set_origin, trace_ray
+from phantomgen.ops.trace.cpu import trace_ray
+from phantomgen.ops.trace.table import set_origin
 from spectra.ops.transmit.cpu import expected_ray
 
 _KINK_GRID = 16
@@ -40,7 +41,7 @@ def _is_near(local, i, root, reach):
 @called
 @no_type_check
 def _send_rays(
-    frame, table, mesh, maps, tiles, background, spectrum, jobs, count, nodes, ray, remember, target, signatures
+    frame, table, tubes, mesh, maps, tiles, background, spectrum, jobs, count, nodes, ray, remember, target, signatures
 ):
     """Write the average counts of pixels.
 
@@ -70,10 +71,12 @@ def _send_rays(
             dy = frame[1, 1] + u * frame[2, 1] + v * frame[3, 1]
             dz = frame[1, 2] + u * frame[2, 2] + v * frame[3, 2]
             if mesh is None:
-                signature = trace_ray(table, None, maps, background, dx, dy, dz, active, shapes, events, lengths)
+                signature = trace_ray(table, tubes, None, maps, background, dx, dy, dz, active, shapes, events, lengths)
             else:
                 list_pieces(mesh, row * signatures.shape[1] + column, u, v)
-                signature = trace_ray(table, mesh[5:], maps, background, dx, dy, dz, active, shapes, events, lengths)
+                signature = trace_ray(
+                    table, tubes, mesh[5:], maps, background, dx, dy, dz, active, shapes, events, lengths
+                )
             if signature == 0 and background < 0:
                 for c in range(air.size):
                     target[c, row, column] += weight * air[c]
@@ -239,11 +242,11 @@ def _curved(centres, channel, row, column):
 def expose_view(
     frame,
     table,
+    tubes,
     mesh,
     creases,
     maps,
     map_grid,
-    locals_,
     tiles,
     background,
     outline,
@@ -262,7 +265,7 @@ def expose_view(
 
     Parameters
     ----------
-    table, locals_, background : the shapes; table gets the source as origin
+    table, tubes, background : the shapes; table gets the source as origin
     tiles : fields of `phantomgen.ops.silhouette.tiles.Tiles`
     mesh, creases : argument of `list_pieces`, and which pixels a silhouette or a crease of a mesh passes; or None
     maps, map_grid : fields of `VoxelMaps` or None; rays per pixel and axis that meet one
@@ -284,7 +287,7 @@ def expose_view(
     air = spectrum[3]
     rows, columns = classes.shape
     for s in range(table.shape[0]):
-        set_origin(table, locals_, s, frame[0, 0], frame[0, 1], frame[0, 2])
+        set_origin(table, s, frame[0, 0], frame[0, 1], frame[0, 2])
     _classify(forms, shapes, roots, tiles[2], background, reach, local, guess)
     _mark(creases, maps, tiles[2], guess)
     grid = np.int64(_KINK_GRID) if sub_rays == 0 else sub_rays
@@ -321,6 +324,7 @@ def expose_view(
                     _send_rays(
                         frame,
                         table,
+                        tubes,
                         mesh,
                         maps,
                         tiles,
@@ -338,6 +342,7 @@ def expose_view(
         _send_rays(
             frame,
             table,
+            tubes,
             mesh,
             maps,
             tiles,
@@ -355,12 +360,14 @@ def expose_view(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def expose_pixels(frame, table, mesh, maps, locals_, tiles, background, spectrum, nodes, ray, pixels, scratch, out):
+def expose_pixels(frame, table, tubes, mesh, maps, tiles, background, spectrum, nodes, ray, pixels, scratch, out):
     """Average over the same nodes in each of some pixels (row, column), written to ``out[:, row, column]``."""
     signatures, job = scratch
     one, forget = np.int64(1), np.bool_(False)  # typed, as literals would compile `_send_rays` a second time
     for s in range(table.shape[0]):
-        set_origin(table, locals_, s, frame[0, 0], frame[0, 1], frame[0, 2])
+        set_origin(table, s, frame[0, 0], frame[0, 1], frame[0, 2])
     for i in range(pixels.shape[0]):
         job[0, 0], job[0, 1], job[0, 2] = pixels[i, 0], pixels[i, 1], nodes.shape[0]
-        _send_rays(frame, table, mesh, maps, tiles, background, spectrum, job, one, nodes, ray, forget, out, signatures)
+        _send_rays(
+            frame, table, tubes, mesh, maps, tiles, background, spectrum, job, one, nodes, ray, forget, out, signatures
+        )

@@ -131,29 +131,47 @@ def _primitive_forms(
 def cone_bounds(
     frame: Float[np.ndarray, "4 3"], kinds: Int64[np.ndarray, " shape"], locals_: Float[np.ndarray, "shape 3 4"]
 ) -> Float[np.ndarray, "shape 4"]:
-    """Panel rectangle around the shadow: tight for balls, that of the enclosing cube for the rest.
+    """Panel rectangle around the shadow; that of the enclosing cube but for balls, cylinders and cones."""
+    center, axes = _projected(np.linalg.inv(frame[1:].T), frame[0], locals_)
+    along = axes[:, 0]
+    reach = np.where(kinds == BALL, np.sqrt((along**2).sum(axis=1)), np.abs(along).sum(axis=1))
+    before = (center[:, 0] - reach > 1e-9) & (kinds != HALFSPACE)
+    bounds = np.tile([-np.inf, np.inf, -np.inf, np.inf], (len(locals_), 1))
+    for kind in np.unique(kinds[before]):
+        rows = np.flatnonzero(before & (kinds == kind))
+        c, a = center[rows], axes[rows]
+        if kind == BALL:
+            parts = [_ellipsoid_bounds(c, a)]
+        elif kind == CYLINDER:
+            parts = [_ellipsoid_bounds(c + side * a[:, :, 2], a[:, :, :2]) for side in (-1.0, 1.0)]
+        elif kind == CONE:
+            parts = [_ellipsoid_bounds(c, a[:, :, :0]), _ellipsoid_bounds(c + a[:, :, 2], a[:, :, :2])]
+        else:
+            corners = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8)
+            points = (c + np.moveaxis(a @ corners, 2, 0)).reshape(-1, 3)
+            parts = _ellipsoid_bounds(points, np.empty((len(points), 3, 0))).reshape(8, -1, 4)
+        lowest, highest = np.min(parts, axis=0), np.max(parts, axis=0)
+        bounds[rows] = np.where([True, False, True, False], lowest, highest)
+    return bounds
 
-    A plane ``u = constant`` touches the ball with homogeneous centre c and half axes b where
+
+def _ellipsoid_bounds(
+    center: Float[np.ndarray, "shape 3"], axes: Float[np.ndarray, "shape 3 axis"]
+) -> Float[np.ndarray, "shape 4"]:
+    """Rectangle around the shadows of ellipsoids, flat with two half axes, points with none.
+
+    A plane ``u = constant`` touches one with homogeneous centre c (depth, u, v) and half axes b where
     ``(c_u - u c_d)^2 = |b_u - u b_d|^2``; the roots are taken relative to the projected centre, where nothing cancels.
     """
-    center, axes = _projected(np.linalg.inv(frame[1:].T), frame[0], locals_)
     depth, along = center[:, 0], axes[:, 0]
-    ball = kinds == BALL
-    reach = np.where(ball, np.sqrt((along**2).sum(axis=1)), np.abs(along).sum(axis=1))
-    before = (depth - reach > 1e-9) & (kinds != HALFSPACE)
-    bounds = np.tile([-np.inf, np.inf, -np.inf, np.inf], (len(locals_), 1))
-    round_, other = before & ball, before & ~ball
-    for low, across in ((0, 1), (2, 2)):
-        c, d, b = center[round_, across], depth[round_], along[round_]
-        side = axes[round_, across] - (c / d)[:, None] * b
-        a, half = d**2 - (b**2).sum(axis=1), (side * b).sum(axis=1)
+    a, bounds = depth**2 - (along**2).sum(axis=1), []
+    for across in (1, 2):
+        middle = center[:, across] / depth
+        side = axes[:, across] - middle[:, None] * along
+        half = (side * along).sum(axis=1)
         root = np.sqrt(half**2 + (side**2).sum(axis=1) * a)
-        bounds[round_, low], bounds[round_, low + 1] = c / d + (-half - root) / a, c / d + (-half + root) / a
-        corners = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8)
-        w = depth[other, None] + along[other] @ corners
-        ratio = (center[other, across, None] + axes[other, across] @ corners) / w
-        bounds[other, low], bounds[other, low + 1] = ratio.min(axis=1), ratio.max(axis=1)
-    return bounds
+        bounds += [middle + (-half - root) / a, middle + (-half + root) / a]
+    return np.stack(bounds, axis=1)
 
 
 def _parallel_bounds(
@@ -161,8 +179,9 @@ def _parallel_bounds(
 ) -> Float[np.ndarray, "shape 4"]:
     """The same for parallel rays."""
     center, axes = _projected(np.linalg.inv(frame[[0, 2, 3]].T), frame[1], locals_)
-    ball = (kinds == BALL)[:, None]
-    reach = np.where(ball, np.sqrt((axes[:, 1:] ** 2).sum(axis=2)), np.abs(axes[:, 1:]).sum(axis=2))
+    x, y, z = np.abs(np.moveaxis(axes[:, 1:], 2, 0))
+    ball, round_ = (kinds == BALL)[:, None], np.isin(kinds, (CYLINDER, CONE))[:, None]
+    reach = np.where(ball, np.sqrt(x**2 + y**2 + z**2), np.where(round_, np.hypot(x, y) + z, x + y + z))
     reach[kinds == HALFSPACE] = np.inf
     return np.stack([center[:, 1:] - reach, center[:, 1:] + reach], axis=2).reshape(-1, 4)
 

@@ -47,7 +47,8 @@ class Tiles(NamedTuple):
         tile = (top[shape] + line) * across + left[shape] + step
         starts = np.concatenate([[0], np.cumsum(np.bincount(tile, minlength=down * across))])
         firsts = np.concatenate([[0], np.cumsum(np.bincount(shapes, minlength=len(bounds)))])
-        return cls(starts, shape[np.argsort(tile, kind="stable")], bounds, firsts, across)
+        small = tile.astype(np.uint16) if down * across < 2**16 else tile  # which numpy sorts six times faster
+        return cls(starts, shape[np.argsort(small, kind="stable")], bounds, firsts, across)
 
 
 def _reached(

@@ -30,17 +30,20 @@ def trace(
     count : number of materials
     background : material outside all shapes, -1 for none
     """
-    from phantomgen.ops.trace import cpu  # noqa: PLC0415 - numba is only worth its import when rays are traced
+    # numba is only worth its import when rays are traced
+    from phantomgen.ops.trace import cpu  # noqa: PLC0415
+    from phantomgen.ops.trace.table import ring_tubes, solid_table  # noqa: PLC0415
 
     solids = solids.checked(count, background)
     origins, directions = (np.ascontiguousarray(a, dtype=np.float64) for a in (origins, directions))
     out = np.empty((len(directions), count))
-    table, listed, pieces = cpu.solid_table(solids), None, 0
+    table, listed, pieces = solid_table(solids), None, 0
     if solids.surfaces is not None:
         starts, ends = mesh_intervals(origins, directions, solids.surfaces)
         listed, pieces = (starts, ends), int(np.diff(starts, axis=1).max(axis=1, initial=0).sum())
     maps = None if solids.voxels is None else tuple(solids.voxels)
     active, events = np.empty(solids.rows, np.int64), cpu.event_room(solids.rows, pieces)
     balls = solids.balls if solids.rows > _MANY else np.empty((0, 4))
-    cpu.trace_rays(table, listed, maps, balls, solids.locals_, background, origins, directions, active, events, out)
+    tubes = ring_tubes(solids)
+    cpu.trace_rays(table, tubes, listed, maps, balls, background, origins, directions, active, events, out)
     return out

@@ -11,30 +11,16 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit
 
-from phantomgen.ops.device import inlined
-from phantomgen.ops.primitives import BALL, CONE, CYLINDER, HALFSPACE, MESH, TORUS
-from phantomgen.ops.solids import Solids
+from phantomgen.ops.device import called, inlined
+from phantomgen.ops.primitives import BALL, BOX, CONE, CYLINDER, HALFSPACE, MESH
+from phantomgen.ops.trace.grazing import grazing_discriminant
+from phantomgen.ops.trace.table import ALONE, KIND, MATERIAL, NEAR, NEED, OWNER, SURFACE, TERM, set_origin
 from phantomgen.ops.trace.torus import torus_intervals
 from phantomgen.ops.trace.voxels import add_map
 
-# One row of a table of solids: what a ray needs to know about a primitive, side by side in memory. Few arrays, inlined
-# functions: numba counts references to each array that a function is handed, which costs more than a chord.
-# NEED counts the primitives that a term lies inside; it is 0 for a primitive that the term lies outside.
-KIND, MATERIAL, ORIGIN, MAP, TUBE, OWNER, TERM, NEED, SURFACE, WIDTH = 0, 1, 2, 5, 14, 15, 16, 17, 18, 19
 # Rows of the scratch for the events along one ray. Cut i is the end ``events[END, i]`` of a hit: its number times two,
 # plus one where the ray leaves. `OPEN` lists the hits that the ray has entered and not left.
-ENTER, LEAVE, HIT, CUT, PIECE, END, OPEN, EVENT_ROWS = 0, 1, 2, 3, 4, 5, 6, 7
-
-
-def solid_table(solids: Solids) -> Float[np.ndarray, "row 19"]:
-    """Primitives as rows: kind, material, the rays' local origin (to be filled in), linear map, roles."""
-    table = np.zeros((solids.rows, WIDTH))
-    table[:, KIND], table[:, MATERIAL], table[:, TUBE] = solids.kinds, solids.materials, solids.tubes
-    table[:, MAP:TUBE] = solids.locals_[:, :, :3].reshape(-1, 9)
-    table[:, OWNER], table[:, TERM], table[:, SURFACE] = solids.owners, solids.terms, solids.meshes
-    needs = np.bincount(solids.terms[solids.inside], minlength=solids.rows)
-    table[:, NEED] = np.where(solids.inside, needs[solids.terms], 0)
-    return table
+ENTER, LEAVE, HIT, CUT, PIECE, END, OPEN, EXACT, EVENT_ROWS = 0, 1, 2, 3, 4, 5, 6, 6, 7
 
 
 def event_room(rows: int, pieces: int = 0) -> Float[np.ndarray, "7 event"]:
@@ -56,10 +42,10 @@ def _slab(position, slope, first, last):
 
 @inlined
 @no_type_check
-def _between_roots(a, b, discriminant, outside):
+def _between_roots(a, b, discriminant, inside):
     """Interval where ``a t^2 + 2 b t + c < 0``; without curvature (a = 0) everything or nothing."""
     if a == 0.0:
-        return (1.0, 0.0) if outside else (0.0, 1.0)
+        return (0.0, 1.0) if inside else (1.0, 0.0)
     if discriminant <= 0.0:
         return 1.0, 0.0
     root = sqrt(discriminant)
@@ -68,7 +54,7 @@ def _between_roots(a, b, discriminant, outside):
 
 @inlined
 @no_type_check
-def _in_cone(ox, oy, oz, dx, dy, dz, mx, my, mz):
+def _in_cone(ox, oy, oz, dx, dy, dz, discriminant):
     """Interval inside the upper half of the double cone ``x^2 + y^2 < z^2``, cut off at its base."""
     a, b = dx * dx + dy * dy - dz * dz, ox * dx + oy * dy - oz * dz
     first, last = _slab(2.0 * oz - 1.0, 2.0 * dz, 0.0, 1.0)
@@ -77,7 +63,6 @@ def _in_cone(ox, oy, oz, dx, dy, dz, mx, my, mz):
             return (1.0, 0.0) if ox * ox + oy * oy >= oz * oz else (first, last)
         end = (oz * oz - ox * ox - oy * oy) / (2.0 * b)
         return (first, min(last, end)) if b > 0.0 else (max(first, end), last)
-    discriminant = mx * mx + my * my - mz * mz
     if a > 0.0 and discriminant <= 0.0:
         return 1.0, 0.0
     root = sqrt(max(discriminant, 0.0))
@@ -90,64 +75,105 @@ def _in_cone(ox, oy, oz, dx, dy, dz, mx, my, mz):
 
 @inlined
 @no_type_check
-def chord(kind, ox, oy, oz, dx, dy, dz):
-    """Interval of t in [0, 1] inside a unit primitive, in local coordinates; empty when the first is not smaller.
+def _round_chord(kind, ox, oy, oz, dx, dy, dz, near, refined, exact):
+    """Interval inside a ball, a cylinder or a cone, and whether the ray all but misses it.
 
     Discriminants stand as squares of the direction minus squares of the moment ``o x d`` (Lagrange's identity), which
-    keeps the digits that ``b^2 - a c`` loses for a distant source.
+    keeps the digits that ``b^2 - a c`` loses for a distant source. Where a ray all but misses, these do not do either:
+    there the `exact` one is taken, once it is known.
     """
-    mz = ox * dy - oy * dx
-    if kind == BALL:
-        mx, my = oy * dz - oz * dy, oz * dx - ox * dz
-        a = dx * dx + dy * dy + dz * dz
-        outside = ox * ox + oy * oy + oz * oz >= 1.0
-        return _between_roots(a, ox * dx + oy * dy + oz * dz, a - mx * mx - my * my - mz * mz, outside)
+    across, along, mz = dx * dx + dy * dy, dz * dz, ox * dy - oy * dx
     if kind == CYLINDER:
-        a = dx * dx + dy * dy
-        first, last = _between_roots(a, ox * dx + oy * dy, a - mz * mz, ox * ox + oy * oy >= 1.0)
-        return _slab(oz, dz, first, last)
-    if kind == HALFSPACE:
-        if dz == 0.0:
-            return (0.0, 1.0) if oz < 0.0 else (1.0, 0.0)
-        cut = -oz / dz
-        return (0.0, min(1.0, cut)) if dz > 0.0 else (max(0.0, cut), 1.0)
-    if kind == CONE:
+        discriminant = across - mz * mz
+    else:
         mx, my = oy * dz - oz * dy, oz * dx - ox * dz
-        return _in_cone(ox, oy, oz, dx, dy, dz, mx, my, mz)
+        turned = mx * mx + my * my
+        discriminant = across + along - turned - mz * mz if kind == BALL else turned - mz * mz
+    grazing = abs(discriminant) < near * (across + along)
+    if grazing and refined:
+        discriminant = exact
+    if kind == BALL:
+        inside = ox * ox + oy * oy + oz * oz < 1.0
+        first, last = _between_roots(across + along, ox * dx + oy * dy + oz * dz, discriminant, inside)
+    elif kind == CONE:
+        first, last = _in_cone(ox, oy, oz, dx, dy, dz, discriminant)
+    else:
+        first, last = _between_roots(across, ox * dx + oy * dy, discriminant, ox * ox + oy * oy < 1.0)
+        first, last = _slab(oz, dz, first, last)
+    return first, last, grazing
+
+
+@inlined
+@no_type_check
+def _halfspace_chord(oz, dz):
+    """Interval inside a half-space."""
+    if dz == 0.0:
+        return (0.0, 1.0) if oz < 0.0 else (1.0, 0.0)
+    cut = -oz / dz
+    return (0.0, min(1.0, cut)) if dz > 0.0 else (max(0.0, cut), 1.0)
+
+
+@inlined
+@no_type_check
+def _box_chord(ox, oy, oz, dx, dy, dz):
+    """Interval inside a box."""
     first, last = _slab(ox, dx, 0.0, 1.0)
     first, last = _slab(oy, dy, first, last)
     return _slab(oz, dz, first, last)
 
 
+@called
+@no_type_check
+def _refine(table, dx, dy, dz, active, count, events):
+    """Write discriminants of the active primitives in twice the precision; flat ones have none, only a number."""
+    for i in range(count):
+        events[EXACT, i] = grazing_discriminant(table[active[i]], dx, dy, dz)
+
+
 @inlined
 @no_type_check
-def _collect(table, listed, dx, dy, dz, active, count, events):
+def _collect(table, tubes, listed, dx, dy, dz, active, count, events):
     """Fill `events` with those of the active primitives that the ray meets, in order; return how many."""
-    hits = 0
-    for i in range(count):
-        s = active[i]
-        if listed is not None:
-            first_piece, last_piece, ends = listed
-            if table[s, KIND] == MESH:
-                mesh = int(table[s, SURFACE])
-                for piece in range(first_piece[mesh], last_piece[mesh]):
-                    events[ENTER, hits], events[LEAVE, hits], events[HIT, hits] = ends[piece, 0], ends[piece, 1], s
-                    hits += 1
+    refined = False
+    while True:
+        hits, grazing = 0, False
+        for i in range(count):
+            s = active[i]
+            kind = table[s, KIND]
+            if listed is not None:
+                first_piece, last_piece, ends = listed
+                if kind == MESH:
+                    mesh = int(table[s, SURFACE])
+                    for piece in range(first_piece[mesh], last_piece[mesh]):
+                        events[ENTER, hits], events[LEAVE, hits], events[HIT, hits] = ends[piece, 0], ends[piece, 1], s
+                        hits += 1
+                    continue
+            ox, oy, oz = table[s, 2], table[s, 3], table[s, 4]
+            lx = table[s, 5] * dx + table[s, 6] * dy + table[s, 7] * dz
+            ly = table[s, 8] * dx + table[s, 9] * dy + table[s, 10] * dz
+            lz = table[s, 11] * dx + table[s, 12] * dy + table[s, 13] * dz
+            if tubes is not None and tubes[s] > 0.0:
+                hits += torus_intervals(tubes[s], ox, oy, oz, lx, ly, lz, s, hits, events)
                 continue
-        kind, ox, oy, oz = table[s, KIND], table[s, 2], table[s, 3], table[s, 4]
-        lx = table[s, 5] * dx + table[s, 6] * dy + table[s, 7] * dz
-        ly = table[s, 8] * dx + table[s, 9] * dy + table[s, 10] * dz
-        lz = table[s, 11] * dx + table[s, 12] * dy + table[s, 13] * dz
-        if kind == TORUS:
-            hits += torus_intervals(table[s, TUBE], ox, oy, oz, lx, ly, lz, s, hits, events)
-            continue
-        first, last = chord(kind, ox, oy, oz, lx, ly, lz)
-        if first < last:
-            events[ENTER, hits] = first
-            events[LEAVE, hits] = last
-            events[HIT, hits] = s
-            hits += 1
-    return hits
+            if kind == BOX:
+                first, last = _box_chord(ox, oy, oz, lx, ly, lz)
+            elif kind == HALFSPACE:
+                first, last = _halfspace_chord(oz, lz)
+            else:
+                first, last, close = _round_chord(
+                    kind, ox, oy, oz, lx, ly, lz, table[s, NEAR], refined, events[EXACT, i]
+                )
+                grazing |= close
+            if first < last:
+                events[ENTER, hits] = first
+                events[LEAVE, hits] = last
+                events[HIT, hits] = s
+                hits += 1
+        if refined or not grazing:
+            return hits
+        # The few rays that graze are looked at twice: a call inside the loop above would slow down all others.
+        _refine(table, dx, dy, dz, active, count, events)
+        refined = True
 
 
 @inlined
@@ -157,6 +183,8 @@ def _owner(table, events, count):
     i = count - 1
     while i >= 0:
         s = int(events[HIT, int(events[OPEN, i])])
+        if table[s, ALONE] > 0.0:
+            return table[s, OWNER]
         term, met, need = table[s, TERM], 0, 1
         while i >= 0:
             row = int(events[HIT, int(events[OPEN, i])])
@@ -206,7 +234,7 @@ def _pass_end(events, end, count):
 
 @inlined
 @no_type_check
-def owned_pieces(table, listed, dx, dy, dz, active, count, events):
+def owned_pieces(table, tubes, listed, dx, dy, dz, active, count, events):
     """Cut the ray where its owner changes.
 
     Afterwards the object that begins with row ``events[PIECE, i]`` owns the ray from ``events[CUT, i]`` to
@@ -214,7 +242,7 @@ def owned_pieces(table, listed, dx, dy, dz, active, count, events):
 
     Parameters
     ----------
-    table : primitives as `solid_table` makes them, with the ray's origin filled in
+    table, tubes : primitives as `solid_table` makes them, with the ray's origin filled in; as `ring_tubes` does
     listed : first and last piece of each mesh that the ray runs in, and their ends (piece, 2); None without meshes
     dx, dy, dz : direction [mm]
     active, count : rows that the ray may meet, ascending; how many of them
@@ -223,7 +251,7 @@ def owned_pieces(table, listed, dx, dy, dz, active, count, events):
     -------
     Number of pieces; 0 for a ray that meets nothing.
     """
-    hits = _collect(table, listed, dx, dy, dz, active, count, events)
+    hits = _collect(table, tubes, listed, dx, dy, dz, active, count, events)
     if hits == 0:
         return 0
     _sort_cuts(events, hits)
@@ -246,7 +274,7 @@ def owned_pieces(table, listed, dx, dy, dz, active, count, events):
 
 @inlined
 @no_type_check
-def trace_ray(table, listed, maps, background, dx, dy, dz, active, count, events, lengths):
+def trace_ray(table, tubes, listed, maps, background, dx, dy, dz, active, count, events, lengths):
     """Write the path length per material of one ray, in mm.
 
     Parameters
@@ -260,7 +288,7 @@ def trace_ray(table, listed, maps, background, dx, dy, dz, active, count, events
     """
     for m in range(lengths.size):
         lengths[m] = 0.0
-    pieces = owned_pieces(table, listed, dx, dy, dz, active, count, events)
+    pieces = owned_pieces(table, tubes, listed, dx, dy, dz, active, count, events)
     norm = sqrt(dx * dx + dy * dy + dz * dz)
     signature = 0
     covered = 0.0
@@ -285,14 +313,6 @@ def trace_ray(table, listed, maps, background, dx, dy, dz, active, count, events
 
 @inlined
 @no_type_check
-def set_origin(table, locals_, s, x, y, z):
-    """Write the point (x, y, z), where rays begin, to row s of the table in local coordinates."""
-    for i in range(3):
-        table[s, ORIGIN + i] = locals_[s, i, 0] * x + locals_[s, i, 1] * y + locals_[s, i, 2] * z + locals_[s, i, 3]
-
-
-@inlined
-@no_type_check
 def _list_near(balls, ox, oy, oz, dx, dy, dz, active):
     """Write the rows whose balls the line meets to `active`, ascending; return how many."""
     count = 0
@@ -307,7 +327,7 @@ def _list_near(balls, ox, oy, oz, dx, dy, dz, active):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def trace_rays(table, listed, maps, balls, locals_, background, origins, directions, active, events, out):
+def trace_rays(table, tubes, listed, maps, balls, background, origins, directions, active, events, out):
     """Path length per material of many rays, (R, 3) and (R, 3) -> (R, material).
 
     `listed` has, per mesh and ray, where its pieces start (mesh, ray + 1), and their ends (piece, 2); or is None.
@@ -322,10 +342,10 @@ def trace_rays(table, listed, maps, balls, locals_, background, origins, directi
         if balls.shape[0] > 0:
             count = _list_near(balls, ox, oy, oz, dx, dy, dz, active)
         for i in range(count):
-            set_origin(table, locals_, active[i], ox, oy, oz)
+            set_origin(table, active[i], ox, oy, oz)
         if listed is None:
-            trace_ray(table, None, maps, background, dx, dy, dz, active, count, events, out[ray])
+            trace_ray(table, tubes, None, maps, background, dx, dy, dz, active, count, events, out[ray])
         else:
             starts, ends = listed
             own = (starts[:, ray], starts[:, ray + 1], ends)
-            trace_ray(table, own, maps, background, dx, dy, dz, active, count, events, out[ray])
+            trace_ray(table, tubes, own, maps, background, dx, dy, dz, active, count, events, out[ray])

@@ -35,7 +35,8 @@ def fractions(
     background : material outside all shapes, -1 for none
     """
     from phantomgen.ops.silhouette import forms, quadrature, tiles  # noqa: PLC0415 - numba only where it computes
-    from phantomgen.ops.trace.cpu import MATERIAL, event_room, solid_table  # noqa: PLC0415
+    from phantomgen.ops.trace.cpu import event_room  # noqa: PLC0415
+    from phantomgen.ops.trace.table import MATERIAL, ring_tubes, solid_table  # noqa: PLC0415
     from phantomgen.ops.voxelize_shapes.cpu import stack, voxelize_row  # noqa: PLC0415
 
     solids = solids.checked(count, background)
@@ -53,7 +54,7 @@ def fractions(
     if solids.surfaces is not None:
         seen = mesh_view(frame, rows, columns, solids.surfaces, parallel=True, with_outline=False)
 
-    table = solid_table(solids)
+    table, tubes = solid_table(solids), ring_tubes(solids)
     if maps is not None:
         table[maps >= 0, MATERIAL] = count + maps[maps >= 0]
 
@@ -66,8 +67,8 @@ def fractions(
         voxelize_row(
             frame,
             table.copy(),
+            tubes,
             mesh,
-            solids.locals_,
             near,
             background,
             outline.forms,

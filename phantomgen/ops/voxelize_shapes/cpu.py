@@ -16,7 +16,8 @@ from phantomgen.ops.device import called
 from phantomgen.ops.mesh.cpu import list_pieces
 from phantomgen.ops.silhouette.quadrature import CONICS, may_vanish, shift_form, square_nodes
 from phantomgen.ops.silhouette.tiles_cpu import list_active
-from phantomgen.ops.trace.cpu import CUT, MATERIAL, PIECE, owned_pieces, set_origin
+from phantomgen.ops.trace.cpu import CUT, PIECE, owned_pieces
+from phantomgen.ops.trace.table import MATERIAL, set_origin
 
 # A square of a column is quartered until its fractions change by less than this, in parts of the square's side, or
 # until it is this small: errors of squares along a kink have either sign.
@@ -34,15 +35,15 @@ def stack(materials: int, voxels: int):
 
 @called
 @no_type_check
-def _cut_line(frame, table, mesh, cell, locals_, u, v, active, count, events):
+def _cut_line(frame, table, tubes, mesh, cell, u, v, active, count, events):
     """Cut the line through (u, v) in a cell of the column grid; return the number of pieces."""
     x, y = frame[1, 0] + u * frame[2, 0], frame[1, 1] + v * frame[3, 1]
     for i in range(count):
-        set_origin(table, locals_, active[i], x, y, frame[1, 2])
+        set_origin(table, active[i], x, y, frame[1, 2])
     if mesh is None:
-        return owned_pieces(table, None, 0.0, 0.0, frame[0, 2], active, count, events)
+        return owned_pieces(table, tubes, None, 0.0, 0.0, frame[0, 2], active, count, events)
     list_pieces(mesh, cell, u, v)
-    return owned_pieces(table, mesh[5:], 0.0, 0.0, frame[0, 2], active, count, events)
+    return owned_pieces(table, tubes, mesh[5:], 0.0, 0.0, frame[0, 2], active, count, events)
 
 
 @called
@@ -62,15 +63,15 @@ def _share_out(table, events, pieces, weight, share):
 
 @called
 @no_type_check
-def _is_uniform(frame, table, mesh, cell, locals_, ix, iy, active, count, events, other):
+def _is_uniform(frame, table, tubes, mesh, cell, ix, iy, active, count, events, other):
     """Whether lines through the corners of a column are cut like that through its centre, and the number of pieces.
 
     The cuts through the centre are left in `events`.
     """
-    pieces = _cut_line(frame, table, mesh, cell, locals_, ix, iy, active, count, events)
+    pieces = _cut_line(frame, table, tubes, mesh, cell, ix, iy, active, count, events)
     for corner in range(4):
         u, v = ix + (0.499 if corner % 2 else -0.499), iy + (0.499 if corner // 2 else -0.499)
-        if _cut_line(frame, table, mesh, cell, locals_, u, v, active, count, other) != pieces:
+        if _cut_line(frame, table, tubes, mesh, cell, u, v, active, count, other) != pieces:
             return False, pieces
         for i in range(pieces):
             if events[PIECE, i] != other[PIECE, i]:
@@ -131,14 +132,14 @@ def _add(share, other):
 @no_type_check
 def _estimate(view, level, room, active, count, events, square, share):
     """Fractions that a square (u, v, side) of a column adds to its voxels, by one Gauss rule split along the conics."""
-    frame, table, mesh, cell, locals_, forms, roots, firsts, rules = view
+    frame, table, tubes, mesh, cell, forms, roots, firsts, rules = view
     local, lines, nodes = room
     u, v, side = square
     _clear(share)
     conics, start = _gather(forms, roots, firsts, active, count, square, local), np.int64(0)
     for i in range(square_nodes(local, conics, rules[0][level], rules[1][level], lines, nodes, start)):
         a, b, weight = u + side * nodes[i, 0], v + side * nodes[i, 1], side * side * nodes[i, 2]
-        pieces = _cut_line(frame, table, mesh, cell, locals_, a, b, active, count, events)
+        pieces = _cut_line(frame, table, tubes, mesh, cell, a, b, active, count, events)
         _share_out(table, events, pieces, weight, share)
 
 
@@ -187,7 +188,7 @@ def _average(view, room, active, count, events, square, squares, shares, share):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def voxelize_row(frame, table, mesh, locals_, tiles, background, forms, roots, rules, room, scratch, iy, out):
+def voxelize_row(frame, table, tubes, mesh, tiles, background, forms, roots, rules, room, scratch, iy, out):
     """Volume fractions of the columns of one row y, (material, z, x).
 
     Parameters
@@ -207,11 +208,11 @@ def voxelize_row(frame, table, mesh, locals_, tiles, background, forms, roots, r
         _clear(share)
         count = list_active(tiles, iy, ix, active)
         conics = _gather(forms, roots, tiles[3], active, count, (u, v, 1.0), room[0])
-        uniform, pieces = _is_uniform(frame, table, mesh, cell, locals_, u, v, active, count, events, other)
+        uniform, pieces = _is_uniform(frame, table, tubes, mesh, cell, u, v, active, count, events, other)
         if uniform and conics == 0:
             _share_out(table, events, pieces, 1.0, share)
         else:
-            view = (frame, table, mesh, cell, locals_, forms, roots, tiles[3], rules)
+            view = (frame, table, tubes, mesh, cell, forms, roots, tiles[3], rules)
             _average(view, room, active, count, events, (u, v, 1.0), squares, shares, share)
         for k in range(voxels):
             free = 1.0
