@@ -187,9 +187,15 @@ class Dataset:
         return {name: views.astype(np.int64) for name, views in parts.items()}
 
     @cached_property
-    def exposure(self) -> Float[np.ndarray, " view"]:
-        """Tube output per view, relative to the flats."""
-        return np.asarray(self._value("/entry/exposure/scale"), dtype=np.float64)
+    def exposure(self) -> Float[np.ndarray, "view channel"]:
+        """Tube output per view and channel, relative to the flats; 0 where a view was not taken in a channel."""
+        scale = np.asarray(self._value("/entry/exposure/scale"), dtype=np.float64)
+        views, channels = self.counts.shape[:2]
+        if scale.shape not in {(views,), (views, channels)}:
+            raise DatasetError(
+                f"{self.path}: /entry/exposure/scale has shape {scale.shape} for {views} views x {channels} channels"
+            )
+        return np.broadcast_to(scale.reshape(views, -1), (views, channels))
 
     @cached_property
     def dark(self) -> Float[np.ndarray, "channel row column"]:
@@ -215,11 +221,11 @@ class Dataset:
     def _air_level(self, air: Region) -> Float[np.ndarray, "channel row column"]:
         """One open-beam level per channel from a region of air in all views."""
         total = np.zeros(self.counts.shape[1])
-        for view, scale in enumerate(self.exposure):
+        for view in range(len(self.exposure)):
             counts = self._image(self.counts, view)
             check_counts(counts, f"view {view} of {self.path}")
-            total += (counts - self.dark)[:, air[0], air[1]].mean(axis=(1, 2)) / scale
-        level = total / len(self.exposure)
+            total += (counts - self.dark)[:, air[0], air[1]].mean(axis=(1, 2))
+        level = total / self.exposure.sum(axis=0)
         return np.broadcast_to(level[:, None, None], self.counts.shape[1:]).copy()
 
     def _mean(self, frames: h5py.Dataset, what: str) -> Float[np.ndarray, "channel row column"]:
@@ -351,13 +357,12 @@ def _check_consistent(dataset: Dataset) -> None:
     if len(shape) != 4 or 0 in shape[1:]:
         raise DatasetError(f"{dataset.path}: counts have shape {shape}, expected (view, channel, row, column)")
     spectra, views = dataset.spectra, shape[0]
-    lengths = {"source": len(dataset.geometry.source), "exposure scale": len(dataset.exposure)}
-    for name, length in lengths.items():
-        if length != views:
-            raise DatasetError(f"{dataset.path}: there are {views} views but {length} entries of {name}")
+    if len(dataset.geometry.source) != views:
+        raise DatasetError(f"{dataset.path}: there are {views} views but {len(dataset.geometry.source)} source points")
     if spectra.response.shape != (shape[1], len(spectra.energy)) or len(spectra.channels) != shape[1]:
         raise DatasetError(f"{dataset.path}: the response has shape {spectra.response.shape} for {shape[1]} channels")
-    if not dataset.exposure.min(initial=1.0) > 0:
+    exposed = dataset.exposure > 0
+    if not (dataset.exposure >= 0).all() or not exposed.any(axis=1).all() or not exposed.any(axis=0).all():
         raise DatasetError(f"{dataset.path}: the exposure scale of a view is not positive")
     _check_open_beam(dataset)
 

@@ -34,7 +34,7 @@ TABLE = """\
 /entry/spectra                           energy (E), energy_edges (E+1) [keV], source (E) [photons], response (C,E),
                                          channel (C,E), basis (M,E), basis_name, basis_kind, edge_energy, edge_width,
                                          element, normalisation_energy, reference_energy
-/entry/exposure/scale                    (V) tube output per view
+/entry/exposure/scale                    (V) or (V,C) tube output per view [and channel]
 /entry/splits/<scheme>                   train, test, val: indices of views; @default names the scheme
 /entry/reconstruction_grid               shape, spacing, origin (z,y,x) [mm]; origin is the centre of voxel 0
 /entry/process_<n>_<what>                program, version, date, sequence_index, command, seed, environment

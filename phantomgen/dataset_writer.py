@@ -8,7 +8,7 @@ from typing import Any
 
 import h5py
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from phantomgen.dataset import Spectra
 from phantomgen.dataset_aliases import write_aliases
@@ -64,16 +64,27 @@ class DatasetWriter:
             self.part.unlink(missing_ok=True)
 
     def write_scan(
-        self, title: str, geometry: Geometry, spectra: Spectra, grid: Grid, splits: Splits, scheme: str
+        self,
+        title: str,
+        geometry: Geometry,
+        spectra: Spectra,
+        grid: Grid,
+        splits: Splits,
+        scheme: str,
+        exposure: Float[np.ndarray, "view channel"] | None = None,
     ) -> None:
-        """Everything about the scan but its counts."""
+        """Everything about the scan but its counts; the exposure of all views is 1 where none is given."""
         entry = new_group(self.file, "entry", "NXentry", default="data")
         put(entry, "title", title)
         entry["start_time"] = h5py.SoftLink("/entry/process_1_simulate/date")
         _write_geometry(entry, geometry)
         _write_sample(entry, geometry, title)
         _write_spectra(entry, spectra)
-        put(new_group(entry, "exposure", "NXcollection"), "scale", np.ones(len(geometry)))
+        put(
+            new_group(entry, "exposure", "NXcollection"),
+            "scale",
+            np.ones(len(geometry)) if exposure is None else exposure,
+        )
         group = new_group(entry, "splits", "NXcollection", default=scheme)
         for name, views in splits.items():
             put(group.require_group(scheme), name, np.asarray(views, dtype=np.int32))

@@ -22,6 +22,7 @@ from spectra.attenuation import edge_energy, mass_fractions, symbol
 from spectra.basis import Basis, BasisFunction
 from spectra.detector import Detector
 from spectra.materials import SAME_EDGE, Material
+from spectra.several import SeveralSources, added
 from spectra.source import Filter, Source
 
 
@@ -64,6 +65,7 @@ class Scan:
     source_fields : what a file says about the tube, as (value, unit)
     text : the resolved scene as YAML
     sub_rays : rays along each edge of a pixel, None where pixels are split along silhouettes
+    exposure : photons of each view and channel, relative to those of the source; None where all are 1
     """
 
     name: str
@@ -71,7 +73,7 @@ class Scan:
     geometry: Geometry
     splits: Mapping[str, Int[np.ndarray, " view"]]
     source: Source
-    detector: Detector
+    detector: Detector | SeveralSources
     basis: Basis
     grid: Grid
     seed: int
@@ -81,6 +83,7 @@ class Scan:
     source_fields: Mapping[str, tuple[float | str, str | None]]
     text: str
     sub_rays: int | None = None
+    exposure: Float[np.ndarray, "view channel"] | None = None
 
     def __repr__(self) -> str:
         objects, channels = len(self.scene.objects), len(self.detector)
@@ -108,8 +111,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
     file = scene if isinstance(scene, SceneFile) else _find(scene, overrides)
     model = file.model
     objects = objects_of(file)
-    source = _source(file)
-    detector = _detector(file, source)
+    source, detector = _source_and_detector(file)
     if model.overlap == "add":
         objects, materials = added_up(file, objects)
     else:
@@ -119,6 +121,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
     basis = _basis(file, [materials[name] for name in used], detector)
     _check_coefficients(file, basis)
     geometry, splits = _geometry(file)
+    turns = isinstance(model.source, schema.SeveralSourcesModel) and model.source.type == "switching"
     return Scan(
         name=model.name,
         scene=Scene(
@@ -139,6 +142,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
         source_fields=_source_fields(model.source),
         text=file.resolved,
         sub_rays=model.panel.sub_rays,
+        exposure=_taking_turns(splits, detector.groups) if isinstance(detector, SeveralSources) and turns else None,
     )
 
 
@@ -168,24 +172,38 @@ def _find(scene: str | Path, overrides: Sequence[str]) -> SceneFile:
     return SceneFile.read(scene, overrides)
 
 
-def _source(file: SceneFile) -> Source:
-    """The source; a tube takes SpekPy about a second."""
+def _source_and_detector(file: SceneFile) -> tuple[Source, Detector | SeveralSources]:
+    """What sends photons, and what counts them."""
     model = file.model.source
-    with file.at("source"):
+    if not isinstance(model, schema.SeveralSourcesModel):
+        source = _source(file, model, ("source",))
+        return source, _detector(file, source)
+    sources = [_source(file, one, ("source", "sources", label)) for label, one in model.sources.items()]
+    detectors = [_detector(file, source) for source in sources]
+    return added(sources), SeveralSources(tuple(model.sources), tuple(sources), tuple(detectors))
+
+
+def _source(file: SceneFile, model: schema.TubeModel | schema.MonochromaticModel, path: tuple[str, ...]) -> Source:
+    """The source; a tube takes SpekPy about a second."""
+    with file.at(*path):
         if isinstance(model, schema.MonochromaticModel):
             return Source.monochromatic(model.energy, model.photons)
-        filters = [_filter(file, i, sheet) for i, sheet in enumerate(model.filters)]
+        filters = [_filter(file, (*path, "filters", i), sheet) for i, sheet in enumerate(model.filters)]
         return Source.tube(model.kvp, model.photons, model.angle, filters, model.anode)
 
 
-def _filter(file: SceneFile, index: int, model: schema.FilterModel) -> Filter:
+def _filter(file: SceneFile, path: tuple[str | int, ...], model: schema.FilterModel) -> Filter:
     """One flat filter."""
-    with file.at("source", "filters", index):
+    with file.at(*path):
         return Filter(Material(_composition_name(model.composition), model.density, model.composition), model.thickness)
 
 
-def _source_fields(model: schema.TubeModel | schema.MonochromaticModel) -> dict[str, tuple[float | str, str | None]]:
-    """What a file says about the source."""
+def _source_fields(
+    model: schema.TubeModel | schema.MonochromaticModel | schema.SeveralSourcesModel,
+) -> dict[str, tuple[float | str, str | None]]:
+    """What a file says about the source; of several tubes no single voltage."""
+    if isinstance(model, schema.SeveralSourcesModel):
+        return {"type": ("Fixed Tube X-ray", None), "focal_spot": (0.0, "mm")}
     if isinstance(model, schema.MonochromaticModel):
         return {"type": ("Synchrotron X-ray Source", None)}
     return {
@@ -218,7 +236,7 @@ def _composition_name(composition: str | Mapping[str, float]) -> str:
     return composition if isinstance(composition, str) else " ".join(composition)
 
 
-def _basis(file: SceneFile, materials: Sequence[Material], detector: Detector) -> Basis:
+def _basis(file: SceneFile, materials: Sequence[Material], detector: Detector | SeveralSources) -> Basis:
     """The basis of the file, or photoelectric, Compton and one element function per K edge that channels see."""
     models = file.model.basis
     if models is None:
@@ -241,9 +259,9 @@ def _function(
     return BasisFunction(model.type, element=getattr(model, "element", None))
 
 
-def _edge_elements(materials: Sequence[Material], detector: Detector) -> list[str]:
+def _edge_elements(materials: Sequence[Material], detector: Detector | SeveralSources) -> list[str]:
     """Elements whose K edge lies between the lowest threshold and the highest energy."""
-    low, high = detector.channels[0].lower, detector.channels[-1].upper
+    low, high = detector.channels[0].lower, max(channel.upper for channel in detector.channels)
     numbers = {number for m in materials if m.composition is not None for number, _ in mass_fractions(m.composition)}
     edges = {name: edge_energy(name) for name in map(symbol, numbers)}
     return sorted((e for e, edge in edges.items() if low < edge < high), key=edges.__getitem__)
@@ -272,6 +290,15 @@ def _check_coefficients(file: SceneFile, basis: Basis) -> None:
                     ("materials", name, "coefficients", function),
                     f"there is no basis function {function!r}{closest(function, basis.names)}",
                 )
+
+
+def _taking_turns(
+    splits: Mapping[str, Int[np.ndarray, " view"]], groups: Sequence[int]
+) -> Float[np.ndarray, "view channel"]:
+    """Exposure of views that sources take in turn, training and test views each from the first source on."""
+    order = np.concatenate([np.arange(len(views)) for views in splits.values()])
+    turn = order % (max(groups) + 1)
+    return (turn[:, None] == np.asarray(groups)).astype(np.float64)
 
 
 def _geometry(file: SceneFile) -> tuple[Geometry, dict[str, Int[np.ndarray, " view"]]]:

@@ -47,6 +47,18 @@ class MonochromaticModel(Model):
     photons: PositiveFloat
 
 
+OneSourceModel = Annotated[TubeModel | MonochromaticModel, Field(discriminator="type")]
+
+
+class SeveralSourcesModel(Model):
+    """Named sources: `multi_source` takes every view with each of them, with `switching` views take turns."""
+
+    type: Literal["multi_source", "switching"]
+    sources: Annotated[
+        dict[Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")], OneSourceModel], Field(min_length=2)
+    ]
+
+
 class PhotonCountingModel(Model):
     """An ideal photon-counting detector; a channel reaches from its threshold to the next."""
 
@@ -319,7 +331,7 @@ class GroupModel(ObjectModel):
     scale: PositiveFloat | Size = 1.0
 
 
-SourceModel = Annotated[TubeModel | MonochromaticModel, Field(discriminator="type")]
+SourceModel = Annotated[OneSourceModel | SeveralSourcesModel, Field(discriminator="type")]
 FunctionModel = Annotated[PlainFunctionModel | EdgeFunctionModel | ElementFunctionModel, Field(discriminator="type")]
 ShapeModel = Annotated[
     SphereModel

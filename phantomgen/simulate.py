@@ -118,7 +118,7 @@ def simulate(
             transmission, node_error = compressed_transmission(scan, sampled_lengths(scan))
             spectra = reconstructor_spectra(scan)
             warnings = [*coverage_warnings(scan), *fit_warnings(scan, material_fit(scan))]
-        writer.write_scan(scan.name, scan.geometry, spectra, scan.grid, dict(scan.splits), scan.scheme)
+        writer.write_scan(scan.name, scan.geometry, spectra, scan.grid, dict(scan.splits), scan.scheme, scan.exposure)
         writer.write_instrument(scan.geometry, spectra, dict(scan.source_fields))
         writer.write_process("phantomgen make", scan.seed)
         with watch("views"):
@@ -179,6 +179,8 @@ def _write_counts(
 
     def projection(view: int) -> tuple[Packed, Packed]:
         mean = expected_view(scan, transmission, view)
+        if scan.exposure is not None:
+            mean *= scan.exposure[view][:, None, None]
         return _packed(scan, mean, view, Stream.PROJECTION), _packed_means(mean) if keep_expected else []
 
     open_beam = np.broadcast_to(transmission.open_beam[:, None, None], shape[1:])

@@ -52,7 +52,7 @@ def ray_information(
 ) -> Float[np.ndarray, "view row column basis basis"]:
     """Fisher matrix of every ray's line integrals, J^T diag(1 / (Y + (dispersion Y)^2)) J."""
     transmission = measurements.transmission
-    gains = np.moveaxis(measurements.gains, 0, -1) * measurements.exposure[:, None, None, None]
+    gains = np.moveaxis(measurements.gains, 0, -1) * measurements.exposure[:, None, None, :]
     expected, jacobian = transmission.expected_and_jacobian(np.moveaxis(line_integrals, 1, -1))
     expected, jacobian = expected * gains, jacobian * gains[..., None]
     precision = 1 / np.maximum(expected * (1 + dispersion**2 * expected), np.finfo(float).tiny)

@@ -23,7 +23,7 @@ def decompose_views(
     fisher = np.zeros((bases, bases))
     for view in range(views):
         counts = measurements.counts[view].reshape(channels, -1).T
-        gains = (measurements.exposure[view] * measurements.gains).reshape(channels, -1).T
+        gains = (measurements.exposure[view, :, None, None] * measurements.gains).reshape(channels, -1).T
         lengths, information = decompose(counts, gains, measurements.transmission, dispersion)
         images[view] = lengths.T.reshape(bases, rows, columns)
         fisher += information.mean(axis=0) / views

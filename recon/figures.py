@@ -195,7 +195,9 @@ def residuals(
     groups = {"all rays": np.ones(counts.shape[1:], bool)} | ({} if away is None else {"away from edges": away})
     columns = {"sigma": centres, "unit_normal": normal}
     side = min(5.4 / len(counts), 3.0)
-    with figure_file(path, (WIDTH, side * counts.shape[1] / counts.shape[2] + 3.0)) as figure:
+    with figure_file(
+        path, (WIDTH if len(counts) > 1 else 4.4, side * counts.shape[1] / counts.shape[2] + 3.0)
+    ) as figure:
         axes = figure.subplots(
             2, len(counts), squeeze=False, sharey="row", height_ratios=[side * counts.shape[1] / counts.shape[2], 1.5]
         )

@@ -108,7 +108,7 @@ def _subsets(views: int, per_sweep: int, steps: int) -> Iterator[np.ndarray]:
 
 def _mean_deviance(gaussians: Gaussians, data: Measurements, dispersion: float) -> Tensor:
     images = gaussians.line_integrals(data.geometry)
-    gains = torch.from_numpy(data.gains * data.exposure[:, None, None, None].astype(np.float32))
+    gains = torch.from_numpy(data.gains * data.exposure[:, :, None, None].astype(np.float32))
     expected = transmit(images.movedim(1, -1).contiguous(), data.transmission).movedim(-1, 1) * gains
     return deviance(torch.from_numpy(data.counts), expected, dispersion).mean()
 

@@ -22,7 +22,7 @@ class Measurements:
     counts : measured counts minus dark, float32
     gains : open-beam counts of each pixel over those that `transmission` expects, float32; 0 where a pixel or a
         channel is blind
-    exposure : tube output of each view relative to the flat frames
+    exposure : tube output of each view and channel relative to the flat frames; 0 where a view was not taken
     geometry : poses of the views
     transmission : columns are the basis functions
     basis_names : names of the basis functions
@@ -30,7 +30,7 @@ class Measurements:
 
     counts: Float[np.ndarray, "view channel row column"]
     gains: Float[np.ndarray, "channel row column"]
-    exposure: Float[np.ndarray, " view"]
+    exposure: Float[np.ndarray, "view channel"]
     geometry: Geometry
     transmission: Transmission
     basis_names: tuple[str, ...]
@@ -50,13 +50,34 @@ class Measurements:
         counts, gains = (_sum_blocks(images, factor) for images in (self.counts, self.gains))
         return replace(self, counts=counts, gains=gains, geometry=geometry)
 
+    def completed(self) -> "Measurements":
+        """Views that lack a channel get it from those taken before and after, by interpolated log projections.
+
+        Tube voltages that are switched from view to view leave every ray with half of the channels. What this makes up
+        is good enough to start a fit from; the fit itself keeps to what was measured.
+        """
+        if (self.exposure > 0).all():
+            return self
+        counts, exposure = self.counts.copy(), np.array(self.exposure)
+        views = np.arange(len(self))
+        for c in range(counts.shape[1]):
+            taken = np.flatnonzero(self.exposure[:, c] > 0)
+            for view in np.setdiff1d(views, taken):
+                after = np.searchsorted(taken, view)
+                a, b = taken[max(after - 1, 0)], taken[min(after, len(taken) - 1)]
+                part = (view - a) / (b - a) if b > a else 0.0
+                logs = [np.log(np.maximum(self.counts[v, c], 0.5) / self.exposure[v, c]) for v in (a, b)]
+                counts[view, c] = np.exp((1 - part) * logs[0] + part * logs[1])
+                exposure[view, c] = 1.0
+        return replace(self, counts=counts, exposure=exposure)
+
     def compressed(self, tolerance: float) -> tuple["Measurements", float]:
         """The same scan with few energy nodes, and the worst error of the log counts that this causes.
 
         The box of line integrals in which the error holds is read off the data: no line integral of a basis can exceed
         what the least attenuated channel allows.
         """
-        gains = self.gains[:, ::4, ::4] * self.exposure[:, None, None, None]
+        gains = self.gains[:, ::4, ::4] * self.exposure[:, :, None, None]
         open_beam = np.maximum(gains * self.transmission.open_beam[:, None, None], 0.5)
         projections = np.log(open_beam / np.maximum(self.counts[:, :, ::4, ::4], 0.5))
         largest = np.maximum(np.quantile(projections, 0.999, axis=(0, 2, 3)), 0.1)

@@ -60,7 +60,7 @@ def reconstruct(
             recipe.node_tolerance
         )
     with stage("decompose"):
-        coarse = measured.binned(matching_bin(measured.geometry, min(grid.spacing)))
+        coarse = measured.completed().binned(matching_bin(measured.geometry, min(grid.spacing)))
         line_integrals, fisher = decompose_views(coarse, recipe.dispersion)
     with stage("fdk"):
         volumes = fdk(line_integrals, coarse.geometry, grid)

@@ -158,5 +158,7 @@ def _draw(dataset: Dataset, truth: Truth | None, result: Reconstruction, log: _L
         s.basis.breaks,
     )  # fmt: skip
     for view in held_out_views(dataset, gaussians):
-        figures.residuals(view.counts, view.expected, s.channels, folder / "residuals.png", view.away)
+        taken = np.flatnonzero(view.open_beam.any(axis=(1, 2)))
+        names = [s.channels[c] for c in taken]
+        figures.residuals(view.counts[taken], view.expected[taken], names, folder / "residuals.png", view.away)
         break

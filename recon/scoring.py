@@ -31,8 +31,8 @@ def _predict(measured: Measurements, gaussians: Gaussians) -> Iterator[HeldOutVi
     expected = np.moveaxis(measured.transmission.expected(np.moveaxis(lengths, 1, -1)), -1, 1)
     open_beam = measured.gains * measured.transmission.open_beam[:, None, None]
     for view, (counts, exposure) in enumerate(zip(measured.counts, measured.exposure, strict=True)):
-        scale = measured.gains * exposure
-        yield HeldOutView.of(counts, expected[view] * scale, open_beam * exposure)
+        scale = exposure[:, None, None]
+        yield HeldOutView.of(counts, expected[view] * measured.gains * scale, open_beam * scale)
 
 
 def score_test_views(dataset: Dataset, gaussians: Gaussians) -> dict[str, Any]:

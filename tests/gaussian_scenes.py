@@ -74,7 +74,7 @@ def small_scan(truth, geometry, model, seed=None):
     if seed is not None:
         counts = np.random.default_rng(seed).poisson(counts)
     gains = np.ones((len(model), panel.rows, panel.columns), np.float32)
-    return Measurements(counts.astype(np.float32), gains, np.ones(len(geometry)), geometry, model, truth.basis_names)
+    return Measurements(counts.astype(np.float32), gains, np.ones(counts.shape[:2]), geometry, model, truth.basis_names)
 
 
 def small_model(seed, count=50, bases=3, spread=6.0, height=0.02):

@@ -89,7 +89,7 @@ def test_what_is_written_is_read(path):
             "test": [3],
             "val": [],
         }
-        assert dataset.exposure.tolist() == [1.0] * 4
+        assert dataset.exposure.tolist() == [[1.0] * 2] * 4
         for name in ("energy", "edges", "source", "response", "basis_values", "lower", "upper"):
             assert np.array_equal(getattr(dataset.spectra, name), getattr(spectra(), name))
         assert dataset.spectra.basis == BASIS

@@ -15,7 +15,7 @@ from phantomgen.simulate_check import full_check
 from phantomgen.simulate_coverage import coverage_warnings, sampled_lengths
 from phantomgen.simulate_spectra import compressed_transmission, fine_transmission, reconstructor_spectra
 from spectra.attenuation import linear_attenuation, mass_attenuation
-from spectra.errors import InputError
+from spectra.errors import DatasetError, InputError, SceneError
 from spectra.threads import set_threads
 
 SCENE = """\
@@ -330,3 +330,47 @@ def test_many_materials_need_few_nodes():
     fine, (few, error) = fine_transmission(scan), compressed_transmission(scan, lengths)
     assert len(few.weights) < 40 < len(fine.weights)
     assert np.abs(few.log_projection(lengths) - fine.log_projection(lengths)).max() < 2 * error < 4e-5
+
+
+LOW, HIGH = "{type: monochromatic, energy: 55, photons: 1.0e4}", "{type: monochromatic, energy: 90, photons: 2.0e4}"
+
+
+def several(kind: str) -> str:
+    return f"source={{type: {kind}, sources: {{low: {LOW}, high: {HIGH}}}}}"
+
+
+def test_channels_of_several_sources_are_those_of_single_ones(tmp_path):
+    path, _ = made(tmp_path, several("multi_source"), "detector.thresholds=[20]", "noise=false")
+    singles = [made(tmp_path, f"source={one}", "detector.thresholds=[20]", "noise=false")[0] for one in (LOW, HIGH)]
+    found = counts_of(path)
+    np.testing.assert_allclose(found, np.concatenate([counts_of(p) for p in singles], axis=1), rtol=1e-6)
+    with open_dataset(path) as dataset:
+        assert dataset.spectra.channels == ("low_bin0", "high_bin0")
+        assert (dataset.exposure == 1).all()
+    assert validate(path) == []
+
+
+def test_switched_sources_take_views_in_turn(tmp_path):
+    both, _ = made(tmp_path, several("multi_source"), "detector.thresholds=[20]", "noise=false")
+    path, _ = made(tmp_path, several("switching"), "detector.thresholds=[20]", "noise=false")
+    turns = np.array([[1, 0], [0, 1], [1, 0], [1, 0], [0, 1]])  # three training views, then two test views
+    np.testing.assert_array_equal(counts_of(path), counts_of(both) * turns[:, :, None, None])
+    with open_dataset(path) as dataset:
+        np.testing.assert_array_equal(dataset.exposure, turns)
+        np.testing.assert_allclose(dataset.flat[:, 0, 0], dataset.spectra.transmission().open_beam, rtol=1e-6)
+    assert validate(path) == []
+
+
+def test_a_source_that_reaches_no_threshold_is_named():
+    with pytest.raises(SceneError, match=r"thresholds.*channel bin1 starts at 60 keV"):
+        toy(several("switching"), "detector.thresholds=[20, 60]")
+
+
+@pytest.mark.parametrize("scale", [np.ones(3), np.ones((5, 3)), -np.ones(5), np.zeros((5, 2))])
+def test_exposures_that_do_not_fit_are_refused(tmp_path, scale):
+    path, _ = made(tmp_path)
+    with h5py.File(path, "r+") as file:
+        del file["/entry/exposure/scale"]
+        file["/entry/exposure/scale"] = scale
+    with pytest.raises(DatasetError, match="exposure"):
+        open_dataset(path)

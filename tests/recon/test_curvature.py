@@ -87,7 +87,7 @@ def test_information_of_rays_follows_gain_and_exposure():
     gaussians, model = small_model(5, count=5, bases=3), spectral_model(3)
     scan = small_scan(gaussians, GEOMETRY, model)
     rng = np.random.default_rng(1)
-    gains, exposure = rng.uniform(0.5, 2, scan.gains.shape), rng.uniform(0.5, 2, len(scan))
+    gains, exposure = rng.uniform(0.5, 2, scan.gains.shape), rng.uniform(0.5, 2, scan.counts.shape[:2])
     lengths = rng.uniform(0, 1, (len(scan), 3, 6, 7))
     found = ray_information(replace(scan, gains=gains, exposure=exposure), lengths, 0.02)
     for view, row, column in [(0, 0, 0), (5, 2, 6), (3, 5, 1)]:

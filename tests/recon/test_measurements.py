@@ -19,10 +19,11 @@ def scan():
 
 @pytest.mark.parametrize("views", [slice(1, 4), [0, 5], np.array([3])])
 def test_some_views_are_those_views(scan, views):
-    scan = replace(scan, exposure=np.arange(6.0))
+    exposure = np.arange(24.0).reshape(6, 4)
+    scan = replace(scan, exposure=exposure)
     some = scan[views]
     np.testing.assert_array_equal(some.counts, scan.counts[views])
-    np.testing.assert_array_equal(some.exposure, np.arange(6.0)[views])
+    np.testing.assert_array_equal(some.exposure, exposure[views])
     assert some.geometry == scan.geometry[views]
     assert len(some) == len(some.geometry) == len(some.counts)
 
@@ -47,6 +48,23 @@ def test_a_panel_that_does_not_divide_is_refused(scan):
         scan.binned(5)
 
 
+def test_channels_that_views_lack_are_interpolated_between_their_neighbours(scan):
+    assert scan.completed() is scan
+    logs = np.linspace(-3, 0, 6)[:, None, None, None]
+    open_beam = scan.counts.max()
+    turns = (np.arange(6)[:, None] % 2 == np.array([0, 0, 1, 1])).astype(float) * 2.0
+    counts = (open_beam * np.exp(logs) * turns[:, :, None, None] * np.ones(scan.counts.shape)).astype(np.float32)
+    found = replace(scan, counts=counts, exposure=turns).completed()
+    assert (found.exposure > 0).all()
+    taken = turns > 0
+    np.testing.assert_array_equal(found.counts[taken], counts[taken])
+    np.testing.assert_allclose(
+        np.log(found.counts[1:5] / found.exposure[1:5, :, None, None] / open_beam),
+        np.broadcast_to(logs[1:5], found.counts[1:5].shape), atol=1e-5,
+    )  # fmt: skip
+    np.testing.assert_allclose(found.counts[0, 2], found.counts[1, 2] / 2, rtol=1e-6)  # nothing before: the nearest
+
+
 def test_compression_states_an_error_that_holds_for_the_rays_of_the_scan(scan):
     few, error = scan.compressed(1e-3)
     lengths = np.moveaxis(small_model(1, count=20).line_integrals(scan.geometry).numpy(), 1, -1).astype(float)
@@ -69,7 +87,7 @@ def fake_dataset(model, counts, flat, dark):
     geometry = Geometry.circular(60, 100, np.arange(3.0), Panel(4, 5, 1.0))
     return SimpleNamespace(
         path=Path("scan.h5"), spectra=spectra, geometry=geometry, flat=flat, dark=dark,
-        exposure=np.array([1.0, 2.0, 3.0]), load=lambda views: counts[views],
+        exposure=np.arange(12.0).reshape(3, 4), load=lambda views: counts[views],
     )  # fmt: skip
 
 
@@ -83,7 +101,7 @@ def test_reading_takes_darks_off_and_compares_flats_with_the_model(bases):
     found = read_measurements(dataset, np.array([2, 0]), bases)
     np.testing.assert_allclose(found.gains, gain, rtol=1e-6)
     np.testing.assert_array_equal(found.counts, np.maximum(counts[[2, 0]] - 7, 0))
-    np.testing.assert_array_equal(found.exposure, [3.0, 1.0])
+    np.testing.assert_array_equal(found.exposure, dataset.exposure[[2, 0]])
     assert found.basis_names == NAMES[:bases]
     assert len(found.transmission.columns) == len(found.basis_names)
     assert found.counts.dtype == found.gains.dtype == np.float32
