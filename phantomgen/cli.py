@@ -219,6 +219,98 @@ def materials(name: str | None, density: float | None, scene: str | None, plot: 
     click.echo(json.dumps(fit.to_dict()) if as_json else fit.text)
 
 
+@main.command(
+    epilog="\b\nExamples:\n  phantomgen spectrum --preset kedge --plot kedge-spectrum.png\n"
+    "  phantomgen spectrum my.yaml --behind '30 cm water + 1 cm bone'"
+)
+@click.argument("scene", required=False, type=click.Path(dir_okay=False))
+@click.option("--preset", metavar="NAME", help="A scene that comes with the program; see `phantomgen presets`.")
+@click.option("--behind", metavar="LAYERS", help="Object that noise is stated behind [default: 20 cm water].")
+@click.option("--set", "settings", metavar="PATH=VALUE", multiple=True, help="Override any value of the scene.")
+@click.option("--plot", type=click.Path(dir_okay=False), help="Write source, channels and basis as a picture.")
+@json_option
+@debug_option
+def spectrum(
+    scene: str | None,
+    preset: str | None,
+    behind: str | None,
+    settings: tuple[str, ...],
+    plot: str | None,
+    as_json: bool,
+) -> None:
+    """Describe the energies of SCENE, a YAML file, or of a preset.
+
+    Shows beam quality, counts per channel, how well the channels tell the basis functions apart, and the least noise
+    (Cramer-Rao) that any method can reach with one ray.
+    """
+    if (scene is None) == (preset is None):
+        raise click.UsageError("name either a scene file or a preset: phantomgen spectrum --preset kedge")
+    from phantomgen.picture import check_picture
+    from phantomgen.scene_yaml import SceneFile
+
+    if plot:
+        check_picture(Path(plot))
+    file = SceneFile.preset(preset, settings) if preset else SceneFile.read(scene or "", settings)
+    from phantomgen.scene import load_scene
+    from phantomgen.spectrum_info import SpectrumReport
+    from phantomgen.working_point import BEHIND
+
+    report = SpectrumReport.of(load_scene(file), BEHIND if behind is None else behind)
+    if plot:
+        from phantomgen.spectrum_figure import write_figure
+
+        write_figure(report.scan, plot)
+    click.echo(json.dumps(report.to_dict()) if as_json else report.text)
+
+
+@main.command(
+    "optimize-thresholds",
+    epilog="\b\nExamples:\n  phantomgen optimize-thresholds --preset kedge --basis kedge_63.3 --plot thresholds.png\n"
+    "  phantomgen optimize-thresholds my.yaml --basis kedge_I --channels 4 --behind '30 cm water'",
+)
+@click.argument("scene", required=False, type=click.Path(dir_okay=False))
+@click.option("--preset", metavar="NAME", help="A scene that comes with the program; see `phantomgen presets`.")
+@click.option("--basis", metavar="NAME", required=True, help="Basis function to be seen best, such as kedge_I.")
+@click.option("--channels", type=click.IntRange(min=1), help="Number of channels [default: that of the scene].")
+@click.option("--behind", metavar="LAYERS", help="Object that noise is stated behind [default: 20 cm water].")
+@click.option("--set", "settings", metavar="PATH=VALUE", multiple=True, help="Override any value of the scene.")
+@click.option("--plot", type=click.Path(dir_okay=False), help="Write the noise against each threshold as a picture.")
+@json_option
+@debug_option
+def optimize_thresholds(
+    scene: str | None,
+    preset: str | None,
+    basis: str,
+    channels: int | None,
+    behind: str | None,
+    settings: tuple[str, ...],
+    plot: str | None,
+    as_json: bool,
+) -> None:
+    """Find the thresholds that show one basis function of SCENE with the least noise.
+
+    Minimises the Cramer-Rao bound of its line integral for one ray behind an object and a trace of every K-edge
+    function (0.1 each). The lowest threshold stays: below it is the noise of the electronics, which is not modelled.
+    """
+    if (scene is None) == (preset is None):
+        raise click.UsageError("name either a scene file or a preset: phantomgen optimize-thresholds --preset kedge")
+    from phantomgen.picture import check_picture
+    from phantomgen.scene_yaml import SceneFile
+
+    if plot:
+        check_picture(Path(plot))
+    file = SceneFile.preset(preset, settings) if preset else SceneFile.read(scene or "", settings)
+    from phantomgen.thresholds import choose_thresholds
+    from phantomgen.working_point import BEHIND
+
+    choice = choose_thresholds(file, basis, channels, BEHIND if behind is None else behind)
+    if plot:
+        from phantomgen.threshold_figure import write_figure
+
+        write_figure(choice, plot)
+    click.echo(json.dumps(choice.to_dict()) if as_json else choice.text)
+
+
 @main.command(epilog="\b\nExamples:\n  phantomgen info kedge.h5\n  phantomgen info kedge.h5 --json")
 @click.argument("file", type=click.Path(dir_okay=False))
 @json_option

@@ -16,10 +16,12 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 from phantomgen.dataset_layout import SCHEMA, SCHEMA_VERSION, array_at, group_at, text_of
+from phantomgen.dataset_profile import StoredProfile, read_profile
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
 from phantomgen.panel import Panel
 from spectra.basis import Basis
+from spectra.dead_time import DeadTime
 from spectra.errors import DatasetError, InputError
 from spectra.transmission import Transmission
 
@@ -42,6 +44,10 @@ class Spectra:
     basis_values : the basis functions at `energy`, as stored
     channels : channel names
     lower, upper : limits of each channel [keV]
+    units : of the counts: ``counts``, or ``keV`` where a detector sums up energies
+    variance : what a photon adds to the variance of the signal; None where photons are counted, and it is the response
+    profile : how the open beam differs over the panel, None where it does not
+    dead_time : of the pixels; None where every event is recorded. Then `weights` are events, and counts are fewer
     """
 
     energy: Float[np.ndarray, " energy"]
@@ -53,6 +59,10 @@ class Spectra:
     channels: tuple[str, ...]
     lower: Float[np.ndarray, " channel"]
     upper: Float[np.ndarray, " channel"]
+    units: str = "counts"
+    variance: Float[np.ndarray, "channel energy"] | None = None
+    profile: StoredProfile | None = None
+    dead_time: DeadTime | None = None
 
     @property
     def weights(self) -> Float[np.ndarray, "channel energy"]:
@@ -65,9 +75,18 @@ class Spectra:
         counts = self.weights.sum(axis=1)
         return np.where(counts > 0, self.weights @ self.energy, np.nan) / np.where(counts > 0, counts, 1.0)
 
+    @property
+    def quantum(self) -> Float[np.ndarray, " channel"]:
+        """Variance over mean of the open beam of each channel: 1 for counts, else a photon's part in the signal."""
+        signal = self.weights.sum(axis=1)
+        if self.variance is None:
+            return np.ones_like(signal)
+        return (self.source * self.variance).sum(axis=1) / np.where(signal > 0, signal, 1.0)
+
     def transmission(self) -> Transmission:
-        """Line integrals of the basis coefficients to expected counts."""
-        return Transmission.from_spectrum(self.weights, self.basis_values, self.channels)
+        """Line integrals of the basis coefficients, and after them lengths in the profile, to expected counts."""
+        parts = [] if self.profile is None else [self.profile.attenuation]
+        return Transmission.from_spectrum(self.weights, np.concatenate([self.basis_values, *parts]), self.channels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +170,8 @@ class Dataset:
     def spectra(self) -> Spectra:
         """Energy grid, source, response and basis."""
         table = {name: self._value(f"/entry/spectra/{name}") for name in _SPECTRA}
+        if _COMPOSITION in self.file:
+            table["basis_composition"] = self._value(_COMPOSITION)
         channels = tuple(text_of(name) for name in self._value("/entry/data/channel"))
         limits = [f"{DETECTOR}/{name}_channel" for name in channels]
         return Spectra(
@@ -163,7 +184,18 @@ class Dataset:
             channels=channels,
             lower=np.array([float(self._value(f"{group}/threshold_energy")) for group in limits]),
             upper=np.array([float(self._value(f"{group}/upper_energy")) for group in limits]),
+            units=text_of(self.counts.attrs.get("units", "counts")),
+            variance=self._value("/entry/spectra/variance") if "entry/spectra/variance" in self.file else None,
+            profile=read_profile(self.file),
+            dead_time=self._dead_time(),
         )
+
+    def _dead_time(self) -> DeadTime | None:
+        """Dead time of the pixels, where the file has one."""
+        if f"{DETECTOR}/dead_time" not in self.file:
+            return None
+        tau, exposure = (float(self._value(f"{DETECTOR}/{name}")) for name in ("dead_time", "count_time"))
+        return DeadTime(tau, exposure, str(self._value(f"{DETECTOR}/dead_time_model")))  # type: ignore[arg-type]
 
     @cached_property
     def grid(self) -> Grid:
@@ -220,6 +252,12 @@ class Dataset:
 
     def _air_level(self, air: Region) -> Float[np.ndarray, "channel row column"]:
         """One open-beam level per channel from a region of air in all views."""
+        if self.spectra.profile is not None:
+            parts = ", ".join(self.spectra.profile.names)
+            raise InputError(
+                f"{self.path}: the open beam differs over the panel ({parts}), so that a region of air cannot stand in "
+                "for flats: leave --air out"
+            )
         total = np.zeros(self.counts.shape[1])
         for view in range(len(self.exposure)):
             counts = self._image(self.counts, view)
@@ -250,6 +288,7 @@ class Dataset:
         return text_of(value) if isinstance(value, bytes) else value
 
 
+_COMPOSITION = "/entry/spectra/basis_composition"  # of bases of materials only
 _SPECTRA = (
     "energy",
     "energy_edges",
@@ -361,6 +400,8 @@ def _check_consistent(dataset: Dataset) -> None:
         raise DatasetError(f"{dataset.path}: there are {views} views but {len(dataset.geometry.source)} source points")
     if spectra.response.shape != (shape[1], len(spectra.energy)) or len(spectra.channels) != shape[1]:
         raise DatasetError(f"{dataset.path}: the response has shape {spectra.response.shape} for {shape[1]} channels")
+    if spectra.profile is not None:
+        spectra.profile.check(dataset.path, shape[2:], len(spectra.energy))
     exposed = dataset.exposure > 0
     if not (dataset.exposure >= 0).all() or not exposed.any(axis=1).all() or not exposed.any(axis=0).all():
         raise DatasetError(f"{dataset.path}: the exposure scale of a view is not positive")

@@ -12,8 +12,8 @@ from phantomgen.dataset_layout import SCHEMA_VERSION
 from phantomgen.dataset_truth import Truth, read_truth
 from spectra.errors import DatasetError, Error
 
+_SIGNALS = ("counts", "keV")
 _UNITS = {
-    f"{DETECTOR}/data": "counts",
     f"{DETECTOR}/x_pixel_size": "mm",
     f"{DETECTOR}/y_pixel_size": "mm",
     f"{DETECTOR}/distance": "mm",
@@ -82,6 +82,9 @@ def _count_problems(dataset: Dataset) -> Iterator[str]:
 
 def _unit_problems(dataset: Dataset) -> Iterator[str]:
     """Units that are missing or others."""
+    found = dataset.counts.attrs.get("units")
+    if found not in _SIGNALS:
+        yield f"{DETECTOR}/data must have units='counts', or 'keV' for a sum of energies, found {found!r}"
     for name, units in _UNITS.items():
         found = dataset.file[name].attrs.get("units") if name in dataset.file else None
         if found != units:
@@ -93,12 +96,20 @@ def _spectra_problems(dataset: Dataset) -> Iterator[str]:
     spectra = dataset.spectra
     if len(spectra.edges) != len(spectra.energy) + 1 or not (np.diff(spectra.edges) > 0).all():
         yield "/entry/spectra/energy_edges must ascend and have one entry more than energy"
-    for name in ("source", "response", "energy", "basis_values"):
+    for name in ("source", "response", "energy", "basis_values", "variance"):
         values = getattr(spectra, name)
-        if not np.isfinite(values).all() or values.min() < 0:
+        if values is None:
+            continue
+        may_be_negative = name == "basis_values" and spectra.basis.signed
+        if not np.isfinite(values).all() or (values.min() < 0 and not may_be_negative):
             yield f"/entry/spectra/{name} holds a value that is negative or not a number"
+    if spectra.variance is not None and spectra.variance.shape != spectra.response.shape:
+        yield f"/entry/spectra/variance has shape {spectra.variance.shape}, the response {spectra.response.shape}"
+    if (spectra.variance is None) != (spectra.units == "counts"):
+        yield "/entry/spectra/variance belongs to signals in keV, and to these only"
     if not np.allclose(spectra.basis.evaluate(spectra.energy), spectra.basis_values, rtol=1e-6):
-        yield "/entry/spectra/basis is not what basis_kind, edge_energy, edge_width and element describe"
+        what = "basis_composition" if any(f.amounts for f in spectra.basis.functions) else "element"
+        yield f"/entry/spectra/basis is not what basis_kind, edge_energy, edge_width and {what} describe"
 
 
 def _geometry_problems(dataset: Dataset) -> Iterator[str]:

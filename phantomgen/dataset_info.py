@@ -1,5 +1,6 @@
 """A dataset in words and numbers."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +31,11 @@ def describe(path: Path) -> dict[str, Any]:
             "sod_mm": float(np.linalg.norm(dataset.geometry.source[0])),
             "sdd_mm": float(np.linalg.norm(dataset.geometry.source[0] - dataset.geometry.panel_center[0])),
             "channels": _channels(dataset),
+            "dead_time": None if spectra.dead_time is None else asdict(spectra.dead_time),
             "energies": len(spectra.energy),
             "range_keV": [float(spectra.edges[0]), float(spectra.edges[-1])],
             "photons": float(spectra.source.sum()),
+            "profile": [] if spectra.profile is None else list(spectra.profile.names),
             "basis": list(spectra.basis.names),
             "views": {name: len(views) for name, views in dataset.splits.items()},
             "flats": _frames(dataset, FLAT),
@@ -49,16 +52,19 @@ def describe(path: Path) -> dict[str, Any]:
 def describe_text(info: dict[str, Any]) -> str:
     """The same for people."""
     views, channels, rows, columns = info["shape"]
+    what, unit = ("counts", "") if info["units"] == "counts" else ("signal", f" in {info['units']}")
     lines = [
         f"{info['file']}: {info['name']}, {info['bytes'] / 1e6:.1f} MB",
-        f"counts     {views} views x {channels} channels x {rows} x {columns} pixels, {info['dtype']}",
+        f"{what:<10} {views} views x {channels} channels x {rows} x {columns} pixels, {info['dtype']}{unit}",
         f"views      {', '.join(f'{count} {name}' for name, count in info['views'].items())}",
         f"frames     {info['flats']} flats, {info['darks']} darks",
         f"geometry   {info['orbit']}, SOD {info['sod_mm']:g} mm, SDD {info['sdd_mm']:g} mm, "
         f"pixels of {info['pitch_mm'][1]:g} x {info['pitch_mm'][0]:g} mm",
         f"channels   {', '.join('{name} {lower_keV:g}..{upper_keV:g} keV'.format(**c) for c in info['channels'])}",
+        *_dead_time_lines(info["dead_time"]),
         f"spectrum   {info['energies']} bins, {info['range_keV'][0]:g}..{info['range_keV'][1]:g} keV, "
-        f"{info['photons']:g} photons per pixel and view",
+        f"{info['photons']:g} photons per pixel and view"
+        + (f"; differs over the panel: {', '.join(info['profile'])}" if info["profile"] else ""),
         f"basis      {', '.join(info['basis'])}",
         f"volume     {' x '.join(map(str, info['grid']['shape']))} voxels of "
         f"{' x '.join(f'{s:g}' for s in info['grid']['spacing_mm'])} mm (z, y, x)",
@@ -109,6 +115,13 @@ def _material_lines(materials: dict[str, Any]) -> list[str]:
         where = f"fitted over {low:g}..{high:g} keV, simulated exactly"
         lines.append(f"materials  {where}; rms relative error of the fit to mu(E): {each}")
     return lines[0 if explicit else 1 :]
+
+
+def _dead_time_lines(dead_time: dict[str, Any] | None) -> list[str]:
+    """Dead time for people, where there is any."""
+    if dead_time is None:
+        return []
+    return ["dead time  {tau_ns:g} ns per count, {exposure_ms:g} ms per view, {model}".format(**dead_time)]
 
 
 def _frames(dataset: Dataset, name: str) -> int:

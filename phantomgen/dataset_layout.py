@@ -22,10 +22,11 @@ _CHUNK_BYTES = 4 << 20
 _GZIP_LEVEL = 1
 
 TABLE = """\
-/entry/instrument/detector/data          (V,C,R,K) int32 or float32   counts: view, channel, row, column
+/entry/instrument/detector/data          (V,C,R,K) int32 or float32   counts, or signal as `units` says
 /entry/instrument/detector/x_pixel_size  () mm     pitch along columns; y_pixel_size along rows
 /entry/instrument/detector/distance      () mm     sample to panel
 /entry/instrument/detector/<n>_channel   threshold_energy, upper_energy [keV]
+/entry/instrument/detector/dead_time     () ns, optional, with count_time () [ms] and dead_time_model
 /entry/instrument/flat/data              (F,C,R,K) open-beam frames
 /entry/instrument/dark/data              (D,C,R,K) frames without beam
 /entry/instrument/source                 probe, type, voltage [kV], target_material
@@ -33,7 +34,14 @@ TABLE = """\
 /entry/geometry                          source, panel_center, column_step, row_step (V,3) [mm]
 /entry/spectra                           energy (E), energy_edges (E+1) [keV], source (E) [photons], response (C,E),
                                          channel (C,E), basis (M,E), basis_name, basis_kind, edge_energy, edge_width,
-                                         element, normalisation_energy, reference_energy
+                                         element, normalisation_energy, reference_energy; for bases of materials
+                                         basis_composition: elements and their amounts, such as H 0.11 O 0.89;
+                                         variance (C,E), optional: of a signal per photon, where that is not the
+                                         response
+/entry/spectra/profile                   optional, for bowtie and heel effect: name (P), mu (P,E) [1/mm],
+                                         thickness (P,R,K) [mm] beyond that at the panel's centre; the beam to a pixel
+                                         is source x exp(-sum_p mu thickness)
+/entry/exposure/scale                    (V) or (V,C) tube output per view [and channel]
 /entry/exposure/scale                    (V) or (V,C) tube output per view [and channel]
 /entry/splits/<scheme>                   train, test, val: indices of views; @default names the scheme
 /entry/reconstruction_grid               shape, spacing, origin (z,y,x) [mm]; origin is the centre of voxel 0

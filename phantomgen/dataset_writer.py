@@ -23,6 +23,7 @@ from phantomgen.dataset_layout import (
     put,
     put_note,
 )
+from phantomgen.dataset_profile import write_profile
 from phantomgen.dataset_truth import Truth, truth_group, write_grid, write_truth
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
@@ -104,6 +105,10 @@ class DatasetWriter:
         put(detector, "x_pixel_size", geometry.panel.column_pitch, "mm")
         put(detector, "y_pixel_size", geometry.panel.row_pitch, "mm")
         put(detector, "distance", float(np.linalg.norm(geometry.panel_center[0])), "mm")
+        if spectra.dead_time is not None:
+            put(detector, "dead_time", spectra.dead_time.tau_ns, "ns")
+            put(detector, "count_time", spectra.dead_time.exposure_ms, "ms")
+            put(detector, "dead_time_model", spectra.dead_time.model)
         for name, lower, upper in zip(spectra.channels, spectra.lower, spectra.upper, strict=True):
             channel = new_group(detector, f"{name}_channel", "NXdetector_channel")
             put(channel, "threshold_energy", float(lower), "keV")
@@ -113,19 +118,19 @@ class DatasetWriter:
             put(group, name, value, units)
 
     def new_counts(
-        self, shape: tuple[int, int, int, int], flats: int, darks: int, noise: bool
+        self, shape: tuple[int, int, int, int], flats: int, darks: int, noise: bool, units: str = "counts"
     ) -> dict[str, h5py.Dataset]:
         """Empty arrays ``data``, ``flat`` and ``dark``, to be filled by `write_image`."""
-        dtype = np.int32 if noise else np.float32
+        dtype = np.int32 if noise and units == "counts" else np.float32
         instrument = group_at(self.file, "entry/instrument")
-        data = new_frames(group_at(instrument, "detector"), "data", shape, dtype, "counts")
-        flat = new_frames(new_group(instrument, "flat", "NXdetector"), "data", (flats, *shape[1:]), dtype, "counts")
-        dark = new_frames(new_group(instrument, "dark", "NXdetector"), "data", (darks, *shape[1:]), dtype, "counts")
+        data = new_frames(group_at(instrument, "detector"), "data", shape, dtype, units)
+        flat = new_frames(new_group(instrument, "flat", "NXdetector"), "data", (flats, *shape[1:]), dtype, units)
+        dark = new_frames(new_group(instrument, "dark", "NXdetector"), "data", (darks, *shape[1:]), dtype, units)
         return {"data": data, "flat": flat, "dark": dark}
 
-    def new_expected(self, shape: tuple[int, int, int, int]) -> h5py.Dataset:
+    def new_expected(self, shape: tuple[int, int, int, int], units: str = "counts") -> h5py.Dataset:
         """Empty array for the counts without noise, in the truth."""
-        return new_frames(truth_group(self.file), "expected", shape, np.float32, "counts")
+        return new_frames(truth_group(self.file), "expected", shape, np.float32, units)
 
     def write_truth(self, truth: Truth, materials: tuple[Material, ...]) -> None:
         """Write the truth."""
@@ -201,8 +206,10 @@ def _write_spectra(entry: h5py.Group, spectra: Spectra) -> None:
     put(group, "energy", spectra.energy, "keV")
     put(group, "energy_edges", spectra.edges, "keV")
     put(group, "source", spectra.source, "photons")
-    put(group, "response", spectra.response, "1")
-    put(group, "channel", spectra.weights, "counts")
+    put(group, "response", spectra.response, "1" if spectra.variance is None else spectra.units)
+    put(group, "channel", spectra.weights, spectra.units)
+    if spectra.variance is not None:
+        put(group, "variance", spectra.variance, f"{spectra.units}^2")
     put(group, "basis", spectra.basis_values, "1")
     energies = {"edge_energy", "edge_width", "normalisation_energy", "reference_energy"}
     for name, value in spectra.basis.to_dict().items():
@@ -212,6 +219,8 @@ def _write_spectra(entry: h5py.Group, spectra: Spectra) -> None:
             np.array(value, dtype=object) if isinstance(value, list) else value,
             "keV" if name in energies else None,
         )
+    if spectra.profile is not None:
+        write_profile(group, spectra.profile)
 
 
 def _date() -> str:

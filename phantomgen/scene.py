@@ -8,22 +8,25 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from phantomgen import schema
+from phantomgen.beam_profile import Profile
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
 from phantomgen.ops.solids import Solids
 from phantomgen.panel import Panel
+from phantomgen.scene_basis import needed, scene_basis
+from phantomgen.scene_detector import scene_dead_time, scene_detector
 from phantomgen.scene_materials import scene_materials
 from phantomgen.scene_objects import Filling, objects_of
 from phantomgen.scene_overlap import added_up
+from phantomgen.scene_source import profile_of, source_fields, sources_of
 from phantomgen.scene_yaml import SceneFile, closest, preset_names
 from phantomgen.shapes import Shape, solids_of
-from spectra.attenuation import edge_energy, mass_fractions, symbol
-from spectra.basis import Basis, BasisFunction
-from spectra.detector import Detector
-from spectra.materials import SAME_EDGE, Material
+from spectra.basis import Basis
+from spectra.dead_time import DeadTime
+from spectra.detector import AnyDetector
+from spectra.materials import Material
 from spectra.several import SeveralSources, added
-from spectra.source import Filter, Source
+from spectra.source import Source
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,8 @@ class Scan:
     text : the resolved scene as YAML
     sub_rays : rays along each edge of a pixel, None where pixels are split along silhouettes
     exposure : photons of each view and channel, relative to those of the source; None where all are 1
+    profile : how the beam differs over the panel, None where it does not
+    dead_time : of the detector's pixels, None where every event is recorded
     """
 
     name: str
@@ -73,7 +78,7 @@ class Scan:
     geometry: Geometry
     splits: Mapping[str, Int[np.ndarray, " view"]]
     source: Source
-    detector: Detector | SeveralSources
+    detector: AnyDetector
     basis: Basis
     grid: Grid
     seed: int
@@ -84,6 +89,8 @@ class Scan:
     text: str
     sub_rays: int | None = None
     exposure: Float[np.ndarray, "view channel"] | None = None
+    profile: Profile | None = None
+    dead_time: DeadTime | None = None
 
     def __repr__(self) -> str:
         objects, channels = len(self.scene.objects), len(self.detector)
@@ -118,10 +125,9 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
         materials = scene_materials(file)
     filled = {name for _, filling in objects for name in _names(filling)} | {_background(file)}
     used = [name for name in materials if name in filled]
-    basis = _basis(file, [materials[name] for name in used], detector)
+    basis = scene_basis(file, materials, used, source, detector)
     _check_coefficients(file, basis)
     geometry, splits = _geometry(file)
-    turns = isinstance(model.source, schema.SeveralSourcesModel) and model.source.type == "switching"
     return Scan(
         name=model.name,
         scene=Scene(
@@ -133,16 +139,18 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
         splits=splits,
         source=source,
         detector=detector,
-        basis=_needed(basis, [materials[name] for name in used]),
+        basis=needed(basis, [materials[name] for name in used]),
         grid=Grid.cube(model.volume.voxels, model.volume.size),
         seed=model.seed,
         noise=model.noise,
         flats=model.flats,
         darks=model.darks,
-        source_fields=_source_fields(model.source),
+        source_fields=source_fields(file),
         text=file.resolved,
         sub_rays=model.panel.sub_rays,
-        exposure=_taking_turns(splits, detector.groups) if isinstance(detector, SeveralSources) and turns else None,
+        exposure=_exposure(file, splits, detector),
+        profile=profile_of(file, source),
+        dead_time=scene_dead_time(file),
     )
 
 
@@ -172,55 +180,13 @@ def _find(scene: str | Path, overrides: Sequence[str]) -> SceneFile:
     return SceneFile.read(scene, overrides)
 
 
-def _source_and_detector(file: SceneFile) -> tuple[Source, Detector | SeveralSources]:
+def _source_and_detector(file: SceneFile) -> tuple[Source, AnyDetector]:
     """What sends photons, and what counts them."""
-    model = file.model.source
-    if not isinstance(model, schema.SeveralSourcesModel):
-        source = _source(file, model, ("source",))
-        return source, _detector(file, source)
-    sources = [_source(file, one, ("source", "sources", label)) for label, one in model.sources.items()]
-    detectors = [_detector(file, source) for source in sources]
-    return added(sources), SeveralSources(tuple(model.sources), tuple(sources), tuple(detectors))
-
-
-def _source(file: SceneFile, model: schema.TubeModel | schema.MonochromaticModel, path: tuple[str, ...]) -> Source:
-    """The source; a tube takes SpekPy about a second."""
-    with file.at(*path):
-        if isinstance(model, schema.MonochromaticModel):
-            return Source.monochromatic(model.energy, model.photons)
-        filters = [_filter(file, (*path, "filters", i), sheet) for i, sheet in enumerate(model.filters)]
-        return Source.tube(model.kvp, model.photons, model.angle, filters, model.anode)
-
-
-def _filter(file: SceneFile, path: tuple[str | int, ...], model: schema.FilterModel) -> Filter:
-    """One flat filter."""
-    with file.at(*path):
-        return Filter(Material(_composition_name(model.composition), model.density, model.composition), model.thickness)
-
-
-def _source_fields(
-    model: schema.TubeModel | schema.MonochromaticModel | schema.SeveralSourcesModel,
-) -> dict[str, tuple[float | str, str | None]]:
-    """What a file says about the source; of several tubes no single voltage."""
-    if isinstance(model, schema.SeveralSourcesModel):
-        return {"type": ("Fixed Tube X-ray", None), "focal_spot": (0.0, "mm")}
-    if isinstance(model, schema.MonochromaticModel):
-        return {"type": ("Synchrotron X-ray Source", None)}
-    return {
-        "type": ("Fixed Tube X-ray", None),
-        "voltage": (model.kvp, "kV"),
-        "target_material": (model.anode, None),
-        "focal_spot": (0.0, "mm"),
-    }
-
-
-def _detector(file: SceneFile, source: Source) -> Detector:
-    """The detector; its last channel ends with the source."""
-    model = file.model.detector
-    with file.at("detector"):
-        sensor = Material(_composition_name(model.composition), model.density, model.composition)
-        with file.at("detector", "thresholds"):
-            return Detector.photon_counting(model.thresholds, source.maximum, sensor, model.thickness)
+    sources = sources_of(file)
+    detectors = tuple(scene_detector(file, source) for source in sources.values())
+    if len(sources) == 1:
+        return next(iter(sources.values())), detectors[0]
+    return added(tuple(sources.values())), SeveralSources.of(sources, detectors)
 
 
 def _background(file: SceneFile) -> str | None:
@@ -229,56 +195,6 @@ def _background(file: SceneFile) -> str | None:
     if name is not None and name not in file.model.materials:
         raise file.error(("background",), f"unknown material {name!r}{closest(name, file.model.materials)}")
     return name
-
-
-def _composition_name(composition: str | Mapping[str, float]) -> str:
-    """A name for a material that has only a composition."""
-    return composition if isinstance(composition, str) else " ".join(composition)
-
-
-def _basis(file: SceneFile, materials: Sequence[Material], detector: Detector | SeveralSources) -> Basis:
-    """The basis of the file, or photoelectric, Compton and one element function per K edge that channels see."""
-    models = file.model.basis
-    if models is None:
-        kinds = [BasisFunction("photoelectric"), BasisFunction("compton")]
-        return Basis((*kinds, *(BasisFunction("element", element=e) for e in _edge_elements(materials, detector))))
-    functions = []
-    for i, model in enumerate(models):
-        with file.at("basis", i):
-            functions.append(_function(model))
-    with file.at("basis"):
-        return Basis(tuple(functions))
-
-
-def _function(
-    model: schema.PlainFunctionModel | schema.EdgeFunctionModel | schema.ElementFunctionModel,
-) -> BasisFunction:
-    """One basis function."""
-    if isinstance(model, schema.EdgeFunctionModel):
-        return BasisFunction(model.type, edge_energy=model.edge, edge_width=model.width, element=model.element)
-    return BasisFunction(model.type, element=getattr(model, "element", None))
-
-
-def _edge_elements(materials: Sequence[Material], detector: Detector | SeveralSources) -> list[str]:
-    """Elements whose K edge lies between the lowest threshold and the highest energy."""
-    low, high = detector.channels[0].lower, max(channel.upper for channel in detector.channels)
-    numbers = {number for m in materials if m.composition is not None for number, _ in mass_fractions(m.composition)}
-    edges = {name: edge_energy(name) for name in map(symbol, numbers)}
-    return sorted((e for e, edge in edges.items() if low < edge < high), key=edges.__getitem__)
-
-
-def _needed(basis: Basis, materials: Sequence[Material]) -> Basis:
-    """The basis without K-edge functions that no material uses."""
-    functions = tuple(f for f in basis.functions if f.edge_energy is None or any(_uses(m, f) for m in materials))
-    return Basis(functions, basis.reference_energy)
-
-
-def _uses(material: Material, function: BasisFunction) -> bool:
-    """Whether a material has a coefficient for a K-edge function, or an edge where the function has its own."""
-    if material.coefficients is not None:
-        return material.coefficients.get(function.name, 0.0) > 0
-    edge = float(function.edge_energy or 0.0)
-    return bool(material.k_edges(edge - SAME_EDGE, edge + SAME_EDGE))
 
 
 def _check_coefficients(file: SceneFile, basis: Basis) -> None:
@@ -292,13 +208,15 @@ def _check_coefficients(file: SceneFile, basis: Basis) -> None:
                 )
 
 
-def _taking_turns(
-    splits: Mapping[str, Int[np.ndarray, " view"]], groups: Sequence[int]
-) -> Float[np.ndarray, "view channel"]:
+def _exposure(
+    file: SceneFile, splits: Mapping[str, Int[np.ndarray, " view"]], detector: AnyDetector
+) -> Float[np.ndarray, "view channel"] | None:
     """Exposure of views that sources take in turn, training and test views each from the first source on."""
+    if not isinstance(detector, SeveralSources) or file.model.source.type != "switching":
+        return None
     order = np.concatenate([np.arange(len(views)) for views in splits.values()])
-    turn = order % (max(groups) + 1)
-    return (turn[:, None] == np.asarray(groups)).astype(np.float64)
+    turn = order % len(detector.sources)
+    return (turn[:, None] == np.asarray(detector.groups)).astype(np.float64)
 
 
 def _geometry(file: SceneFile) -> tuple[Geometry, dict[str, Int[np.ndarray, " view"]]]:

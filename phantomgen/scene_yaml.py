@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -167,7 +167,7 @@ def _sentence(error: Any) -> str:
     """What pydantic found, in words for somebody who writes a scene."""
     kind, got = error["type"], error.get("input")
     if kind in {"missing", "union_tag_not_found"}:
-        return "is missing"
+        return f"is missing{_choices(str(error['loc'][-1]))}"
     if kind == "extra_forbidden":
         return f"unknown key{_hint(str(error['loc'][-1]))}"
     if kind == "union_tag_invalid":
@@ -182,10 +182,23 @@ def _sentence(error: Any) -> str:
     return f"{text}, got {got!r}" if isinstance(got, str | int | float | bool | None) else text
 
 
+def _choices(key: str) -> str:
+    """What a key may be, where it has a choice of values."""
+    for field in (model.model_fields[key] for model in _models() if key in model.model_fields):
+        options = get_args(field.annotation) if get_origin(field.annotation) is Literal else ()
+        if len(options) > 1:
+            return f": choose from {', '.join(map(str, options))}"
+    return ""
+
+
+def _models() -> list[type[BaseModel]]:
+    """All models of a scene file."""
+    return [m for m in vars(schema).values() if isinstance(m, type) and issubclass(m, BaseModel)]
+
+
 def _hint(key: str) -> str:
     """A hint at the key that is meant, where one is close."""
-    models = [m for m in vars(schema).values() if isinstance(m, type) and issubclass(m, BaseModel)]
-    near = difflib.get_close_matches(key, {name for model in models for name in model.model_fields}, 1)
+    near = difflib.get_close_matches(key, {name for model in _models() for name in model.model_fields}, 1)
     return f"; did you mean {near[0]!r}?" if near else ""
 
 

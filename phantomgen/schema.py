@@ -28,15 +28,34 @@ class FilterModel(Model):
     thickness: Annotated[FiniteFloat, Field(ge=0)]
 
 
+class BowtieModel(Model):
+    """A bowtie filter: thickness [mm] along rays in the plane of the orbit, linear between fan angles [degree].
+
+    Angles grow with the columns of the panel; angles from 0 on stand for both sides.
+    """
+
+    composition: Composition
+    density: PositiveFloat | None = None
+    angles: Annotated[tuple[FiniteFloat, ...], Field(min_length=2)]
+    thickness: tuple[Annotated[FiniteFloat, Field(ge=0)], ...]
+
+
 class TubeModel(Model):
-    """A reflection tube; photons are incident per pixel and view at the panel centre, behind the filters."""
+    """A reflection tube; photons are incident per pixel and view at the panel centre, behind the filters.
+
+    In their place may stand the charge per view [mAs], from which SpekPy's model gives the photons. With `heel` the
+    spectrum changes along z; the anode is on the side of +z.
+    """
 
     type: Literal["tube"]
     kvp: PositiveFloat
     anode: str = "tungsten"
     angle: PositiveFloat = 12.0
     filters: tuple[FilterModel, ...] = ()
-    photons: PositiveFloat
+    bowtie: BowtieModel | None = None
+    photons: PositiveFloat | None = None
+    mas: PositiveFloat | None = None
+    heel: bool = False
 
 
 class MonochromaticModel(Model):
@@ -44,10 +63,51 @@ class MonochromaticModel(Model):
 
     type: Literal["monochromatic"]
     energy: PositiveFloat
+    bowtie: BowtieModel | None = None
     photons: PositiveFloat
 
 
-OneSourceModel = Annotated[TubeModel | MonochromaticModel, Field(discriminator="type")]
+class LinesModel(Model):
+    """Several single energies: energy [keV] to weight; without `photons` in all, weights are photons."""
+
+    type: Literal["lines"]
+    lines: Annotated[dict[PositiveFloat, PositiveFloat], Field(min_length=1)]
+    filters: tuple[FilterModel, ...] = ()
+    bowtie: BowtieModel | None = None
+    photons: PositiveFloat | None = None
+
+
+class BandModel(Model):
+    """A band around an energy [keV]; the width is that at half of the maximum [keV]."""
+
+    type: Literal["band"]
+    energy: PositiveFloat
+    width: PositiveFloat
+    shape: Literal["gaussian", "box"] = "gaussian"
+    filters: tuple[FilterModel, ...] = ()
+    bowtie: BowtieModel | None = None
+    photons: PositiveFloat
+
+
+class TableModel(Model):
+    """A spectrum from a text file of two columns, energy [keV] and photons; see docs/spectra.md.
+
+    Without `photons` in all, the values are photons per pixel and view. A relative path starts at the folder of the
+    scene file.
+    """
+
+    type: Literal["table"]
+    file: str
+    values: Literal["per_bin", "per_kev"]
+    energies: Literal["centres", "edges"]
+    filters: tuple[FilterModel, ...] = ()
+    bowtie: BowtieModel | None = None
+    photons: PositiveFloat | None = None
+
+
+OneSourceModel = Annotated[
+    TubeModel | MonochromaticModel | LinesModel | BandModel | TableModel, Field(discriminator="type")
+]
 
 
 class SeveralSourcesModel(Model):
@@ -59,14 +119,75 @@ class SeveralSourcesModel(Model):
     ]
 
 
+class ChargeSharingModel(Model):
+    """Pixels of the sensor itself: pitch, and the standard deviation of a charge cloud [mm]."""
+
+    pitch: PositiveFloat
+    cloud: Annotated[FiniteFloat, Field(ge=0)]
+
+
+class DeadTimeModel(Model):
+    """Counts lost because a pixel is busy: dead time [ns], exposure of one view [ms], and the kind of counter."""
+
+    tau_ns: PositiveFloat
+    exposure_ms: PositiveFloat
+    model: Literal["nonparalyzable", "paralyzable"] = "nonparalyzable"
+
+
 class PhotonCountingModel(Model):
-    """An ideal photon-counting detector; a channel reaches from its threshold to the next."""
+    """A photon-counting detector; a channel reaches from its threshold to the next.
+
+    It is ideal unless it has a resolution (full width at half maximum [keV]), fluorescence or shared charge.
+    """
 
     type: Literal["photon_counting"]
     thresholds: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)]
     composition: Composition = "CdTe"
     density: PositiveFloat | None = None
     thickness: PositiveFloat = 1.6
+    resolution: Annotated[FiniteFloat, Field(ge=0)] = 0.0
+    fluorescence: bool = False
+    charge_sharing: ChargeSharingModel | None = None
+    dead_time: DeadTimeModel | None = None
+
+
+class AxisModel(Model):
+    """Evenly spaced energies [keV]."""
+
+    first: Annotated[FiniteFloat, Field(ge=0)]
+    step: PositiveFloat
+
+
+class ResponseMatrixModel(Model):
+    """Counters by a table of counts per incident photon: a CSV or .npy file, or a dataset such as file.h5:/path.
+
+    Rows are energies of incident photons, columns channels or bins of deposited energy. A CSV file has the energies in
+    its first column, and names of channels, or the middles of bins, in its first line; for arrays `energies` and
+    `deposited` give both. Deposited energies are counted `per` bin or keV. Relative paths start at the folder of the
+    scene file.
+    """
+
+    type: Literal["response_matrix"]
+    file: str
+    columns: Literal["channels", "deposited"]
+    thresholds: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)]
+    energies: AxisModel | None = None
+    deposited: AxisModel | None = None
+    per: Literal["bin", "keV"] | None = None
+    dead_time: DeadTimeModel | None = None
+
+
+class EnergyIntegratingModel(Model):
+    """A scintillator that sums up the energies of the photons it absorbs, in one channel [keV].
+
+    The composition is CsI, GOS, GOS screen or CdWO4, with nominal density and thickness where these are left out; or
+    any other with density [g/cm^3] and thickness [mm].
+    """
+
+    type: Literal["energy_integrating"]
+    composition: Composition = "CsI"
+    density: PositiveFloat | None = None
+    thickness: PositiveFloat | None = None
 
 
 class CircularModel(Model):
@@ -119,6 +240,21 @@ class ElementFunctionModel(Model):
 
     type: Literal["element"]
     element: str
+
+
+class MaterialFunctionModel(Model):
+    """The attenuation curve of a material: one of the scene, a named one or a formula."""
+
+    type: Literal["material"]
+    material: str
+
+
+class SvdFunctionsModel(Model):
+    """So many singular vectors of the curves of some materials, over the detected spectrum."""
+
+    type: Literal["svd"]
+    materials: Annotated[tuple[str, ...], Field(min_length=1)]
+    count: PositiveInt
 
 
 class MixtureModel(Model):
@@ -332,7 +468,13 @@ class GroupModel(ObjectModel):
 
 
 SourceModel = Annotated[OneSourceModel | SeveralSourcesModel, Field(discriminator="type")]
-FunctionModel = Annotated[PlainFunctionModel | EdgeFunctionModel | ElementFunctionModel, Field(discriminator="type")]
+DetectorModel = Annotated[
+    PhotonCountingModel | EnergyIntegratingModel | ResponseMatrixModel, Field(discriminator="type")
+]
+FunctionModel = Annotated[
+    PlainFunctionModel | EdgeFunctionModel | ElementFunctionModel | MaterialFunctionModel | SvdFunctionsModel,
+    Field(discriminator="type"),
+]
 ShapeModel = Annotated[
     SphereModel
     | EllipsoidModel
@@ -364,7 +506,7 @@ class SceneModel(Model):
     version: Literal[1]
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     source: SourceModel
-    detector: PhotonCountingModel
+    detector: DetectorModel
     geometry: CircularModel
     panel: PanelModel
     volume: VolumeModel

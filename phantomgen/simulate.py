@@ -8,19 +8,18 @@ from typing import Any
 
 import h5py
 import numpy as np
-from jaxtyping import Float
 
 from phantomgen.dataset_layout import pack_image, write_image
 from phantomgen.dataset_truth import Truth
 from phantomgen.dataset_writer import DatasetWriter
-from phantomgen.noise import Stream, poisson_counts
+from phantomgen.noise import Stream
 from phantomgen.ops.expose import expose
 from phantomgen.ops.voxelize_shapes import fractions
 from phantomgen.scene import Scan
 from phantomgen.simulate_check import MeasuredError, full_check, quick_check
 from phantomgen.simulate_coverage import coverage_warnings, sampled_lengths
+from phantomgen.simulate_noise import Exposure, Images
 from phantomgen.simulate_spectra import (
-    compressed_transmission,
     fit_warnings,
     material_coefficients,
     material_fit,
@@ -30,7 +29,6 @@ from phantomgen.stopwatch import Stopwatch
 from spectra.threads import run_parallel
 from spectra.transmission import Transmission
 
-Images = Float[np.ndarray, "channel row column"]
 Packed = list[list[bytes]]
 
 
@@ -115,25 +113,26 @@ def simulate(
     watch = Stopwatch()
     with DatasetWriter(out, overwrite) as writer:
         with watch("spectrum"):
-            transmission, node_error = compressed_transmission(scan, sampled_lengths(scan))
+            exposure, node_error = Exposure.of(scan, sampled_lengths(scan))
             spectra = reconstructor_spectra(scan)
             warnings = [*coverage_warnings(scan), *fit_warnings(scan, material_fit(scan))]
+            warnings += [*scan.detector.poor, *exposure.warnings]
         writer.write_scan(scan.name, scan.geometry, spectra, scan.grid, dict(scan.splits), scan.scheme, scan.exposure)
         writer.write_instrument(scan.geometry, spectra, dict(scan.source_fields))
         writer.write_process("phantomgen make", scan.seed)
         with watch("views"):
-            _write_counts(writer, scan, transmission, keep_expected, progress)
+            _write_counts(writer, scan, exposure, keep_expected, progress)
         with watch("truth"):
             writer.write_truth(scan_truth(scan), scan.scene.materials)
         with watch("check"):
-            error = (full_check if verify else quick_check)(scan, transmission)
+            error = (full_check if verify else quick_check)(scan, exposure.transmission)
         writer.finish(spectra)
     return Summary(
         path=writer.path,
         shape=_shape(scan),
         size=writer.path.stat().st_size,
         seconds=watch.seconds,
-        nodes=tuple(b - a for a, b in pairwise(transmission.starts.tolist())),
+        nodes=tuple(b - a for a, b in pairwise(exposure.transmission.starts.tolist())),
         node_error=node_error,
         error=error,
         warnings=warnings,
@@ -141,7 +140,7 @@ def simulate(
 
 
 def expected_view(scan: Scan, transmission: Transmission, view: int) -> Images:
-    """Expected counts of one view, averaged over each pixel's area."""
+    """Expected counts of one view and channel (or group of photons), averaged over each pixel's area."""
     panel = scan.geometry.panel
     return expose(
         scan.geometry.ray_frames()[view],
@@ -153,7 +152,18 @@ def expected_view(scan: Scan, transmission: Transmission, view: int) -> Images:
         transmission.starts,
         scan.scene.background,
         sub_rays=scan.sub_rays,
+        profile=None if scan.profile is None else scan.profile.lengths,
     ).counts
+
+
+def open_beam(scan: Scan, transmission: Transmission) -> Images:
+    """Expected counts of one view without any object."""
+    pixels = _shape(scan)[2:]
+    if scan.profile is None:
+        return np.broadcast_to(transmission.open_beam[:, None, None], (len(transmission), *pixels))
+    lengths = np.zeros((*pixels, len(transmission.columns)))
+    lengths[:, :, -len(scan.profile.names) :] = np.moveaxis(scan.profile.lengths, 0, -1)
+    return np.moveaxis(transmission.expected(lengths), -1, 0)
 
 
 def _shape(scan: Scan) -> tuple[int, int, int, int]:
@@ -169,24 +179,23 @@ def scan_truth(scan: Scan) -> Truth:
     return Truth.of(scan.grid, scan.basis.names, names, coefficients, filled, scan.text, fit)
 
 
-def _write_counts(
-    writer: DatasetWriter, scan: Scan, transmission: Transmission, keep_expected: bool, progress: bool
-) -> None:
+def _write_counts(writer: DatasetWriter, scan: Scan, exposure: Exposure, keep_expected: bool, progress: bool) -> None:
     """Expose all views and flats; darks stay zero, as an ideal detector counts nothing without beam."""
     shape = _shape(scan)
-    arrays = writer.new_counts(shape, scan.flats, scan.darks, scan.noise)
-    kept = writer.new_expected(shape) if keep_expected else None
+    arrays = writer.new_counts(shape, scan.flats, scan.darks, scan.noise, scan.detector.units)
+    kept = writer.new_expected(shape, scan.detector.units) if keep_expected else None
 
     def projection(view: int) -> tuple[Packed, Packed]:
-        mean = expected_view(scan, transmission, view)
+        expected = expected_view(scan, exposure.groups, view)
         if scan.exposure is not None:
-            mean *= scan.exposure[view][:, None, None]
-        return _packed(scan, mean, view, Stream.PROJECTION), _packed_means(mean) if keep_expected else []
+            expected *= scan.exposure[view][exposure.channels][:, None, None]
+        kept = _packed_means(exposure.mean(expected)) if keep_expected else []
+        return _packed(scan, exposure, expected, view, Stream.PROJECTION), kept
 
-    open_beam = np.broadcast_to(transmission.open_beam[:, None, None], shape[1:])
+    without_object = open_beam(scan, exposure.groups)
 
     def flat(frame: int) -> Packed:
-        return _packed(scan, open_beam, frame, Stream.FLAT)
+        return _packed(scan, exposure, without_object, frame, Stream.FLAT)
 
     for view, (counts, means) in _shown(projection, range(shape[0]), "views", progress):
         _put(arrays["data"], view, counts)
@@ -196,11 +205,11 @@ def _write_counts(
         _put(arrays["flat"], frame, counts)
 
 
-def _packed(scan: Scan, mean: Images, frame: int, stream: Stream) -> Packed:
+def _packed(scan: Scan, exposure: Exposure, expected: Images, frame: int, stream: Stream) -> Packed:
     """Counts of one frame, ready for the file."""
     if not scan.noise:
-        return _packed_means(mean)
-    return [pack_image(poisson_counts(image, scan.seed, frame, c, stream)) for c, image in enumerate(mean)]
+        return _packed_means(exposure.mean(expected))
+    return [pack_image(image) for image in exposure.noisy(expected, scan.seed, frame, stream)]
 
 
 def _packed_means(mean: Images) -> Packed:

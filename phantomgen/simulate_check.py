@@ -101,9 +101,18 @@ def _edge_errors(
 ) -> Errors:
     """Errors of all edge pixels of a view, or of `count` of them."""
     frame, panel = scan.geometry.ray_frames()[view], scan.geometry.panel
-    found = expose(frame, panel.rows, panel.columns, *_arguments(scan, transmission), sub_rays=scan.sub_rays)
+    found = expose(
+        frame,
+        panel.rows,
+        panel.columns,
+        *_arguments(scan, transmission),
+        sub_rays=scan.sub_rays,
+        profile=_profile(scan),
+    )
     if scan.sub_rays == 1:  # rays through centres know of no edges
-        edges = expose(frame, panel.rows, panel.columns, *_arguments(scan, transmission), sub_rays=2)
+        edges = expose(
+            frame, panel.rows, panel.columns, *_arguments(scan, transmission), sub_rays=2, profile=_profile(scan)
+        )
         found = found._replace(classes=edges.classes)
     pixels, mapped = np.argwhere((found.classes >= CROSSED) & (found.classes != VOXELS)), found.classes == VOXELS
     if mapped.any():
@@ -114,14 +123,14 @@ def _edge_errors(
         pixels = pixels[rng.choice(len(pixels), count, replace=False)]
     brute = _brute(scan, yardstick, frame, pixels)
     counts = found.counts[:, pixels[:, 0], pixels[:, 1]].T
-    return _log_error(counts, transmission, brute, yardstick)
+    return _log_error(counts, _level(scan, transmission, pixels), brute, _level(scan, yardstick, pixels))
 
 
 def _brute(scan: Scan, yardstick: Transmission, frame: Float[np.ndarray, "4 3"], pixels: Pixels) -> np.ndarray:
     """Counts of pixels from a regular grid of rays, in parallel pieces."""
 
     def piece(part: Pixels) -> np.ndarray:
-        return expose_brute(frame, part, *_arguments(scan, yardstick), n=SUB_RAYS)
+        return expose_brute(frame, part, *_arguments(scan, yardstick), n=SUB_RAYS, profile=_profile(scan))
 
     parts = [pixels[first : first + _PIXELS_PER_PIECE] for first in range(0, len(pixels), _PIXELS_PER_PIECE)]
     return np.concatenate([np.empty((0, len(scan.detector))), *run_parallel(piece, parts)])
@@ -134,9 +143,12 @@ def _ray_errors(scan: Scan, transmission: Transmission, count: int, rng: np.rand
     column, row = rng.uniform(-0.5, panel.columns - 0.5, count), rng.uniform(-0.5, panel.rows - 0.5, count)
     directions = frame[:, 1] + column[:, None] * frame[:, 2] + row[:, None] * frame[:, 3]
     lengths = trace(frame[:, 0], directions, scan.scene.solids, len(scan.scene.materials), scan.scene.background)
-    lengths = lengths[lengths.any(axis=1)]
+    met = lengths.any(axis=1)
+    pixels = np.rint(np.stack([row[met], column[met]], axis=1)).astype(int)
+    lengths = _beside_profile(scan, lengths[met], pixels)
     exact = fine_transmission(scan, STEP / FINER)
-    return _log_error(transmission.expected(lengths), transmission, exact.expected(lengths), exact)
+    levels = (_level(scan, t, pixels) for t in (transmission, exact))
+    return _log_error(transmission.expected(lengths), next(levels), exact.expected(lengths), next(levels))
 
 
 def _arguments(scan: Scan, transmission: Transmission) -> Sequence[Any]:
@@ -144,17 +156,35 @@ def _arguments(scan: Scan, transmission: Transmission) -> Sequence[Any]:
     return scan.scene.solids, transmission.columns, transmission.weights, transmission.starts, scan.scene.background
 
 
-def _log_error(counts: Counts, transmission: Transmission, exact: Counts, yardstick: Transmission) -> Errors:
+def _profile(scan: Scan) -> Float[np.ndarray, "part row column"] | None:
+    """Lengths of the beam's profile."""
+    return None if scan.profile is None else scan.profile.lengths
+
+
+def _beside_profile(
+    scan: Scan, lengths: Float[np.ndarray, "ray material"], pixels: Pixels
+) -> Float[np.ndarray, "ray material_and_part"]:
+    """Path lengths in materials, and those that rays to these pixels have in the beam's profile."""
+    if scan.profile is None:
+        return lengths
+    return np.hstack([lengths, scan.profile.lengths[:, pixels[:, 0], pixels[:, 1]].T])
+
+
+def _log_error(counts: Counts, level: Counts, exact: Counts, exact_level: Counts) -> Errors:
     """Difference of log projections, where anything is left to measure."""
-    left, wanted = counts / _level(transmission), exact / _level(yardstick)
+    left, wanted = counts / level, exact / exact_level
     seen = (left > _LEAST) & (wanted > _LEAST)
     ratio = np.divide(left, wanted, out=np.ones_like(left), where=seen)
     return np.log(ratio).ravel()
 
 
-def _level(transmission: Transmission) -> Float[np.ndarray, " channel"]:
-    """Open-beam counts; infinite for a blind channel, whose counts then are nothing."""
-    return np.where(transmission.open_beam > 0, transmission.open_beam, np.inf)
+def _level(scan: Scan, transmission: Transmission, pixels: Pixels) -> Counts:
+    """Open-beam counts of pixels; infinite for a blind channel, whose counts then are nothing."""
+    air = transmission.open_beam[None]
+    if scan.profile is not None:
+        nothing = np.zeros((len(pixels), len(scan.scene.materials)))
+        air = transmission.expected(_beside_profile(scan, nothing, pixels))
+    return np.where(air > 0, air, np.inf)
 
 
 def _rms_and_worst(errors: Errors) -> tuple[float, float]:

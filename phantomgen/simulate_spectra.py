@@ -9,11 +9,14 @@ from math import ceil
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import block_diag
 
 from phantomgen.dataset import Spectra
+from phantomgen.dataset_profile import StoredProfile
 from phantomgen.dataset_truth import CoefficientFit
 from phantomgen.scene import Scan
 from spectra.energies import Energies
+from spectra.scintillator import energy_groups
 from spectra.spanning import spanning_columns
 from spectra.transmission import Transmission
 
@@ -33,10 +36,13 @@ _SPANNING_RAYS = 2000
 _MARGIN = 1.1
 
 
-def fine_transmission(scan: Scan, step: float = STEP) -> Transmission:
-    """Path lengths per material [mm] to expected counts, on bins of `step` keV."""
-    energies, weights = _weights(scan, ceil(_range(scan) / step))
-    return Transmission.from_spectrum(weights, _curves(scan, energies), scan.detector.names)
+def fine_transmission(scan: Scan, step: float = STEP, grouped: bool = False) -> Transmission:
+    """Path lengths per material, and those of the beam's profile [mm], to expected counts, on bins of `step` keV.
+
+    See `compressed_transmission`.
+    """
+    energies, weights, names = _rows(scan, step, grouped)
+    return Transmission.from_spectrum(weights, _curves(scan, energies), names)
 
 
 def compressed_transmission(
@@ -45,34 +51,51 @@ def compressed_transmission(
     step: float = STEP,
     tolerance: float = TOLERANCE,
     refine: bool = True,
+    grouped: bool = False,
 ) -> tuple[Transmission, float]:
     """The same with few nodes.
 
     Parameters
     ----------
     scan : what is simulated
-    lengths : path lengths of rays that meet every object [mm]; they span the box of what can be reached
+    lengths : path lengths of rays that meet every object [mm]; they span the box of what can be reached; those of the
+        beam's profile are added
     step : bin width before nodes are sought [keV]
     tolerance : worst error of log counts that is wanted
     refine : whether nodes are merged and moved, for the fewest of them, or chosen only
+    grouped : whether energy-integrating channels are split into the groups of `photon_quanta`, one channel each
 
     Returns
     -------
     the transmission, and the worst error of log counts that was found on fresh rays of the box
     """
-    materials = scan.scene.materials
+    materials, lengths = scan.scene.materials, _with_profile_lengths(scan, lengths)
     if any(m.composition is not None for m in materials) or len(materials) <= len(scan.basis):
-        return _compress(fine_transmission(scan, step), lengths, tolerance, refine)
-    energies, weights = _weights(scan, ceil(_range(scan) / step))
-    fine = Transmission.from_spectrum(weights, scan.basis.evaluate(energies.nodes), scan.detector.names)
+        return _compress(fine_transmission(scan, step, grouped), lengths, tolerance, refine)
+    energies, weights, names = _rows(scan, step, grouped)
+    columns = _with_profile(scan, scan.basis.evaluate(energies.nodes), energies)
+    fine = Transmission.from_spectrum(weights, columns, names)
     coefficients = material_coefficients(scan)
+    if scan.profile is not None:
+        coefficients = block_diag(coefficients, np.eye(len(scan.profile.names)))
     small, error = _compress(fine, lengths @ coefficients, tolerance, refine)
     return Transmission(coefficients @ small.columns, small.weights, small.starts, small.channel_names), error
+
+
+def photon_quanta(scan: Scan) -> list[Float[np.ndarray, " group"]] | None:
+    """Signal of one photon in each group of energies [keV], channel by channel; None where photons are counted."""
+    energies, weights = _weights(scan, ceil(_range(scan) / STEP))
+    if scan.detector.variance(energies) is None:
+        return None
+    return [energy_groups(energies.nodes, row)[1] for row in weights]
 
 
 def reconstructor_spectra(scan: Scan) -> Spectra:
     """What a dataset tells about energies: bins, basis functions, source and response."""
     energies, source, response = _sampled(scan, RECONSTRUCTOR_BINS, scan.basis.breaks)
+    profile = None
+    if scan.profile is not None:
+        profile = StoredProfile(scan.profile.names, scan.profile.lengths, scan.profile.attenuation(energies.nodes))
     return Spectra(
         energy=energies.nodes,
         edges=energies.edges,
@@ -83,6 +106,10 @@ def reconstructor_spectra(scan: Scan) -> Spectra:
         channels=scan.detector.names,
         lower=np.array([channel.lower for channel in scan.detector.channels]),
         upper=np.array([channel.upper for channel in scan.detector.channels]),
+        units=scan.detector.units,
+        variance=scan.detector.variance(energies),
+        profile=profile,
+        dead_time=scan.dead_time,
     )
 
 
@@ -96,7 +123,7 @@ def material_fit(scan: Scan) -> CoefficientFit:
     """How well `material_coefficients` describe the materials, and over which energies."""
     energies, detected = _detected(scan)
     errors = [m.fit_error(scan.basis, energies, detected) for m in scan.scene.materials]
-    window = (scan.detector.channels[0].lower, scan.source.maximum)
+    window = (scan.detector.lowest, scan.source.maximum)
     return CoefficientFit(window, FIT_WEIGHTS, np.array(errors))
 
 
@@ -120,29 +147,59 @@ def _detected(scan: Scan) -> tuple[Float[np.ndarray, " energy"], Float[np.ndarra
 
 def _range(scan: Scan) -> float:
     """Width of the energies that are counted [keV]; 1 for a single energy."""
-    return max(scan.source.maximum - scan.detector.channels[0].lower, 1.0)
+    return max(scan.source.maximum - scan.detector.lowest, 1.0)
 
 
 def _sampled(
     scan: Scan, count: int, breaks: tuple[float, ...]
 ) -> tuple[Energies, Float[np.ndarray, " energy"], Float[np.ndarray, "channel energy"]]:
     """Grid, photons per bin and response."""
-    grid = scan.source.grid(scan.detector.channels[0].lower, count, (*scan.detector.breaks, *breaks))
+    grid = scan.source.grid(scan.detector.lowest, count, (*scan.detector.breaks, *breaks))
     energies, photons = scan.source.sampled(grid)
     return energies, photons, scan.detector.response(energies)
 
 
 def _weights(scan: Scan, count: int) -> tuple[Energies, Float[np.ndarray, "channel energy"]]:
     """Grid that breaks at every edge of the scene, and open-beam counts per bin."""
-    low, high = scan.detector.channels[0].lower, scan.source.maximum
+    low, high = scan.detector.lowest, scan.source.maximum
     edges = (edge for material in scan.scene.materials for edge in material.k_edges(low, high))
     energies, photons, response = _sampled(scan, count, (*scan.basis.breaks, *edges))
     return energies, photons * response
 
 
+def _rows(scan: Scan, step: float, grouped: bool) -> tuple[Energies, Float[np.ndarray, "row energy"], tuple[str, ...]]:
+    """Grid of `step` keV, open-beam counts per bin of each channel, or of each group of photons, and their names."""
+    energies, weights = _weights(scan, ceil(_range(scan) / step))
+    if not grouped or scan.detector.variance(energies) is None:
+        return energies, weights, scan.detector.names
+    rows = np.concatenate([energy_groups(energies.nodes, row)[0] for row in weights])
+    return energies, rows, tuple(f"group{i}" for i in range(len(rows)))
+
+
 def _curves(scan: Scan, energies: Energies) -> Float[np.ndarray, "material energy"]:
-    """Attenuation of the materials [1/mm]."""
-    return np.stack([m.attenuation(energies.nodes, scan.basis) for m in scan.scene.materials])
+    """Attenuation of the materials, and of what makes the beam differ over the panel [1/mm]."""
+    curves = np.stack([m.attenuation(energies.nodes, scan.basis) for m in scan.scene.materials])
+    return _with_profile(scan, curves, energies)
+
+
+def _with_profile(
+    scan: Scan, columns: Float[np.ndarray, "column energy"], energies: Energies
+) -> Float[np.ndarray, "column_and_part energy"]:
+    """Columns, and the curves of the beam's profile after them."""
+    return columns if scan.profile is None else np.concatenate([columns, scan.profile.attenuation(energies.nodes)])
+
+
+def _with_profile_lengths(
+    scan: Scan, lengths: Float[np.ndarray, "ray material"]
+) -> Float[np.ndarray, "ray material_and_part"]:
+    """Rays through objects, each on its way to some pixel, and rays without objects to the most extreme pixels."""
+    if scan.profile is None:
+        return lengths
+    parts = scan.profile.lengths.reshape(len(scan.profile.names), -1).T
+    pixels = np.random.default_rng(0).integers(len(parts), size=len(lengths))
+    extreme = parts[[*parts.argmin(axis=0), *parts.argmax(axis=0)]]
+    empty = np.zeros((len(extreme), lengths.shape[1]))
+    return np.concatenate([np.hstack([lengths, parts[pixels]]), np.hstack([empty, extreme])])
 
 
 def _compress(
@@ -151,8 +208,8 @@ def _compress(
     """Fewer nodes for the box that `integrals` span."""
     if len(fine.columns) > _MOST_COLUMNS:
         return _compress_many(fine, integrals, tolerance, refine)
-    high = _MARGIN * integrals.max(axis=0, initial=0.0)
-    return fine.compress(np.zeros_like(high), high, tolerance, refine=refine)
+    low, high = (_MARGIN * bound for bound in (integrals.min(axis=0, initial=0.0), integrals.max(axis=0, initial=0.0)))
+    return fine.compress(low, high, tolerance, refine=refine)
 
 
 def _compress_many(

@@ -53,7 +53,8 @@ def ray_information(
     """Fisher matrix of every ray's line integrals, J^T diag(1 / (Y + (dispersion Y)^2)) J."""
     transmission = measurements.transmission
     gains = np.moveaxis(measurements.gains, 0, -1) * measurements.exposure[:, None, None, :]
-    expected, jacobian = transmission.expected_and_jacobian(np.moveaxis(line_integrals, 1, -1))
-    expected, jacobian = expected * gains, jacobian * gains[..., None]
+    lengths = measurements.with_profile(np.moveaxis(line_integrals, 1, -1))
+    expected, jacobian = transmission.expected_and_jacobian(lengths)
+    expected, jacobian = expected * gains, jacobian[..., : len(measurements.basis_names)] * gains[..., None]
     precision = 1 / np.maximum(expected * (1 + dispersion**2 * expected), np.finfo(float).tiny)
     return np.einsum("...c,...cm,...cn->...mn", precision, jacobian, jacobian, optimize=True)

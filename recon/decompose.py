@@ -18,13 +18,15 @@ def decompose_views(
     dispersion : relative model error that is added to the Poisson variance
     """
     views, channels, rows, columns = measurements.counts.shape
-    bases = len(measurements.transmission.columns)
+    bases = len(measurements.basis_names)
     images = np.empty((views, bases, rows, columns), np.float32)
     fisher = np.zeros((bases, bases))
+    profile = measurements.profile
+    known = None if profile is None else np.ascontiguousarray(profile.reshape(len(profile), -1).T)
     for view in range(views):
         counts = measurements.counts[view].reshape(channels, -1).T
         gains = (measurements.exposure[view, :, None, None] * measurements.gains).reshape(channels, -1).T
-        lengths, information = decompose(counts, gains, measurements.transmission, dispersion)
+        lengths, information = decompose(counts, gains, measurements.transmission, dispersion, known=known)
         images[view] = lengths.T.reshape(bases, rows, columns)
         fisher += information.mean(axis=0) / views
     return images, fisher

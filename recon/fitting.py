@@ -109,7 +109,11 @@ def _subsets(views: int, per_sweep: int, steps: int) -> Iterator[np.ndarray]:
 def _mean_deviance(gaussians: Gaussians, data: Measurements, dispersion: float) -> Tensor:
     images = gaussians.line_integrals(data.geometry)
     gains = torch.from_numpy(data.gains * data.exposure[:, :, None, None].astype(np.float32))
-    expected = transmit(images.movedim(1, -1).contiguous(), data.transmission).movedim(-1, 1) * gains
+    lengths = images.movedim(1, -1).contiguous()
+    if data.profile is not None:
+        known = torch.from_numpy(data.profile).to(lengths).movedim(0, -1)
+        lengths = torch.cat([lengths, known.expand(len(lengths), *known.shape)], dim=-1)
+    expected = transmit(lengths, data.transmission).movedim(-1, 1) * gains
     return deviance(torch.from_numpy(data.counts), expected, dispersion).mean()
 
 

@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 
 from phantomgen.dataset import Dataset
 from phantomgen.geometry import Geometry
+from spectra.dead_time import DeadTime
 from spectra.errors import InputError
 from spectra.transmission import Transmission
 
@@ -19,13 +20,15 @@ class Measurements:
 
     Parameters
     ----------
-    counts : measured counts minus dark, float32
+    counts : measured counts minus dark, corrected for dead time, float32; sums of energies in units whose open-beam
+        variance is their mean
     gains : open-beam counts of each pixel over those that `transmission` expects, float32; 0 where a pixel or a
         channel is blind
     exposure : tube output of each view and channel relative to the flat frames; 0 where a view was not taken
     geometry : poses of the views
-    transmission : columns are the basis functions
+    transmission : columns are the basis functions, and after them the parts of `profile`
     basis_names : names of the basis functions
+    profile : what a bowtie filter and the heel effect add to the rays of each pixel; None where there are none
     """
 
     counts: Float[np.ndarray, "view channel row column"]
@@ -34,6 +37,7 @@ class Measurements:
     geometry: Geometry
     transmission: Transmission
     basis_names: tuple[str, ...]
+    profile: Float[np.ndarray, "part row column"] | None = None
 
     def __len__(self) -> int:
         return len(self.counts)
@@ -48,7 +52,30 @@ class Measurements:
             return self
         geometry = self.geometry.binned(factor)  # refuses panels that do not divide
         counts, gains = (_sum_blocks(images, factor) for images in (self.counts, self.gains))
-        return replace(self, counts=counts, gains=gains, geometry=geometry)
+        if self.profile is None:
+            return replace(self, counts=counts, gains=gains, geometry=geometry)
+        coarse = replace(self, counts=counts, geometry=geometry, profile=_sum_blocks(self.profile, factor) / factor**2)
+        open_beam = _sum_blocks(self.gains * self.open_beam, factor)
+        return replace(coarse, gains=_ratio(open_beam, coarse.open_beam).astype(np.float32))
+
+    @property
+    def open_beam(self) -> Float[np.ndarray, "channel row column"]:
+        """Counts that `transmission` expects in each pixel without an object."""
+        if self.profile is None:
+            air = self.transmission.open_beam[:, None, None]
+            return np.broadcast_to(air, (len(air), *self.counts.shape[2:]))
+        rows, columns = self.profile.shape[1:]
+        nothing = np.zeros((rows, columns, len(self.basis_names)))
+        return np.moveaxis(self.transmission.expected(self.with_profile(nothing)), -1, 0)
+
+    def with_profile(
+        self, lengths: Float[np.ndarray, "... row column basis"]
+    ) -> Float[np.ndarray, "... row column basis_and_part"]:
+        """Line integrals of the bases as `transmission` takes them."""
+        if self.profile is None:
+            return lengths
+        fixed = np.moveaxis(self.profile, 0, -1).astype(lengths.dtype)
+        return np.concatenate([lengths, np.broadcast_to(fixed, (*lengths.shape[:-1], len(self.profile)))], axis=-1)
 
     def completed(self) -> "Measurements":
         """Views that lack a channel get it from those taken before and after, by interpolated log projections.
@@ -77,16 +104,20 @@ class Measurements:
         The box of line integrals in which the error holds is read off the data: no line integral of a basis can exceed
         what the least attenuated channel allows.
         """
-        gains = self.gains[:, ::4, ::4] * self.exposure[:, :, None, None]
-        open_beam = np.maximum(gains * self.transmission.open_beam[:, None, None], 0.5)
+        gains = (self.gains * self.open_beam)[:, ::4, ::4] * self.exposure[:, :, None, None]
+        open_beam = np.maximum(gains, 0.5)
         projections = np.log(open_beam / np.maximum(self.counts[:, :, ::4, ::4], 0.5))
         largest = np.maximum(np.quantile(projections, 0.999, axis=(0, 2, 3)), 0.1)
-        slopes = self.transmission.log_projection_and_slopes(np.zeros(len(self.basis_names)))[1]
+        bases = len(self.basis_names)
+        extremes = np.zeros((1, 0)) if self.profile is None else _extremes(self.profile)
+        beams = np.hstack([np.zeros((len(extremes), bases)), extremes])
+        slopes = self.transmission.log_projection_and_slopes(beams)[1][:, :, :bases].min(axis=0)
         slopes[~self.gains.any(axis=(1, 2))] = 0.0  # a blind channel allows anything
         with np.errstate(divide="ignore"):
             high = HARDENING * (largest[:, None] / slopes).min(axis=0)
         high = np.where(np.isfinite(high), high, 1.0)
-        few, error = self.transmission.compress(-0.05 * high, high, tolerance)
+        lowest, highest = np.append(-0.05 * high, extremes.min(axis=0)), np.append(high, extremes.max(axis=0))
+        few, error = self.transmission.compress(lowest, highest, tolerance)
         return replace(self, transmission=few), error
 
 
@@ -96,7 +127,8 @@ def read_measurements(dataset: Dataset, views: Int[np.ndarray, " view"], bases: 
     Raises
     ------
     InputError
-        When the dataset has fewer basis functions, or its channels cannot tell so many apart.
+        When the dataset has fewer basis functions, its channels cannot tell so many apart, or their coefficients may be
+        negative, as those of singular vectors.
     """
     names = dataset.spectra.basis.names
     count = len(names) if bases is None else bases
@@ -107,23 +139,49 @@ def read_measurements(dataset: Dataset, views: Int[np.ndarray, " view"], bases: 
         channels = f"{len(whole)} channel{'s' if len(whole) > 1 else ''}"
         hint = f": use --bases {min(len(whole), 3)}" if len(whole) > 1 else ": a scan needs a channel for each"
         raise InputError(f"{channels} cannot tell {count} bases apart{hint}")
-    transmission = replace(whole, columns=whole.columns[:count])
+    if dataset.spectra.basis.signed:
+        raise InputError(
+            f"the basis of {dataset.path} ({', '.join(names)}) gives negative coefficients, which no fit here allows: "
+            "make the scan with basis functions of type material, or photoelectric and compton"
+        )
+    quantum = dataset.spectra.quantum
+    weights, unit = whole.weights / np.repeat(quantum, np.diff(whole.starts)), quantum[:, None, None]
+    columns = np.delete(whole.columns, np.s_[count : len(names)], axis=0)
+    transmission = replace(whole, columns=columns, weights=weights)
     _check_independent(transmission, names[:count])
-    open_beam = transmission.open_beam[:, None, None]
-    gains = np.divide(dataset.flat, open_beam, out=np.zeros_like(dataset.flat), where=open_beam > 0)
-    return Measurements(
-        counts=np.maximum(dataset.load(views) - dataset.dark, 0).astype(np.float32),
-        gains=np.maximum(gains, 0).astype(np.float32),
+    profile = dataset.spectra.profile
+    flat, counts = dataset.flat, dataset.load(views) - dataset.dark
+    dead_time = dataset.spectra.dead_time
+    if dead_time is not None:
+        _check_load(dataset, dead_time)
+        flat, counts = dead_time.corrected(flat), dead_time.corrected(counts)
+    measured = Measurements(
+        counts=np.maximum(counts / unit, 0).astype(np.float32),
+        gains=np.ones(flat.shape, np.float32),
         exposure=dataset.exposure[views],
         geometry=dataset.geometry[views],
         transmission=transmission,
         basis_names=tuple(names[:count]),
+        profile=None if profile is None else profile.lengths,
     )
+    gains = np.maximum(_ratio(flat / unit, measured.open_beam), 0)
+    return replace(measured, gains=gains.astype(np.float32))
+
+
+def _check_load(dataset: Dataset, dead_time: DeadTime) -> None:
+    """Refuse counts that dead time has made ambiguous: more events may mean fewer counts."""
+    load = dead_time.per_count * dataset.spectra.weights.sum() * dataset.exposure.max(initial=0.0)
+    if load > dead_time.highest_load:
+        raise InputError(
+            f"{dataset.path} has {load:.3g} events per dead time in the open beam: counts of a {dead_time.model} "
+            f"detector can be corrected up to {dead_time.highest_load:g} only"
+        )
 
 
 def _check_independent(transmission: Transmission, names: tuple[str, ...] | list[str]) -> None:
     """Refuse bases that look the same in every channel that counts photons, as all do at a single energy."""
-    slopes = transmission.log_projection_and_slopes(np.zeros(len(names)))[1][transmission.open_beam > 0]
+    slopes = transmission.log_projection_and_slopes(np.zeros(len(transmission.columns)))[1][transmission.open_beam > 0]
+    slopes = slopes[:, : len(names)]
     scale = np.abs(slopes).max(axis=0, initial=0.0)
     if not (scale > 0).all() or np.linalg.matrix_rank(slopes / scale, tol=1e-9) < len(names):
         raise InputError(
@@ -139,6 +197,17 @@ def matching_bin(geometry: Geometry, size: float) -> int:
     pixel = min(panel.row_pitch, panel.column_pitch) / magnification
     fitting = [f for f in range(1, 33) if panel.rows % f == 0 and panel.columns % f == 0]
     return max(f for f in fitting if f == 1 or f * pixel <= 1.001 * size)
+
+
+def _extremes(profile: Float[np.ndarray, "part row column"]) -> Float[np.ndarray, "extreme part"]:
+    """Lengths of the pixels where some part is thinnest or thickest."""
+    lengths = profile.reshape(len(profile), -1).T
+    return lengths[[*lengths.argmin(axis=0), *lengths.argmax(axis=0)]]
+
+
+def _ratio(images: Float[np.ndarray, "..."], others: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    """Images over others; 0 where those are not positive."""
+    return np.divide(images, others, out=np.zeros_like(images), where=others > 0)
 
 
 def _sum_blocks(images: Float[np.ndarray, "... row column"], factor: int) -> Float[np.ndarray, "... row column"]:

@@ -28,8 +28,9 @@ def held_out_views(dataset: Dataset, gaussians: Gaussians) -> Iterator[HeldOutVi
 
 def _predict(measured: Measurements, gaussians: Gaussians) -> Iterator[HeldOutView]:
     lengths = gaussians.line_integrals(measured.geometry).numpy()
-    expected = np.moveaxis(measured.transmission.expected(np.moveaxis(lengths, 1, -1)), -1, 1)
-    open_beam = measured.gains * measured.transmission.open_beam[:, None, None]
+    lengths = measured.with_profile(np.moveaxis(lengths, 1, -1))
+    expected = np.moveaxis(measured.transmission.expected(lengths), -1, 1)
+    open_beam = measured.gains * measured.open_beam
     for view, (counts, exposure) in enumerate(zip(measured.counts, measured.exposure, strict=True)):
         scale = exposure[:, None, None]
         yield HeldOutView.of(counts, expected[view] * measured.gains * scale, open_beam * scale)

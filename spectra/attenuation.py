@@ -113,6 +113,34 @@ def linear_attenuation(
     return mass_attenuation(composition, energy) * (density / 10.0)
 
 
+def compton_share(composition: Composition, energy: Float[np.ndarray, " energy"]) -> Float[np.ndarray, " energy"]:
+    """Part of the attenuation at `energy` [keV] that is Compton scattering."""
+    parts = [
+        fraction * xraylib_np.CS_Compt(np.array([number]), energy)[0]
+        for number, fraction in mass_fractions(composition)
+    ]
+    return np.sum(parts, axis=0) / mass_attenuation(composition, energy)
+
+
+def k_shell_share(
+    composition: Composition, number: int, energy: Float[np.ndarray, " energy"]
+) -> Float[np.ndarray, " energy"]:
+    """Part of the attenuation at `energy` [keV] that ionises the K shell of one element (Kissel's cross sections)."""
+    above = energy > xraylib.EdgeEnergy(number, xraylib.K_SHELL)
+    share = np.zeros_like(energy)
+    ionised = [xraylib.CS_Photo_Partial(number, xraylib.K_SHELL, float(e)) for e in energy[above]]
+    fraction = dict(mass_fractions(composition)).get(number, 0.0)
+    share[above] = fraction * np.array(ionised) / mass_attenuation(composition, energy[above])
+    return share
+
+
+def k_lines(number: int) -> tuple[tuple[float, float], ...]:
+    """K-alpha and K-beta of an element: mean energy [keV], and photons per ionised K shell."""
+    per_hole = xraylib.FluorYield(number, xraylib.K_SHELL)
+    lines = (xraylib.KA_LINE, xraylib.KB_LINE)
+    return tuple((xraylib.LineEnergy(number, k), per_hole * xraylib.RadRate(number, k)) for k in lines)
+
+
 def _off_the_edge(energy: Float[np.ndarray, " energy"], number: int) -> Float[np.ndarray, " energy"]:
     """Energies moved out of the few eV around the K edge where the table may still be on the wrong branch."""
     edge = xraylib.EdgeEnergy(number, xraylib.K_SHELL)

@@ -9,9 +9,12 @@ compton        f_KN(E) / f_KN(E_ref), Klein-Nishina total cross section (same, e
 step           s((E - E_K) / width) (E / E_n)^-3
 sigmoid        s((E - E_K) / width)
 element        mu/rho(E) / mu/rho(E_n + 10 eV) of one element
+material       mu/rho(E) / mu/rho(E_ref) of one material; water and bone say, in place of the first two
+svd            a combination of materials that has no unit either; see `spectra.basis_change.svd_functions`
 =============  ==========================================================================================
 
-with s the logistic function, a sharp step for width 0, which is 1 at the edge itself.
+with s the logistic function, a sharp step for width 0, which is 1 at the edge itself. Coefficients of all kinds but
+`svd` are never negative.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,14 +25,16 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit
 
-from spectra.attenuation import edge_energy, mass_attenuation
+from spectra.amounts import Amounts, amounts_of, curve, edges_of, from_text, to_text
+from spectra.attenuation import Composition, edge_energy, mass_attenuation
 from spectra.errors import InputError
 
 REFERENCE_ENERGY = 70.0
 _ELECTRON_REST_ENERGY = 510.99895
 _ABOVE_EDGE = 0.010
 _EDGE_KINDS = ("sigmoid", "step", "element")
-KINDS = ("photoelectric", "compton", *_EDGE_KINDS)
+_CURVE_KINDS = ("material", "svd")
+KINDS = ("photoelectric", "compton", *_EDGE_KINDS, *_CURVE_KINDS)
 
 EnergyArray = Float[np.ndarray, " energy"]
 
@@ -40,11 +45,12 @@ class BasisFunction:
 
     Parameters
     ----------
-    kind : ``photoelectric``, ``compton``, ``sigmoid``, ``step`` or ``element``
-    edge_energy : K edge [keV] of the three last kinds; that of `element` where left out
+    kind : ``photoelectric``, ``compton``, ``sigmoid``, ``step``, ``element``, ``material`` or ``svd``
+    edge_energy : K edge [keV] of a sigmoid, a step or an element; that of `element` where left out
     edge_width : inverse slope 1/gamma of the logistic function [keV]; 0 for a sharp step
     element : symbol; required by kind ``element``
-    name : ``photoelectric``, ``compton``, ``kedge_<element or keV>`` where left out
+    name : ``photoelectric``, ``compton``, ``kedge_<element or keV>``, or the composition where left out
+    composition : of kind ``material``: a name, a formula or mass fractions; amounts of elements for ``svd``
     """
 
     kind: str
@@ -52,6 +58,7 @@ class BasisFunction:
     edge_width: float = 0.0
     element: str | None = None
     name: str = ""
+    composition: Composition | Amounts | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -60,7 +67,12 @@ class BasisFunction:
             self._complete_edge()
         elif self.edge_energy is not None or self.element is not None:
             raise InputError(f"a {self.kind} basis function has no edge and no element")
+        if (self.composition is not None) != (self.kind in _CURVE_KINDS):
+            needs = "needs a" if self.kind in _CURVE_KINDS else "has no"
+            raise InputError(f"a {self.kind} basis function {needs} composition")
         object.__setattr__(self, "name", self.name or self._default_name())
+        if self.composition is not None and not isinstance(self.composition, tuple):
+            object.__setattr__(self, "composition", amounts_of(self.composition))
 
     def _complete_edge(self) -> None:
         """Check the edge, or take it from the element."""
@@ -78,7 +90,19 @@ class BasisFunction:
 
     def _default_name(self) -> str:
         """The name used in files."""
+        if isinstance(self.composition, str):
+            return self.composition.strip()
         return self.kind if self.edge_energy is None else f"kedge_{self.element or format(self.edge_energy, 'g')}"
+
+    @property
+    def amounts(self) -> Amounts:
+        """Elements of a material or a combination of materials; empty for other kinds."""
+        return self.composition if isinstance(self.composition, tuple) else ()
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Edges, where the function is not smooth [keV]."""
+        return edges_of(self.amounts) if self.edge_energy is None else (self.edge_energy,)
 
     @property
     def edge_slope(self) -> float:
@@ -97,6 +121,9 @@ class BasisFunction:
             return (energy / reference) ** -3.0
         if self.kind == "compton":
             return klein_nishina(energy) / klein_nishina(np.array([reference]))[0]
+        if self.kind in _CURVE_KINDS:
+            values = curve(self.amounts, np.append(energy, reference))
+            return values[:-1] / values[-1] if self.kind == "material" else values[:-1]
         if self.kind == "element":
             values = mass_attenuation({str(self.element): 1.0}, np.append(energy, above + _ABOVE_EDGE))
             return values[:-1] / values[-1]
@@ -129,6 +156,7 @@ class Basis:
     def from_table(cls, table: Mapping[str, Any]) -> "Basis":
         """From the columns that `to_dict` gives, as a dataset stores them (text may be bytes)."""
         names, kinds, elements = (_texts(table[key]) for key in ("basis_name", "basis_kind", "element"))
+        compositions = _texts(table.get("basis_composition", [""] * len(names)))
         edges, widths = (np.asarray(table[key], dtype=np.float64) for key in ("edge_energy", "edge_width"))
         functions = tuple(
             BasisFunction(
@@ -137,13 +165,20 @@ class Basis:
                 edge_width=0.0 if np.isnan(width) else float(width),
                 element=element or None,
                 name=name,
+                composition=from_text(composition) if composition else None,
             )
-            for name, kind, element, edge, width in zip(names, kinds, elements, edges, widths, strict=True)
+            for name, kind, element, edge, width, composition in zip(
+                names, kinds, elements, edges, widths, compositions, strict=True
+            )
         )
         return cls(functions, float(np.asarray(table["reference_energy"])))
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns for a file: lists of text and float64 arrays, NaN where a function has no edge."""
+        """Columns for a file: lists of text and float64 arrays, NaN where a function has no edge.
+
+        Only bases of materials have the column ``basis_composition``.
+        """
+        compositions = [to_text(f.amounts) for f in self.functions]
         edges = [f.edge_energy for f in self.functions]
         return {
             "basis_name": list(self.names),
@@ -153,6 +188,7 @@ class Basis:
             "element": [f.element or "" for f in self.functions],
             "normalisation_energy": np.array([f.normalisation_energy(self.reference_energy) for f in self.functions]),
             "reference_energy": self.reference_energy,
+            **({"basis_composition": compositions} if any(compositions) else {}),
         }
 
     def __len__(self) -> int:
@@ -166,7 +202,12 @@ class Basis:
     @property
     def breaks(self) -> tuple[float, ...]:
         """Edges, where the functions are not smooth [keV]."""
-        return tuple(sorted({f.edge_energy for f in self.functions if f.edge_energy is not None}))
+        return tuple(sorted({edge for f in self.functions for edge in f.breaks}))
+
+    @property
+    def signed(self) -> bool:
+        """Whether coefficients may be negative."""
+        return any(f.kind == "svd" for f in self.functions)
 
     def evaluate(self, energy: EnergyArray) -> Float[np.ndarray, "basis energy"]:
         """Raw functions at `energy` [keV]; no unit."""

@@ -16,7 +16,11 @@ from scipy.optimize import nnls
 
 _SAMPLES, _FRESH = 400, 2000
 _STEPS = 60
-_MOST_REFINED = 16
+# Most steps of the non-negative fit per node; wide ranges of attenuation take more than the 3 of SciPy.
+_NNLS_TURNS = 30
+_MOST_REFINED, _MOST_ELIMINATED = 16, 44
+# Times the tolerance by which nodes may err on the way to fewer that are better.
+_HOPELESS = 100.0
 _DAMPING, _HIGHEST_DAMPING, _TINY = 1e-3, 1e8, 1e-14
 # Products (rows x columns x columns) up to which OpenBLAS stays on one thread.
 _ONE_THREAD = 262144
@@ -36,6 +40,7 @@ def compress_channel(
     tolerance: float,
     rng: np.random.Generator,
     refine: bool = True,
+    thorough: bool = False,
 ) -> tuple[Float[np.ndarray, " few"], Float[np.ndarray, "basis few"], float]:
     """Fewest nodes found whose log counts err by at most `tolerance` in the box.
 
@@ -46,6 +51,8 @@ def compress_channel(
     tolerance : largest error of log counts
     rng : source of the sampled line integrals
     refine : whether nodes are merged and moved; without, they are a choice of those handed in, found sooner
+    thorough : whether nodes are taken away one by one, each time refining what is left, on more rays: the fewest nodes,
+        in seconds per channel where there are four columns
 
     Returns
     -------
@@ -56,13 +63,20 @@ def compress_channel(
     full = Nodes(weights, columns.T * scale)
     if len(weights) < 2:
         return weights, columns, 0.0
-    fitted, fresh = (sample_box(box / scale, count, rng) for count in (_SAMPLES, _FRESH))
+    samples = _SAMPLES * len(columns) if thorough else _SAMPLES
+    fitted, fresh = (sample_box(box / scale, count, rng) for count in (samples, _FRESH))
     wanted = log_counts(full, fitted), log_counts(full, fresh)
-    for nodes in _ever_more(full, fitted, wanted[0], tolerance / 2 if refine else None):
+    goal = tolerance / 2 if refine else None
+    found = weights, columns, 0.0
+    for nodes in (_ever_fewer if thorough else _ever_more)(full, fitted, wanted[0], goal):
         error = float(np.abs(log_counts(nodes, fresh) - wanted[1]).max())
         if error <= tolerance and len(nodes.weights) < len(weights):
-            return nodes.weights, (nodes.columns / scale).T, error
-    return weights, columns, 0.0
+            found = nodes.weights, (nodes.columns / scale).T, error
+            if not thorough:
+                break
+        elif thorough and error > _HOPELESS * tolerance:
+            break
+    return found
 
 
 def sample_box(
@@ -112,10 +126,33 @@ def _ever_more(
     yield levels[0]
 
 
+def _ever_fewer(
+    full: Nodes, rays: Float[np.ndarray, "ray basis"], wanted: Float[np.ndarray, " ray"], goal: float | None
+) -> Iterator[Nodes]:
+    """Yield the sparse set, then ever smaller ones: two nodes are merged, and all are refined, again and again.
+
+    Node elimination, as in Xiao & Gimbutas 2010, Comput. Math. Appl. 59, 663-676.
+    """
+    limits = full.columns.min(axis=0), full.columns.max(axis=0)
+    nodes = _sparse(full, rays, wanted)
+    yield nodes
+    while len(nodes.weights) > 1 and goal is not None:
+        nodes = _with_closest_merged(nodes, rays)
+        if len(nodes.weights) <= _MOST_ELIMINATED:
+            nodes = _refined(nodes, rays, wanted, limits, goal)
+            yield nodes
+
+
 def _sparse(full: Nodes, rays: Float[np.ndarray, "ray basis"], wanted: Float[np.ndarray, " ray"]) -> Nodes:
-    """Few of the given nodes with new weights, by non-negative least squares on the relative counts."""
+    """Few of the given nodes with new weights, by non-negative least squares on the relative counts.
+
+    All of them where the fit goes round in circles, as it may when nodes are all but the same.
+    """
     relative = np.exp(-_attenuation(full, rays) - wanted[:, None]) * full.weights.max()
-    weights = nnls(relative, np.ones(len(rays)))[0]
+    try:
+        weights = nnls(relative, np.ones(len(rays)), maxiter=_NNLS_TURNS * len(full.weights))[0]
+    except RuntimeError:
+        return full
     chosen = weights > 0
     return Nodes(weights[chosen] * full.weights.max(), full.columns[chosen])
 

@@ -1,10 +1,11 @@
-"""Photon-counting detectors: which part of the photons of each energy every channel counts.
+"""Detectors: what every channel measures of a photon of each energy.
 
-The detector here is ideal: a photon that the sensor absorbs is counted once, in the channel its energy belongs to.
-Rows of a response need not sum to the absorption efficiency in general (charge sharing counts a photon twice), so
-nothing downstream may normalise them.
+`AnyDetector` is what all kinds have in common; `Detector` is the ideal photon-counting one: a photon that the sensor
+absorbs is counted once, in the channel its energy belongs to. Rows of a response need not sum to the absorption
+efficiency in general (charge sharing counts a photon twice), so nothing downstream may normalise them.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -27,8 +28,62 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class Detector:
-    """Channels behind one sensor.
+class AnyDetector(ABC):
+    """What channels measure of photons of each energy.
+
+    Parameters
+    ----------
+    channels : in ascending order of energy
+    """
+
+    channels: tuple[Channel, ...]
+
+    def __len__(self) -> int:
+        return len(self.channels)
+
+    @property
+    def units(self) -> str:
+        """Unit of what is measured."""
+        return "counts"
+
+    @property
+    def thresholds(self) -> tuple[float, ...]:
+        """Lower limit of each channel [keV]."""
+        return tuple(channel.lower for channel in self.channels)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Channel names."""
+        return tuple(channel.name for channel in self.channels)
+
+    @property
+    def lowest(self) -> float:
+        """Energy below which no photon is measured [keV]."""
+        return self.channels[0].lower
+
+    @property
+    @abstractmethod
+    def breaks(self) -> tuple[float, ...]:
+        """Energies where a response is not smooth [keV]."""
+
+    @abstractmethod
+    def response(self, energies: Energies) -> Float[np.ndarray, "channel energy"]:
+        """What each channel measures per photon of each bin."""
+
+    def variance(self, energies: Energies) -> Float[np.ndarray, "channel energy"] | None:
+        """What a photon of each bin adds to the variance; None for counts, where that is the response."""
+        del energies
+        return None
+
+    @property
+    def poor(self) -> tuple[str, ...]:
+        """Sentences about what the model of the detector leaves out and should not."""
+        return ()
+
+
+@dataclass(frozen=True)
+class Detector(AnyDetector):
+    """Counters behind one sensor.
 
     Parameters
     ----------
@@ -37,7 +92,6 @@ class Detector:
     thickness : of the sensor [mm]
     """
 
-    channels: tuple[Channel, ...]
     material: Material
     thickness: float
 
@@ -54,26 +108,12 @@ class Detector:
         material : of the sensor, or a formula with a known density
         thickness : of the sensor [mm]
         """
-        limits = [float(t) for t in thresholds]
-        _check_thresholds(limits, float(top))
-        if not 0 < thickness < np.inf:
-            raise InputError(f"the sensor thickness must be positive and finite, got {thickness:g} mm")
         sensor = Material(material, composition=material) if isinstance(material, str) else material
-        channels = tuple(Channel(f"bin{i}", a, b) for i, (a, b) in enumerate(pairwise([*limits, float(top)])))
-        return cls(channels, sensor, float(thickness))
+        return cls(channels_between(thresholds, top), sensor, float(thickness))
 
-    def __len__(self) -> int:
-        return len(self.channels)
-
-    @property
-    def thresholds(self) -> tuple[float, ...]:
-        """Lower limit of each channel [keV]."""
-        return tuple(channel.lower for channel in self.channels)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Channel names."""
-        return tuple(channel.name for channel in self.channels)
+    def __post_init__(self) -> None:
+        if not 0 < self.thickness < np.inf:
+            raise InputError(f"the sensor thickness must be positive and finite, got {self.thickness:g} mm")
 
     @property
     def breaks(self) -> tuple[float, ...]:
@@ -83,7 +123,7 @@ class Detector:
 
     def absorption(self, energy: Float[np.ndarray, " energy"]) -> Float[np.ndarray, " energy"]:
         """Part of the photons that the sensor absorbs, 1 - exp(-mu t)."""
-        return -np.expm1(-self.thickness * self.material.attenuation(energy))
+        return absorbed(self.material, self.thickness, energy)
 
     def response(self, energies: Energies) -> Float[np.ndarray, "channel energy"]:
         """Counts per photon of each bin.
@@ -98,6 +138,20 @@ class Detector:
             for lower, upper in zip(limits[0][:-1], limits[1], strict=True)
         ]
         return np.clip(np.stack(overlap), 0.0, 1.0) * self.absorption(energies.nodes)
+
+
+def channels_between(thresholds: Sequence[float], top: float) -> tuple[Channel, ...]:
+    """Channels ``bin0``, ``bin1``, ... between thresholds, the last one up to `top` [keV]."""
+    limits = [float(t) for t in thresholds]
+    _check_thresholds(limits, float(top))
+    return tuple(Channel(f"bin{i}", a, b) for i, (a, b) in enumerate(pairwise([*limits, float(top)])))
+
+
+def absorbed(
+    material: Material, thickness: float, energy: Float[np.ndarray, " energy"]
+) -> Float[np.ndarray, " energy"]:
+    """Part of the photons that a sheet of `thickness` [mm] absorbs, 1 - exp(-mu t)."""
+    return -np.expm1(-thickness * material.attenuation(energy))
 
 
 def _check_thresholds(thresholds: list[float], top: float) -> None:

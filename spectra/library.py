@@ -89,6 +89,8 @@ DETECTORS = {
     "CZT": Entry(5.78, "Cd0.9Zn0.1Te", "Cd0.9Zn0.1Te, single crystal"),
     "GaAs": Entry(5.32, "GaAs", _CRYSTAL),
     "CsI": Entry(4.51, "CsI", _CRYSTAL),
+    "GOS": Entry(7.34, "Gd2O2S", "gadolinium oxysulfide, X-ray density; screens are packed less densely"),
+    "CdWO4": Entry(7.9, "CdWO4", _CRYSTAL),
 }
 
 GROUPS = {"tissues": TISSUES, "plastics, minerals and others": OTHERS, "detectors": DETECTORS}

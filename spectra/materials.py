@@ -76,8 +76,8 @@ class Material:
         -------
         the explicit coefficients. For a composition those of `element` functions are the amount of the element, and
         those of `step` and `sigmoid` functions are 0 where no K edge of the material is near; what is left of mu(E) is
-        fitted by the other functions, non-negative, with the least relative error over the detected spectrum (plain
-        least squares would fit the lowest energies only)
+        fitted by the other functions, non-negative unless the basis is signed, with the least relative error over the
+        detected spectrum (plain least squares would fit the lowest energies only)
         """
         if self.composition is None:
             return self._explicit(basis)
@@ -87,7 +87,8 @@ class Material:
         rest = exact - np.where(free, 0.0, found) @ values
         scale = np.sqrt(np.asarray(weights, dtype=np.float64) / np.sum(weights)) / exact
         if free.any():
-            found[free] = nnls((values[free] * scale).T, rest * scale)[0]
+            solve = np.linalg.lstsq if basis.signed else nnls
+            found[free] = solve((values[free] * scale).T, rest * scale)[0]
         return found
 
     def fit_error(self, basis: Basis, energy: EnergyArray, weights: EnergyArray) -> float:

@@ -4,13 +4,13 @@ Channels belong to one source each. The source of the scan is the sum of all, an
 own source's share of the photons of each energy, so that expected counts are source x response as in every other scan.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
-from spectra.detector import Channel, Detector
+from spectra.detector import AnyDetector
 from spectra.energies import Energies
 from spectra.errors import InputError
 from spectra.source import Source
@@ -20,39 +20,29 @@ EnergyArray = Float[np.ndarray, " energy"]
 
 
 @dataclass(frozen=True, eq=False)
-class SeveralSources:
-    """A detector that counts the photons of each source apart, as if it had the channels of a detector for each.
+class SeveralSources(AnyDetector):
+    """A detector that measures the photons of each source apart, as if it had the channels of a detector for each.
 
     Parameters
     ----------
-    labels : of the sources; channels are called ``<source>_<channel>``
+    channels : those of the first source, then those of the second, and so on
+    labels : names of the sources
     sources : photons of each source
-    detectors : what counts the photons of each
+    detectors : what measures the photons of each
     """
 
     labels: tuple[str, ...]
     sources: tuple[Source, ...]
-    detectors: tuple[Detector, ...]
+    detectors: tuple[AnyDetector, ...]
 
-    def __post_init__(self) -> None:
-        if not len(self.labels) == len(self.sources) == len(self.detectors) > 0:
-            raise InputError(
-                f"{len(self.labels)} labels, {len(self.sources)} sources, {len(self.detectors)} detectors do not match"
-            )
-
-    def __len__(self) -> int:
-        return sum(len(detector) for detector in self.detectors)
-
-    @property
-    def channels(self) -> tuple[Channel, ...]:
-        """Channels of the first source, then those of the second, and so on."""
-        pairs = zip(self.labels, self.detectors, strict=True)
-        return tuple(replace(c, name=f"{label}_{c.name}") for label, detector in pairs for c in detector.channels)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Channel names."""
-        return tuple(channel.name for channel in self.channels)
+    @classmethod
+    def of(cls, sources: Mapping[str, Source], detectors: Sequence[AnyDetector]) -> "SeveralSources":
+        """Channels ``<source>_<channel>`` of named sources, with a detector for each."""
+        if len(sources) != len(detectors):
+            raise InputError(f"{len(sources)} sources need as many detectors, got {len(detectors)}")
+        pairs = zip(sources, detectors, strict=True)
+        channels = tuple(replace(c, name=f"{name}_{c.name}") for name, detector in pairs for c in detector.channels)
+        return cls(channels, tuple(sources), tuple(sources.values()), tuple(detectors))
 
     @property
     def groups(self) -> tuple[int, ...]:
@@ -60,18 +50,42 @@ class SeveralSources:
         return tuple(g for g, detector in enumerate(self.detectors) for _ in detector.channels)
 
     @property
+    def units(self) -> str:
+        """Unit of what is measured."""
+        return self.detectors[0].units
+
+    @property
+    def lowest(self) -> float:
+        """Energy below which no photon is measured [keV]."""
+        return min(detector.lowest for detector in self.detectors)
+
+    @property
     def breaks(self) -> tuple[float, ...]:
         """Energies where a response is not smooth [keV]."""
         return tuple(sorted({edge for detector in self.detectors for edge in detector.breaks}))
 
+    @property
+    def poor(self) -> tuple[str, ...]:
+        """Sentences about what the models of the detectors leave out and should not."""
+        return tuple(dict.fromkeys(sentence for detector in self.detectors for sentence in detector.poor))
+
     def response(self, energies: Energies) -> Float[np.ndarray, "channel energy"]:
-        """Counts per photon of all sources together, for each bin."""
+        """What each channel measures per photon of all sources together, for each bin."""
+        shares = self._shares(energies)
+        return np.concatenate([s * d.response(energies) for s, d in zip(shares, self.detectors, strict=True)])
+
+    def variance(self, energies: Energies) -> Float[np.ndarray, "channel energy"] | None:
+        """What a photon of each bin adds to the variance; None for counts, where that is the response."""
+        variances = [detector.variance(energies) for detector in self.detectors]
+        pairs = zip(self._shares(energies), variances, strict=True)
+        parts = [share * variance for share, variance in pairs if variance is not None]
+        return np.concatenate(parts) if len(parts) == len(variances) else None
+
+    def _shares(self, energies: Energies) -> Float[np.ndarray, "source energy"]:
+        """Part of the photons of each bin that each source sends."""
         photons = np.stack([source.sampled(energies)[1] for source in self.sources])
         total = photons.sum(axis=0)
-        shares = np.divide(photons, total, out=np.zeros_like(photons), where=total > 0)
-        return np.concatenate(
-            [share * detector.response(energies) for share, detector in zip(shares, self.detectors, strict=True)]
-        )
+        return np.divide(photons, total, out=np.zeros_like(photons), where=total > 0)
 
 
 def added(sources: Sequence[Source]) -> Source:

@@ -5,8 +5,10 @@ are single energies. Quadrature needs the two apart: a line inside a wide bin is
 polychromatic models.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from math import ceil
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +19,11 @@ from spectra.materials import Material
 
 # Below this part of the photons a filter leaves nothing that data can be scaled to.
 _LEAST_TRANSMISSION = 1e-12
+# Corners of a density are at most this far apart [keV], so that it stays exact to 1e-3 behind filters.
+_FINE = 0.1
+# A Gaussian band ends so many full widths at half maximum from its centre: 2.5e-6 of it lie beyond.
+_BAND_END = 2.0
+_BAND_CORNERS = 401
 
 
 @dataclass(frozen=True)
@@ -59,24 +66,28 @@ class Source:
 
     @classmethod
     def tube(
-        cls, kvp: float, photons: float, angle: float = 12.0, filters: Sequence[Filter] = (), anode: str = "tungsten"
+        cls,
+        kvp: float,
+        photons: float | None,
+        angle: float = 12.0,
+        filters: Sequence[Filter] = (),
+        anode: str = "tungsten",
     ) -> "Source":
         """Reflection tube by SpekPy's model `casim`.
 
         Parameters
         ----------
         kvp : tube voltage [kV]
-        photons : incident photons per pixel and view behind all filters
+        photons : incident photons per pixel and view behind all filters; None for those per cm^2 and mAs at 1 m, a
+            number that only the model vouches for
         angle : anode angle [degree]
         filters : all filtration, inherent filtration included: the model itself has none
         anode : ``tungsten``, or ``molybdenum``, ``rhodium``, ``silver`` up to 50 kV
         """
         from spectra.tube import unfiltered_tube  # noqa: PLC0415 - SpekPy takes a second to import
 
-        bare = unfiltered_tube(kvp, angle, anode)
-        for sheet in filters:
-            bare = bare.filtered(sheet)
-        return bare.scaled(photons)
+        tube = unfiltered_tube(kvp, angle, anode).behind(filters)
+        return tube if photons is None else tube.scaled(photons)
 
     @classmethod
     def monochromatic(cls, energy: float, photons: float) -> "Source":
@@ -85,6 +96,76 @@ class Source:
             raise InputError(f"the energy of a monochromatic source must lie in 1 .. 800 keV, got {energy:g}")
         none = np.empty(0)
         return cls(none, none, np.array([float(energy)]), np.ones(1), float(energy)).scaled(photons)
+
+    @classmethod
+    def of_lines(cls, lines: Mapping[float, float], photons: float | None = None) -> "Source":
+        """Several single energies, such as those of a radionuclide.
+
+        Parameters
+        ----------
+        lines : energy [keV] to photons, or to relative weights where `photons` is given
+        photons : of all lines together; None where `lines` has them
+        """
+        if not lines:
+            raise InputError("a source of lines needs at least one line")
+        for energy, weight in lines.items():
+            if not (1 <= energy <= 800 and 0 < weight < np.inf):
+                raise InputError(
+                    f"a line needs an energy within 1 .. 800 keV and a positive weight, got {energy:g}: {weight:g}"
+                )
+        energy, weight = np.array(sorted(lines.items()), dtype=np.float64).T.copy()
+        none = np.empty(0)
+        source = cls(none, none, energy, weight, float(energy[-1]))
+        return source if photons is None else source.scaled(photons)
+
+    @classmethod
+    def band(cls, energy: float, width: float, photons: float, shape: str = "gaussian") -> "Source":
+        """One band of energies, such as a monochromator lets through.
+
+        Parameters
+        ----------
+        energy : centre E0 [keV]
+        width : full width at half maximum w [keV]
+        photons : in the whole band
+        shape : ``gaussian``, density ~ exp(-4 ln 2 (E - E0)^2 / w^2), cut off at E0 +- 2 w; or ``box``, constant within
+            E0 +- w / 2
+        """
+        if shape not in {"gaussian", "box"}:
+            raise InputError(f"the shape of a band is gaussian or box, got {shape!r}")
+        half = width * (_BAND_END if shape == "gaussian" else 0.5)
+        if not (width > 0 and energy - half >= 1 and energy + half <= 800):
+            raise InputError(
+                f"a band must have a positive width and lie within 1 .. 800 keV, got {energy:g} keV and a width of "
+                f"{width:g} keV"
+            )
+        if shape == "box":
+            return cls.of_bins(np.array([energy - half, energy + half]), np.ones(1)).scaled(photons)
+        x = np.linspace(-half, half, _BAND_CORNERS)
+        none, density = np.empty(0), np.exp(-4 * np.log(2) * (x / width) ** 2)
+        return cls(energy + x, density, none, none, float(energy + half)).scaled(photons)
+
+    @classmethod
+    def of_bins(cls, edges: Float[np.ndarray, " energy_plus_1"], photons: EnergyArray) -> "Source":
+        """A histogram; in each bin the density is constant. Lines in it cannot be told from the rest.
+
+        Parameters
+        ----------
+        edges : contiguous bin edges, ascending [keV]
+        photons : in each bin
+        """
+        edges, photons = Energies.from_edges(edges).edges, np.asarray(photons, dtype=np.float64)
+        if photons.shape != (len(edges) - 1,):
+            raise InputError(f"{len(edges) - 1} energy bins need as many numbers of photons, got {photons.shape}")
+        if not (np.isfinite(photons).all() and photons.min() >= 0 and photons.sum() > 0):
+            raise InputError("photons per bin must be finite and not negative, and some positive")
+        seen = np.flatnonzero(photons)
+        edges, photons = edges[seen[0] : seen[-1] + 2], photons[seen[0] : seen[-1] + 1]
+        if not (edges[0] >= 1 and edges[-1] <= 800):
+            raise InputError(f"photons must lie within 1 .. 800 keV, got {edges[0]:g} .. {edges[-1]:g}")
+        parts = [np.linspace(a, b, 1 + ceil((b - a) / _FINE)) for a, b in pairwise(edges)]
+        density = [np.full(len(x), n / (x[-1] - x[0])) for x, n in zip(parts, photons, strict=True)]
+        none = np.empty(0)
+        return cls(np.concatenate(parts), np.concatenate(density), none, none, float(edges[-1]))
 
     def __repr__(self) -> str:
         kind = f"{self.line_energy[0]:g} keV" if self.is_monochromatic else f"up to {self.maximum:g} keV"
@@ -146,6 +227,14 @@ class Source:
         factor = photons / self.photons
         return replace(self, density=self.density * factor, line_photons=self.line_photons * factor)
 
+    def behind(self, sheets: Sequence[Filter]) -> "Source":
+        """Behind a stack of flat filters."""
+        _check_stack(self, sheets)
+        source = self
+        for sheet in sheets:
+            source = source.filtered(sheet)
+        return source
+
     def filtered(self, sheet: Filter) -> "Source":
         """Behind a flat filter, whose K edges join the breaks."""
         low = float(self.energy[0]) if len(self.energy) else 0.0
@@ -203,3 +292,14 @@ class Source:
         t = end - x[segment]
         area = t * (y[segment] + slope * t / 2)
         return counts[segment] + area, energies[segment] + x[segment] * area + t**2 * (y[segment] / 2 + slope * t / 3)
+
+
+def _check_stack(source: Source, sheets: Sequence[Filter]) -> None:
+    """Refuse filters that together leave nothing at any energy, also where each of them alone leaves a little."""
+    energy = np.append(source.energy, source.line_energy)
+    passed = np.prod([sheet.transmission(energy) for sheet in sheets], axis=0)
+    if np.max(passed) < _LEAST_TRANSMISSION:
+        names = dict.fromkeys(sheet.material.name for sheet in sheets)
+        total = {name: sum(s.thickness for s in sheets if s.material.name == name) for name in names}
+        stack = " and ".join(f"{thickness:g} mm of {name}" for name, thickness in total.items())
+        raise InputError(f"{stack} absorb all photons of the source")

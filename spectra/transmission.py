@@ -17,6 +17,8 @@ from spectra.errors import InputError
 from spectra.ops.transmit import expected_and_jacobian, expected_counts, log_counts_and_slopes
 from spectra.threads import run_parallel
 
+_HIGHEST_CONDITION = 1e12
+
 
 @dataclass(frozen=True, eq=False)
 class Transmission:
@@ -127,6 +129,29 @@ class Transmission:
         information = counts / (1.0 + dispersion**2 * counts)
         return np.einsum("...c,...cm,...cn->...mn", information, slopes, slopes, optimize=True)
 
+    def cramer_rao(
+        self, lengths: Float[np.ndarray, "... basis"], dispersion: float = 0.0
+    ) -> Float[np.ndarray, "... basis basis"]:
+        """Smallest covariance that unbiased estimates of the line integrals can have, the inverse of `fisher`.
+
+        All entries are infinite where the channels cannot tell the columns apart: no photons are left, there are fewer
+        channels than columns, or the condition number of the information, each column scaled to 1, exceeds 1e12.
+
+        Parameters
+        ----------
+        lengths : line integrals
+        dispersion : relative model error added to the Poisson variance; 0 for pure Poisson
+        """
+        information = self.fisher(lengths, dispersion)
+        size = np.sqrt(np.diagonal(information, axis1=-2, axis2=-1))
+        scale = np.where(size > 0, size, 1.0)
+        scale = scale[..., :, None] * scale[..., None, :]
+        scaled = information / scale
+        lowest, highest = (np.linalg.eigvalsh(scaled)[..., i] for i in (0, -1))
+        known = (lowest * _HIGHEST_CONDITION > highest)[..., None, None]
+        inverse = np.linalg.inv(np.where(known, scaled, np.eye(len(self.columns)))) / scale
+        return np.where(known, inverse, np.inf)
+
     def compress(
         self,
         box_low: Float[np.ndarray, " basis"],
@@ -134,6 +159,7 @@ class Transmission:
         tolerance: float,
         seed: int = 0,
         refine: bool = True,
+        thorough: bool = False,
     ) -> tuple["Transmission", float]:
         """Fewer nodes that give the same counts for every ray whose line integrals lie in a box.
 
@@ -143,27 +169,37 @@ class Transmission:
         tolerance : largest error of log counts that is wanted
         seed : of the sampled line integrals
         refine : whether nodes are merged and moved; without, some of the nodes are kept: more of them, found sooner
+        thorough : whether to look for the fewest nodes of all, for seconds per channel
 
         Returns
         -------
         the smaller transmission (the same one where nothing could be saved), and the worst error of its log counts on
         rays of the box that were not used to find it
         """
-        box = np.array([box_low, box_high], dtype=np.float64)
-        if box.shape != (2, len(self.columns)) or not np.isfinite(box).all() or (box[0] > box[1]).any():
-            raise InputError(f"the box of line integrals must ascend and have {len(self.columns)} entries each")
+        box = self.checked_box(box_low, box_high)
         if not tolerance > 0:
             raise InputError(f"the tolerance of a compression must be positive, got {tolerance:g}")
 
         def channel(c: int) -> tuple[np.ndarray, np.ndarray, float]:
             own = slice(self.starts[c], self.starts[c + 1])
             rng = np.random.default_rng([seed, c])
-            return compress_channel(self.weights[own], self.columns[:, own], box, tolerance, rng, refine)
+            return compress_channel(self.weights[own], self.columns[:, own], box, tolerance, rng, refine, thorough)
 
         weights, columns, errors = zip(*run_parallel(channel, range(len(self))), strict=True)
         starts = np.concatenate([[0], np.cumsum([len(w) for w in weights])])
         small = Transmission(np.concatenate(columns, axis=1), np.concatenate(weights), starts, self.channel_names)
         return small, max(errors)
+
+    def checked_box(
+        self, low: Float[np.ndarray, " basis"], high: Float[np.ndarray, " basis"]
+    ) -> Float[np.ndarray, "2 basis"]:
+        """Smallest and largest line integrals as one array, refused where they do not ascend or fit the columns."""
+        if np.shape(low) != np.shape(high) or np.shape(low) != (len(self.columns),):
+            raise InputError(f"the box of line integrals must ascend and have {len(self.columns)} entries each")
+        box = np.array([low, high], dtype=np.float64)
+        if not np.isfinite(box).all() or (box[0] > box[1]).any():
+            raise InputError(f"the box of line integrals must ascend and have {len(self.columns)} entries each")
+        return box
 
     def _rays(self, lengths: Float[np.ndarray, "... basis"]) -> tuple[Float[np.ndarray, "ray basis"], tuple[int, ...]]:
         """Line integrals as rows, and the shape in front of the last axis."""

@@ -7,6 +7,7 @@ beams within 5 %. This module imports SpekPy and is itself imported only when a 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import spekpy
@@ -36,8 +37,7 @@ def unfiltered_tube(kvp: float, angle: float, anode: str = "tungsten") -> Source
     anode : ``tungsten``, ``molybdenum``, ``rhodium`` or ``silver``
     """
     symbol = _checked(kvp, angle, anode)
-    with _interruptible():
-        tube = spekpy.Spek(kvp=kvp, th=angle, dk=_STEP, targ=symbol, physics="casim")
+    tube = _spekpy_tube(kvp, angle, symbol)
     energy, density = _part(tube, lines=False)
     line_bins, line_density = _part(tube, lines=True)
     lines = np.flatnonzero(line_density)
@@ -47,6 +47,47 @@ def unfiltered_tube(kvp: float, angle: float, anode: str = "tungsten") -> Source
         energy, density = _sharpened(energy, density, value)
     energy, density = _with_ends(energy, density, kvp)
     return Source(energy, density, line_bins[lines], line_density[lines] * _STEP, float(kvp), breaks)
+
+
+class OffAxis(NamedTuple):
+    """Spectra beside the axis over that on it, at equal distance from the focal spot, as natural logarithms.
+
+    Parameters
+    ----------
+    energy, bremsstrahlung : bin middles [keV], and log ratio of each angle
+    line_energy, lines : the same of characteristic lines
+    """
+
+    energy: Float[np.ndarray, " bin"]
+    bremsstrahlung: Float[np.ndarray, "angle bin"]
+    line_energy: Float[np.ndarray, " line"]
+    lines: Float[np.ndarray, "angle line"]
+
+
+def off_axis(kvp: float, angle: float, anode: str, offsets: Float[np.ndarray, " angle"]) -> OffAxis:
+    """How a bare tube's spectrum changes with the direction of the rays.
+
+    Parameters
+    ----------
+    kvp, angle, anode : as for `unfiltered_tube`
+    offsets : angles from the axis towards the anode [rad], in the plane of the electrons and the axis
+    """
+    tube = _spekpy_tube(kvp, angle, _checked(kvp, angle, anode))
+    parts = []
+    for lines in (False, True):
+        energy, on_axis = _part(tube, lines)
+        seen = on_axis > 0
+        ratios = [_part(tube, lines, -np.tan(a))[1][seen] / on_axis[seen] / np.cos(a) ** 2 for a in offsets]
+        floor = np.finfo(float).tiny
+        parts += [energy[seen], np.log(np.maximum(np.array(ratios).reshape(len(offsets), -1), floor))]
+    return OffAxis(*parts)
+
+
+@lru_cache
+def _spekpy_tube(kvp: float, angle: float, symbol: str) -> spekpy.Spek:
+    """SpekPy's own object."""
+    with _interruptible():
+        return spekpy.Spek(kvp=kvp, th=angle, dk=_STEP, targ=symbol, physics="casim")
 
 
 @contextmanager
@@ -75,9 +116,15 @@ def _checked(kvp: float, angle: float, anode: str) -> str:
     return symbol
 
 
-def _part(tube: spekpy.Spek, lines: bool) -> tuple[Float[np.ndarray, " bin"], Float[np.ndarray, " bin"]]:
-    """Bin middles [keV] and photons per keV of the lines alone or of the bremsstrahlung alone."""
-    energy, density = tube.get_spectrum(edges=False, flu=True, diff=True, char=lines, brem=not lines)
+def _part(
+    tube: spekpy.Spek, lines: bool, tangent: float = 0.0
+) -> tuple[Float[np.ndarray, " bin"], Float[np.ndarray, " bin"]]:
+    """Bin middles [keV] and photons per keV of the lines alone or of the bremsstrahlung alone.
+
+    `tangent` is that of the angle from the axis, away from the anode.
+    """
+    x, z = 100 * tangent, 100.0  # cm
+    energy, density = tube.get_spectrum(x=x, z=z, edges=False, flu=True, diff=True, char=lines, brem=not lines)
     return np.asarray(energy), np.asarray(density)
 
 

@@ -79,3 +79,12 @@ def test_the_training_set_skips_items_that_are_there(tmp_path, monkeypatch, caps
         "training/item0000.h5",
         "training/item0001.h5",
     ]
+
+
+def test_the_dual_energy_scan_has_a_signal_for_each_voltage(tmp_path):
+    small = ["panel.rows=16", "panel.columns=16", "panel.pitch=12.8", "geometry.views=2", "geometry.test_views=1"]
+    scan = load_scene(EXAMPLES / "dual_energy.yaml", [*small, "volume.voxels=8"])
+    assert simulate(scan, tmp_path / "dual.h5").error.ray_worst < 1e-3
+    with open_dataset(tmp_path / "dual.h5") as dataset:
+        assert dataset.spectra.channels == ("low_signal", "high_signal")
+        assert (np.diff(dataset.spectra.effective_energy) > 20).all()

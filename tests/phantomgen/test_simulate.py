@@ -374,3 +374,23 @@ def test_exposures_that_do_not_fit_are_refused(tmp_path, scale):
         file["/entry/exposure/scale"] = scale
     with pytest.raises(DatasetError, match="exposure"):
         open_dataset(path)
+
+
+@pytest.mark.parametrize("kind", ["multi_source", "switching"])
+def test_energies_of_several_sources_are_summed_up_apart(tmp_path, kind):
+    single = "detector={type: energy_integrating}"
+    path, _ = made(tmp_path, several(kind), single)
+    parts = [made(tmp_path, f"source={one}", single, "noise=false")[0] for one in (LOW, HIGH)]
+    with open_dataset(path) as dataset:
+        assert dataset.spectra.channels == ("low_signal", "high_signal")
+        assert dataset.spectra.units == "keV"
+        expected = np.concatenate([counts_of(p) for p in parts], axis=1) * dataset.exposure[:, :, None, None]
+        quantum = np.array([55.0, 90.0])[:, None, None]
+        np.testing.assert_allclose(dataset.spectra.quantum, quantum.ravel(), rtol=1e-6)
+        taken = expected > 0
+        sigma = np.sqrt(np.maximum(expected * quantum, 1e-30))
+    difference = (counts_of(path) - expected)[taken] / sigma[taken]
+    assert (counts_of(path)[~taken] == 0).all()
+    assert abs(difference.mean()) < 5 / np.sqrt(difference.size)
+    assert difference.var() == pytest.approx(1, abs=5 * np.sqrt(2 / difference.size))
+    assert validate(path) == []

@@ -83,7 +83,10 @@ def test_pixels_are_binned_until_they_match_a_size_at_the_isocentre(size, factor
 
 def fake_dataset(model, counts, flat, dark):
     """What `read_measurements` asks of a dataset."""
-    spectra = SimpleNamespace(basis=SimpleNamespace(names=NAMES[: len(model.columns)]), transmission=lambda: model)
+    basis = SimpleNamespace(names=NAMES[: len(model.columns)], signed=False)
+    spectra = SimpleNamespace(
+        basis=basis, transmission=lambda: model, quantum=np.ones(len(model)), profile=None, dead_time=None
+    )
     geometry = Geometry.circular(60, 100, np.arange(3.0), Panel(4, 5, 1.0))
     return SimpleNamespace(
         path=Path("scan.h5"), spectra=spectra, geometry=geometry, flat=flat, dark=dark,

@@ -3,6 +3,7 @@ import pytest
 import xraylib
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.constants import physical_constants
 
 from spectra.basis import KINDS, Basis, BasisFunction, klein_nishina
 from spectra.conditioning import conditioning_of
@@ -19,6 +20,15 @@ def test_klein_nishina_agrees_with_published_values():
     ours = klein_nishina(ENERGY) / klein_nishina([70.0])
     theirs = np.array([xraylib.CS_KN(float(e)) for e in ENERGY]) / xraylib.CS_KN(70.0)
     np.testing.assert_allclose(ours, theirs, rtol=3e-6)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_klein_nishina_is_that_of_xraylib_whatever_the_precision_of_the_energies(dtype):
+    """From 1 to 800 keV; in float32 the closed form would err by 0.7 % at 5 keV and by 230 % at 1 keV."""
+    energy = np.array([1, 2, 5, 10, 20, 40, 70, 100, 140, 300, 800], dtype=dtype)
+    barn = 1e28 * 2 * np.pi * physical_constants["classical electron radius"][0] ** 2
+    theirs = [xraylib.CS_KN(float(e)) for e in energy]
+    np.testing.assert_allclose(barn * klein_nishina(energy), theirs, rtol=1e-6)
 
 
 def test_raw_functions_are_one_at_their_normalisation_energy():
@@ -94,7 +104,7 @@ def test_impossible_functions_are_refused(make, words):
 
 
 def test_kinds_are_those_of_the_documentation():
-    assert KINDS == ("photoelectric", "compton", "sigmoid", "step", "element")
+    assert KINDS == ("photoelectric", "compton", "sigmoid", "step", "element", "material", "svd")
 
 
 def test_conditioned_columns_are_orthonormal_and_convert_both_ways(basis):

@@ -138,3 +138,56 @@ def test_line_integrals_must_have_one_entry_per_column(transmission_on):
         transmission_on(64).expected(np.zeros(2))
     with pytest.raises(InputError, match="at 3 energies but columns at 2"):
         Transmission.from_spectrum(np.ones((1, 3)), np.ones((1, 2)))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("value", [-1.0, -0.01, 0.0, 1e-6, 1.0, 10.0, 60.0])
+def test_counts_and_gradients_are_finite_from_minus_one_to_sixty(transmission_on, value, dtype):
+    """Negative, zero and huge paths; behind 60 no photon is left, and the gradient is 0 instead of 0/0."""
+    model = transmission_on(128)
+    lengths = torch.full((1, 3), value, dtype=dtype, requires_grad=True)
+    counts = transmit(lengths, model)
+    counts.sum().backward()
+    assert torch.isfinite(counts).all()
+    assert torch.isfinite(lengths.grad).all()
+    assert (lengths.grad <= 0).all()
+    projection, slopes = model.log_projection_and_slopes(np.full(3, value))
+    assert np.isfinite(projection).all()
+    assert np.isfinite(slopes).all()
+    assert (np.sign(projection) == np.sign(value)).all()
+    if value == 0:
+        assert not np.signbit(projection).any()  # 0.0, not -0.0
+
+
+def test_a_channel_limited_to_one_energy_is_beer_lambert_on_any_grid(transmission_on):
+    model = transmission_on(64)
+    one = Transmission(model.columns[:, :1], model.weights[:1], [0, 1])
+    lengths = np.random.default_rng(8).uniform(0, 2, (5, 3))
+    np.testing.assert_allclose(one.log_projection(lengths)[:, 0], lengths @ model.columns[:, 0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("dispersion", [0.0, 0.02])
+def test_the_cramer_rao_bound_is_the_inverse_of_the_information(transmission_on, dispersion):
+    model = transmission_on(64)
+    lengths = np.random.default_rng(6).uniform(0, 1, (4, 3)) * [0.5, 3, 0.5]
+    bound = model.cramer_rao(lengths, dispersion)
+    np.testing.assert_allclose(bound @ model.fisher(lengths, dispersion), np.tile(np.eye(3), (4, 1, 1)), atol=1e-7)
+    assert (np.linalg.eigvalsh(bound) > 0).all()
+
+
+def test_the_cramer_rao_bound_is_reached_by_maximum_likelihood():
+    """One energy, one column: log(N0 / N) of many photons has the variance exp(L) / N0."""
+    model = Transmission(np.array([[1.0]]), np.array([1e6]), [0, 1])
+    assert model.cramer_rao([2.0])[0, 0] == pytest.approx(np.exp(2) / 1e6, rel=1e-9)
+    counts = np.random.default_rng(0).poisson(1e6 * np.exp(-2), 20000)
+    assert np.var(-np.log(counts / 1e6)) == pytest.approx(model.cramer_rao([2.0])[0, 0], rel=0.04)
+
+
+def test_the_bound_is_infinite_where_nothing_can_be_known(transmission_on):
+    model = transmission_on(64)
+
+    assert np.isinf(model.cramer_rao(np.full(3, 1e4))).all()  # no photon is left
+    fewer = Transmission.from_spectrum(np.ones((2, 5)) * [[1], [2]], np.random.default_rng(1).random((3, 5)))
+    assert np.isinf(fewer.cramer_rao(np.zeros((2, 3)))).all()  # fewer channels than columns
+    blind = Transmission(np.array([[0.0, 0.0], [0.1, 0.4]]), np.ones(2), [0, 1, 2])
+    assert np.isinf(blind.cramer_rao([0.0, 0.0])).all()  # a column that nothing attenuates

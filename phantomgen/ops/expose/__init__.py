@@ -63,6 +63,7 @@ def expose(
     reach: float = 5.0,
     sub_rays: int | None = None,
     map_grid: int | None = None,
+    profile: Float[np.ndarray, "part row column"] | None = None,
 ) -> Exposed:
     """Expected counts of all pixels of one view, each averaged over the pixel's area.
 
@@ -81,13 +82,15 @@ def expose(
         silhouettes; 1 means the ray through the centre of every pixel and nothing else
     map_grid : rays per pixel and axis where a voxel map projects to; by default `RAYS_PER_VOXEL` for each of the
         voxels that fit into a pixel, within limits
+    profile : lengths [mm] that the rays to each pixel have, objects aside, in the last materials of `attenuation`; the
+        same for all rays to a pixel
     """
     from phantomgen.ops.expose.cpu import expose_view  # noqa: PLC0415 - numba only where it computes
     from phantomgen.ops.silhouette.quadrature import make_room, make_rules  # noqa: PLC0415
 
     if sub_rays is not None and not 1 <= sub_rays <= MOST_SUB_RAYS:
         raise InputError(f"sub-rays along the edge of a pixel must be 1 to {MOST_SUB_RAYS}, got {sub_rays}")
-    view = _View.of(frame, rows, columns, solids, attenuation, weights, starts, background, sub_rays != 1)
+    view = _View.of(frame, rows, columns, solids, attenuation, weights, starts, background, sub_rays != 1, profile)
     gauss, pixels = make_rules(*rules), (rows, columns)
     out, rays = np.empty((len(starts) - 1, *pixels)), np.zeros(CLASSES, dtype=np.int64)
     classes, guess = np.empty(pixels, dtype=np.uint8), np.zeros(pixels, dtype=np.uint8)
@@ -123,6 +126,7 @@ def expose_brute(
     starts: Int64[np.ndarray, " boundary"],
     background: int = -1,
     n: int = 256,
+    profile: Float[np.ndarray, "part row column"] | None = None,
 ) -> Float[np.ndarray, "pixel channel"]:
     """Expected counts of some pixels (row, column), each the mean over n x n rays on a grid of midpoints.
 
@@ -132,7 +136,8 @@ def expose_brute(
 
     pixels = np.ascontiguousarray(pixels, dtype=np.int64)
     rows, columns = (pixels.max(axis=0, initial=0) + 1).tolist()
-    view = _View.of(frame, rows, columns, solids, attenuation, weights, starts, background, False)
+    profile = profile if profile is None else profile[:, :rows, :columns]
+    view = _View.of(frame, rows, columns, solids, attenuation, weights, starts, background, False, profile)
     out = np.empty((len(starts) - 1, rows, columns))
     places = (np.arange(n) + 0.5) / n - 0.5
     grid = np.stack([np.tile(places, n), np.repeat(places, n), np.full(n * n, 1 / n**2)], axis=1)
@@ -144,7 +149,7 @@ def expose_brute(
 class _View(NamedTuple):
     """Arguments of one view as the kernels want them."""
 
-    shapes: tuple[np.ndarray, np.ndarray, np.ndarray | None, Any, Any, tuple, int]
+    shapes: tuple[np.ndarray, np.ndarray, np.ndarray | None, Any, Any, tuple, int, np.ndarray | None]
     creases: np.ndarray | None
     map_grid: int
     outline: Any
@@ -163,6 +168,7 @@ class _View(NamedTuple):
         starts: np.ndarray,
         background: int,
         with_silhouettes: bool,
+        profile: np.ndarray | None,
     ) -> "_View":
         """Check and arrange the arguments of `expose`; silhouettes are left out for rays that do not ask for them."""
         from phantomgen.ops.silhouette.forms import (  # noqa: PLC0415
@@ -183,7 +189,7 @@ class _View(NamedTuple):
                 "do not match"
             )
         solids = solids.checked(len(attenuation), background)
-        air = np.array([weights[a:b].sum() for a, b in pairwise(starts)])
+        air = _open_beam(weights, starts, (rows, columns), profile)
         shapes = frame, solids.kinds, solids.locals_
         outline = cone_silhouettes(*shapes) if with_silhouettes else no_silhouettes(cone_bounds(*shapes))
         mesh, creases, pieces = None, None, 0
@@ -192,6 +198,13 @@ class _View(NamedTuple):
             mesh, creases, pieces = seen.with_room(), seen.outline, seen.pieces
         room = np.empty(solids.rows, np.int64), event_room(solids.rows, pieces)
         ray = (*room, np.empty(len(attenuation)), np.empty(len(air)))
+        if profile is not None:
+            profile = np.ascontiguousarray(profile, dtype=np.float64)
+            if profile.shape[1:] != (rows, columns) or not 0 < len(profile) < len(attenuation):
+                raise InputError(
+                    f"a profile of shape {profile.shape} does not fit {rows} x {columns} pixels and "
+                    f"{len(attenuation)} materials"
+                )
         maps, map_grid = None, 0
         if solids.voxels is not None:
             maps, map_grid = tuple(solids.voxels), _map_grid(frame, solids, solids.voxels)
@@ -199,8 +212,20 @@ class _View(NamedTuple):
             plain = solids.voxels.numbers[outline.shapes] < 0
             outline = Silhouettes(outline.forms[plain], outline.shapes[plain], outline.roots[plain], outline.bounds)
         tiles = Tiles.of(outline.bounds, outline.shapes, rows, columns)
-        arrays = (frame, solid_table(solids), ring_tubes(solids), mesh, maps, tuple(tiles), int(background))
+        arrays = (frame, solid_table(solids), ring_tubes(solids), mesh, maps, tuple(tiles), int(background), profile)
         return cls(arrays, creases, map_grid, outline, (attenuation, weights, starts, air), ray)
+
+
+def _open_beam(
+    weights: Float[np.ndarray, " node"],
+    starts: Int64[np.ndarray, " boundary"],
+    pixels: tuple[int, int],
+    profile: Float[np.ndarray, "part row column"] | None,
+) -> Float[np.ndarray, "channel row column"]:
+    """Counts of a ray to each pixel that meets no object; with a profile, room that the kernel fills."""
+    air = np.array([weights[a:b].sum() for a, b in pairwise(starts)])
+    alike = np.broadcast_to(air[:, None, None], (len(air), *pixels))
+    return alike if profile is None else alike.copy()
 
 
 def _map_grid(frame: Float[np.ndarray, "4 3"], solids: Solids, maps: VoxelMaps) -> int:

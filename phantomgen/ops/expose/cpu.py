@@ -21,6 +21,8 @@ _KINK_GRID = 16
 # Ratios of counts in neighbouring pixels from which on the next stronger rule is taken; differences over neighbours
 # serve below the first one only.
 _CONTRASTS = (1.4, 2.2, 5.0, 25.0)
+# Second difference of the open beam's logarithm: a tenth of it at most is beam hardening, and of that 1/24 an error.
+_BEND = 1e-3
 
 
 @inlined
@@ -41,7 +43,22 @@ def _is_near(local, i, root, reach):
 @called
 @no_type_check
 def _send_rays(
-    frame, table, tubes, mesh, maps, tiles, background, spectrum, jobs, count, nodes, ray, remember, target, signatures
+    frame,
+    table,
+    tubes,
+    mesh,
+    maps,
+    tiles,
+    background,
+    profile,
+    spectrum,
+    jobs,
+    count,
+    nodes,
+    ray,
+    remember,
+    target,
+    signatures,
 ):
     """Write the average counts of pixels.
 
@@ -50,6 +67,7 @@ def _send_rays(
     tiles : fields of `phantomgen.ops.silhouette.tiles.Tiles`
     mesh : argument of `list_pieces`, or None
     maps : fields of `VoxelMaps`, or None
+    profile : lengths that rays to each pixel have in the last materials beforehand (part, row, column), or None
     jobs, count : row, column and index after the last node of each pixel; how many pixels
     nodes : offset from the centre in column and row, and weight, of each ray
     ray : scratch: indices of shapes, events, path lengths, counts of one ray
@@ -62,7 +80,7 @@ def _send_rays(
     for job in range(count):
         row, column, last = jobs[job, 0], jobs[job, 1], jobs[job, 2]
         shapes = list_active(tiles, row, column, active)
-        for c in range(air.size):
+        for c in range(counts.size):
             target[c, row, column] = 0.0
         signature = 0
         for i in range(first, last):
@@ -77,16 +95,37 @@ def _send_rays(
                 signature = trace_ray(
                     table, tubes, mesh[5:], maps, background, dx, dy, dz, active, shapes, events, lengths
                 )
-            if signature == 0 and background < 0:
-                for c in range(air.size):
-                    target[c, row, column] += weight * air[c]
+            if profile is None and signature == 0 and background < 0:
+                for c in range(counts.size):
+                    target[c, row, column] += weight * air[c, row, column]
             else:
+                if profile is not None:
+                    for p in range(profile.shape[0]):
+                        lengths[lengths.size - profile.shape[0] + p] = profile[p, row, column]
                 expected_ray(lengths, attenuation, weights, starts, counts)
-                for c in range(air.size):
+                for c in range(counts.size):
                     target[c, row, column] += weight * counts[c]
         if remember:
             signatures[row, column] = signature
         first = last
+
+
+@inlined
+@no_type_check
+def _fill_open_beam(profile, spectrum, ray):
+    """Write the counts of a ray to each pixel that meets no object, where there is a profile."""
+    if profile is not None:
+        attenuation, weights, starts, air = spectrum
+        lengths, counts = ray[2], ray[3]
+        for m in range(lengths.size):
+            lengths[m] = 0.0
+        for row in range(air.shape[1]):
+            for column in range(air.shape[2]):
+                for p in range(profile.shape[0]):
+                    lengths[lengths.size - profile.shape[0] + p] = profile[p, row, column]
+                expected_ray(lengths, attenuation, weights, starts, counts)
+                for c in range(counts.size):
+                    air[c, row, column] = counts[c]
 
 
 @inlined
@@ -212,13 +251,13 @@ def _settled(classes, signatures, level, row, column):
 def _contrast_level(centres, air, row, column):
     """How many of the limits `_CONTRASTS` the counts of a pixel and its neighbours exceed in the worst channel."""
     level = np.int64(0)
-    for channel in range(air.size):
+    for channel in range(air.shape[0]):
         low = high = centres[channel, row, column]
         for i in range(4):
             r, c = row + (i == 0) - (i == 1), column + (i == 2) - (i == 3)
             if 0 <= r < centres.shape[1] and 0 <= c < centres.shape[2]:
                 low, high = min(low, centres[channel, r, c]), max(high, centres[channel, r, c])
-        low = max(low, 1e-30 * air[channel])
+        low = max(low, 1e-30 * air[channel, row, column])
         while level < 4 and high > low * _CONTRASTS[level]:
             level += 1
     return level
@@ -226,15 +265,50 @@ def _contrast_level(centres, air, row, column):
 
 @inlined
 @no_type_check
-def _curved(centres, channel, row, column):
+def _bend_level(profile, air, row, column):
+    """1 where the open beam bends so much that neighbours do not tell about a pixel, as at a bowtie's knots; else 0."""
+    level = np.int64(0)
+    if profile is not None:
+        for channel in range(air.shape[0]):
+            limit = _BEND * air[channel, row, column] ** 2
+            for i in range(2):
+                r, c = i, 1 - i
+                if 0 < row < air.shape[1] - 1 and 0 < column < air.shape[2] - 1:
+                    around = air[channel, row - r, column - c] * air[channel, row + r, column + c]
+                    if abs(around - air[channel, row, column] ** 2) > limit:
+                        level = np.int64(1)
+    return level
+
+
+@inlined
+@no_type_check
+def _curved(centres, air, profile, channel, row, column):
     """Average over a pixel of a function that is smooth over its four neighbours, known at their centres.
 
-    Midpoint value plus 1/24 of the second differences: exact for cubic polynomials.
+    Midpoint value plus 1/24 of the second differences: exact for cubic polynomials. Where the open beam changes from
+    pixel to pixel, neighbours count relative to theirs.
     """
     middle = centres[channel, row, column]
-    around = centres[channel, row - 1, column] + centres[channel, row + 1, column]
-    around += centres[channel, row, column - 1] + centres[channel, row, column + 1]
+    if profile is None:
+        around = centres[channel, row - 1, column] + centres[channel, row + 1, column]
+        around += centres[channel, row, column - 1] + centres[channel, row, column + 1]
+    else:
+        if middle == 0.0:
+            return middle
+        around = 0.0
+        for i in range(4):
+            r, c = row + (i == 0) - (i == 1), column + (i == 2) - (i == 3)
+            around += centres[channel, r, c] / air[channel, r, c] * air[channel, row, column]
     return middle + (around - 4.0 * middle) / 24.0
+
+
+@inlined
+@no_type_check
+def _average_of_centres(centres, air, profile, kind, row, column, target):
+    """Write the counts of an empty or smooth pixel, which needs no rays but those through centres."""
+    for c in range(air.shape[0]):
+        smooth = kind == SMOOTH
+        target[c, row, column] = _curved(centres, air, profile, c, row, column) if smooth else air[c, row, column]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -249,6 +323,7 @@ def expose_view(
     map_grid,
     tiles,
     background,
+    profile,
     outline,
     reach,
     sub_rays,
@@ -266,13 +341,15 @@ def expose_view(
     Parameters
     ----------
     table, tubes, background : the shapes; table gets the source as origin
+    profile : lengths that rays to each pixel have in the last materials beforehand (part, row, column), or None
     tiles : fields of `phantomgen.ops.silhouette.tiles.Tiles`
     mesh, creases : argument of `list_pieces`, and which pixels a silhouette or a crease of a mesh passes; or None
     maps, map_grid : fields of `VoxelMaps` or None; rays per pixel and axis that meet one
     outline : forms, shapes and roots of the silhouettes
     reach : width [pixel] of the band inside a tangent where pixels are near
     sub_rays : 0, or send so many rays squared where more than the centre is needed; 1 for centres and nothing else
-    spectrum : attenuation per material and node, weights, starts, counts without attenuation
+    spectrum : attenuation per material and node, weights, starts, open-beam counts (channel, row, column), which
+        are written where there is a profile
     rules, room : levels of Gauss rules; scratch for conics, splits and nodes
     ray : scratch of `_send_rays`
     pixels : per pixel its class (written), a first guess of that (zero on entry), signature (zero on entry), and jobs
@@ -285,6 +362,7 @@ def expose_view(
     local, lines, nodes = room
     classes, guess, signatures, jobs = pixels
     air = spectrum[3]
+    _fill_open_beam(profile, spectrum, ray)
     rows, columns = classes.shape
     for s in range(table.shape[0]):
         set_origin(table, s, frame[0, 0], frame[0, 1], frame[0, 2])
@@ -300,11 +378,11 @@ def expose_view(
                 kind = guess[row, column]
                 if completing and kind != EMPTY:
                     level = _contrast_level(centres, air, row, column)
+                    level = max(level, _bend_level(profile, air, row, column))
                     kind = _settled(guess, signatures, level, row, column)
                 classes[row, column] = kind
                 if kind == EMPTY or (completing and kind == SMOOTH):
-                    for c in range(air.size):
-                        target[c, row, column] = _curved(centres, c, row, column) if kind == SMOOTH else air[c]
+                    _average_of_centres(centres, air, profile, kind, row, column, target)
                     continue
                 begun = filled
                 if not completing or kind == KINKED or sub_rays > 0:
@@ -329,6 +407,7 @@ def expose_view(
                         maps,
                         tiles,
                         background,
+                        profile,
                         spectrum,
                         jobs,
                         count,
@@ -347,6 +426,7 @@ def expose_view(
             maps,
             tiles,
             background,
+            profile,
             spectrum,
             jobs,
             count,
@@ -360,7 +440,9 @@ def expose_view(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def expose_pixels(frame, table, tubes, mesh, maps, tiles, background, spectrum, nodes, ray, pixels, scratch, out):
+def expose_pixels(
+    frame, table, tubes, mesh, maps, tiles, background, profile, spectrum, nodes, ray, pixels, scratch, out
+):
     """Average over the same nodes in each of some pixels (row, column), written to ``out[:, row, column]``."""
     signatures, job = scratch
     one, forget = np.int64(1), np.bool_(False)  # typed, as literals would compile `_send_rays` a second time
@@ -369,5 +451,20 @@ def expose_pixels(frame, table, tubes, mesh, maps, tiles, background, spectrum, 
     for i in range(pixels.shape[0]):
         job[0, 0], job[0, 1], job[0, 2] = pixels[i, 0], pixels[i, 1], nodes.shape[0]
         _send_rays(
-            frame, table, tubes, mesh, maps, tiles, background, spectrum, job, one, nodes, ray, forget, out, signatures
+            frame,
+            table,
+            tubes,
+            mesh,
+            maps,
+            tiles,
+            background,
+            profile,
+            spectrum,
+            job,
+            one,
+            nodes,
+            ray,
+            forget,
+            out,
+            signatures,
         )

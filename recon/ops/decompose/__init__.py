@@ -21,6 +21,7 @@ def decompose(
     dispersion: float = 0.0,
     iterations: int = 30,
     tolerance: float = 1e-4,
+    known: Float[np.ndarray, "ray part"] | None = None,
 ) -> tuple[Float[np.ndarray, "ray basis"], Float[np.ndarray, "ray basis basis"]]:
     """Maximum-likelihood line integrals of every basis, and their Fisher matrices.
 
@@ -28,9 +29,10 @@ def decompose(
     ----------
     counts : measured counts; zeros are data like any other
     gains : open-beam counts of the pixel over those of `transmission`
-    transmission : columns are the basis functions
+    transmission : columns are the basis functions, and after them those whose lengths are known
     dispersion : relative model error; the variance is Y + (dispersion Y)^2
     iterations, tolerance : a ray is done after so many steps, or when its step is below `tolerance` (no unit)
+    known : lengths of each ray in the last columns; None where there are none
 
     Returns
     -------
@@ -45,17 +47,17 @@ def decompose(
     ----------
     Roessl & Proksa 2007, doi:10.1088/0031-9155/52/15/020 (maximum likelihood in photon-counting spectral CT).
     """
-    bases = len(transmission.columns)
+    bases = len(transmission.columns) - (0 if known is None else known.shape[1])
     if len(transmission) < bases:
         raise InputError(f"{len(transmission)} channels cannot tell {bases} bases apart; use at most as many bases")
     counts, gains = (np.ascontiguousarray(x, dtype=np.float64) for x in (counts, gains))
-    lengths = _log_linear(counts, gains, transmission)
+    lengths = _log_linear(counts, gains, transmission, np.zeros((1, 0)) if known is None else known)
     fishers = np.empty((*lengths.shape, bases))
 
     def piece(first: int) -> None:
         cpu.decompose(
             counts, gains, transmission.columns, transmission.weights, transmission.starts, dispersion, PRIOR,
-            iterations, tolerance, LARGEST_STEP, first, min(first + CHUNK, len(counts)), lengths, fishers,
+            iterations, tolerance, LARGEST_STEP, first, min(first + CHUNK, len(counts)), known, lengths, fishers,
         )  # fmt: skip
 
     for _ in run_parallel(piece, range(0, len(counts), CHUNK)):
@@ -64,10 +66,17 @@ def decompose(
 
 
 def _log_linear(
-    counts: Float[np.ndarray, "ray channel"], gains: Float[np.ndarray, "ray channel"], transmission: Transmission
+    counts: Float[np.ndarray, "ray channel"],
+    gains: Float[np.ndarray, "ray channel"],
+    transmission: Transmission,
+    known: Float[np.ndarray, "ray_or_1 part"],
 ) -> Float[np.ndarray, "ray basis"]:
     """Start: least squares on log projections with the open-beam mean of each basis in each channel, kept positive."""
+    bases = len(transmission.columns) - known.shape[1]
     open_beam = transmission.open_beam
+    if known.shape[1]:
+        open_beam = transmission.expected(np.hstack([np.zeros((len(known), bases)), known]))
     projections = -np.log(np.maximum(counts, 0.5) / np.maximum(gains * open_beam, 0.5))
-    means = transmission.log_projection_and_slopes(np.zeros(len(transmission.columns)))[1]
+    typical = np.append(np.zeros(bases), known.mean(axis=0))
+    means = transmission.log_projection_and_slopes(typical)[1][:, :bases]
     return np.ascontiguousarray(np.clip(projections @ np.linalg.pinv(means, rcond=COLLINEAR).T, 0.0, 20.0))

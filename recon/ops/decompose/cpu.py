@@ -10,7 +10,7 @@ from spectra.ops.fast_exp import fast_exp
 
 @njit(nogil=True, error_model="numpy")
 @no_type_check
-def _information(lengths, counts, gains, columns, weights, starts, dispersion, score, fisher, slopes):
+def _information(lengths, counts, gains, columns, weights, starts, dispersion, known, ray, score, fisher, slopes):
     """Score and Fisher matrix of one ray under the negative binomial model with variance Y + (dispersion Y)^2."""
     bases = lengths.size
     score[:] = 0.0
@@ -22,6 +22,9 @@ def _information(lengths, counts, gains, columns, weights, starts, dispersion, s
             exponent = 0.0
             for m in range(bases):
                 exponent -= columns[m, k] * lengths[m]
+            if known is not None:
+                for p in range(known.shape[1]):
+                    exponent -= columns[bases + p, k] * known[ray, p]
             part = gains[c] * weights[k] * fast_exp(min(exponent, 60.0))
             expected += part
             for m in range(bases):
@@ -62,17 +65,21 @@ def _solve(matrix, right, factor, out):
 @no_type_check
 def decompose(
     counts, gains, columns, weights, starts, dispersion, prior, iterations, tolerance, largest_step, first, last,
-    lengths, fishers,
+    known, lengths, fishers,
 ):  # fmt: skip
-    """Line integrals (ray, basis), improved in place, and their Fisher matrices, of rays `first` to `last`."""
+    """Line integrals (ray, basis), improved in place, and their Fisher matrices, of rays `first` to `last`.
+
+    `known` are lengths (ray, part) in the columns after those of the bases, or None.
+    """
     bases = lengths.shape[1]
     score, step, slopes = np.empty(bases), np.empty(bases), np.empty(bases)
     fisher, damped, factor = np.empty((bases, bases)), np.empty((bases, bases)), np.zeros((bases, bases))
     for ray in range(first, last):
         for iteration in range(iterations + 1):
             _information(
-                lengths[ray], counts[ray], gains[ray], columns, weights, starts, dispersion, score, fisher, slopes
-            )
+                lengths[ray], counts[ray], gains[ray], columns, weights, starts, dispersion, known, ray, score, fisher,
+                slopes,
+            )  # fmt: skip
             if iteration == iterations:
                 break
             for m in range(bases):

@@ -5,6 +5,7 @@ gradient. Inside another numba kernel call `expected_ray`.
 """
 
 from collections.abc import Callable
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -61,10 +62,15 @@ def log_counts_and_slopes(
 
 
 def transmit(lengths: "torch.Tensor", transmission: "Transmission") -> "torch.Tensor":
-    """Expected counts of a tensor of line integrals, (..., M) -> (..., C), differentiable once in `lengths`."""
-    from spectra.ops.transmit.autograd import Transmit  # noqa: PLC0415 - torch takes seconds to import
+    """Expected counts of a tensor of line integrals, (..., M) -> (..., C), differentiable once in `lengths`.
 
-    return Transmit.apply(lengths, transmission)
+    The result is on the device of `lengths`. On a GPU it is computed by Triton in float32 or float64, as `lengths` is;
+    elsewhere, and where Triton is not installed, by numba in float64.
+    """
+    from spectra.ops.transmit.autograd import Transmit, TransmitOnGpu  # noqa: PLC0415 - torch takes seconds to import
+
+    on_gpu = lengths.device.type == "cuda" and find_spec("triton") is not None
+    return (TransmitOnGpu if on_gpu else Transmit).apply(lengths, transmission)
 
 
 def _over_rays(kernel: Callable, lengths: Lengths, columns: Columns, weights: Weights, starts: Starts, *out) -> None:

@@ -1,5 +1,6 @@
 """The transmission operator in torch's automatic differentiation."""
 
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -7,6 +8,7 @@ import torch
 from spectra.ops.transmit import expected_and_jacobian, expected_counts
 
 if TYPE_CHECKING:
+    from spectra.ops.transmit.gpu import Tables
     from spectra.transmission import Transmission
 
 
@@ -31,3 +33,38 @@ class Transmit(torch.autograd.Function):
         """Gradient in the line integrals: dY_c/dL_m summed over channels."""
         (jacobian,) = ctx.saved_tensors
         return torch.einsum("...c,...cm->...m", gradient, jacobian), None
+
+
+class TransmitOnGpu(torch.autograd.Function):
+    """The same by Triton, in the precision of the line integrals; the backward pass computes the parts again."""
+
+    @staticmethod
+    def forward(ctx: Any, lengths: torch.Tensor, transmission: "Transmission") -> torch.Tensor:
+        """Counts (..., C) of line integrals (..., M)."""
+        from spectra.ops.transmit import gpu  # noqa: PLC0415 - needs triton
+
+        rays = lengths.detach().reshape(-1, lengths.shape[-1]).contiguous()
+        ctx.transmission = transmission
+        ctx.save_for_backward(rays)
+        counts = gpu.forward(rays, tables(transmission, lengths.dtype, lengths.device))
+        return counts.reshape(*lengths.shape[:-1], len(transmission))
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor, None]:
+        """Gradient in the line integrals."""
+        from spectra.ops.transmit import gpu  # noqa: PLC0415
+
+        (rays,) = ctx.saved_tensors
+        pulls = gradient.reshape(len(rays), gradient.shape[-1]).contiguous()
+        found = gpu.backward(rays, tables(ctx.transmission, rays.dtype, rays.device), pulls)
+        return found.reshape(*gradient.shape[:-1], rays.shape[1]), None
+
+
+@lru_cache(maxsize=16)
+def tables(transmission: "Transmission", dtype: torch.dtype, device: torch.device) -> "Tables":
+    """The nodes on a device, in a precision; kept, as a fit asks for the same ones in every step."""
+    from spectra.ops.transmit.gpu import Tables  # noqa: PLC0415
+
+    columns, weights = (torch.tensor(a, dtype=dtype) for a in (transmission.columns.T, transmission.weights))
+    return Tables(columns.contiguous().to(device), weights.to(device), torch.tensor(transmission.starts).to(device))

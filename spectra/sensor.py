@@ -1,0 +1,124 @@
+"""What happens to a photon in a pixelated semiconductor: fluorescence that moves energy, and charge that is shared.
+
+Everything is averaged over photons that fall uniformly on the sensor. Counts in all pixels of photons on one pixel are
+then counts in one pixel of photons on all, so a pixel's response includes what its neighbours send.
+
+A Gaussian charge cloud at a place (x, y) gives a square pixel around the origin the fraction F(x) F(y), with F a
+difference of two normal distribution functions.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import expn, ndtr
+
+_DEPTHS = 16
+_FRACTIONS, _FINE, _COARSE, _CLOUD_REACH = 2000, 4001, 1000, 6.0
+# 2^13 events leave 0.15 % rms in the counts per photon above a threshold, at most 0.5 %.
+_EVENTS = 8192
+
+Array = Float[np.ndarray, "..."]
+
+
+class Events(NamedTuple):
+    """Photons whose K fluorescence is absorbed in the sensor, as seen by one pixel.
+
+    Parameters
+    ----------
+    weights : events per fluorescence photon that each entry stands for
+    left : fraction of the charge that stayed behind which the pixel collects
+    moved : fraction of the fluorescence's charge which the pixel collects
+    """
+
+    weights: Float[np.ndarray, " event"]
+    left: Float[np.ndarray, " event"]
+    moved: Float[np.ndarray, " event"]
+
+
+def escape(mu: Float[np.ndarray, " energy"], mu_line: float, thickness: float) -> Float[np.ndarray, " energy"]:
+    """Probability that K fluorescence leaves the sensor.
+
+    Parameters
+    ----------
+    mu : attenuation of the photons that excite it [1/mm]; it says how deep they are absorbed
+    mu_line : attenuation of the fluorescence [1/mm]
+    thickness : of the sensor [mm]
+
+    Notes
+    -----
+    From depth z the part E_2(mu z) / 2 of isotropic photons passes the surface, with E_2 the exponential integral.
+    """
+    node, weight = np.polynomial.legendre.leggauss(_DEPTHS)
+    depth = _depths(mu[:, None], thickness, (1 + node) / 2)
+    return (expn(2, mu_line * depth) + expn(2, mu_line * (thickness - depth))) @ weight / 4
+
+
+def collected(place: Array, pitch: float, cloud: float) -> Array:
+    """Fraction of a charge cloud at a distance along one axis [mm] that lands in the pixel around 0."""
+    if cloud == 0:
+        return (np.abs(place) < pitch / 2) * 1.0
+    return ndtr((place + pitch / 2) / cloud) - ndtr((place - pitch / 2) / cloud)
+
+
+def moved_charge(mu: float, mu_line: float, thickness: float, pitch: float, cloud: float) -> Events:
+    """A lattice of events in which a pixel collects charge that a photon left when its fluorescence moved on.
+
+    Parameters
+    ----------
+    mu, mu_line : attenuation of photon and fluorescence in the sensor [1/mm]
+    thickness, pitch : of the sensor and of its square pixels [mm]
+    cloud : standard deviation of a charge cloud [mm]
+    """
+    share, azimuth, flight, x, y, cosine = _lattice(_EVENTS, 6)
+    depth, cosine, azimuth = _depths(mu, thickness, share), 2 * cosine - 1, 2 * np.pi * azimuth
+    room = np.where(cosine > 0, thickness - depth, depth)
+    inside = -np.expm1(-mu_line * room / np.abs(cosine))
+    across = -np.log1p(-flight * inside) / mu_line * np.sqrt(1 - cosine**2)
+    window = pitch + 2 * _CLOUD_REACH * cloud
+    x, y = (x - 0.5) * window, (y - 0.5) * window
+    left = collected(x, pitch, cloud) * collected(y, pitch, cloud)
+    moved = collected(x + across * np.cos(azimuth), pitch, cloud) * collected(
+        y + across * np.sin(azimuth), pitch, cloud
+    )
+    return Events(inside * (window / pitch) ** 2 / _EVENTS, left, moved)
+
+
+@lru_cache(maxsize=16)
+def charge_fractions(pitch: float, cloud: float) -> tuple[Float[np.ndarray, " part"], Float[np.ndarray, " part"]]:
+    """Fractions of a charge cloud that pixels collect, and how many pixels collect each, per cloud.
+
+    Parameters
+    ----------
+    pitch : of square pixels [mm]
+    cloud : standard deviation of the cloud [mm]
+
+    Returns
+    -------
+    fractions and numbers of pixels; their product sums to 1, since no charge is lost (fractions below 1/2000 are left
+    out, no threshold is that low)
+    """
+    if cloud == 0:
+        return np.ones(1), np.ones(1)
+    reach = pitch / 2 + _CLOUD_REACH * cloud
+    fine, coarse = np.linspace(0, reach, _FINE), (np.arange(_COARSE) + 0.5) * (reach / _COARSE)
+    edges = np.linspace(0, 1, _FRACTIONS + 1)
+    # Where F(x) F(y) exceeds a fraction: for each y, up to which x; F descends.
+    wanted, known = edges[:, None] / collected(coarse, pitch, cloud), collected(fine, pitch, cloud)
+    reached = np.interp(wanted, known[::-1], fine[::-1], left=reach, right=0.0)
+    more = 4 * reached.sum(axis=1) * (reach / _COARSE) / pitch**2
+    return ((edges[1:] + edges[:-1]) / 2)[1:], -np.diff(more)[1:]
+
+
+def _depths(mu: Array | float, thickness: float, share: Array) -> Array:
+    """Depths above which a share of the photons that the sensor absorbs is absorbed [mm]."""
+    return np.clip(-np.log1p(share * np.expm1(-mu * thickness)) / mu, 0.0, thickness)
+
+
+@lru_cache(maxsize=1)
+def _lattice(count: int, dimensions: int) -> Float[np.ndarray, "dimension point"]:
+    """Points that fill the unit cube evenly: a scrambled Sobol sequence."""
+    from scipy.stats import qmc  # noqa: PLC0415 - half a second that few detectors need
+
+    return np.ascontiguousarray(qmc.Sobol(dimensions, scramble=True, rng=0).random(count).T)
