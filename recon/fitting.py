@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from recon.curvature import coefficient_curvature
@@ -70,7 +71,7 @@ def fit(
     for stage, length in zip(recipe.stages, _steps(len(measurements), recipe), strict=True):
         data = measurements.binned(matching_bin(measurements.geometry, stage.pixel * voxel))
         per_sweep = max(len(data) // recipe.views_per_step, 1)
-        inverse = None
+        inverse = torch.empty(0)
         for step, views in enumerate(_subsets(len(data), per_sweep, length)):
             if step % max(round(recipe.curvature_sweeps * per_sweep), 1) == 0:
                 inverse = _inverse_curvature(gaussians, data, recipe)
@@ -86,7 +87,7 @@ def fit(
             counts = np.prod(data.counts.shape)  # from the mean deviance of a few views to the likelihood of all
             pull = torch.einsum("gmn,gn->gm", inverse, coefficients.grad) * float(counts / 2)
             rate = recipe.coefficient_rate * min(1.0, 10 ** (1 - 2 * fraction))
-            _project_step(coefficients, velocity, pull, rate, recipe.momentum)
+            _project_step(coefficients, velocity, pull, inverse, rate, recipe.momentum)
             done += 1
             seconds = time.perf_counter() - began
             on_step(Progress(done, steps, seconds, loss.item(), gaussians))
@@ -127,9 +128,31 @@ def _inverse_curvature(gaussians: Gaussians, data: Measurements, recipe: Recipe)
 
 
 @torch.no_grad()
-def _project_step(coefficients: Tensor, velocity: Tensor, pull: Tensor, rate: float, momentum: float) -> None:
+def _project_step(
+    coefficients: Tensor, velocity: Tensor, pull: Tensor, inverse: Tensor, rate: float, momentum: float
+) -> None:
     """Heavy-ball step, in place, that ends at non-negative coefficients."""
     moved = coefficients + momentum * velocity - (1 - momentum) * rate * pull
-    moved.clamp_(min=0)
+    moved = _nearest_non_negative(moved, inverse)
     velocity.copy_(moved - coefficients)
     coefficients.copy_(moved)
+
+
+def _nearest_non_negative(
+    wanted: Float[Tensor, "gaussian basis"], inverse: Float[Tensor, "gaussian basis basis"]
+) -> Float[Tensor, "gaussian basis"]:
+    """Non-negative coefficients nearest to those wanted, in the metric whose inverse is given.
+
+    Setting the negative ones to 0 would leave the others where they stood against them: with water and bone as bases,
+    bone that wants to be negative in water would hold too much water up. So the others follow. Those that become
+    negative in turn are held at 0, those that are pulled up are let go (block principal pivoting).
+    """
+    free = wanted >= 0
+    nearest = wanted
+    for _ in range(wanted.shape[1]):
+        held = (~free).to(wanted)
+        system = inverse * held[:, :, None] * held[:, None, :] + torch.diag_embed(free.to(wanted))
+        pull = torch.linalg.solve(system, held * wanted)
+        nearest = wanted - torch.einsum("gmn,gn->gm", inverse, pull)
+        free = torch.where(free, nearest >= 0, pull > 0)
+    return nearest.clamp(min=0)

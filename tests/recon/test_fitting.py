@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import torch
 from gaussian_scenes import PIXEL, circular, small_model, small_scan, spectral_model
+from scipy.optimize import nnls
 
-from recon.fitting import _subsets, fit
+from recon.fitting import _nearest_non_negative, _subsets, fit
 from recon.recipe import Recipe, Stage
 from spectra.errors import InputError
 from spectra.threads import set_threads
@@ -87,3 +88,15 @@ def test_a_recipe_needs_a_stage():
 def test_curvature_may_be_renewed_more_often_than_once_a_sweep(problem):
     fitted, _ = run(problem, replace(RECIPE, stages=(Stage(1.0, 1.0),), curvature_sweeps=0.1))
     assert torch.isfinite(fitted.coefficients).all()
+
+
+@pytest.mark.parametrize("bases", [1, 2, 3, 4])
+def test_steps_end_at_the_nearest_non_negative_coefficients(bases):
+    """Nearest in the metric of the likelihood: the same as non-negative least squares."""
+    rng = np.random.default_rng(bases)
+    roots = np.linalg.qr(rng.normal(size=(100, bases, bases)))[1] + 0.1 * np.eye(bases)
+    wanted = rng.normal(size=(100, bases))
+    metrics = np.einsum("gim,gin->gmn", roots, roots)
+    found = _nearest_non_negative(torch.tensor(wanted), torch.tensor(np.linalg.inv(metrics)))
+    exact = [nnls(root, root @ values)[0] for root, values in zip(roots, wanted, strict=True)]
+    np.testing.assert_allclose(found, exact, atol=1e-6 * np.abs(exact).max())
