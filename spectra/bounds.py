@@ -4,11 +4,11 @@ import numpy as np
 from jaxtyping import Float
 
 # Eigenvalues of the scaled information below this part of the largest are zero but for rounding.
-_SINGULAR = 1e-13
+_SINGULAR = 1e-12
 
 
-def least_deviations(information: Float[np.ndarray, "... basis basis"]) -> Float[np.ndarray, "... basis"]:
-    """Least standard deviation that an unbiased estimate of each parameter can have.
+def least_covariance(information: Float[np.ndarray, "... basis basis"]) -> Float[np.ndarray, "... basis basis"]:
+    """Smallest covariance that unbiased estimates of parameters can have, the Cramer-Rao bound.
 
     Parameters
     ----------
@@ -16,15 +16,20 @@ def least_deviations(information: Float[np.ndarray, "... basis basis"]) -> Float
 
     Returns
     -------
-    square roots of the diagonal of its inverse (Kay 1993, Fundamentals of Statistical Signal Processing I, theorem
-    3.2); infinite for all parameters where the information is singular: the channels cannot tell them apart
+    its inverse (Kay 1993, Fundamentals of Statistical Signal Processing I, theorem 3.2); infinite where the information
+    is singular, because the channels cannot tell the parameters apart
     """
     information = np.asarray(information, dtype=np.float64)
-    scale = np.sqrt(np.diagonal(information, axis1=-2, axis2=-1))
-    blind = (scale <= 0).any(axis=-1)
-    scale = np.where(scale > 0, scale, 1.0)
-    values, vectors = np.linalg.eigh(information / (scale[..., :, None] * scale[..., None, :]))
-    singular = blind | (values[..., 0] <= _SINGULAR * values[..., -1])
-    safe = np.where(singular[..., None], 1.0, values)
-    deviation = np.sqrt((vectors**2 / safe[..., None, :]).sum(axis=-1)) / scale
-    return np.where(singular[..., None], np.inf, deviation)
+    size = np.sqrt(np.diagonal(information, axis1=-2, axis2=-1))
+    scale = np.where(size > 0, size, 1.0)
+    scale = scale[..., :, None] * scale[..., None, :]
+    scaled = information / scale
+    lowest, highest = (np.linalg.eigvalsh(scaled)[..., i] for i in (0, -1))
+    known = (lowest > _SINGULAR * highest)[..., None, None]
+    inverse = np.linalg.inv(np.where(known, scaled, np.eye(information.shape[-1]))) / scale
+    return np.where(known, inverse, np.inf)
+
+
+def least_deviations(information: Float[np.ndarray, "... basis basis"]) -> Float[np.ndarray, "... basis"]:
+    """Least standard deviation that an unbiased estimate of each parameter can have; see `least_covariance`."""
+    return np.sqrt(np.diagonal(least_covariance(information), axis1=-2, axis2=-1))

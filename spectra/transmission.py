@@ -12,12 +12,11 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int64
 
+from spectra.bounds import least_covariance
 from spectra.compression import compress_channel
 from spectra.errors import InputError
 from spectra.ops.transmit import expected_and_jacobian, expected_counts, log_counts_and_slopes
 from spectra.threads import run_parallel
-
-_HIGHEST_CONDITION = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,15 +141,7 @@ class Transmission:
         lengths : line integrals
         dispersion : relative model error added to the Poisson variance; 0 for pure Poisson
         """
-        information = self.fisher(lengths, dispersion)
-        size = np.sqrt(np.diagonal(information, axis1=-2, axis2=-1))
-        scale = np.where(size > 0, size, 1.0)
-        scale = scale[..., :, None] * scale[..., None, :]
-        scaled = information / scale
-        lowest, highest = (np.linalg.eigvalsh(scaled)[..., i] for i in (0, -1))
-        known = (lowest * _HIGHEST_CONDITION > highest)[..., None, None]
-        inverse = np.linalg.inv(np.where(known, scaled, np.eye(len(self.columns)))) / scale
-        return np.where(known, inverse, np.inf)
+        return least_covariance(self.fisher(lengths, dispersion))
 
     def compress(
         self,
