@@ -29,7 +29,7 @@ TABLE = """\
 /entry/instrument/detector/dead_time     () ns, optional, with count_time () [ms] and dead_time_model
 /entry/instrument/flat/data              (F,C,R,K) open-beam frames
 /entry/instrument/dark/data              (D,C,R,K) frames without beam
-/entry/instrument/source                 probe, type, voltage [kV], target_material
+/entry/instrument/source                 probe, type, voltage [kV], charge per view [mA*s], target_material
 /entry/sample                            name, rotation_angle (V) [degree]
 /entry/geometry                          source, panel_center, column_step, row_step (V,3) [mm]
 /entry/spectra                           energy (E), energy_edges (E+1) [keV], source (E) [photons], response (C,E),

@@ -28,6 +28,15 @@ def sources_of(file: SceneFile) -> dict[str, Source]:
 
 def _source(file: SceneFile, model: schema.OneSourceModel, at: Location) -> Source:
     """One source behind all its filters, as the panel's centre sees it."""
+    source = _unscaled(file, model, at)
+    with file.at(*at):
+        if isinstance(model, schema.TubeModel) and model.mas is not None:
+            return source.scaled(source.photons * model.mas * _pixel_area(file.model))
+        return source if model.photons is None else source.scaled(model.photons)
+
+
+def _unscaled(file: SceneFile, model: schema.OneSourceModel, at: Location) -> Source:
+    """The same with any number of photons; a tube per cm^2 and mAs at 1 m."""
     with file.at(*at):
         sheets = []
         for i, sheet in enumerate(getattr(model, "filters", ())):
@@ -39,10 +48,7 @@ def _source(file: SceneFile, model: schema.OneSourceModel, at: Location) -> Sour
             with file.at(*at, "bowtie"):
                 middle = float(_bowtie_at(file, model.bowtie, np.zeros(1))[0])
                 sheets.append(Filter(_material(model.bowtie), middle))
-        source = _bare(file, model, at).behind(sheets)
-        if isinstance(model, schema.TubeModel) and model.mas is not None:
-            return source.scaled(source.photons * model.mas * _pixel_area(file.model))
-        return source if model.photons is None else source.scaled(model.photons)
+        return _bare(file, model, at).behind(sheets)
 
 
 def _bare(file: SceneFile, model: schema.OneSourceModel, at: Location) -> Source:
@@ -93,6 +99,7 @@ def source_fields(file: SceneFile) -> dict[str, tuple[float | str, str | None]]:
         return {
             "type": ("Fixed Tube X-ray", None),
             "voltage": (model.kvp, "kV"),
+            "charge": (_charge(file, model), "mA*s"),
             "target_material": (model.anode, None),
             "focal_spot": (0.0, "mm"),
         }
@@ -101,6 +108,13 @@ def source_fields(file: SceneFile) -> dict[str, tuple[float | str, str | None]]:
     if isinstance(model, schema.MonochromaticModel | schema.BandModel):
         return {"type": ("Synchrotron X-ray Source", None)}
     return {}
+
+
+def _charge(file: SceneFile, model: schema.TubeModel) -> float:
+    """Charge per view [mAs] that a tube's photons need, by SpekPy's model."""
+    if model.mas is not None:
+        return model.mas
+    return float(model.photons or 0.0) / (_unscaled(file, model, ("source",)).photons * _pixel_area(file.model))
 
 
 def composition_name(composition: str | Mapping[str, float]) -> str:

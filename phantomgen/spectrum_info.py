@@ -53,6 +53,12 @@ class SpectrumReport:
         panel = self.scan.geometry.panel
         return self.quality.kerma_per_fluence * self.scan.source.photons / (panel.row_pitch * panel.column_pitch)
 
+    @property
+    def charge(self) -> float | None:
+        """Charge per view [mAs] by SpekPy's model; None where the source is not a single tube."""
+        found = self.scan.source_fields.get("charge")
+        return None if found is None else float(found[0])
+
     def to_dict(self) -> dict[str, Any]:
         """For JSON; what is unbounded is null."""
         source, detector, basis = self.scan.source, self.scan.detector, self.scan.basis
@@ -68,6 +74,8 @@ class SpectrumReport:
             "hvl_mm_Cu": list(self.copper),
             "homogeneity": self.quality.homogeneity,
             "air_kerma_Gy_per_view": self.kerma,
+            "charge_mAs_per_view": self.charge,
+            "photons_per_mAs": None if self.charge is None else source.photons / self.charge,
             "behind": self.behind,
             "channels": [
                 {
@@ -76,6 +84,7 @@ class SpectrumReport:
                     "upper_keV": channel.upper,
                     "counts": float(counts),
                     "share": float(counts / source.photons),
+                    "counts_per_mAs": None if self.charge is None else float(counts / self.charge),
                     "counts_behind": float(behind),
                 }
                 for channel, counts, behind in zip(detector.channels, self.air.counts, self.object.counts, strict=True)
@@ -111,6 +120,7 @@ class SpectrumReport:
             f"half-value layers {al[0]:.3f} and {al[1]:.3f} mm Al, {cu[0]:.4f} and {cu[1]:.4f} mm Cu of air kerma",
             f"effective energy  {facts['effective_energy_keV']:.2f} keV (Al); homogeneity {facts['homogeneity']:.3f}",
             f"air kerma         {1e6 * facts['air_kerma_Gy_per_view']:.4g} uGy per view at the panel",
+            *_charge_lines(facts["charge_mAs_per_view"], facts["photons"]),
             *_source_lines(self.scan.detector),
             "",
             *_channel_lines(facts["channels"], self.scan.detector.units, facts["behind"] or "nothing"),
@@ -167,6 +177,15 @@ def _hint(scan: Scan) -> str:
     if channels < functions:
         return f"{channels} channels cannot tell {functions} basis functions apart: at least {functions} are needed."
     return "The channels cannot tell the basis functions apart."
+
+
+def _charge_lines(charge: float | None, photons: float) -> list[str]:
+    """What the tube needs for it."""
+    return (
+        []
+        if charge is None
+        else [f"tube charge       {charge:.4g} mAs per view, {photons / charge:.4g} photons per mAs"]
+    )
 
 
 def _source_lines(detector: AnyDetector) -> list[str]:

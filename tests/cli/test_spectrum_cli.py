@@ -33,6 +33,7 @@ def test_spectrum_as_json_has_every_number():
     assert facts["homogeneity"] == pytest.approx(facts["hvl_mm_Al"][0] / facts["hvl_mm_Al"][1])
     shares = [channel["share"] for channel in facts["channels"]]
     assert 0.9 < sum(shares) < 1
+    assert facts["photons_per_mAs"] * facts["charge_mAs_per_view"] == pytest.approx(facts["photons"])
     assert facts["channels"][0]["counts"] == pytest.approx(shares[0] * 2e5)
     assert facts["condition"]["functions"]["conditioned"] == pytest.approx(1)
     assert facts["condition"]["air"]["raw"] > facts["condition"]["air"]["conditioned"] > 1

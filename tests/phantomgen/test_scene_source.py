@@ -58,6 +58,8 @@ def test_the_charge_of_a_tube_gives_its_photons_by_the_inverse_square_law():
     far = scan_of("type: tube, kvp: 100, mas: 0.5", ".", "geometry.sdd=400").source.photons
     assert near == pytest.approx(fluence * 0.5 * 0.2**2 * 25, rel=1e-9)
     assert far == pytest.approx(near / 4, rel=1e-9)
+    needed = scan_of(f"type: tube, kvp: 100, photons: {near}").source_fields["charge"]
+    assert needed == (pytest.approx(0.5, rel=1e-9), "mA*s")
     assert "either photons per pixel and view, or mas" in refusal("type: tube, kvp: 100")
     assert "either photons per pixel and view, or mas" in refusal("type: tube, kvp: 100, mas: 1, photons: 2")
 
