@@ -179,6 +179,8 @@ def _sentence(error: Any) -> str:
         if isinstance(got[name], list):
             return f"unknown distribution {name!r}{closest(name, DISTRIBUTIONS)}"
     text = error["msg"][0].lower() + error["msg"][1:]
+    if kind == "too_short":
+        text = f"needs at least {error['ctx']['min_length']}, got {error['ctx']['actual_length']}"
     return f"{text}, got {got!r}" if isinstance(got, str | int | float | bool | None) else text
 
 

@@ -7,7 +7,8 @@ gauss       Gauss-Legendre nodes between the edges, characteristic lines as node
 compressed  free nodes, weights positive, fitted to `fine` over the box; their columns belong to no single energy
 ==========  =======================================================================================================
 
-All of them give the exact open beam. Errors are those of log counts; time per ray is proportional to the nodes.
+All but the last give the exact open beam; that is within its tolerance, too. Errors are those of log counts relative to
+the open beam; time per ray is proportional to the nodes.
 """
 
 from collections.abc import Iterable, Iterator, Sequence

@@ -366,6 +366,11 @@ def test_a_source_that_reaches_no_threshold_is_named():
         toy(several("switching"), "detector.thresholds=[20, 60]")
 
 
+def test_several_sources_are_two_or_more():
+    with pytest.raises(SceneError, match=r"source\.sources - needs at least 2, got 1"):
+        toy(f"source={{type: switching, sources: {{low: {LOW}}}}}")
+
+
 @pytest.mark.parametrize("scale", [np.ones(3), np.ones((5, 3)), -np.ones(5), np.zeros((5, 2))])
 def test_exposures_that_do_not_fit_are_refused(tmp_path, scale):
     path, _ = made(tmp_path)
