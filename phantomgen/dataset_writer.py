@@ -72,7 +72,7 @@ class DatasetWriter:
         grid: Grid,
         splits: Splits,
         scheme: str,
-        exposure: Float[np.ndarray, "view channel"] | None = None,
+        exposure: Float[np.ndarray, " view"] | Float[np.ndarray, "view channel"] | None = None,
     ) -> None:
         """Everything about the scan but its counts; the exposure of all views is 1 where none is given."""
         entry = new_group(self.file, "entry", "NXentry", default="data")

@@ -18,10 +18,11 @@ _POISSON_LIKE = 1e-6
 
 
 class Stream(IntEnum):
-    """What an image is; part of its key, so that projections and flats never share random numbers."""
+    """What random numbers are for; part of their key, so that projections and flats never share any."""
 
     PROJECTION = 0
     FLAT = 1
+    TUBE = 2
 
 
 def philox_key(seed: int, stream: Stream, frame: int, channel: int) -> int:

@@ -1,7 +1,7 @@
 """From a scene file to what `simulate` runs: objects, materials, geometry, source, detector and basis."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -9,12 +9,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from phantomgen.beam_profile import Profile
+from phantomgen.effects import Effects
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
 from phantomgen.ops.solids import Solids
 from phantomgen.panel import Panel
 from phantomgen.scene_basis import needed, scene_basis
 from phantomgen.scene_detector import scene_dead_time, scene_detector
+from phantomgen.scene_effects import scene_effects
 from phantomgen.scene_materials import scene_materials
 from phantomgen.scene_objects import Filling, objects_of
 from phantomgen.scene_overlap import added_up
@@ -71,6 +73,7 @@ class Scan:
     exposure : photons of each view and channel, relative to those of the source; None where all are 1
     profile : how the beam differs over the panel, None where it does not
     dead_time : of the detector's pixels, None where every event is recorded
+    effects : what a real scan has beyond exposure and photon noise
     """
 
     name: str
@@ -91,6 +94,7 @@ class Scan:
     exposure: Float[np.ndarray, "view channel"] | None = None
     profile: Profile | None = None
     dead_time: DeadTime | None = None
+    effects: Effects = field(default_factory=Effects)
 
     def __repr__(self) -> str:
         objects, channels = len(self.scene.objects), len(self.detector)
@@ -151,6 +155,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
         exposure=_exposure(file, splits, detector),
         profile=profile_of(file, source),
         dead_time=scene_dead_time(file),
+        effects=scene_effects(file),
     )
 
 

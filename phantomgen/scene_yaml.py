@@ -198,9 +198,14 @@ def _models() -> list[type[BaseModel]]:
     return [m for m in vars(schema).values() if isinstance(m, type) and issubclass(m, BaseModel)]
 
 
+def _fields() -> set[str]:
+    """All keys that a scene file may have somewhere."""
+    return {name for model in _models() for name in model.model_fields}
+
+
 def _hint(key: str) -> str:
     """A hint at the key that is meant, where one is close."""
-    near = difflib.get_close_matches(key, {name for model in _models() for name in model.model_fields}, 1)
+    near = difflib.get_close_matches(key, _fields(), 1)
     return f"; did you mean {near[0]!r}?" if near else ""
 
 
@@ -219,11 +224,14 @@ def _override(values: dict[str, Any], override: str) -> None:
         if not rest:
             holder[key] = value
             return
-        holder = holder[key]
+        holder = holder.setdefault(key, {}) if isinstance(holder, dict) else holder[key]
 
 
 def _next_key(holder: Any, path: str, override: str) -> tuple[Any, str]:
-    """First key of a dotted path and what follows it; a key that is there may hold dots itself."""
+    """First key of a dotted path and what follows it; a key that is there may hold dots itself.
+
+    A key that a scene file may have, such as ``effects``, need not be there.
+    """
     first, _, rest = path.partition(".")
     if isinstance(holder, list):
         if not first.isdigit() or int(first) >= len(holder):
@@ -235,9 +243,9 @@ def _next_key(holder: Any, path: str, override: str) -> tuple[Any, str]:
     if known:
         key = max(known, key=len)
         return key, path[len(key) + 1 :]
-    if rest:
+    if rest and first not in _fields():
         raise SceneError(f"--set {override}: there is no {first!r}{closest(first, map(str, holder))}")
-    return first, ""
+    return first, rest
 
 
 def _dump(data: dict[str, Any]) -> str:

@@ -1,0 +1,158 @@
+"""The scene file as models: what may stand in it, checked key by key.
+
+Lengths in mm, energies in keV, angles in degrees. Every model refuses keys it does not know. `scene_yaml` gives the
+errors a file, a line and a column; `scene` turns the models into physics.
+"""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PositiveInt
+
+from phantomgen.schema.base import Composition, Model, NonNegativeInt, Vector
+from phantomgen.schema.detectors import (
+    AxisModel,
+    ChargeSharingModel,
+    DeadTimeModel,
+    DetectorModel,
+    EnergyIntegratingModel,
+    PhotonCountingModel,
+    ResponseMatrixModel,
+)
+from phantomgen.schema.effects import EffectsModel, TubeOutputModel
+from phantomgen.schema.functions import (
+    EdgeFunctionModel,
+    ElementFunctionModel,
+    FunctionModel,
+    MaterialFunctionModel,
+    PlainFunctionModel,
+    SvdFunctionsModel,
+)
+from phantomgen.schema.materials import MaterialModel, MixtureModel, SolutionModel
+from phantomgen.schema.objects import (
+    BoxModel,
+    CapsuleModel,
+    CombinedModel,
+    ConeModel,
+    CylinderModel,
+    DifferenceModel,
+    EllipsoidModel,
+    GridModel,
+    GroupModel,
+    MeshModel,
+    ObjectModel,
+    PlaneModel,
+    PolygonModel,
+    RepeatModel,
+    RingModel,
+    ShapeModel,
+    SphereModel,
+    SweepModel,
+    TorusModel,
+    TubeShapeModel,
+    VoxelsModel,
+)
+from phantomgen.schema.scan import CircularModel, PanelModel, VolumeModel
+from phantomgen.schema.sources import (
+    BandModel,
+    BowtieModel,
+    FilterModel,
+    LinesModel,
+    MonochromaticModel,
+    OneSourceModel,
+    SeveralSourcesModel,
+    SourceModel,
+    TableModel,
+    TubeModel,
+)
+
+__all__ = [
+    "AxisModel",
+    "BandModel",
+    "BowtieModel",
+    "BoxModel",
+    "CapsuleModel",
+    "ChargeSharingModel",
+    "CircularModel",
+    "CombinedModel",
+    "Composition",
+    "ConeModel",
+    "CylinderModel",
+    "DeadTimeModel",
+    "DetectorModel",
+    "DifferenceModel",
+    "EdgeFunctionModel",
+    "EffectsModel",
+    "ElementFunctionModel",
+    "EllipsoidModel",
+    "EnergyIntegratingModel",
+    "FilterModel",
+    "FunctionModel",
+    "GridModel",
+    "GroupModel",
+    "LinesModel",
+    "MaterialFunctionModel",
+    "MaterialModel",
+    "MeshModel",
+    "MixtureModel",
+    "Model",
+    "MonochromaticModel",
+    "ObjectModel",
+    "OneSourceModel",
+    "PanelModel",
+    "PhotonCountingModel",
+    "PlainFunctionModel",
+    "PlaneModel",
+    "PolygonModel",
+    "RepeatModel",
+    "ResponseMatrixModel",
+    "RingModel",
+    "SceneModel",
+    "SeveralSourcesModel",
+    "ShapeModel",
+    "SolutionModel",
+    "SourceModel",
+    "SphereModel",
+    "SvdFunctionsModel",
+    "SweepModel",
+    "TableModel",
+    "TorusModel",
+    "TubeModel",
+    "TubeOutputModel",
+    "TubeShapeModel",
+    "Vector",
+    "VolumeModel",
+    "VoxelsModel",
+    "json_schema",
+]
+
+
+class SceneModel(Model):
+    """One scene file: what is scanned, with what, and how the truth is wanted.
+
+    Later objects override earlier ones where they overlap; with `overlap: add` their coefficients add up. What none of
+    them fills, from source to panel, is vacuum or the material `background`. Basis functions left out are chosen from
+    the materials; a K-edge function that no object needs is left out of the dataset.
+    """
+
+    version: Literal[1]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    source: SourceModel
+    detector: DetectorModel
+    geometry: CircularModel
+    panel: PanelModel
+    volume: VolumeModel
+    effects: EffectsModel = EffectsModel()
+    basis: tuple[FunctionModel, ...] | None = None
+    materials: dict[str, MaterialModel]
+    objects: Annotated[tuple[ShapeModel, ...], Field(min_length=1)]
+    overlap: Literal["replace", "add"] = "replace"
+    background: str | None = None
+    seed: NonNegativeInt = 0
+    noise: bool = True
+    flats: PositiveInt = 50
+    darks: NonNegativeInt = 1
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema of a scene file, for completion in editors."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **SceneModel.model_json_schema()}
