@@ -36,7 +36,7 @@ def main() -> None:
     busy = f"{os.getloadavg()[0]:.1f} processes busy" if hasattr(os, "getloadavg") else ""
     lines = [
         f"{platform.machine()}, one thread, {busy}",
-        "pixels  in voxels  rays per pixel and side  rms      worst    ms per view",
+        "pixels  in voxels  rays per voxel and side  rms      worst    ms per view",
     ]
     rng = np.random.default_rng(1)
     for side in (64, 128, 256):
@@ -44,15 +44,15 @@ def main() -> None:
         frame = Geometry.circular(500.0, 800.0, np.array([0.3]), panel).ray_frames()[0]
         chosen = np.argwhere(np.ones((side, side)))[rng.choice(side**2, 300, replace=False)]
         brute = expose_brute(frame, chosen, solids, *SPECTRUM, n=64)
-        for rays in (2, None, 8, 16):
-            expose(frame, side, side, solids, *SPECTRUM, map_grid=rays)
+        for rays in (1.0, 2.0, 4.0, 8.0):
+            expose(frame, side, side, solids, *SPECTRUM, rays_per_voxel=rays)
             begin = time.thread_time()
-            counts = expose(frame, side, side, solids, *SPECTRUM, map_grid=rays).counts
+            counts = expose(frame, side, side, solids, *SPECTRUM, rays_per_voxel=rays).counts
             took = 1e3 * (time.thread_time() - begin)
             error = np.log(counts[:, chosen[:, 0], chosen[:, 1]].T / brute)
             ratio = 204.8 / side / 1.6 / SPACING
             lines.append(
-                f"{side}^2".ljust(8) + f"{ratio:9.2f}  {rays or 'default':>23}  {np.sqrt((error**2).mean()):.1e}"
+                f"{side}^2".ljust(8) + f"{ratio:9.2f}  {rays:23g}  {np.sqrt((error**2).mean()):.1e}"
                 f"  {abs(error).max():.1e}  {took:11.0f}"
             )
     text = "\n".join(lines) + "\n"

@@ -42,7 +42,6 @@ TABLE = """\
                                          thickness (P,R,K) [mm] beyond that at the panel's centre; the beam to a pixel
                                          is source x exp(-sum_p mu thickness)
 /entry/exposure/scale                    (V) or (V,C) tube output per view [and channel]
-/entry/exposure/scale                    (V) or (V,C) tube output per view [and channel]
 /entry/splits/<scheme>                   train, test, val: indices of views; @default names the scheme
 /entry/reconstruction_grid               shape, spacing, origin (z,y,x) [mm]; origin is the centre of voxel 0
 /entry/process_<n>_<what>                program, version, date, sequence_index, command, seed, environment
@@ -53,6 +52,7 @@ TABLE = """\
                                          explicit or fitted, fit_error (rms, relative), fit_window [keV], fit_weights
 /truth/grid                              shape, spacing, origin (z,y,x), affine (4,4) for (x,y,z) [mm]
 /truth/scene                             the scene as YAML
+/truth/plan                              how finely the scan was computed, and the error of each part, as JSON
 /truth/expected                          (V,C,R,K) float32, optional: counts without noise
 /nxtomo_<channel>                        the channel as NXtomo, virtual: flats, projections, darks
 """

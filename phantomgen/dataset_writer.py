@@ -136,6 +136,10 @@ class DatasetWriter:
         """Write the truth."""
         write_truth(self.file, truth, materials)
 
+    def write_plan(self, text: str) -> None:
+        """How finely the scan was computed and how wrong that is, as JSON."""
+        put_note(truth_group(self.file), "plan", text, "application/json")
+
     def write_process(self, command: str, seed: int) -> None:
         """How the file was made; nothing about the object."""
         process = new_group(group_at(self.file, "entry"), "process_1_simulate", "NXprocess")

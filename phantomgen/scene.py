@@ -1,7 +1,7 @@
 """From a scene file to what `simulate` runs: objects, materials, geometry, source, detector and basis."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from phantomgen.scene_basis import needed, scene_basis
 from phantomgen.scene_detector import scene_dead_time, scene_detector
 from phantomgen.scene_effects import scene_effects
 from phantomgen.scene_materials import scene_materials
-from phantomgen.scene_objects import Filling, objects_of
+from phantomgen.scene_objects import Filling, has_curves, objects_of
 from phantomgen.scene_overlap import added_up
 from phantomgen.scene_source import profile_of, source_fields, sources_of
 from phantomgen.scene_yaml import SceneFile, closest, preset_names
@@ -74,6 +74,7 @@ class Scan:
     profile : how the beam differs over the panel, None where it does not
     dead_time : of the detector's pixels, None where every event is recorded
     effects : what a real scan has beyond exposure and photon noise
+    file : the scene that it was read from, where smooth surfaces may become finer triangles; else None
     """
 
     name: str
@@ -95,10 +96,17 @@ class Scan:
     profile: Profile | None = None
     dead_time: DeadTime | None = None
     effects: Effects = field(default_factory=Effects)
+    file: SceneFile | None = None
 
     def __repr__(self) -> str:
         objects, channels = len(self.scene.objects), len(self.detector)
         return f"Scan({self.name}: {objects} objects, {self.geometry!r}, {channels} channels, basis {self.basis.names})"
+
+    def tessellated(self, fineness: int) -> "Scan":
+        """The same scan with smooth surfaces of so many times finer triangles than usual."""
+        if self.file is None:
+            return self
+        return load_scene(replace(self.file, overrides=(*self.file.overrides, f"tessellation={fineness}")))
 
     @property
     def scheme(self) -> str:
@@ -156,6 +164,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
         profile=profile_of(file, source),
         dead_time=scene_dead_time(file),
         effects=scene_effects(file),
+        file=file if model.tessellation == "auto" and has_curves(file) else None,
     )
 
 

@@ -26,6 +26,7 @@ from phantomgen.shapes import (
     Torus,
     Tube,
     Union,
+    is_cad,
     load_mesh,
     rotation_matrix,
     sweep,
@@ -90,6 +91,33 @@ def _refuse_material(file: SceneFile, model: schema.ObjectModel, where: Location
         raise file.error((*where, "material"), "belongs to the whole object, or to the members of a group")
 
 
+def has_curves(file: SceneFile) -> bool:
+    """Whether objects of a scene are smooth surfaces that become triangles: sweeps, or CAD files."""
+    return any(map(_curved, file.model.objects))
+
+
+def _curved(model: schema.ObjectModel) -> bool:
+    """Whether an object, or a part of it, is such a surface."""
+    match model:
+        case schema.SweepModel():
+            return True
+        case schema.MeshModel():
+            return is_cad(model.file)
+        case schema.GroupModel():
+            return any(map(_curved, model.objects))
+        case schema.CombinedModel():
+            return any(map(_curved, model.shapes))
+        case schema.DifferenceModel():
+            return any(map(_curved, (model.base, *model.cut)))
+    return False
+
+
+def _fineness(file: SceneFile) -> int:
+    """How many times finer than usual smooth surfaces become triangles."""
+    wanted = file.model.tessellation
+    return wanted if isinstance(wanted, int) else 1
+
+
 def _part(file: SceneFile, model: schema.ObjectModel, where: Location) -> Shape:
     """A shape that another one is combined from."""
     if isinstance(model, schema.GroupModel):
@@ -116,7 +144,7 @@ def _shape(file: SceneFile, model: schema.ObjectModel, where: Location) -> Shape
         shape = Placed(Difference(base, _parts(file, model.cut, (*where, "cut"))), np.eye(3), shift)
     else:
         with file.at(*where):
-            shape = _mesh(file, model) if isinstance(model, schema.MeshModel) else _simple(model)
+            shape = _mesh(file, model) if isinstance(model, schema.MeshModel) else _simple(model, _fineness(file))
     with file.at(*where):
         shape = _clipped(shape, model)
         _ = shape.terms  # refuses what falls into too many pieces
@@ -125,12 +153,12 @@ def _shape(file: SceneFile, model: schema.ObjectModel, where: Location) -> Shape
 
 def _mesh(file: SceneFile, model: schema.MeshModel) -> Shape:
     """A mesh from a file beside the scene."""
-    mesh = load_mesh(Path(file.name).parent / model.file, model.unit, model.file)
+    mesh = load_mesh(Path(file.name).parent / model.file, model.unit, model.file, _fineness(file))
     scale = np.broadcast_to(np.asarray(model.scale, dtype=np.float64), 3)
     return Placed(mesh, rotation_matrix(_radians(model.rotation)) * scale, np.asarray(model.center))
 
 
-def _simple(m: schema.ObjectModel) -> Shape:  # noqa: PLR0911 - one line per type
+def _simple(m: schema.ObjectModel, fineness: int) -> Shape:  # noqa: PLR0911 - one line per type
     """A shape that is not made of others."""
     match m:
         case schema.SphereModel():
@@ -152,7 +180,8 @@ def _simple(m: schema.ObjectModel) -> Shape:  # noqa: PLR0911 - one line per typ
         case schema.PolygonModel():
             return Polygon(m.points, m.length, m.center, _radians(m.rotation))
         case schema.SweepModel():
-            return Placed(sweep(m.points, m.radius, m.sides, m.steps), np.eye(3), np.asarray(m.center))
+            tube = sweep(m.points, m.radius, m.sides * fineness, m.steps * fineness)
+            return Placed(tube, np.eye(3), np.asarray(m.center))
     raise AssertionError(type(m))
 
 

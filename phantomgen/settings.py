@@ -6,7 +6,7 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from phantomgen.ops.expose import RULES
+from phantomgen.ops.expose import RAYS_PER_VOXEL, RULES
 
 
 @dataclass(frozen=True)
@@ -15,14 +15,19 @@ class Settings:
 
     Parameters
     ----------
-    energy : worst error of log counts that few energy nodes in place of many bins may add
     rules : Gauss nodes across and along the silhouettes in a pixel, for growing contrast
     sub_rays : if given, a plain grid of so many rays along each edge of a pixel in place of these
+    rays_per_voxel : along each side of a pixel, for each voxel of a map that the side is long
     """
 
-    energy: float = 1e-5
     rules: tuple[tuple[int, int], ...] = RULES
     sub_rays: int | None = None
+    rays_per_voxel: float = RAYS_PER_VOXEL
+
+    @property
+    def pixels(self) -> dict[str, Any]:
+        """Those that `phantomgen.ops.expose.expose` takes."""
+        return {"rules": self.rules, "sub_rays": self.sub_rays, "rays_per_voxel": self.rays_per_voxel}
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""

@@ -14,18 +14,21 @@ from jaxtyping import Float, Int
 from phantomgen.ops.expose import CROSSED, VOXELS, expose, expose_brute
 from phantomgen.ops.trace import trace
 from phantomgen.scene import Scan
+from phantomgen.settings import Settings
 from phantomgen.simulate_coverage import sampled_lengths
-from phantomgen.simulate_spectra import STEP, TOLERANCE, compressed_transmission, fine_transmission
+from phantomgen.simulate_spectra import STEP, compressed_transmission, fine_transmission
 from spectra.threads import run_parallel
 from spectra.transmission import Transmission
 
 SUB_RAYS = 256
 FINER = 10
-_QUICK_PIXELS, _QUICK_RAYS = 24, 2000
+QUICK_PIXELS, _QUICK_RAYS = 24, 2000
 _FULL_VIEWS, _FULL_RAYS = 3, 100_000
 _PIXELS_PER_PIECE = 8
 # Of the pixels that voxel maps project to, which may be all, no more than these are looked at per view.
 _MOST_VOXEL_PIXELS = 200
+# Nodes of the yardstick may err by this.
+_ENERGY_TOLERANCE = 1e-6
 # Log projections are compared where at least this part of the open beam is left; below it there is nothing to measure.
 _LEAST = 1e-12
 
@@ -68,23 +71,25 @@ class MeasuredError:
         )
 
 
-def quick_check(scan: Scan, transmission: Transmission) -> MeasuredError:
+def quick_check(scan: Scan, transmission: Transmission, settings: Settings) -> MeasuredError:
     """On a seeded sample of edge pixels and rays, in about a second."""
-    return _check(scan, transmission, _QUICK_PIXELS, _QUICK_RAYS)
+    return _check(scan, transmission, settings, QUICK_PIXELS, _QUICK_RAYS)
 
 
-def full_check(scan: Scan, transmission: Transmission) -> MeasuredError:
+def full_check(scan: Scan, transmission: Transmission, settings: Settings) -> MeasuredError:
     """On all edge pixels of three views and 1e5 rays."""
-    return _check(scan, transmission, None, _FULL_RAYS)
+    return _check(scan, transmission, settings, None, _FULL_RAYS)
 
 
-def _check(scan: Scan, transmission: Transmission, pixels_per_scan: int | None, rays: int) -> MeasuredError:
+def _check(
+    scan: Scan, transmission: Transmission, settings: Settings, pixels_per_scan: int | None, rays: int
+) -> MeasuredError:
     """Errors of edge pixels and of rays; all edge pixels where no number of them is given."""
-    rng = np.random.default_rng(scan.seed)
+    rng = np.random.default_rng([scan.seed, 6])
     views = np.linspace(0, len(scan.geometry) - 1, min(_FULL_VIEWS, len(scan.geometry))).round().astype(int)
-    yardstick, _ = compressed_transmission(scan, sampled_lengths(scan), STEP / FINER, TOLERANCE / FINER, refine=False)
+    yardstick, _ = compressed_transmission(scan, sampled_lengths(scan), _ENERGY_TOLERANCE, STEP / FINER, refine=False)
     share = None if pixels_per_scan is None else -(-pixels_per_scan // len(views))
-    edges = [_edge_errors(scan, transmission, yardstick, int(view), share, rng) for view in views]
+    edges = [_edge_errors(scan, transmission, settings, yardstick, int(view), share, rng) for view in views]
     edge = np.concatenate(edges)
     ray = _ray_errors(scan, transmission, rays, rng)
     counted = len(edge) // len(scan.detector)
@@ -94,6 +99,7 @@ def _check(scan: Scan, transmission: Transmission, pixels_per_scan: int | None, 
 def _edge_errors(
     scan: Scan,
     transmission: Transmission,
+    settings: Settings,
     yardstick: Transmission,
     view: int,
     count: int | None,
@@ -106,10 +112,10 @@ def _edge_errors(
         panel.rows,
         panel.columns,
         *_arguments(scan, transmission),
-        sub_rays=scan.sub_rays,
         profile=_profile(scan),
+        **settings.pixels,
     )
-    if scan.sub_rays == 1:  # rays through centres know of no edges
+    if settings.sub_rays == 1:  # rays through centres know of no edges
         edges = expose(
             frame, panel.rows, panel.columns, *_arguments(scan, transmission), sub_rays=2, profile=_profile(scan)
         )

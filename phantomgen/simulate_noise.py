@@ -36,9 +36,16 @@ class Exposure:
     dead_time: DeadTime | None = None
 
     @classmethod
-    def of(cls, scan: Scan, lengths: Float[np.ndarray, "ray material"]) -> tuple["Exposure", float]:
-        """For rays with such path lengths [mm], and the worst error of log signals from few energy nodes."""
-        groups, error = compressed_transmission(scan, lengths, grouped=True)
+    def of(cls, scan: Scan, lengths: Float[np.ndarray, "ray material"], tolerance: float) -> tuple["Exposure", float]:
+        """For rays with such path lengths [mm], and the worst error of log signals from few energy nodes.
+
+        Parameters
+        ----------
+        scan : what is simulated
+        lengths : path lengths of rays that meet every object [mm]
+        tolerance : worst error of log signals that is wanted
+        """
+        groups, error = compressed_transmission(scan, lengths, tolerance, grouped=True)
         quanta = photon_quanta(scan)
         if quanta is None:
             return cls(groups, scan.detector.names, np.arange(len(scan.detector)), None, scan.dead_time), error

@@ -20,9 +20,8 @@ from spectra.scintillator import energy_groups
 from spectra.spanning import spanning_columns
 from spectra.transmission import Transmission
 
-# Bin width of the simulator [keV], and the worst error of log counts that its nodes may add.
+# Bin width of the simulator before nodes are sought [keV].
 STEP = 0.125
-TOLERANCE = 1e-5
 RECONSTRUCTOR_BINS = 128
 FIT_WEIGHTS = "open-beam counts of all channels together, in bins of at most 1 keV"
 # Worse fits [relative rms] are said aloud; those of tissues, plastics and metals up to iron stay below 2 %.
@@ -48,8 +47,8 @@ def fine_transmission(scan: Scan, step: float = STEP, grouped: bool = False) -> 
 def compressed_transmission(
     scan: Scan,
     lengths: Float[np.ndarray, "ray material"],
+    tolerance: float,
     step: float = STEP,
-    tolerance: float = TOLERANCE,
     refine: bool = True,
     grouped: bool = False,
 ) -> tuple[Transmission, float]:
@@ -60,8 +59,8 @@ def compressed_transmission(
     scan : what is simulated
     lengths : path lengths of rays that meet every object [mm]; they span the box of what can be reached; those of the
         beam's profile are added
-    step : bin width before nodes are sought [keV]
     tolerance : worst error of log counts that is wanted
+    step : bin width before nodes are sought [keV]
     refine : whether nodes are merged and moved, for the fewest of them, or chosen only
     grouped : whether energy-integrating channels are split into the groups of `photon_quanta`, one channel each
 

@@ -94,9 +94,8 @@ def expected_view(scan: Scan, transmission: Transmission, view: int, settings: S
         transmission.weights,
         transmission.starts,
         scan.scene.background,
-        rules=settings.rules,
-        sub_rays=settings.sub_rays,
         profile=None if scan.profile is None else scan.profile.lengths,
+        **settings.pixels,
     ).counts
 
 

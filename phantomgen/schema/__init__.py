@@ -131,7 +131,8 @@ class SceneModel(Model):
 
     Later objects override earlier ones where they overlap; with `overlap: add` their coefficients add up. What none of
     them fills, from source to panel, is vacuum or the material `background`. Basis functions left out are chosen from
-    the materials; a K-edge function that no object needs is left out of the dataset.
+    the materials; a K-edge function that no object needs is left out of the dataset. Sweeps and CAD surfaces become
+    triangles, `tessellation` times finer than usual; `auto` takes what the tolerance of the simulation needs.
     """
 
     version: Literal[1]
@@ -147,6 +148,7 @@ class SceneModel(Model):
     objects: Annotated[tuple[ShapeModel, ...], Field(min_length=1)]
     overlap: Literal["replace", "add"] = "replace"
     background: str | None = None
+    tessellation: PositiveInt | Literal["auto"] = 1
     seed: NonNegativeInt = 0
     noise: bool = True
     flats: PositiveInt = 50

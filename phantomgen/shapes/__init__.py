@@ -7,7 +7,7 @@ from phantomgen.shapes.boolean import Difference, HalfSpace, Intersection, Place
 from phantomgen.shapes.box import Box
 from phantomgen.shapes.cone import Cone
 from phantomgen.shapes.cylinder import Capsule, Cylinder, Tube
-from phantomgen.shapes.mesh import Mesh, load_mesh
+from phantomgen.shapes.mesh import Mesh, is_cad, load_mesh
 from phantomgen.shapes.polygon import Polygon
 from phantomgen.shapes.sweep import sweep
 from phantomgen.shapes.torus import Torus
@@ -33,6 +33,7 @@ __all__ = [
     "Tube",
     "Union",
     "Voxels",
+    "is_cad",
     "load_mesh",
     "rotation_matrix",
     "solids_of",

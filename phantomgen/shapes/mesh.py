@@ -16,7 +16,7 @@ _DECLARED = {"micron": "um", "millimeter": "mm", "centimeter": "cm", "inch": "in
 FORMATS = (".stl", ".obj", ".ply", ".glb", ".3mf", ".step", ".stp")
 # CAD surfaces become triangles whose normals differ by less than this [rad] and whose edges bend by less than this part
 # of their length: a cylinder loses 4e-5 of its volume.
-_CAD = {"tol_angular": 0.03, "tol_linear": 1e-3, "tol_relative": True}
+_CAD_ANGLE, _CAD_BEND = 0.03, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,12 @@ class Mesh(Shape):
         return float(np.einsum("ki,ki->", p, np.cross(q, r))) / 6
 
 
-def load_mesh(path: str | Path, unit: str, name: str | None = None) -> Mesh:
+def is_cad(path: str | Path) -> bool:
+    """Whether a file holds smooth surfaces, which become triangles."""
+    return Path(path).suffix.lower() in {".step", ".stp"}
+
+
+def load_mesh(path: str | Path, unit: str, name: str | None = None, fineness: int = 1) -> Mesh:
     """Mesh from a file; corners with exactly equal coordinates become one vertex.
 
     Parameters
@@ -72,6 +77,7 @@ def load_mesh(path: str | Path, unit: str, name: str | None = None) -> Mesh:
     path : an STL, OBJ, PLY, GLB, 3MF or STEP file; the bodies of a file with several are one mesh
     unit : of the file's coordinates, one of mm, cm, m, um, inch; a STEP file states its own and is read in mm
     name : what error messages call it; the file's name unless given
+    fineness : triangles of CAD surfaces are so many times finer than usual
     """
     path = Path(path)
     if unit not in UNITS:
@@ -80,8 +86,8 @@ def load_mesh(path: str | Path, unit: str, name: str | None = None) -> Mesh:
         raise InputError(f"{path}: a mesh must be one of {', '.join(FORMATS)}")
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
-    vertices, triangles, declared = _read(path)
-    if path.suffix.lower() in {".step", ".stp"}:
+    vertices, triangles, declared = _read(path, fineness)
+    if is_cad(path):
         if unit != "mm":
             raise InputError(f"{path}: a STEP file states its unit itself and is read in mm: write mm, not {unit}")
         unit = "m"  # what its reader converts to
@@ -105,12 +111,13 @@ def merge_equal(
     return points[first], rank[triangles]
 
 
-def _read(path: Path) -> tuple[np.ndarray, np.ndarray, str]:
+def _read(path: Path, fineness: int) -> tuple[np.ndarray, np.ndarray, str]:
     """Vertices, triangles, and the unit that the file gives for itself, if any."""
     try:
         import trimesh  # noqa: PLC0415 - nobody pays for it who has no mesh
 
-        loaded = trimesh.load_mesh(path, process=False, **(_CAD if path.suffix.lower() in {".step", ".stp"} else {}))
+        bends = {"tol_angular": _CAD_ANGLE / fineness, "tol_linear": _CAD_BEND / fineness**2, "tol_relative": True}
+        loaded = trimesh.load_mesh(path, process=False, **(bends if is_cad(path) else {}))
     except ImportError as error:
         raise NotInstalledError(f"{path}: reading this file needs a module: pip install {error.name}") from error
     except Exception as error:

@@ -10,6 +10,7 @@ shapes intersect, or where panel or source cut a shape, the kink is met by a pla
 """
 
 from itertools import pairwise
+from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,8 +39,8 @@ __all__ = [
 # Gauss nodes across and along a silhouette for pixels of growing contrast.
 RULES = ((2, 2), (3, 2), (4, 3), (6, 4), (9, 6))
 MOST_SUB_RAYS = 16
-# Where a voxel map projects to: rays per voxel along each axis of a pixel, and least and most rays per pixel.
-RAYS_PER_VOXEL, FEWEST_RAYS, MOST_RAYS = 4, 4, 16
+# Where a voxel map projects to: rays per voxel along each side of a pixel, and most rays along it.
+RAYS_PER_VOXEL, MOST_RAYS = 4.0, 64
 
 
 class Exposed(NamedTuple):
@@ -62,7 +63,7 @@ def expose(
     rules: tuple[tuple[int, int], ...] = RULES,
     reach: float = 5.0,
     sub_rays: int | None = None,
-    map_grid: int | None = None,
+    rays_per_voxel: float = RAYS_PER_VOXEL,
     profile: Float[np.ndarray, "part row column"] | None = None,
 ) -> Exposed:
     """Expected counts of all pixels of one view, each averaged over the pixel's area.
@@ -80,8 +81,8 @@ def expose(
     reach : width of the band inside a tangent where one ray per pixel does not do [pixel]
     sub_rays : if given, a plain grid of so many rays along each edge of a pixel, 1 to 16, in place of Gauss nodes along
         silhouettes; 1 means the ray through the centre of every pixel and nothing else
-    map_grid : rays per pixel and axis where a voxel map projects to; by default `RAYS_PER_VOXEL` for each of the
-        voxels that fit into a pixel, within limits
+    rays_per_voxel : where a voxel map projects to, rays along each edge of a pixel for each voxel that fits there; a
+        pixel has at least as many along an edge, and at most `MOST_RAYS`
     profile : lengths [mm] that the rays to each pixel have, objects aside, in the last materials of `attenuation`; the
         same for all rays to a pixel
     """
@@ -90,7 +91,19 @@ def expose(
 
     if sub_rays is not None and not 1 <= sub_rays <= MOST_SUB_RAYS:
         raise InputError(f"sub-rays along the edge of a pixel must be 1 to {MOST_SUB_RAYS}, got {sub_rays}")
-    view = _View.of(frame, rows, columns, solids, attenuation, weights, starts, background, sub_rays != 1, profile)
+    view = _View.of(
+        frame,
+        rows,
+        columns,
+        solids,
+        attenuation,
+        weights,
+        starts,
+        background,
+        sub_rays != 1,
+        profile,
+        rays_per_voxel,
+    )
     gauss, pixels = make_rules(*rules), (rows, columns)
     out, rays = np.empty((len(starts) - 1, *pixels)), np.zeros(CLASSES, dtype=np.int64)
     classes, guess = np.empty(pixels, dtype=np.uint8), np.zeros(pixels, dtype=np.uint8)
@@ -100,7 +113,7 @@ def expose(
         *view.shapes[:4],
         view.creases,
         view.shapes[4],
-        np.int64(view.map_grid if map_grid is None else min(map_grid, MOST_RAYS)),
+        np.int64(view.map_grid),
         *view.shapes[5:],
         outline,
         float(reach),
@@ -169,6 +182,7 @@ class _View(NamedTuple):
         background: int,
         with_silhouettes: bool,
         profile: np.ndarray | None,
+        rays_per_voxel: float = RAYS_PER_VOXEL,
     ) -> "_View":
         """Check and arrange the arguments of `expose`; silhouettes are left out for rays that do not ask for them."""
         from phantomgen.ops.silhouette.forms import (  # noqa: PLC0415
@@ -207,7 +221,7 @@ class _View(NamedTuple):
                 )
         maps, map_grid = None, 0
         if solids.voxels is not None:
-            maps, map_grid = tuple(solids.voxels), _map_grid(frame, solids, solids.voxels)
+            maps, map_grid = tuple(solids.voxels), _map_grid(frame, solids, solids.voxels, rays_per_voxel)
             # The faces of a map's box are faces of voxels like all others.
             plain = solids.voxels.numbers[outline.shapes] < 0
             outline = Silhouettes(outline.forms[plain], outline.shapes[plain], outline.roots[plain], outline.bounds)
@@ -228,13 +242,13 @@ def _open_beam(
     return alike if profile is None else alike.copy()
 
 
-def _map_grid(frame: Float[np.ndarray, "4 3"], solids: Solids, maps: VoxelMaps) -> int:
+def _map_grid(frame: Float[np.ndarray, "4 3"], solids: Solids, maps: VoxelMaps, rays_per_voxel: float) -> int:
     """Rays per pixel and axis for voxel maps: by the widest pixel, as seen in the middle of a map, in its voxels."""
-    fewest = FEWEST_RAYS
+    fewest = ceil(rays_per_voxel)
     for row in np.flatnonzero(maps.numbers >= 0):
         axes = np.linalg.inv(solids.locals_[row, :, :3])
         depth = np.linalg.solve(frame[1:].T, -axes @ solids.locals_[row, :, 3] - frame[0])[0]
         voxel = (2 * np.linalg.norm(axes, axis=0) / maps.shapes[maps.numbers[row], ::-1]).min()
         pixel = abs(depth) * np.linalg.norm(frame[2:], axis=1).max()
-        fewest = max(fewest, int(np.ceil(min(RAYS_PER_VOXEL * pixel / voxel, MOST_RAYS))))
-    return fewest
+        fewest = max(fewest, ceil(rays_per_voxel * pixel / voxel))
+    return min(fewest, MOST_RAYS)

@@ -1,0 +1,75 @@
+"""What `phantomgen plan` says: the parts of a scan, how finely each is computed, and what the whole takes."""
+
+from dataclasses import dataclass, fields
+from textwrap import indent
+from typing import Any
+
+from phantomgen.plan_cost import Cost, expected_cost
+from phantomgen.planning import Plan, make_plan
+from phantomgen.scene import Scan
+from phantomgen.simulate_views import Views
+from phantomgen.stopwatch import Stopwatch
+
+
+@dataclass(frozen=True, eq=False)
+class PlanReport:
+    """A plan, and what it costs.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    plan : how finely
+    cost : time, memory and file size
+    """
+
+    scan: Scan
+    plan: Plan
+    cost: Cost
+
+    @classmethod
+    def of(cls, scan: Scan, tolerance: float) -> "PlanReport":
+        """Plan a scan and try parts of it."""
+        watch = Stopwatch()
+        with watch("plan"):
+            plan = make_plan(scan, tolerance)
+        cost = expected_cost(Views(scan, plan.exposure, plan.settings))
+        return cls(scan, plan, Cost({**watch.seconds, **cost.seconds}, cost.memory, cost.size))
+
+    @property
+    def effects(self) -> list[str]:
+        """Names of the effects that are on."""
+        return [f.name for f in fields(self.scan.effects) if getattr(self.scan.effects, f.name) is not None]
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "name": self.scan.name,
+            "shape": list(self._shape),
+            "voxels": list(self.scan.grid.shape),
+            "basis": list(self.scan.basis.names),
+            "effects": self.effects,
+            "plan": self.plan.to_dict(),
+            "cost": self.cost.to_dict(),
+        }
+
+    @property
+    def text(self) -> str:
+        """For people."""
+        scan, (views, channels, rows, columns) = self.scan, self._shape
+        orbit, basis = scan.geometry.kind, ", ".join(scan.basis.names)
+        return "\n".join(
+            [
+                f"{scan.name}: {len(scan.scene.objects)} objects, {views} views ({orbit}) x {channels} channels x "
+                f"{rows} x {columns} pixels, {' x '.join(map(str, scan.grid.shape))} voxels",
+                f"basis   {basis}",
+                f"effects {', '.join(self.effects) or 'none'}",
+                f"errors  {indent(self.plan.text, ' ' * 8).strip()}",
+                self.cost.text,
+            ]
+        )
+
+    @property
+    def _shape(self) -> tuple[int, int, int, int]:
+        """Views, channels, rows, columns."""
+        panel = self.scan.geometry.panel
+        return len(self.scan.geometry), len(self.scan.detector), panel.rows, panel.columns

@@ -1,0 +1,155 @@
+"""What a tolerance costs: the cheapest settings that meet it, the error of each part, and what a scan will take.
+
+A tolerance bounds the error of log projections, `-log(counts / open beam)`, wherever a ray goes. Each part of the
+computation gets a share of it and is measured against a much finer computation of the same part. All samples are drawn
+by the scan's seed, and no choice depends on how fast a machine is, so that the same scan and tolerance give the same
+counts everywhere.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+from phantomgen.plan_pixels import Choice, Trial, choose_pixels
+from phantomgen.plan_tessellation import choose_tessellation
+from phantomgen.scene import Scan
+from phantomgen.settings import Settings
+from phantomgen.simulate_coverage import sampled_lengths
+from phantomgen.simulate_noise import Exposure
+from spectra.errors import InputError
+
+TOLERANCE = 1e-3
+_LEAST, _MOST = 1e-9, 1.0
+# Shares of the tolerance; those of what a scan needs sum to at most 1, as errors may add up.
+_ENERGY, _PIXELS, _TESSELLATION = 0.25, 0.5, 0.25
+# How much finer energy nodes are sought where their share is missed.
+_FINER = (1.0, 3.0, 10.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """How a scan is computed, and how wrong that is.
+
+    Parameters
+    ----------
+    tolerance : of log projections
+    scan : what is simulated, with as fine triangles as its smooth surfaces need
+    settings : the cheapest ones that meet it, part by part
+    exposure : energies with the nodes that were chosen
+    choices : what was chosen for each part, and the error that was measured
+    """
+
+    tolerance: float
+    scan: Scan
+    settings: Settings
+    exposure: Exposure
+    choices: tuple[Choice, ...]
+
+    @property
+    def error(self) -> float:
+        """Sum of the errors of all parts."""
+        return sum(choice.error for choice in self.choices)
+
+    @property
+    def nodes(self) -> tuple[int, ...]:
+        """Energy nodes per channel."""
+        return tuple(b - a for a, b in pairwise(self.exposure.transmission.starts.tolist()))
+
+    @property
+    def missed(self) -> tuple[Choice, ...]:
+        """Parts that cannot meet their share, where the whole misses the tolerance."""
+        return () if self.error <= self.tolerance else tuple(c for c in self.choices if not c.met)
+
+    def check(self) -> None:
+        """Refuse a tolerance that is missed.
+
+        Raises
+        ------
+        InputError
+            With the parts that miss it, and what they reach.
+        """
+        if self.missed:
+            reached = float(f"{1.05 * self.error:.1e}")
+            raise InputError(f"--tol {self.tolerance:g} cannot be met: {self._reached}; {reached:g} can")
+
+    @property
+    def warnings(self) -> list[str]:
+        """A sentence where the tolerance is missed."""
+        return [f"the tolerance {self.tolerance:g} is missed: {self._reached}"] if self.missed else []
+
+    @property
+    def _reached(self) -> str:
+        """What the parts reach that miss their share."""
+        return ", ".join(f"{c.part} reach {c.error:.1e} with {c.setting}" for c in self.missed)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "tolerance": self.tolerance,
+            "error": self.error,
+            "settings": self.settings.to_dict(),
+            "nodes": list(self.nodes),
+            "parts": [
+                {
+                    "part": c.part,
+                    "setting": c.setting,
+                    "error": c.error,
+                    "share": c.share,
+                    "tried": [vars(trial) for trial in c.trials],
+                }
+                for c in self.choices
+            ],
+        }
+
+    @property
+    def text(self) -> str:
+        """For people: one line per part."""
+        width = max(len(c.part) for c in self.choices)
+        lines = [
+            f"{c.part:<{width}}  {c.error:.1e}  {c.setting}"
+            + (f"; its share is {c.share:.1e}" if c in self.missed else "")
+            for c in self.choices
+        ]
+        verdict = "meets" if self.error <= self.tolerance else "MISSES"
+        return "\n".join([*lines, f"{'together':<{width}}  {self.error:.1e}  {verdict} {self.tolerance:.0e}"])
+
+
+def make_plan(scan: Scan, tolerance: float = TOLERANCE) -> Plan:
+    """Choose how finely a scan is computed.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    tolerance : worst error of log projections that is wanted
+
+    Raises
+    ------
+    InputError
+        When the tolerance is no sensible number.
+    """
+    check_tolerance(tolerance)
+    exposure, energies = _energies(scan, _ENERGY * tolerance)
+    choices, pixels = [energies], _PIXELS + _TESSELLATION
+    if scan.file is not None:
+        scan, tessellation = choose_tessellation(scan, exposure.transmission, _TESSELLATION * tolerance)
+        choices, pixels = [energies, tessellation], _PIXELS
+    settings, found = choose_pixels(scan, exposure.transmission, Settings(), pixels * tolerance)
+    return Plan(tolerance, scan, settings, exposure, (*choices, *found))
+
+
+def _energies(scan: Scan, share: float) -> tuple[Exposure, Choice]:
+    """Few energy nodes whose worst error of log counts stays within `share`."""
+    lengths, trials = sampled_lengths(scan), []
+    for finer in _FINER:
+        exposure, error = Exposure.of(scan, lengths, share / finer)
+        nodes = [b - a for a, b in pairwise(exposure.transmission.starts.tolist())]
+        trials.append(Trial(f"{' + '.join(map(str, nodes))} nodes", error, sum(nodes)))
+        if error <= share:
+            break
+    return exposure, Choice("energies", trials[-1].setting, trials[-1].error, share, tuple(trials))
+
+
+def check_tolerance(tolerance: float) -> None:
+    """Refuse a tolerance that is no number between 1e-9 and 1."""
+    if not _LEAST <= tolerance <= _MOST:
+        raise InputError(f"--tol must lie in {_LEAST:g} .. {_MOST:g}, an error of log projections, got {tolerance:g}")
