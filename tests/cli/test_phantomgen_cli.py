@@ -44,7 +44,7 @@ def test_make_writes_a_dataset_and_prints_one_object(made):
     folder, summary = made
     assert summary["path"] == str(folder / "toy.h5")
     assert summary["shape"] == [4, 1, 12, 16]
-    assert summary["nodes"] == [1]
+    assert summary["plan"]["nodes"] == [1]
     assert summary["seconds"]["total"] == pytest.approx(sum(v for k, v in summary["seconds"].items() if k != "total"))
     assert summary["error"]["edge_worst"] < 1e-3
     assert sorted(p.name for p in folder.iterdir() if p.suffix != ".yaml") == ["toy.h5"]
@@ -182,7 +182,7 @@ def test_info_describes_a_dataset(made):
         assert words in text
     described = json.loads(run("info", folder / "toy.h5", "--json").stdout)
     assert described["sdd_mm"] == pytest.approx(200.0)
-    assert described["truth"] == ["basis", "fractions", "grid", "labels", "materials", "scene"]
+    assert described["truth"] == ["basis", "fractions", "grid", "labels", "materials", "plan", "scene"]
 
 
 def test_validate_ends_with_0_or_3(made, tmp_path):

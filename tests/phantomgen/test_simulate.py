@@ -8,6 +8,7 @@ from phantomgen.dataset import open_dataset
 from phantomgen.dataset_check import validate
 from phantomgen.dataset_info import describe, describe_text
 from phantomgen.dataset_truth import read_truth
+from phantomgen.planning import make_plan
 from phantomgen.scene import Scan, load_scene
 from phantomgen.scene_yaml import SceneFile
 from phantomgen.simulate import simulate
@@ -111,14 +112,14 @@ def test_one_energy_means_one_energy_everywhere(tmp_path):
     with open_dataset(path) as dataset:
         assert dataset.spectra.energy.tolist() == [60.0]
         assert dataset.spectra.basis.names == ("photoelectric", "compton")
-    assert summary.nodes == (0, 1)
+    assert summary.plan.nodes == (0, 1)
     assert len(read_truth(path).volumes) == 2
 
 
 def test_a_channel_that_counts_nothing_stays_zero(tmp_path):
     path, summary = made(tmp_path)
     counts = counts_of(path)
-    assert summary.nodes == (0, 1)
+    assert summary.plan.nodes == (0, 1)
     assert not counts[:, 0].any()
     assert counts[:, 1].min() > 0
     assert np.isfinite(summary.error.edge_worst)
@@ -181,7 +182,7 @@ def test_compositions_are_simulated_exactly_and_fitted_for_the_truth(tmp_path):
 def test_the_simulator_is_finer_than_the_reconstructor_and_agrees_with_it():
     scan = load_scene("kedge-small")
     lengths = sampled_lengths(scan)
-    fine, (few, error) = fine_transmission(scan), compressed_transmission(scan, lengths)
+    fine, (few, error) = fine_transmission(scan), compressed_transmission(scan, lengths, 1e-5)
     coarse = reconstructor_spectra(scan)
     assert len(coarse.energy) * 4 < len(fine.weights)
     assert len(few.weights) < 60
@@ -196,10 +197,10 @@ def test_the_simulator_is_finer_than_the_reconstructor_and_agrees_with_it():
 
 def test_counts_are_as_exact_as_promised():
     scan = load_scene("kedge-small", ["panel={rows: 32, columns: 32, pitch: 6.4}"])
-    transmission, _ = compressed_transmission(scan, sampled_lengths(scan))
+    plan = make_plan(scan, 1e-3)
     from phantomgen import simulate_check
 
-    error = simulate_check._check(scan, transmission, 30, 2000)
+    error = simulate_check._check(scan, plan.exposure.transmission, plan.settings, 30, 2000)
     assert error.edge_pixels == 30
     assert error.edge_rms < 2e-4
     assert error.edge_worst < 1e-3
@@ -327,7 +328,7 @@ def test_many_materials_need_few_nodes():
         f"objects=[{', '.join(vials)}]",
     )
     lengths = sampled_lengths(scan)
-    fine, (few, error) = fine_transmission(scan), compressed_transmission(scan, lengths)
+    fine, (few, error) = fine_transmission(scan), compressed_transmission(scan, lengths, 1e-5)
     assert len(few.weights) < 40 < len(fine.weights)
     assert np.abs(few.log_projection(lengths) - fine.log_projection(lengths)).max() < 2 * error < 4e-5
 
