@@ -22,8 +22,9 @@ import phantomgen
 from phantomgen.dataset_truth import read_truth
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
+from phantomgen.orbits import spread_angles
 from phantomgen.panel import Panel
-from phantomgen.scene import Scan, Scene, circular_angles
+from phantomgen.scene import Scan, Scene
 from phantomgen.shapes import Cylinder
 from recon import figures
 from recon.pipeline import reconstruct
@@ -98,7 +99,7 @@ def kedge_scan(size: Size) -> Scan:
     """Everything that the simulator needs."""
     aluminium = Filter(Material("Al", composition="Al"), thickness=2.5)
     source = Source.tube(kvp=140, photons=2e5, angle=12, filters=[aluminium])
-    angles = circular_angles(size.views, size.test_views)
+    angles = spread_angles(size.views, size.test_views)
     panel = Panel(size.pixels, size.pixels, pitch=204.8 / size.pixels)
     views = np.arange(len(angles))
     return Scan(

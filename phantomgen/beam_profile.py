@@ -1,8 +1,8 @@
 """How the beam differs over the panel before it meets any object: a bowtie filter, the heel effect.
 
 Both act like sheets of absorber whose thickness depends on the pixel: photons of energy E that are on their way to a
-pixel are those of the panel's centre times ``exp(-sum_p mu_p(E) t_p)``. Source and panel move together, so every view
-has the same profile.
+pixel are those of the central ray, which meets the centre of a panel that is not offset, times
+``exp(-sum_p mu_p(E) t_p)``. Source and panel move together, so every view has the same profile.
 """
 
 from dataclasses import dataclass
@@ -11,9 +11,11 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.mount import Mount
 from phantomgen.panel import Panel
 
 Image = Float[np.ndarray, "row column"]
+_STRAIGHT = Mount()
 
 
 class Absorber(Protocol):
@@ -26,13 +28,13 @@ class Absorber(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Sheets of absorber, with their lengths relative to the ray to the panel's centre.
+    """Sheets of absorber, with their lengths relative to the central ray.
 
     Parameters
     ----------
     names : of the parts
     absorbers : their attenuation curves
-    lengths : on the ray to each pixel, beyond those on the ray to the panel's centre [mm]; may be negative
+    lengths : on the ray to each pixel, beyond those on the central ray [mm]; may be negative
     """
 
     names: tuple[str, ...]
@@ -44,23 +46,35 @@ class Profile:
         return np.stack([absorber.attenuation(energy) for absorber in self.absorbers])
 
 
-def fan_angles(panel: Panel, sdd: float) -> Image:
+def fan_angles(panel: Panel, sdd: float, mount: Mount = _STRAIGHT) -> Image:
     """Angle of each pixel's ray, projected on the plane of the orbit, from the central ray [rad]; up with columns."""
-    return np.arctan2(_across(panel)[None], sdd) + np.zeros((panel.rows, 1))
+    across, _, depth = _positions(panel, sdd, mount)
+    return np.arctan2(across, depth) + np.zeros((panel.rows, 1))
 
 
-def obliquity(panel: Panel, sdd: float) -> Image:
+def obliquity(panel: Panel, sdd: float, mount: Mount = _STRAIGHT) -> Image:
     """Length of each pixel's ray over that of its projection on the plane of the orbit."""
-    across = np.hypot(_across(panel)[None], sdd)
-    return np.hypot(across, _up(panel)[:, None]) / across
+    across, up, depth = _positions(panel, sdd, mount)
+    along = np.hypot(across, depth)
+    return np.hypot(along, up) / along
 
 
-def anode_angles(panel: Panel, sdd: float) -> Image:
+def anode_angles(panel: Panel, sdd: float, mount: Mount = _STRAIGHT) -> Image:
     """Angle of each pixel's ray from the central ray towards an anode on the side of +z [rad], the same along a row.
 
     Fan angles do not count, as SpekPy has it; its spectra then change by 3e-4 at most over 11 degrees.
     """
-    return np.arctan2(_up(panel)[:, None], sdd) + np.zeros((1, panel.columns))
+    _, up, depth = _positions(panel, sdd, mount)
+    return np.arctan2(up, depth) + np.zeros((1, panel.columns))
+
+
+def _positions(panel: Panel, sdd: float, mount: Mount) -> tuple[np.ndarray, np.ndarray, np.ndarray | float]:
+    """Where pixels are from the source [mm]: across the central ray in the plane of the orbit, up, and along it."""
+    across, up = _across(panel)[None], _up(panel)[:, None]
+    if mount.tilt != _STRAIGHT.tilt:
+        turned = np.einsum("ip,prk->irk", mount.turn[:, :2], np.stack(np.broadcast_arrays(across, -up)))
+        return turned[0] + mount.offset[0], -turned[1] - mount.offset[1], turned[2] + sdd
+    return across + mount.offset[0], up - mount.offset[1], sdd
 
 
 def _across(panel: Panel) -> Float[np.ndarray, " column"]:

@@ -32,7 +32,7 @@ def main() -> None:
 
 @main.command(
     epilog="\b\nExamples:\n  phantomgen make --preset kedge --views 150 --seed 1\n"
-    "  phantomgen make my.yaml --set objects.1.radius=12 -o thick.h5"
+    "  phantomgen make my.yaml --set objects.1.radius=12 -o thick.h5 --resume"
 )
 @click.argument("scene", required=False, type=click.Path(dir_okay=False))
 @click.option("--preset", metavar="NAME", help="A scene that comes with the program; see `phantomgen presets`.")
@@ -44,8 +44,21 @@ def main() -> None:
 @click.option("--tol", type=float, help="Worst error of log projections that is wanted [default: 1e-3].")
 @click.option("--noise/--no-noise", default=None, help="Poisson counts, or their means.")
 @click.option("--set", "settings", metavar="PATH=VALUE", multiple=True, help="Override any value of the scene.")
-@click.option("--keep", type=click.Choice(["expected"]), multiple=True, help="Store the noise-free counts as well.")
+@click.option(
+    "--keep",
+    type=click.Choice(["expected", "paths"]),
+    multiple=True,
+    help="Store as well: noise-free counts; projections, for --paths.",
+)
+@click.option(
+    "--paths",
+    type=click.Path(dir_okay=False),
+    metavar="FILE",
+    help="Dataset made with --keep paths: other spectra, doses, channels and seeds of its scene, without tracing.",
+)
 @click.option("--verify", is_flag=True, help="Check all edge pixels of three views against brute force (minutes).")
+@click.option("--compression", default="gzip", metavar="gzip|bitshuffle|none", help="Of large arrays [default: gzip].")
+@click.option("--resume", is_flag=True, help="Go on where an interrupted run stopped.")
 @click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
@@ -63,7 +76,10 @@ def make(
     noise: bool | None,
     settings: tuple[str, ...],
     keep: tuple[str, ...],
+    paths: str | None,
     verify: bool,
+    compression: str,
+    resume: bool,
     overwrite: bool,
     threads: int | None,
     quiet: bool,
@@ -73,7 +89,7 @@ def make(
 
     Prints what the scan took, and how far its expected counts are from a finer computation.
     """
-    if (scene is None) == (preset is None):
+    if (scene is None) == (preset is None) and (paths is None or scene is not None):
         raise click.UsageError("name either a scene file or a preset: phantomgen make --preset kedge")
     options = {
         "geometry.views": views,
@@ -83,8 +99,17 @@ def make(
         "noise": None if noise is None else str(noise).lower(),
     }
     overrides = [*(f"{path}={value}" for path, value in options.items() if value is not None), *settings]
-    expected, quiet = "expected" in keep, quiet or as_json
-    summary = _make(scene, preset, overrides, out, tol, overwrite, expected, verify, threads, quiet)
+    options = {
+        "tolerance": tol,
+        "overwrite": overwrite,
+        "resume": resume,
+        "compression": compression,
+        "keep_expected": "expected" in keep,
+        "keep_paths": "paths" in keep,
+        "paths": paths,
+        "verify": verify,
+    }
+    summary = _make(scene, preset, overrides, out, options, threads, quiet or as_json)
     for warning in summary.warnings:
         click.echo(f"Warning: {warning}", err=True)
     click.echo(json.dumps(summary.to_dict()) if as_json else summary.text)
@@ -95,45 +120,46 @@ def _make(
     preset: str | None,
     overrides: list[str],
     out: str | None,
-    tolerance: float | None,
-    overwrite: bool,
-    keep_expected: bool,
-    verify: bool,
+    options: dict[str, Any],
     threads: int | None,
     quiet: bool,
 ) -> Any:
-    """Read the scene, then simulate; the output is checked before anything slow is imported."""
+    """Read the scene, then simulate; the output is checked before anything slow is imported.
+
+    `options` are those of `phantomgen.simulate.simulate`.
+    """
     from phantomgen.ops.compile_ahead import compiling_ahead
 
     start = time.perf_counter()
     shown = sys.stderr.isatty() and not quiet
     with compiling_ahead(lambda text: click.echo(text, err=True) if shown else None) as wait_for_kernels:
+        from phantomgen.compression import check_compression
         from phantomgen.dataset_writer import check_output
+        from phantomgen.frame_journal import check_journal
         from phantomgen.scene_yaml import SceneFile
         from spectra.threads import set_threads
 
-        file = SceneFile.preset(preset, overrides) if preset else SceneFile.read(scene or "", overrides)
+        if options["paths"] and not (scene or preset):
+            from phantomgen.kept_paths import kept_scene
+
+            file = kept_scene(options["paths"], overrides)
+        else:
+            file = SceneFile.preset(preset, overrides) if preset else SceneFile.read(scene or "", overrides)
         path = Path(out or f"{file.model.name}.h5")
-        check_output(path, overwrite)
+        check_output(path, options["overwrite"])
+        check_journal(path, options["resume"], options["overwrite"])
+        check_compression(options["compression"])
         set_threads(threads)
         from phantomgen.planning import check_tolerance
         from phantomgen.scene import load_scene
         from phantomgen.simulate import simulate
 
-        if tolerance is not None:
-            check_tolerance(tolerance)
+        if options["tolerance"] is not None:
+            check_tolerance(options["tolerance"])
         scan = load_scene(file)
         wait_for_kernels()
         ready = time.perf_counter() - start
-        summary = simulate(
-            scan,
-            path,
-            tolerance=tolerance,
-            overwrite=overwrite,
-            keep_expected=keep_expected,
-            verify=verify,
-            progress=not quiet,
-        )
+        summary = simulate(scan, path, progress=not quiet, **options)
     return replace(summary, seconds={"scene": ready, **summary.seconds})
 
 
@@ -172,6 +198,57 @@ def plan(
     report = PlanReport.of(load_scene(file), tol)
     click.echo(json.dumps(report.to_dict()) if as_json else report.text)
     sys.exit(3 if report.plan.missed else 0)
+
+
+@main.command(
+    epilog="\b\nExamples:\n  phantomgen batch training.yaml -n 1000 --workers 2 -o training\n"
+    "  phantomgen batch training.yaml --cluster tcp://10.0.0.1:8786 --shard 1/4"
+)
+@click.argument("manifest", type=click.Path(dir_okay=False))
+@click.option("-n", "--count", type=click.IntRange(min=1), help="Number of items [default: that of the manifest].")
+@click.option(
+    "-o", "--out", type=click.Path(file_okay=False), help="Folder of the items [default: that of MANIFEST's name]."
+)
+@click.option("--workers", type=click.IntRange(min=1), help="Processes of this machine [default: one per processor].")
+@click.option("--cluster", metavar="ADDRESS", help="Dask scheduler whose workers are used in place of processes.")
+@click.option("--shard", metavar="I/N", help="Make every N-th item only, beginning with the I-th.")
+@click.option("--overwrite", is_flag=True, help="Make all items anew.")
+@click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
+@json_option
+@debug_option
+def batch(
+    manifest: str,
+    count: int | None,
+    out: str | None,
+    workers: int | None,
+    cluster: str | None,
+    shard: str | None,
+    overwrite: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Make many scans from MANIFEST, a YAML file that names a scene, what overrides it, and a seed.
+
+    Item i is the scene of that seed + i. Each becomes a dataset and a line of manifest.jsonl; what is there already is
+    left as it is, and what fails does not stop the rest. Exits with 3 when an item failed.
+    """
+    from phantomgen.batch import run_batch
+    from phantomgen.batch_manifest import Batch
+    from phantomgen.batch_records import Shard
+
+    part = Shard.parse(shard) if shard else None
+    summary = run_batch(
+        Batch.read(manifest),
+        out or Path(manifest).stem,
+        count=count,
+        workers=workers,
+        executor=cluster,
+        shard=part,
+        overwrite=overwrite,
+        progress=not quiet,
+    )
+    click.echo(json.dumps(summary.to_dict()) if as_json else summary.text)
+    sys.exit(3 if summary.failed else 0)
 
 
 @main.group(
@@ -383,6 +460,7 @@ def info(file: str, as_json: bool) -> None:
 @click.option("--preset", metavar="NAME", help="A scene that comes with the program; see `phantomgen presets`.")
 @click.option("--screenshot", type=click.Path(dir_okay=False), help="Write a PNG; needs no display.")
 @click.option("--html", type=click.Path(dir_okay=False), help="Write one page to turn in a browser; needs no display.")
+@click.option("--geometry", type=click.Path(dir_okay=False), help="Draw the orbit in plan: PNG, PDF or SVG.")
 @click.option("--at", metavar="X,Y,Z", help="Where the slices cut, in mm [default: the centre].")
 @click.option("--voxels", type=click.IntRange(min=1), help="Voxels along each edge of the volume of a scene.")
 @click.option("--size", metavar="WIDTHxHEIGHT", default="1600x1000", show_default=True, help="Pixels of the window.")
@@ -393,6 +471,7 @@ def view(
     preset: str | None,
     screenshot: str | None,
     html: str | None,
+    geometry: str | None,
     at: str | None,
     voxels: int | None,
     size: str,
@@ -401,14 +480,21 @@ def view(
     """Look at a scene, a preset or a dataset.
 
     Shows slices of the true basis volumes, surfaces of the materials, and source and panel, in a window that turns
-    with the mouse, in a picture, or in a page.
+    with the mouse, in a picture, or in a page. --geometry draws the orbit in plan.
     """
     if (source is None) == (preset is None):
         raise click.UsageError("name a scene file, a preset or a dataset: phantomgen view --preset kedge")
     from phantomgen.view.load import load, point_of, size_of
     from phantomgen.view.output import check_outputs, show
 
-    picture, page = (Path(name) if name else None for name in (screenshot, html))
+    picture, page, orbit = (Path(name) if name else None for name in (screenshot, html, geometry))
+    if orbit is not None:
+        from phantomgen.view.orbit import draw_orbit
+
+        draw_orbit(source, preset, orbit, overwrite)
+        click.echo(orbit)
+        if picture is None and page is None:
+            return
     check_outputs(picture, page, overwrite)
     pixels = size_of(size)
     content = load(source, preset, point_of(at) if at else None, voxels)

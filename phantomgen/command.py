@@ -20,8 +20,8 @@ class Commands(click.Group):
                 raise
             click.echo(f"Error: {error}", err=True)
             ctx.exit(1)
-        except KeyboardInterrupt:
-            click.echo("Interrupted; nothing was left half-written.", err=True)
+        except KeyboardInterrupt as interrupt:
+            click.echo(f"Interrupted; {str(interrupt) or 'nothing was left half-written'}.", err=True)
             ctx.exit(130)
 
 

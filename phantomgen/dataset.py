@@ -13,16 +13,19 @@ from typing import Any
 
 import h5py
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
+from phantomgen.compression import check_readable
+from phantomgen.dataset_geometry import read_geometry
 from phantomgen.dataset_layout import SCHEMA, SCHEMA_VERSION, array_at, group_at, text_of
+from phantomgen.dataset_mask import read_mask
 from phantomgen.dataset_profile import StoredProfile, read_profile
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
 from phantomgen.panel import Panel
 from spectra.basis import Basis
 from spectra.dead_time import DeadTime
-from spectra.errors import DatasetError, InputError
+from spectra.errors import DatasetError, Error, InputError
 from spectra.transmission import Transmission
 
 Region = tuple[slice, slice]
@@ -129,6 +132,17 @@ class Dataset:
         """Measured counts, (view, channel, row, column), still in the file; `load` checks what it reads."""
         return array_at(self.file, f"{DETECTOR}/data")
 
+    @cached_property
+    def mask(self) -> Bool[np.ndarray, "channel row column"]:
+        """Pixels that do not measure: where a low bit of ``pixel_mask`` is set, as NeXus defines it."""
+        with damaged_file(self.path):
+            return read_mask(self.file, self.spectra.channels, self.counts.shape[2:])
+
+    @property
+    def signed(self) -> bool:
+        """Whether signals may be negative, as noise of electronics makes those that are no counts."""
+        return self.spectra.units != "counts"
+
     def load(
         self, views: Sequence[int] | Int[np.ndarray, " view"] | None = None
     ) -> Shaped[np.ndarray, "v c row column"]:
@@ -143,28 +157,19 @@ class Dataset:
         loaded = np.empty((len(chosen), *self.counts.shape[1:]), self.counts.dtype)
         for i, view in enumerate(chosen):
             loaded[i] = self._image(self.counts, view)
-            check_counts(loaded[i], f"view {view} of {self.path}")
+            check_counts(loaded[i], f"view {view} of {self.path}", self.signed)
         return loaded
 
     @cached_property
     def geometry(self) -> Geometry:
-        """Poses of all views."""
-        kind = str(self._value("/entry/geometry/kind"))
-        if kind == "parallel":
-            raise DatasetError(f"{self.path} is a parallel-beam scan, which this version cannot read")
+        """Poses of all views, as the scan was meant to have them."""
         panel = Panel(
             *self.counts.shape[2:],
             pitch=(float(self._value(f"{DETECTOR}/y_pixel_size")), float(self._value(f"{DETECTOR}/x_pixel_size"))),
         )
-        return Geometry(
-            source=self._value("/entry/geometry/source"),
-            panel_center=self._value("/entry/geometry/panel_center"),
-            column_step=self._value("/entry/geometry/column_step"),
-            row_step=self._value("/entry/geometry/row_step"),
-            panel=panel,
-            angles=-np.deg2rad(self._value("/entry/sample/rotation_angle")),
-            kind=kind,
-        )
+        angles = 0.0 - np.deg2rad(self._value("/entry/sample/rotation_angle"))
+        with damaged_file(self.path):
+            return read_geometry(group_at(self.file, "/entry/geometry"), panel, angles)
 
     @cached_property
     def spectra(self) -> Spectra:
@@ -238,6 +243,15 @@ class Dataset:
         return self._mean(frames, "dark")
 
     @cached_property
+    def dark_variance(self) -> Float[np.ndarray, " channel"]:
+        """Variance of a pixel between dark frames, mean over the pixels that measure; 0 for less than two frames."""
+        frames = self.file.get(DARK)
+        if not isinstance(frames, h5py.Dataset) or frames.shape[0] < 2:
+            return np.zeros(self.counts.shape[1])
+        squares = sum(np.square(self._image(frames, frame) - self.dark) for frame in range(frames.shape[0]))
+        return np.mean(squares / (frames.shape[0] - 1), axis=(1, 2), where=~self.mask)
+
+    @cached_property
     def flat(self) -> Float[np.ndarray, "channel row column"]:
         """Mean open-beam counts at exposure 1, dark counts subtracted.
 
@@ -259,10 +273,14 @@ class Dataset:
                 "for flats: leave --air out"
             )
         total = np.zeros(self.counts.shape[1])
+        measuring = np.zeros(self.mask.shape, bool)
+        measuring[:, air[0], air[1]] = ~self.mask[:, air[0], air[1]]
+        if not measuring.any(axis=(1, 2)).all():
+            raise InputError(f"{self.path}: no pixel of the region of air measures: name another by --air")
         for view in range(len(self.exposure)):
             counts = self._image(self.counts, view)
-            check_counts(counts, f"view {view} of {self.path}")
-            total += (counts - self.dark)[:, air[0], air[1]].mean(axis=(1, 2))
+            check_counts(counts, f"view {view} of {self.path}", self.signed)
+            total += np.mean(counts - self.dark, axis=(1, 2), where=measuring)
         level = total / self.exposure.sum(axis=0)
         return np.broadcast_to(level[:, None, None], self.counts.shape[1:]).copy()
 
@@ -271,7 +289,7 @@ class Dataset:
         total = np.zeros(frames.shape[1:])
         for frame in range(frames.shape[0]):
             counts = self._image(frames, frame)
-            check_counts(counts, f"{what} {frame} of {self.path}")
+            check_counts(counts, f"{what} {frame} of {self.path}", self.signed)
             total += counts
         return total / frames.shape[0]
 
@@ -339,7 +357,8 @@ def open_file(path: Path) -> h5py.File:
         raise DatasetError(f"{path} cannot be read: {reason}") from None
     try:
         _check_version(file, path)
-    except DatasetError:
+        check_readable(file, f"{DETECTOR}/data")
+    except Error:
         file.close()
         raise
     return file
@@ -356,12 +375,12 @@ def parse_region(text: str) -> Region:
     return slice(r0, r1), slice(c0, c1)
 
 
-def check_counts(counts: Shaped[np.ndarray, "..."], where: str) -> None:
-    """Refuse counts that cannot be counts."""
+def check_counts(counts: Shaped[np.ndarray, "..."], where: str, signed: bool = False) -> None:
+    """Refuse counts that cannot be counts, or signals that cannot be signals, which may be negative."""
     smallest = counts.min(initial=0)
     if np.isnan(smallest) or np.isinf(counts.max(initial=0)):
         raise DatasetError(f"{where} holds a value that is not a number; repair or leave out that view")
-    if smallest < 0:
+    if smallest < 0 and not signed:
         raise DatasetError(f"{where} holds negative counts, down to {smallest:g}; store raw counts, with darks apart")
 
 
@@ -405,6 +424,7 @@ def _check_consistent(dataset: Dataset) -> None:
     exposed = dataset.exposure > 0
     if not (dataset.exposure >= 0).all() or not exposed.any(axis=1).all() or not exposed.any(axis=0).all():
         raise DatasetError(f"{dataset.path}: the exposure scale of a view is not positive")
+    _ = dataset.mask  # is checked as it is read
     _check_open_beam(dataset)
 
 

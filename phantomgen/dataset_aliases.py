@@ -9,14 +9,16 @@ import numpy as np
 
 from phantomgen.dataset import DARK, DETECTOR, FLAT, Spectra
 from phantomgen.dataset_layout import array_at, new_group, put
+from phantomgen.dataset_mask import mask_of
 
 _PROJECTION, _FLAT, _DARK = 0, 1, 2
 _NXTOMO_VERSION = 1.4
 
 
 def write_aliases(file: h5py.File, spectra: Spectra) -> None:
-    """Add ``/nxtomo_<channel>``; NXtomo knows integer counts only, so other files get none."""
-    if not np.issubdtype(array_at(file, f"{DETECTOR}/data").dtype, np.integer):
+    """Add ``/nxtomo_<channel>``; NXtomo knows integer counts and rotation angles only, so other files get none."""
+    angles = array_at(file, "entry/sample/rotation_angle")[()]
+    if not np.issubdtype(array_at(file, f"{DETECTOR}/data").dtype, np.integer) or not np.isfinite(angles).all():
         return
     for channel, name in enumerate(spectra.channels):
         _write_entry(file, channel, name, float(spectra.effective_energy[channel]))
@@ -35,6 +37,9 @@ def _write_entry(file: h5py.File, channel: int, name: str, energy: float) -> Non
     keys = _write_frames(file, detector, channel)
     for size in ("x_pixel_size", "y_pixel_size", "distance"):
         detector[size] = h5py.SoftLink(f"{DETECTOR}/{size}")
+    mask = mask_of(file, name)
+    if mask is not None:
+        detector["pixel_mask"] = h5py.SoftLink(mask.name)
     sample = new_group(entry, "sample", "NXsample")
     sample["name"] = h5py.SoftLink("/entry/sample/name")
     angles = np.zeros(len(keys))

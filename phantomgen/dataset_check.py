@@ -8,8 +8,10 @@ import h5py
 import numpy as np
 
 from phantomgen.dataset import DARK, DETECTOR, FLAT, Dataset, check_counts, damaged_file, open_dataset
+from phantomgen.dataset_geometry import KINDS, read_true_geometry
 from phantomgen.dataset_layout import SCHEMA_VERSION
 from phantomgen.dataset_truth import Truth, read_truth
+from phantomgen.geometry import Geometry
 from spectra.errors import DatasetError, Error
 
 _SIGNALS = ("counts", "keV")
@@ -18,7 +20,6 @@ _UNITS = {
     f"{DETECTOR}/y_pixel_size": "mm",
     f"{DETECTOR}/distance": "mm",
     "/entry/sample/rotation_angle": "degree",
-    "/entry/geometry/source": "mm",
     "/entry/geometry/panel_center": "mm",
     "/entry/geometry/column_step": "mm",
     "/entry/geometry/row_step": "mm",
@@ -45,6 +46,7 @@ def validate(path: Path | str, air: str | None = None) -> list[str]:
     with open_dataset(path, air) as dataset:
         problems = [sentence for check in _CHECKS for sentence in check(dataset)]
         names = dataset.spectra.basis.names
+    problems += _checked(lambda: list(_step_problems("/truth/geometry", read_true_geometry(path))))
     return problems + _checked(lambda: list(_truth_problems(read_truth(path), names)))
 
 
@@ -74,7 +76,7 @@ def _count_problems(dataset: Dataset) -> Iterator[str]:
         for frame in range(frames.shape[0]):
             try:
                 with damaged_file(dataset.path):
-                    check_counts(frames[frame], f"{name}[{frame}]")
+                    check_counts(frames[frame], f"{name}[{frame}]", dataset.signed)
             except DatasetError as error:
                 yield str(error)
                 break
@@ -85,7 +87,8 @@ def _unit_problems(dataset: Dataset) -> Iterator[str]:
     found = dataset.counts.attrs.get("units")
     if found not in _SIGNALS:
         yield f"{DETECTOR}/data must have units='counts', or 'keV' for a sum of energies, found {found!r}"
-    for name, units in _UNITS.items():
+    start = {"/entry/geometry/ray_direction": "1"} if dataset.geometry.is_parallel else {"/entry/geometry/source": "mm"}
+    for name, units in {**_UNITS, **start}.items():
         found = dataset.file[name].attrs.get("units") if name in dataset.file else None
         if found != units:
             yield f"{name} must have units={units!r}, found {found!r}"
@@ -113,12 +116,20 @@ def _spectra_problems(dataset: Dataset) -> Iterator[str]:
 
 
 def _geometry_problems(dataset: Dataset) -> Iterator[str]:
+    """An unknown kind of orbit, steps that do not fit the pixel sizes."""
+    if dataset.geometry.kind not in KINDS:
+        yield f"/entry/geometry/kind must be one of {', '.join(KINDS)}, found {dataset.geometry.kind!r}"
+    yield from _step_problems("/entry/geometry", dataset.geometry)
+
+
+def _step_problems(group: str, geometry: Geometry | None) -> Iterator[str]:
     """Steps that do not fit the pixel sizes."""
-    geometry = dataset.geometry
+    if geometry is None:
+        return
     for name, pitch in (("column_step", geometry.panel.column_pitch), ("row_step", geometry.panel.row_pitch)):
         length = np.linalg.norm(getattr(geometry, name), axis=1)
         if not np.allclose(length, pitch, rtol=1e-6):
-            yield f"/entry/geometry/{name} has length {length.min():g}..{length.max():g} mm, the pixels {pitch:g}"
+            yield f"{group}/{name} has length {length.min():g}..{length.max():g} mm, the pixels {pitch:g}"
 
 
 def _split_problems(dataset: Dataset) -> Iterator[str]:

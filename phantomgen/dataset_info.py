@@ -9,6 +9,7 @@ import numpy as np
 
 from phantomgen.dataset import DARK, FLAT, Dataset, open_dataset
 from phantomgen.dataset_check import newer_minor
+from phantomgen.dataset_geometry import distances
 from phantomgen.dataset_layout import array_at, group_at, text_of
 from phantomgen.dataset_truth import read_fit
 
@@ -28,8 +29,7 @@ def describe(path: Path) -> dict[str, Any]:
             "units": str(dataset.counts.attrs.get("units", "")),
             "pitch_mm": list(panel.pitch),  # type: ignore[arg-type]
             "orbit": dataset.geometry.kind,
-            "sod_mm": float(np.linalg.norm(dataset.geometry.source[0])),
-            "sdd_mm": float(np.linalg.norm(dataset.geometry.source[0] - dataset.geometry.panel_center[0])),
+            **distances(dataset.geometry),
             "channels": _channels(dataset),
             "dead_time": None if spectra.dead_time is None else asdict(spectra.dead_time),
             "energies": len(spectra.energy),
@@ -40,6 +40,7 @@ def describe(path: Path) -> dict[str, Any]:
             "views": {name: len(views) for name, views in dataset.splits.items()},
             "flats": _frames(dataset, FLAT),
             "darks": _frames(dataset, DARK),
+            "masked_pixels": int(np.count_nonzero(dataset.mask.any(axis=0))),
             "grid": {"shape": list(grid.shape), "spacing_mm": list(grid.spacing), "origin_mm": list(grid.origin)},
             "truth": sorted(map(str, group_at(dataset.file, "truth"))) if "truth" in dataset.file else [],
             "materials": _materials(dataset),
@@ -58,7 +59,8 @@ def describe_text(info: dict[str, Any]) -> str:
         f"{what:<10} {views} views x {channels} channels x {rows} x {columns} pixels, {info['dtype']}{unit}",
         f"views      {', '.join(f'{count} {name}' for name, count in info['views'].items())}",
         f"frames     {info['flats']} flats, {info['darks']} darks",
-        f"geometry   {info['orbit']}, SOD {info['sod_mm']:g} mm, SDD {info['sdd_mm']:g} mm, "
+        *_mask_lines(info["masked_pixels"], rows * columns),
+        f"geometry   {info['orbit']}, {_distance_text(info)}, "
         f"pixels of {info['pitch_mm'][1]:g} x {info['pitch_mm'][0]:g} mm",
         f"channels   {', '.join('{name} {lower_keV:g}..{upper_keV:g} keV'.format(**c) for c in info['channels'])}",
         *_dead_time_lines(info["dead_time"]),
@@ -70,10 +72,22 @@ def describe_text(info: dict[str, Any]) -> str:
         f"{' x '.join(f'{s:g}' for s in info['grid']['spacing_mm'])} mm (z, y, x)",
         f"truth      {', '.join(info['truth']) or 'none'}",
         *_material_lines(info["materials"]),
-        f"NXtomo     {', '.join(info['nxtomo']) or 'none: it knows integer counts only'}",
+        f"NXtomo     {', '.join(info['nxtomo']) or _why_no_nxtomo(info)}",
         f"made by    {info['made_by']}",
     ]
     return "\n".join(lines)
+
+
+def _distance_text(info: dict[str, Any]) -> str:
+    """The same for people."""
+    if info["sod_mm"] is None:
+        return f"{info['object_to_panel_mm']:g} mm from axis to panel"
+    return f"SOD {info['sod_mm']:g} mm, SDD {info['sdd_mm']:g} mm"
+
+
+def _why_no_nxtomo(info: dict[str, Any]) -> str:
+    """Why a file has no NXtomo entries."""
+    return f"none: it knows {'rotation angles' if info['dtype'].startswith('int') else 'integer counts'} only"
 
 
 def _channels(dataset: Dataset) -> list[dict[str, Any]]:
@@ -115,6 +129,11 @@ def _material_lines(materials: dict[str, Any]) -> list[str]:
         where = f"fitted over {low:g}..{high:g} keV, simulated exactly"
         lines.append(f"materials  {where}; rms relative error of the fit to mu(E): {each}")
     return lines[0 if explicit else 1 :]
+
+
+def _mask_lines(masked: int, pixels: int) -> list[str]:
+    """Masked pixels for people, where there are any."""
+    return [f"mask       {masked} pixels do not measure, {masked / pixels:.2%}"] if masked else []
 
 
 def _dead_time_lines(dead_time: dict[str, Any] | None) -> list[str]:

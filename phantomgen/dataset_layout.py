@@ -4,7 +4,6 @@ A dataset is a NeXus file. Measured data lie in ``/entry``, everything that know
 channel is shown once more, without copying, as an NXtomo entry ``/nxtomo_<channel>``.
 """
 
-import zlib
 from hashlib import sha256
 from typing import Any
 
@@ -12,6 +11,7 @@ import h5py
 import numpy as np
 from jaxtyping import Shaped
 
+from phantomgen.compression import Compression, filters, pack
 from spectra.errors import DatasetError
 
 SCHEMA = "spectral-ct"
@@ -19,19 +19,20 @@ SCHEMA_VERSION = (1, 0)
 FRAME = "right-handed, z = rotation axis, origin = isocentre"
 FRACTION_SCALE = 65535
 _CHUNK_BYTES = 4 << 20
-_GZIP_LEVEL = 1
 
 TABLE = """\
 /entry/instrument/detector/data          (V,C,R,K) int32 or float32   counts, or signal as `units` says
 /entry/instrument/detector/x_pixel_size  () mm     pitch along columns; y_pixel_size along rows
 /entry/instrument/detector/distance      () mm     sample to panel
-/entry/instrument/detector/<n>_channel   threshold_energy, upper_energy [keV]
+/entry/instrument/detector/<n>_channel   threshold_energy, upper_energy [keV]; pixel_mask (R,K), optional: 0 for a
+                                         pixel that measures, else bits of NXdetector: 1 dead, 3 hot, 6 in a cluster
 /entry/instrument/detector/dead_time     () ns, optional, with count_time () [ms] and dead_time_model
 /entry/instrument/flat/data              (F,C,R,K) open-beam frames
 /entry/instrument/dark/data              (D,C,R,K) frames without beam
 /entry/instrument/source                 probe, type, voltage [kV], charge per view [mA*s], target_material
 /entry/sample                            name, rotation_angle (V) [degree]
-/entry/geometry                          source, panel_center, column_step, row_step (V,3) [mm]
+/entry/geometry                          kind, source, panel_center, column_step, row_step (V,3) [mm]; in a parallel
+                                         beam ray_direction (V,3), unit vectors, in place of source
 /entry/spectra                           energy (E), energy_edges (E+1) [keV], source (E) [photons], response (C,E),
                                          channel (C,E), basis (M,E), basis_name, basis_kind, edge_energy, edge_width,
                                          element, normalisation_energy, reference_energy; for bases of materials
@@ -53,7 +54,12 @@ TABLE = """\
 /truth/grid                              shape, spacing, origin (z,y,x), affine (4,4) for (x,y,z) [mm]
 /truth/scene                             the scene as YAML
 /truth/plan                              how finely the scan was computed, and the error of each part, as JSON
+/truth/geometry                          optional, like /entry/geometry: true poses, in the frame of the sample
+/truth/motion/pose                       (V,4,4) [mm], optional: from the sample at rest, as in /truth, to where it was
 /truth/expected                          (V,C,R,K) float32, optional: counts without noise
+/truth/paths                             optional: energy (n) [keV], data (V,n,R,K) float32, -log of the part of the
+                                         photons of that energy that objects leave; bounds (i+1) [keV], nodes (i),
+                                         error, depends_on
 /nxtomo_<channel>                        the channel as NXtomo, virtual: flats, projections, darks
 """
 
@@ -109,27 +115,34 @@ def put_note(parent: h5py.Group, name: str, data: str, mime_type: str) -> None:
     put(note, "algorithm", "sha256")
 
 
-def new_frames(group: h5py.Group, name: str, shape: tuple[int, int, int, int], dtype: Any, units: str) -> h5py.Dataset:
-    """Create an array of images, one image per chunk, shuffled and gzipped."""
-    rows = _rows_per_chunk(shape[2], shape[3] * np.dtype(dtype).itemsize)
-    chunks = (1, 1, rows, shape[3]) if shape[0] else None
-    filters = {"compression": "gzip", "compression_opts": _GZIP_LEVEL, "shuffle": True} if chunks else {}
-    dataset = group.create_dataset(name, shape, dtype, chunks=chunks, **filters)
-    dataset.attrs["units"] = units
+def new_frames(
+    group: h5py.Group,
+    name: str,
+    shape: tuple[int, ...],
+    dtype: Any,
+    units: str | None = None,
+    compression: Compression = "gzip",
+) -> h5py.Dataset:
+    """Create an array of images (..., row, column), one image per chunk, compressed."""
+    rows = _rows_per_chunk(shape[-2], shape[-1] * np.dtype(dtype).itemsize)
+    chunks = (*(1,) * (len(shape) - 2), rows, shape[-1]) if shape[0] else None
+    dataset = group.create_dataset(name, shape, dtype, chunks=chunks, **(filters(compression) if chunks else {}))
+    if units is not None:
+        dataset.attrs["units"] = units
     return dataset
 
 
-def pack_image(image: Shaped[np.ndarray, "row column"]) -> list[bytes]:
+def pack_image(image: Shaped[np.ndarray, "row column"], compression: Compression = "gzip") -> list[bytes]:
     """The chunks of one image as HDF5 stores them; unlike HDF5's own filters this runs in any thread."""
     rows, columns = image.shape
     step = _rows_per_chunk(rows, columns * image.itemsize)
     padded = np.pad(image, ((0, -rows % step), (0, 0)))
-    return [_pack(padded[first : first + step]) for first in range(0, rows, step)]
+    return [pack(padded[first : first + step], compression) for first in range(0, rows, step)]
 
 
 def write_image(dataset: h5py.Dataset, frame: int, channel: int, packed: list[bytes]) -> None:
     """Put an image that `pack_image` packed in its place."""
-    step = _rows_per_chunk(dataset.shape[2], dataset.shape[3] * dataset.dtype.itemsize)
+    step = _rows_per_chunk(dataset.shape[-2], dataset.shape[-1] * dataset.dtype.itemsize)
     for i, chunk in enumerate(packed):
         dataset.id.write_direct_chunk((frame, channel, i * step, 0), chunk)
 
@@ -142,9 +155,3 @@ def _full_name(parent: h5py.Group, name: str) -> str:
 def _rows_per_chunk(rows: int, row_bytes: int) -> int:
     """Rows that fit a chunk."""
     return min(rows, max(1, _CHUNK_BYTES // row_bytes))
-
-
-def _pack(chunk: Shaped[np.ndarray, "row column"]) -> bytes:
-    """HDF5's shuffle (byte planes one after the other) and deflate filters."""
-    planes = np.ascontiguousarray(chunk).view(np.uint8).reshape(-1, chunk.itemsize).T
-    return zlib.compress(planes.tobytes(), _GZIP_LEVEL)

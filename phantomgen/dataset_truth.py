@@ -1,6 +1,7 @@
 """What was really scanned: basis volumes, material fractions and materials, in ``/truth`` of a dataset."""
 
 import json
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,10 +9,26 @@ import h5py
 import numpy as np
 from jaxtyping import Float, Float32, Int, UInt16
 
+from phantomgen.compression import Compression, filters
 from phantomgen.dataset import damaged_file, open_file
-from phantomgen.dataset_layout import FRACTION_SCALE, array_at, group_at, new_group, put, put_note, text_of
+from phantomgen.dataset_layout import (
+    FRACTION_SCALE,
+    array_at,
+    group_at,
+    new_frames,
+    new_group,
+    pack_image,
+    put,
+    put_note,
+    text_of,
+    write_image,
+)
 from phantomgen.grid import Grid
 from spectra.materials import Material
+from spectra.threads import run_parallel
+
+# Fractions that are in memory at once; more voxels are computed slab by slab.
+_SLAB_VALUES = 1 << 25
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,20 +88,29 @@ class Truth:
         for row, fraction in zip(coefficients, fractions, strict=True):
             for basis in np.flatnonzero(row):
                 volumes[basis] += np.float32(row[basis]) * fraction
-        scaled = np.rint(np.clip(fractions, 0.0, 1.0) * FRACTION_SCALE).astype(np.uint16)
+        scaled = np.empty(fractions.shape, np.uint16)
+        for part, fraction in zip(scaled, fractions, strict=True):
+            part[...] = np.rint(np.clip(fraction, 0.0, 1.0) * FRACTION_SCALE)
         return cls(grid, basis_names, volumes, material_names, coefficients, scaled, scene, fit)
 
     def __repr__(self) -> str:
         return f"Truth({', '.join(self.basis_names)}: {' x '.join(map(str, self.grid.shape))} voxels)"
 
     @property
+    def label_type(self) -> type:
+        """Numbers that labels are stored as."""
+        return _label_type(self.material_names)
+
+    def slabs(self) -> Iterator[tuple[int, "Truth"]]:
+        """Parts of it with their first slice: here, all at once."""
+        yield 0, self
+
+    @property
     def labels(self) -> Int[np.ndarray, "z y x"]:
         """What fills most of each voxel: 0 the background, i + 1 material i."""
-        filled = self.fractions.sum(axis=0, dtype=np.int64)
-        background = np.maximum(FRACTION_SCALE - filled, 0)
-        dtype = np.uint8 if len(self.fractions) < 255 else np.uint16
-        labels = np.zeros(self.grid.shape, dtype)
-        largest = background.astype(np.int64)
+        filled = self.fractions.sum(axis=0, dtype=np.int32)
+        largest = np.maximum(FRACTION_SCALE - filled, 0)
+        labels = np.zeros(self.grid.shape, self.label_type)
         for i, fraction in enumerate(self.fractions):
             more = fraction > largest
             labels[more] = i + 1
@@ -92,12 +118,59 @@ class Truth:
         return labels
 
 
-def write_truth(file: h5py.File, truth: Truth, materials: tuple[Material, ...]) -> None:
+@dataclass(frozen=True, eq=False)
+class StreamedTruth:
+    """The same, computed slab by slab, so that volumes of any size take the same memory.
+
+    Parameters
+    ----------
+    grid, basis_names, material_names, coefficients, scene, fit : see `Truth`
+    filled : part of each voxel of a grid that each material fills
+    """
+
+    grid: Grid
+    basis_names: tuple[str, ...]
+    material_names: tuple[str, ...]
+    coefficients: Float[np.ndarray, "material basis"]
+    filled: Callable[[Grid], Float32[np.ndarray, "material z y x"]]
+    scene: str = ""
+    fit: CoefficientFit | None = None
+
+    def part(self, grid: Grid) -> Truth:
+        """Truth of a part of the grid."""
+        names = self.basis_names, self.material_names
+        return Truth.of(grid, *names, self.coefficients, self.filled(grid), self.scene, self.fit)
+
+    def slabs(self) -> Iterator[tuple[int, Truth]]:
+        """Slabs with their first slice; how many depends on the grid only, not on the machine."""
+        depth = self.grid.shape[0]
+        for first in range(0, depth, self.slab):
+            yield first, self.part(self.grid.slices(first, min(self.slab, depth - first)))
+
+    @property
+    def slab(self) -> int:
+        """Slices of a slab."""
+        _, rows, columns = self.grid.shape
+        return max(1, _SLAB_VALUES // (rows * columns * max(1, len(self.material_names))))
+
+    @property
+    def label_type(self) -> type:
+        """Numbers that labels are stored as."""
+        return _label_type(self.material_names)
+
+
+def write_truth(
+    file: h5py.File,
+    truth: Truth | StreamedTruth,
+    materials: tuple[Material, ...],
+    compression: Compression = "gzip",
+) -> None:
     """Write ``/truth``."""
     group = truth_group(file)
-    _write_basis(group, truth)
-    _put_volume(group, "fractions", truth.fractions).attrs["scale"] = 1 / FRACTION_SCALE
-    _put_volume(group, "labels", truth.labels)
+    volumes = _new_volumes(group, truth, compression)
+    for first, slab in truth.slabs():
+        _write_slab(volumes, first, slab, compression)
+        del slab  # before the next one is made
     table = new_group(group, "materials", "NXcollection")
     put(table, "name", np.array([m.name for m in materials], dtype=object))
     put(table, "density", np.array([m.density if m.density else np.nan for m in materials]), "g/cm^3")
@@ -155,20 +228,41 @@ def read_fit(materials: h5py.Group) -> CoefficientFit | None:
     return CoefficientFit((float(low), float(high)), weights, array_at(materials, "fit_error")[()])
 
 
-def _write_basis(group: h5py.Group, truth: Truth) -> None:
-    """Write the basis volumes as the default plot."""
+def _new_volumes(
+    group: h5py.Group, truth: Truth | StreamedTruth, compression: Compression
+) -> tuple[h5py.Dataset, h5py.Dataset, h5py.Dataset]:
+    """Create empty basis volumes, which are the default plot, fractions and labels."""
     data = new_group(group, "basis", "NXdata", signal="data", axes=("basis", "z", "y", "x"))
     data.attrs["default_slice"] = [truth.basis_names[0], str(truth.grid.shape[0] // 2), ".", "."]
-    _put_volume(data, "data", truth.volumes).attrs["units"] = "1/mm"
+    shape = truth.grid.shape
+    basis = new_frames(data, "data", (len(truth.basis_names), *shape), np.float32, "1/mm", compression)
     put(data, "basis", np.array(truth.basis_names, dtype=object))
     for axis in "zyx":
         put(data, axis, truth.grid.axis(axis), "mm")
+    fractions = new_frames(group, "fractions", (len(truth.material_names), *shape), np.uint16, None, compression)
+    fractions.attrs["scale"] = 1 / FRACTION_SCALE
+    chunks = (1, *shape[1:])
+    labels = group.create_dataset("labels", shape, truth.label_type, chunks=chunks, **filters(compression))
+    return basis, fractions, labels
 
 
-def _put_volume(group: h5py.Group, name: str, volume: np.ndarray) -> h5py.Dataset:
-    """Write a volume, one slice per chunk."""
-    chunks = (*(1,) * (volume.ndim - 2), *volume.shape[-2:])
-    return group.create_dataset(name, data=volume, chunks=chunks, compression="gzip", compression_opts=1, shuffle=True)
+def _write_slab(
+    volumes: tuple[h5py.Dataset, h5py.Dataset, h5py.Dataset], first: int, slab: Truth, compression: Compression
+) -> None:
+    """Write some slices of all volumes, packed in parallel."""
+    *parts, labels = volumes
+    for dataset, values in zip(parts, (slab.volumes, slab.fractions), strict=True):
+        places = list(np.ndindex(values.shape[:2]))
+        packed = run_parallel(lambda place, values=values: pack_image(values[place], compression), places)
+        for (i, z), image in zip(places, packed, strict=True):
+            write_image(dataset, i, first + z, image)
+    numbers = slab.labels
+    labels[first : first + len(numbers)] = numbers
+
+
+def _label_type(materials: tuple[str, ...]) -> type:
+    """The smallest numbers that name all materials and the background."""
+    return np.uint8 if len(materials) < 255 else np.uint16
 
 
 def _composition(material: Material) -> str:

@@ -1,19 +1,24 @@
-"""Writing a dataset: beside its final name first, renamed when complete, removed when not."""
+"""Writing a dataset: beside its final name first, renamed when complete, removed when not.
+
+What takes long is computed before, and kept by `phantomgen.frame_journal`.
+"""
 
 import json
 import os
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt32
 
+from phantomgen.compression import Compression
 from phantomgen.dataset import Spectra
 from phantomgen.dataset_aliases import write_aliases
+from phantomgen.dataset_geometry import distances, write_geometry, write_true_geometry
 from phantomgen.dataset_layout import (
-    FRAME,
     SCHEMA,
     SCHEMA_VERSION,
     array_at,
@@ -23,8 +28,10 @@ from phantomgen.dataset_layout import (
     put,
     put_note,
 )
+from phantomgen.dataset_mask import write_mask
 from phantomgen.dataset_profile import write_profile
-from phantomgen.dataset_truth import Truth, truth_group, write_grid, write_truth
+from phantomgen.dataset_truth import StreamedTruth, Truth, truth_group, write_grid, write_truth
+from phantomgen.disk_room import is_full, one_sentence
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
 from phantomgen.versions import environment, program_version
@@ -41,28 +48,47 @@ class DatasetWriter:
     ----------
     path : final name; ``<path>.part`` until complete
     overwrite : replace a file that exists
+    compression : of all large arrays
     """
 
-    def __init__(self, path: Path | str, overwrite: bool = False) -> None:
+    def __init__(self, path: Path | str, overwrite: bool = False, compression: Compression = "gzip") -> None:
         self.path = Path(path)
+        self.compression: Compression = compression
         self.part = self.path.with_name(self.path.name + ".part")
         check_output(self.path, overwrite)
 
     def __enter__(self) -> "DatasetWriter":
-        try:
-            self.file = h5py.File(self.part, "w")
-        except OSError as error:
-            reason = os.strerror(error.errno) if error.errno else "the file system refuses"
-            raise InputError(f"{self.part} cannot be written: {reason}") from None
-        _write_root(self.file)
+        with one_sentence(self.part):
+            try:
+                self.file = h5py.File(self.part, "w")
+                _write_root(self.file)
+            except (OSError, RuntimeError) as error:
+                if is_full(error):
+                    self._discard()
+                raise
         return self
 
-    def __exit__(self, kind: type | None, *exception: object) -> None:
-        self.file.close()
-        if kind is None:
-            os.replace(self.part, self.path)
-        else:
-            self.part.unlink(missing_ok=True)
+    def __exit__(self, kind: type | None, error: BaseException | None, *trace: object) -> None:
+        with one_sentence(self.part):
+            try:
+                if error is not None and is_full(error):
+                    raise error
+                if error is None:
+                    self.file.close()
+                    os.replace(self.part, self.path)
+            finally:
+                self._discard()
+
+    def _discard(self) -> None:
+        """Close and remove what is not complete.
+
+        On a full disk HDF5 may fail to close the file and keep it open, so that its room has to be given back first.
+        """
+        with suppress(OSError, RuntimeError, AttributeError):
+            self.file.close()
+        if self.part.exists():
+            os.truncate(self.part, 0)
+            self.part.unlink()
 
     def write_scan(
         self,
@@ -78,7 +104,7 @@ class DatasetWriter:
         entry = new_group(self.file, "entry", "NXentry", default="data")
         put(entry, "title", title)
         entry["start_time"] = h5py.SoftLink("/entry/process_1_simulate/date")
-        _write_geometry(entry, geometry)
+        write_geometry(entry, geometry)
         _write_sample(entry, geometry, title)
         _write_spectra(entry, spectra)
         put(
@@ -104,7 +130,7 @@ class DatasetWriter:
         detector = new_group(instrument, "detector", "NXdetector")
         put(detector, "x_pixel_size", geometry.panel.column_pitch, "mm")
         put(detector, "y_pixel_size", geometry.panel.row_pitch, "mm")
-        put(detector, "distance", float(np.linalg.norm(geometry.panel_center[0])), "mm")
+        put(detector, "distance", distances(geometry)["object_to_panel_mm"], "mm")
         if spectra.dead_time is not None:
             put(detector, "dead_time", spectra.dead_time.tau_ns, "ns")
             put(detector, "count_time", spectra.dead_time.exposure_ms, "ms")
@@ -117,28 +143,37 @@ class DatasetWriter:
         for name, (value, units) in {"probe": ("x-ray", None), **source}.items():
             put(group, name, value, units)
 
+    def write_mask(self, channels: tuple[str, ...], mask: UInt32[np.ndarray, "row column"] | None) -> None:
+        """Which pixels do not measure; nothing where there is no mask."""
+        write_mask(self.file, channels, mask)
+
     def new_counts(
         self, shape: tuple[int, int, int, int], flats: int, darks: int, noise: bool, units: str = "counts"
     ) -> dict[str, h5py.Dataset]:
         """Empty arrays ``data``, ``flat`` and ``dark``, to be filled by `write_image`."""
         dtype = np.int32 if noise and units == "counts" else np.float32
         instrument = group_at(self.file, "entry/instrument")
-        data = new_frames(group_at(instrument, "detector"), "data", shape, dtype, units)
-        flat = new_frames(new_group(instrument, "flat", "NXdetector"), "data", (flats, *shape[1:]), dtype, units)
-        dark = new_frames(new_group(instrument, "dark", "NXdetector"), "data", (darks, *shape[1:]), dtype, units)
+        how = (dtype, units, self.compression)
+        data = new_frames(group_at(instrument, "detector"), "data", shape, *how)
+        flat = new_frames(new_group(instrument, "flat", "NXdetector"), "data", (flats, *shape[1:]), *how)
+        dark = new_frames(new_group(instrument, "dark", "NXdetector"), "data", (darks, *shape[1:]), *how)
         return {"data": data, "flat": flat, "dark": dark}
 
     def new_expected(self, shape: tuple[int, int, int, int], units: str = "counts") -> h5py.Dataset:
         """Empty array for the counts without noise, in the truth."""
-        return new_frames(truth_group(self.file), "expected", shape, np.float32, units)
+        return new_frames(truth_group(self.file), "expected", shape, np.float32, units, self.compression)
 
-    def write_truth(self, truth: Truth, materials: tuple[Material, ...]) -> None:
+    def write_truth(self, truth: Truth | StreamedTruth, materials: tuple[Material, ...]) -> None:
         """Write the truth."""
-        write_truth(self.file, truth, materials)
+        write_truth(self.file, truth, materials, self.compression)
 
     def write_plan(self, text: str) -> None:
         """How finely the scan was computed and how wrong that is, as JSON."""
         put_note(truth_group(self.file), "plan", text, "application/json")
+
+    def write_true_geometry(self, geometry: Geometry, sample: Float[np.ndarray, "view 4 4"] | None) -> None:
+        """Write true poses beside the nominal ones, and those of a sample that moved."""
+        write_true_geometry(truth_group(self.file), geometry, sample)
 
     def write_process(self, command: str, seed: int) -> None:
         """How the file was made; nothing about the object."""
@@ -171,6 +206,8 @@ def check_output(path: Path, overwrite: bool, option: str = "--out") -> None:
         raise InputError(f"the output {path} exists: choose another name by {option}, or add --overwrite")
     if not path.parent.is_dir():
         raise InputError(f"the folder {path.parent} for the output {path.name} does not exist")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise InputError(f"the folder {path.parent} for the output {path.name} is not writable: choose another")
 
 
 def _write_root(file: h5py.File) -> None:
@@ -187,14 +224,6 @@ def _write_root(file: h5py.File) -> None:
             "h5py_version": h5py.version.version,
         }
     )
-
-
-def _write_geometry(entry: h5py.Group, geometry: Geometry) -> None:
-    """Poses as vectors."""
-    group = new_group(entry, "geometry", "NXcollection", frame=FRAME)
-    put(group, "kind", geometry.kind)
-    for name in ("source", "panel_center", "column_step", "row_step"):
-        put(group, name, getattr(geometry, name), "mm")
 
 
 def _write_sample(entry: h5py.Group, geometry: Geometry, title: str) -> None:

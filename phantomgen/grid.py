@@ -36,6 +36,11 @@ class Grid:
         first = (spacing - size) / 2
         return cls((voxels, voxels, voxels), (spacing, spacing, spacing), (first, first, first))
 
+    def slices(self, first: int, count: int) -> "Grid":
+        """The part of the grid that begins with slice `first`."""
+        (_, *shape), (z, *origin) = self.shape, self.origin
+        return Grid((count, *shape), self.spacing, (z + first * self.spacing[0], *origin))  # type: ignore[arg-type]
+
     @property
     def voxel_volume(self) -> float:
         """Volume of one voxel [mm^3]."""

@@ -23,6 +23,14 @@ class Stream(IntEnum):
     PROJECTION = 0
     FLAT = 1
     TUBE = 2
+    JITTER = 3
+    MOTION = 4
+    SCATTER = 6
+    GAIN = 10
+    DEFECTS = 11
+    PROJECTION_READING = 12
+    FLAT_READING = 13
+    DARK = 14
 
 
 def philox_key(seed: int, stream: Stream, frame: int, channel: int) -> int:

@@ -33,6 +33,14 @@ def check_picture(path: Path) -> None:
 def picture(path: Path, inches: tuple[float, float]) -> Iterator["Figure"]:
     """A figure that is written at the end."""
     check_picture(path)
+    with styled_figure(inches) as figure:
+        yield figure
+        figure.savefig(path)
+
+
+@contextmanager
+def styled_figure(inches: tuple[float, float]) -> Iterator["Figure"]:
+    """A figure that is drawn on without any display."""
     from matplotlib import rc_context  # noqa: PLC0415 - half a second
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
     from matplotlib.figure import Figure  # noqa: PLC0415
@@ -41,7 +49,6 @@ def picture(path: Path, inches: tuple[float, float]) -> Iterator["Figure"]:
         figure = Figure(figsize=inches, dpi=150, layout="constrained")
         FigureCanvasAgg(figure)
         yield figure
-        figure.savefig(path)
 
 
 def channel_colours(count: int) -> Any:

@@ -10,18 +10,14 @@ from typing import Any, TypeVar
 import numpy as np
 
 from phantomgen.dataset_layout import pack_image
-from phantomgen.grid import Grid
 from phantomgen.noise import Stream
-from phantomgen.ops.expose import expose_brute
-from phantomgen.ops.voxelize_shapes import fractions
-from phantomgen.simulate_check import QUICK_PIXELS, SUB_RAYS
+from phantomgen.simulate import streamed_truth
 from phantomgen.simulate_views import Views
 from spectra.threads import run_parallel, thread_count
 
 T = TypeVar("T")
-_SLABS = 4
-# Rays of the sample that the cost of the final check is inferred from.
-_CHECK_RAYS = 64
+# Slabs of the truth that are tried, and slices of each.
+_SLABS, _THICK = 4, 6
 
 
 @dataclass(frozen=True)
@@ -58,7 +54,7 @@ class Cost:
 
 
 def expected_cost(views: Views) -> Cost:
-    """Run some frames, some slabs of the truth and a part of the check, and multiply.
+    """Run some frames and some slabs of the truth, and multiply.
 
     Parameters
     ----------
@@ -68,13 +64,9 @@ def expected_cost(views: Views) -> Cost:
     view_time, view_bytes = _per_frame(views, Stream.PROJECTION, views.shape[0])
     flat_time, flat_bytes = _per_frame(views, Stream.FLAT, scan.flats)
     truth_time, truth_bytes = _truth(views)
-    seconds = {
-        "views": view_time * views.shape[0] + flat_time * scan.flats,
-        "truth": truth_time,
-        "check": _check_time(views),
-    }
+    views_time = view_time * views.shape[0] + flat_time * scan.flats
     size = view_bytes * views.shape[0] + flat_bytes * scan.flats + truth_bytes + _SMALL_PARTS
-    return Cost(seconds, _memory(views), int(size))
+    return Cost({"views": views_time, "truth": truth_time}, _memory(views), int(size))
 
 
 # Geometry, spectra and notes of a file [byte].
@@ -85,7 +77,7 @@ def _per_frame(views: Views, stream: Stream, count: int) -> tuple[float, float]:
     """Seconds and bytes of one frame where all threads work."""
 
     def size(frame: int) -> int:
-        images = views.measured(views.expected(frame, stream), frame, stream)
+        images = views.read(views.registered(views.expected(frame, stream), frame, stream), frame, stream)
         return sum(len(chunk) for image in images for chunk in pack_image(image))
 
     chosen = np.linspace(0, count - 1, min(count, 2 * thread_count())).round().astype(int).tolist()
@@ -95,41 +87,24 @@ def _per_frame(views: Views, stream: Stream, count: int) -> tuple[float, float]:
 
 
 def _truth(views: Views) -> tuple[float, float]:
-    """Seconds and bytes of the truth, from slabs of it."""
-    scan, grid = views.scan, views.scan.grid
-    depth, height, width = grid.shape
-    layers = np.unique(np.linspace(0, depth - 1, min(_SLABS, depth)).round().astype(int)).tolist()
-    count = len(scan.scene.materials)
+    """Seconds and bytes of the truth, from thin and thick slabs of it, as each slab takes a while to begin."""
+    truth = streamed_truth(views.scan)
+    depth, step = truth.grid.shape[0], truth.slab
+    thick = min(_THICK, depth)
+    firsts = np.unique(np.linspace(0, depth - thick, _SLABS).round().astype(int)).tolist()
 
-    def packed(layer: int) -> int:
-        origin = (grid.origin[0] + layer * grid.spacing[0], *grid.origin[1:])
-        slab = Grid((1, height, width), grid.spacing, origin)
-        filled = fractions(slab, scan.scene.solids, count, background=scan.scene.background)[:, 0]
-        shares = sum(len(chunk) for image in filled for chunk in pack_image((image * 65535).astype(np.uint16)))
-        mixed = filled.sum(axis=0).astype(np.float32)
-        return shares + len(scan.basis) * sum(map(len, pack_image(mixed)))
+    def packed(first: int, slices: int) -> int:
+        part = truth.part(truth.grid.slices(first, slices))
+        shape = part.grid.shape[1:]
+        images = [*part.volumes.reshape(-1, *shape), *part.labels, *part.fractions.reshape(-1, *shape)]
+        return sum(map(len, run_parallel(lambda image: b"".join(pack_image(image)), images)))
 
-    packed(layers[0])
-    took, sizes = _timed(lambda: [packed(layer) for layer in layers])
-    return took / len(layers) * depth, float(np.mean(sizes)) * depth
-
-
-def _check_time(views: Views) -> float:
-    """Seconds of the check after the run, from one pixel."""
-    scan, t = views.scan, views.exposure.transmission
-    frame, panel = scan.geometry.ray_frames()[0], scan.geometry.panel
-    pixel = np.array([[panel.rows // 2, panel.columns // 2]])
-
-    def brute() -> np.ndarray:
-        solids, background = scan.scene.solids, scan.scene.background
-        profile = None if scan.profile is None else scan.profile.lengths
-        return expose_brute(
-            frame, pixel, solids, t.columns, t.weights, t.starts, background, n=_CHECK_RAYS, profile=profile
-        )
-
-    brute()
-    took, _ = _timed(brute)
-    return took * (SUB_RAYS / _CHECK_RAYS) ** 2 * QUICK_PIXELS / thread_count()
+    packed(firsts[0], 1)
+    thin_time, _ = _timed(lambda: [packed(first, 1) for first in firsts])
+    took, sizes = _timed(lambda: [packed(first, thick) for first in firsts])
+    per_slice = max(took - thin_time, 0.0) / (len(firsts) * max(thick - 1, 1))
+    begin = max(thin_time / len(firsts) - per_slice, 0.0)
+    return begin * -(-depth // step) + per_slice * depth, float(np.mean(sizes)) / thick * depth
 
 
 def _memory(views: Views) -> int:

@@ -1,12 +1,13 @@
 """Which rule averages expected counts over pixels well enough, at the least cost: measured on parts of some views.
 
-Where silhouettes pass, or nothing does, the yardstick is the same splitting with far more Gauss nodes, on all pixels of
-the sampled windows. Where surfaces meet, or voxel maps lie, it is a regular grid of rays, on a sample of pixels. Both
-share the energy nodes with what they judge, so that pixels are judged alone.
+Where silhouettes pass, or nothing does, the yardstick is the same splitting with several times as many Gauss nodes, on
+all pixels of the sampled windows. Where surfaces meet, or voxel maps lie, it is a regular grid of rays, on a sample of
+pixels. Both share the energy nodes with what they judge, so that pixels are judged alone.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -14,11 +15,11 @@ from jaxtyping import Float, Int, UInt8
 from phantomgen.ops.expose import CROSSED, EMPTY, KINKED, RULES, VOXELS, Exposed, expose, expose_brute
 from phantomgen.scene import Scan
 from phantomgen.settings import Settings
+from phantomgen.simulate_views import aperture_of
 from spectra.threads import run_parallel
 from spectra.transmission import Transmission
 
-FINEST = ((8, 6), (10, 8), (14, 10), (18, 12), (24, 16))
-# From cheap to fine. A plain grid first, then silhouettes that are split.
+# From cheap to fine: plain grids, then silhouettes that are split. A rule is compared with the one `_FINER` steps on.
 GRIDS = (1, 2, 3, 4)
 RULE_LADDER = (
     ((1, 1), (2, 1), (2, 2), (3, 2), (4, 3)),
@@ -26,16 +27,22 @@ RULE_LADDER = (
     RULES,
     ((3, 2), (4, 3), (6, 4), (9, 6), (12, 8)),
     ((4, 3), (6, 4), (9, 6), (12, 8), (18, 12)),
+    ((8, 6), (10, 8), (14, 10), (18, 12), (24, 16)),
+    ((12, 9), (15, 12), (20, 14), (25, 17), (32, 22)),
 )
+_FINER = 2
 VOXEL_LADDER = (1.0, 2.0, 4.0, 8.0, 16.0)
+# Parts of the share that rectangles of a pixel where surfaces meet may err by, as they estimate it themselves.
+KINK_LADDER = (0.3, 0.1, 0.03)
 VIEWS = 3
 _WINDOW = 48
 _MOST_WINDOWS = 4
 # Crossed pixels per view, and pixels per view and kind that are compared with a grid of rays.
-_MOST_CROSSED = 1500
+_MOST_CROSSED = 800
 _BRUTE_PIXELS = 12
 _BRUTE_RAYS = 256
 _LEAST = 1e-12
+_SEED = 5
 
 Image = Float[np.ndarray, "channel row column"]
 Frame = Float[np.ndarray, "4 3"]
@@ -62,6 +69,7 @@ class Choice:
     error : worst error of log counts against a much finer computation
     share : of the tolerance
     trials : settings that were tried, the cheapest first
+    of_pixels : whether it is about one kind of pixels; errors of such parts never meet
     """
 
     part: str
@@ -69,6 +77,7 @@ class Choice:
     error: float
     share: float
     trials: tuple[Trial, ...] = ()
+    of_pixels: bool = False
 
     @property
     def met(self) -> bool:
@@ -96,61 +105,67 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class PixelSample:
-    """Windows of a scan, with the yardsticks for their pixels.
+    """Windows of a scan, and grids of rays for pixels where surfaces meet or maps lie.
 
     Parameters
     ----------
     scan, transmission : what is computed
     windows : parts of views that hold edges
-    finest : counts with `FINEST` rules, per window
-    pixels, brute : pixels where surfaces meet or maps lie, and their counts from grids of rays, per window
+    pixels, brute : some such pixels, and their counts, per window
+    known : what was computed of all windows before, by its settings
     """
 
     scan: Scan
     transmission: Transmission
     windows: tuple[Window, ...]
-    finest: tuple[Image, ...]
     pixels: tuple[Int[np.ndarray, "pixel 2"], ...]
     brute: tuple[Float[np.ndarray, "pixel channel"], ...]
+    known: dict[Settings, list[Exposed]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, scan: Scan, transmission: Transmission) -> "PixelSample":
-        """Draw windows by the scan's seed, and compute their yardsticks."""
-        rng = np.random.default_rng([scan.seed, 5])
+        """Draw windows, always by the same seed."""
+        rng = np.random.default_rng(_SEED)
         windows = windows_of(scan, transmission, rng)
-        finest = run_parallel(
-            lambda window: exposed(scan, transmission, window, Settings(rules=FINEST)).counts, windows
-        )
         pixels = tuple(_hard_pixels(window, rng) for window in windows)
         brute = run_parallel(lambda job: _brute(scan, transmission, *job), list(zip(windows, pixels, strict=True)))
-        return cls(scan, transmission, windows, tuple(finest), pixels, tuple(brute))
+        return cls(scan, transmission, windows, pixels, tuple(brute))
 
     def has(self, kind: int) -> bool:
         """Whether some sampled pixel is of a kind."""
         return any((window.classes == kind).any() for window in self.windows)
 
-    def trial(self, name: str, settings: Settings) -> tuple[Trial, Trial, Trial]:
-        """Worst errors with some settings: of pixels without hard kinds, of KINKED, of VOXELS pixels."""
-        found = list(run_parallel(lambda w: exposed(self.scan, self.transmission, w, settings), self.windows))
-        rays = sum(e.rays.sum() for e in found) / sum(w.classes.size for w in self.windows)
-        errors = [max(kind, default=0.0) for kind in zip(*self._errors(found), strict=True)]
-        return tuple(Trial(name, error, float(rays)) for error in errors)  # type: ignore[return-value]
+    def rays(self, settings: Settings) -> float:
+        """Rays per pixel."""
+        return sum(e.rays.sum() for e in self._found(settings)) / max(sum(w.classes.size for w in self.windows), 1)
 
-    def _errors(self, found: list[Exposed]) -> Iterator[tuple[float, float, float]]:
-        """Worst errors per window."""
-        for window, exposed, finest, pixels, brute in zip(
-            self.windows, found, self.finest, self.pixels, self.brute, strict=True
-        ):
+    def easy_error(self, settings: Settings, finer: Settings) -> float:
+        """Worst difference to finer settings, of pixels where no surfaces meet and no maps lie."""
+        worst = 0.0
+        for window, found, fine in zip(self.windows, self._found(settings), self._found(finer), strict=True):
             easy = (window.classes != KINKED) & (window.classes != VOXELS)
-            level = finest.max(axis=(1, 2), keepdims=True)
-            at = exposed.counts[:, pixels[:, 0], pixels[:, 1]].T
-            kinds = window.classes[pixels[:, 0], pixels[:, 1]]
-            met, mapped = kinds == KINKED, kinds == VOXELS
-            yield (
-                worst_error(exposed.counts[:, easy], finest[:, easy], level[:, :, 0]),
-                worst_error(at[met], brute[met], level[:, 0, 0]),
-                worst_error(at[mapped], brute[mapped], level[:, 0, 0]),
-            )
+            level = fine.counts.max(axis=(1, 2), keepdims=True)[:, :, 0]
+            worst = max(worst, worst_error(found.counts[:, easy], fine.counts[:, easy], level))
+        return worst
+
+    def hard_error(self, settings: Settings, kinds: tuple[int, ...]) -> float:
+        """Worst difference to grids of rays, of pixels of some kinds."""
+        worst = 0.0
+        for window, found, pixels, brute in zip(
+            self.windows, self._found(settings), self.pixels, self.brute, strict=True
+        ):
+            chosen = np.isin(window.classes[pixels[:, 0], pixels[:, 1]], kinds)
+            at = pixels[chosen]
+            level = found.counts.max(axis=(1, 2))
+            worst = max(worst, worst_error(found.counts[:, at[:, 0], at[:, 1]].T, brute[chosen], level))
+        return worst
+
+    def _found(self, settings: Settings) -> list[Exposed]:
+        """Counts of all windows."""
+        if settings not in self.known:
+            task = partial(exposed, self.scan, self.transmission, settings=settings)
+            self.known[settings] = list(run_parallel(task, self.windows))
+        return self.known[settings]
 
 
 def choose_pixels(
@@ -166,54 +181,75 @@ def choose_pixels(
     share : of the tolerance, for log counts
     """
     sample = PixelSample.of(scan, transmission)
+    settings = replace(settings, kinks=KINK_LADDER[0] * share)
     if scan.sub_rays is not None:
-        fixed = replace(settings, sub_rays=scan.sub_rays)
-        trial = _worst_of(sample.trial(_grid_name(scan.sub_rays), fixed))
-        return fixed, [Choice("pixels", f"{trial.setting}, as the scene says", trial.error, share, (trial,))]
-    plain = [replace(settings, sub_rays=n) for n in GRIDS]
+        trial = _plain(sample, settings, scan.sub_rays)
+        choice = Choice("pixels", f"{trial.setting}, as the scene says", trial.error, share, (trial,))
+        return replace(settings, sub_rays=scan.sub_rays), [choice]
     tried: list[Trial] = []
-    for n, candidate in zip(GRIDS, plain, strict=True):
-        tried.append(_worst_of(sample.trial(_grid_name(n), candidate)))
+    for n in GRIDS:
+        tried.append(_plain(sample, settings, n))
         if tried[-1].error <= share:
-            return candidate, [Choice("pixels", tried[-1].setting, tried[-1].error, share, tuple(tried))]
+            choice = Choice("pixels", tried[-1].setting, tried[-1].error, share, tuple(tried))
+            return replace(settings, sub_rays=n), [choice]
         if tried[-1].error > 20 * share:  # errors fall by less than that from one grid to the next
             break
     return _split(sample, settings, share, tuple(tried))
 
 
+def _plain(sample: PixelSample, settings: Settings, n: int) -> Trial:
+    """Error of a plain grid of rays in all kinds of pixels."""
+    grid = replace(settings, sub_rays=n)
+    error = max(sample.easy_error(grid, settings), sample.hard_error(grid, (KINKED, VOXELS)))
+    name = "one ray through each pixel's centre" if n == 1 else f"{n} x {n} rays where edges pass"
+    return Trial(name, error, sample.rays(grid))
+
+
 def _split(
     sample: PixelSample, settings: Settings, share: float, tried: tuple[Trial, ...]
 ) -> tuple[Settings, list[Choice]]:
-    """The same with pixels split along silhouettes; other kinds of pixels have settings of their own."""
+    """Pixels split along silhouettes; other kinds of pixels have settings of their own."""
+    choices: list[Choice] = []
+    if sample.has(KINKED):
+        parts = [replace(settings, kinks=part * share) for part in KINK_LADDER]
+        steps = [(f"rectangles halved until they err by {s.kinks:.1e}", s) for s in parts]
+        settings, choice = _climb(
+            "meeting surfaces", steps, share, sample, lambda i: sample.hard_error(parts[i], (KINKED,))
+        )
+        choices.append(choice)
+    levels = [replace(settings, rules=rules) for rules in RULE_LADDER]
+    steps = [(_rule_name(level.rules), level) for level in levels[:-_FINER]]
     settings, choice = _climb(
-        "silhouettes", [(_rule_name(r), replace(settings, rules=r)) for r in RULE_LADDER], share, sample, 0, tried
+        "silhouettes", steps, share, sample, lambda i: sample.easy_error(levels[i], levels[i + _FINER]), tried
     )
-    choices = [choice]
+    choices.insert(0, choice)
     if sample.has(VOXELS):
-        steps = [(f"{n:g} rays per voxel and side", replace(settings, rays_per_voxel=n)) for n in VOXEL_LADDER]
-        settings, choice = _climb("voxel maps", steps, share, sample, 2)
+        rays = [replace(settings, rays_per_voxel=n) for n in VOXEL_LADDER]
+        steps = [(f"{s.rays_per_voxel:g} rays per voxel and side", s) for s in rays]
+        settings, choice = _climb("voxel maps", steps, share, sample, lambda i: sample.hard_error(rays[i], (VOXELS,)))
         choices.append(choice)
     return settings, choices
 
 
 def _climb(
     part: str,
-    ladder: list[tuple[str, Settings]],
+    steps: list[tuple[str, Settings]],
     share: float,
     sample: PixelSample,
-    kind: int,
+    error_of: Callable[[int], float],
     tried: tuple[Trial, ...] = (),
 ) -> tuple[Settings, Choice]:
-    """The first step of a ladder that meets the share, else the best one."""
-    trials = list(tried)
-    reached: list[tuple[Trial, Settings]] = []
-    for name, settings in ladder:
-        reached.append((sample.trial(name, settings)[kind], settings))
-        trials.append(reached[-1][0])
+    """The first of some steps that meets the share, else the best one."""
+    trials: list[Trial] = []
+    for i, (name, settings) in enumerate(steps):
+        trials.append(Trial(name, error_of(i), sample.rays(settings)))
         if trials[-1].error <= share:
             break
-    trial, settings = reached[-1] if trials[-1].error <= share else min(reached, key=lambda step: step[0].error)
-    return settings, Choice(part, trial.setting, trial.error, share, tuple(trials))
+    best = min(range(len(trials)), key=lambda i: trials[i].error)
+    chosen = len(trials) - 1 if trials[-1].error <= share else best
+    trial = trials[chosen]
+    choice = Choice(part, trial.setting, trial.error, share, (*tried, *trials), of_pixels=True)
+    return steps[chosen][1], choice
 
 
 def windows_of(scan: Scan, transmission: Transmission, rng: np.random.Generator) -> tuple[Window, ...]:
@@ -232,11 +268,14 @@ def _windows(scan: Scan, transmission: Transmission, view: int, rng: np.random.G
         edges = np.argwhere(classes > EMPTY)
     if not len(edges):
         return
-    crossed = 0
+    crossed, corners = 0, set()
     size = (min(_WINDOW, panel.rows), min(_WINDOW, panel.columns))
     for row, column in edges[rng.integers(len(edges), size=_MOST_WINDOWS)]:
         top = int(np.clip(row - size[0] // 2, 0, panel.rows - size[0]))
         left = int(np.clip(column - size[1] // 2, 0, panel.columns - size[1]))
+        if (top, left) in corners:
+            continue
+        corners.add((top, left))
         part = (slice(top, top + size[0]), slice(left, left + size[1]))
         shifted = frame.copy()
         shifted[1] += left * frame[2] + top * frame[3]
@@ -258,6 +297,7 @@ def exposed(scan: Scan, transmission: Transmission, window: Window, settings: Se
         transmission.starts,
         scan.scene.background,
         profile=window.profile,
+        aperture=aperture_of(scan),
         **settings.pixels,
     )
 
@@ -292,6 +332,7 @@ def _brute(
         scan.scene.background,
         n=_BRUTE_RAYS,
         profile=window.profile,
+        aperture=aperture_of(scan),
     )
 
 
@@ -301,16 +342,6 @@ def worst_error(counts: Counts, exact: Counts, level: Counts) -> float:
     if not seen.any():
         return 0.0
     return float(np.abs(np.log(counts[seen] / exact[seen])).max())
-
-
-def _worst_of(trials: tuple[Trial, ...]) -> Trial:
-    """The trial of the kind of pixels that is worst."""
-    return max(trials, key=lambda trial: trial.error)
-
-
-def _grid_name(n: int) -> str:
-    """A plain grid in words."""
-    return "one ray through each pixel's centre" if n == 1 else f"{n} x {n} rays where edges pass"
 
 
 def _rule_name(rules: tuple[tuple[int, int], ...]) -> str:

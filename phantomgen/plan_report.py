@@ -7,6 +7,8 @@ from typing import Any
 from phantomgen.plan_cost import Cost, expected_cost
 from phantomgen.planning import Plan, make_plan
 from phantomgen.scene import Scan
+from phantomgen.simulate_check import MeasuredError, quick_check
+from phantomgen.simulate_collisions import check_collisions
 from phantomgen.simulate_views import Views
 from phantomgen.stopwatch import Stopwatch
 
@@ -19,21 +21,28 @@ class PlanReport:
     ----------
     scan : what is simulated
     plan : how finely
+    error : of the counts, by the same check that `make` ends with
     cost : time, memory and file size
     """
 
     scan: Scan
     plan: Plan
+    error: MeasuredError
     cost: Cost
 
     @classmethod
     def of(cls, scan: Scan, tolerance: float) -> "PlanReport":
         """Plan a scan and try parts of it."""
+        check_collisions(scan)
         watch = Stopwatch()
         with watch("plan"):
             plan = make_plan(scan, tolerance)
+        scan = plan.scan
         cost = expected_cost(Views(scan, plan.exposure, plan.settings))
-        return cls(scan, plan, Cost({**watch.seconds, **cost.seconds}, cost.memory, cost.size))
+        with watch("check"):
+            error = quick_check(scan, plan.exposure.transmission, plan.settings)
+        seconds = {"plan": watch.seconds["plan"], **cost.seconds, "check": watch.seconds["check"]}
+        return cls(scan, plan, error, Cost(seconds, cost.memory, cost.size))
 
     @property
     def effects(self) -> list[str]:
@@ -49,6 +58,7 @@ class PlanReport:
             "basis": list(self.scan.basis.names),
             "effects": self.effects,
             "plan": self.plan.to_dict(),
+            "error": self.error.to_dict(),
             "cost": self.cost.to_dict(),
         }
 
@@ -64,6 +74,7 @@ class PlanReport:
                 f"basis   {basis}",
                 f"effects {', '.join(self.effects) or 'none'}",
                 f"errors  {indent(self.plan.text, ' ' * 8).strip()}",
+                f"check   {str(self.error).replace(' ' * 9, ' ' * 8)}",
                 self.cost.text,
             ]
         )

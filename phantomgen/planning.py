@@ -1,9 +1,9 @@
 """What a tolerance costs: the cheapest settings that meet it, the error of each part, and what a scan will take.
 
 A tolerance bounds the error of log projections, `-log(counts / open beam)`, wherever a ray goes. Each part of the
-computation gets a share of it and is measured against a much finer computation of the same part. All samples are drawn
-by the scan's seed, and no choice depends on how fast a machine is, so that the same scan and tolerance give the same
-counts everywhere.
+computation gets a share of it and is measured against a much finer computation of the same part. Samples have
+seeds of their own, and no choice depends on how fast a machine is: the same scene and tolerance are computed alike
+everywhere, whatever the seed of the noise.
 """
 
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import Any
 
 from phantomgen.plan_pixels import Choice, Trial, choose_pixels
+from phantomgen.plan_spot import choose_spot
 from phantomgen.plan_tessellation import choose_tessellation
 from phantomgen.scene import Scan
 from phantomgen.settings import Settings
@@ -20,8 +21,8 @@ from spectra.errors import InputError
 
 TOLERANCE = 1e-3
 _LEAST, _MOST = 1e-9, 1.0
-# Shares of the tolerance; those of what a scan needs sum to at most 1, as errors may add up.
-_ENERGY, _PIXELS, _TESSELLATION = 0.25, 0.5, 0.25
+# Shares of the tolerance; the average over pixels gets what is left, so that they sum to 1, as errors may add up.
+_ENERGY, _TESSELLATION, _SPOT = 0.25, 0.25, 0.4
 # How much finer energy nodes are sought where their share is missed.
 _FINER = (1.0, 3.0, 10.0)
 
@@ -47,8 +48,9 @@ class Plan:
 
     @property
     def error(self) -> float:
-        """Sum of the errors of all parts."""
-        return sum(choice.error for choice in self.choices)
+        """Errors of all parts together: they may add up, but a pixel is of one kind only."""
+        others = sum(choice.error for choice in self.choices if not choice.of_pixels)
+        return others + max((choice.error for choice in self.choices if choice.of_pixels), default=0.0)
 
     @property
     def nodes(self) -> tuple[int, ...]:
@@ -129,11 +131,14 @@ def make_plan(scan: Scan, tolerance: float = TOLERANCE) -> Plan:
     """
     check_tolerance(tolerance)
     exposure, energies = _energies(scan, _ENERGY * tolerance)
-    choices, pixels = [energies], _PIXELS + _TESSELLATION
+    choices, left, settings = [energies], 1 - _ENERGY, Settings()
     if scan.file is not None:
         scan, tessellation = choose_tessellation(scan, exposure.transmission, _TESSELLATION * tolerance)
-        choices, pixels = [energies, tessellation], _PIXELS
-    settings, found = choose_pixels(scan, exposure.transmission, Settings(), pixels * tolerance)
+        choices, left = [*choices, tessellation], left - _TESSELLATION
+    if (spot := scan.effects.focal_spot) is not None:
+        settings, points = choose_spot(scan, spot, exposure.transmission, settings, _SPOT * tolerance)
+        choices, left = [*choices, points], left - _SPOT
+    settings, found = choose_pixels(scan, exposure.transmission, settings, left * tolerance)
     return Plan(tolerance, scan, settings, exposure, (*choices, *found))
 
 

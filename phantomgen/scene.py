@@ -8,15 +8,16 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from phantomgen import schema
 from phantomgen.beam_profile import Profile
 from phantomgen.effects import Effects
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
 from phantomgen.ops.solids import Solids
-from phantomgen.panel import Panel
 from phantomgen.scene_basis import needed, scene_basis
 from phantomgen.scene_detector import scene_dead_time, scene_detector
 from phantomgen.scene_effects import scene_effects
+from phantomgen.scene_geometry import scene_geometry
 from phantomgen.scene_materials import scene_materials
 from phantomgen.scene_objects import Filling, has_curves, objects_of
 from phantomgen.scene_overlap import added_up
@@ -75,6 +76,8 @@ class Scan:
     dead_time : of the detector's pixels, None where every event is recorded
     effects : what a real scan has beyond exposure and photon noise
     file : the scene that it was read from, where smooth surfaces may become finer triangles; else None
+    nominal : poses that a reconstructor is told; None where they are those of `geometry`, which are simulated
+    sample_poses : where a sample that moves is in each view, as matrices [mm]; None where it rests
     """
 
     name: str
@@ -97,6 +100,8 @@ class Scan:
     dead_time: DeadTime | None = None
     effects: Effects = field(default_factory=Effects)
     file: SceneFile | None = None
+    nominal: Geometry | None = None
+    sample_poses: Float[np.ndarray, "view 4 4"] | None = None
 
     def __repr__(self) -> str:
         objects, channels = len(self.scene.objects), len(self.detector)
@@ -139,7 +144,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
     used = [name for name in materials if name in filled]
     basis = scene_basis(file, materials, used, source, detector)
     _check_coefficients(file, basis)
-    geometry, splits = _geometry(file)
+    geometry = scene_geometry(file)
     return Scan(
         name=model.name,
         scene=Scene(
@@ -147,8 +152,8 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
             materials=tuple(materials[name] for name in used),
             background=used.index(model.background) if model.background else -1,
         ),
-        geometry=geometry,
-        splits=splits,
+        geometry=geometry.true,
+        splits=geometry.splits,
         source=source,
         detector=detector,
         basis=needed(basis, [materials[name] for name in used]),
@@ -160,19 +165,14 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
         source_fields=source_fields(file),
         text=file.resolved,
         sub_rays=model.panel.sub_rays,
-        exposure=_exposure(file, splits, detector),
+        exposure=_exposure(file, geometry.splits, detector),
         profile=profile_of(file, source),
         dead_time=scene_dead_time(file),
         effects=scene_effects(file),
         file=file if model.tessellation == "auto" and has_curves(file) else None,
+        nominal=geometry.nominal,
+        sample_poses=geometry.sample,
     )
-
-
-def circular_angles(views: int, test_views: int) -> Float[np.ndarray, " view"]:
-    """Source angles [rad]: training views at i 360/views degrees, then test views at (j + 1/2) 360/test_views."""
-    train = np.arange(views) * (360.0 / views)
-    test = (np.arange(test_views) + 0.5) * (360.0 / max(test_views, 1))
-    return np.deg2rad(np.concatenate([train, test]))
 
 
 def _names(filling: Filling) -> tuple[str, ...]:
@@ -208,6 +208,10 @@ def _background(file: SceneFile) -> str | None:
     name = file.model.background
     if name is not None and name not in file.model.materials:
         raise file.error(("background",), f"unknown material {name!r}{closest(name, file.model.materials)}")
+    if name is not None and isinstance(file.model.geometry, schema.ParallelModel):
+        raise file.error(
+            ("background",), "a parallel beam has no source to reach from: put a box of it around the objects"
+        )
     return name
 
 
@@ -231,13 +235,3 @@ def _exposure(
     order = np.concatenate([np.arange(len(views)) for views in splits.values()])
     turn = order % len(detector.sources)
     return (turn[:, None] == np.asarray(detector.groups)).astype(np.float64)
-
-
-def _geometry(file: SceneFile) -> tuple[Geometry, dict[str, Int[np.ndarray, " view"]]]:
-    """Poses of training views, then test views, and the split that says so."""
-    orbit, panel = file.model.geometry, file.model.panel
-    angles = circular_angles(orbit.views, orbit.test_views)
-    with file.at("geometry"):
-        geometry = Geometry.circular(orbit.sod, orbit.sdd, angles, Panel(panel.rows, panel.columns, panel.pitch))
-    views = np.arange(len(angles))
-    return geometry, {"train": views[: orbit.views], "test": views[orbit.views :], "val": views[:0]}

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from phantomgen import schema
 from phantomgen.beam_profile import Absorber, Profile, anode_angles, fan_angles, obliquity
-from phantomgen.panel import Panel
+from phantomgen.scene_geometry import mount_of, panel_distance, panel_of
 from phantomgen.scene_yaml import SceneFile
 from phantomgen.spectrum_files import read_spectrum
 from spectra.errors import InputError
@@ -71,18 +71,20 @@ def _bare(file: SceneFile, model: schema.OneSourceModel, at: Location) -> Source
 
 def profile_of(file: SceneFile, source: Source) -> Profile | None:
     """Bowtie and heel effect; None where every pixel gets the same beam."""
-    model, panel, sdd = file.model.source, _panel(file.model), file.model.geometry.sdd
+    model, panel, mount = file.model.source, panel_of(file.model), mount_of(file.model)
     if isinstance(model, schema.SeveralSourcesModel):
         return None
     parts: list[tuple[str, Absorber, np.ndarray]] = []
     if model.bowtie is not None:
-        lengths = _bowtie_at(file, model.bowtie, fan_angles(panel, sdd)) * obliquity(panel, sdd)
+        with file.at("source", "bowtie"):
+            sdd = panel_distance(file.model, "a bowtie filter")
+        lengths = _bowtie_at(file, model.bowtie, fan_angles(panel, sdd, mount)) * obliquity(panel, sdd, mount)
         parts.append(("bowtie", _material(model.bowtie), lengths - _bowtie_at(file, model.bowtie, np.zeros(1))))
     if isinstance(model, schema.TubeModel) and model.heel:
         from spectra.heel import heel_of  # noqa: PLC0415 - scipy's splines only where they are needed
 
-        angles = anode_angles(panel, sdd)
         with file.at("source", "heel"):
+            angles = anode_angles(panel, panel_distance(file.model, "the heel effect"), mount)
             heel = heel_of(source, model.kvp, model.angle, model.anode, float(angles.min()), float(angles.max()))
         amplitudes = heel.amplitudes_at(angles)
         parts += [(f"heel_{i + 1}", curve, amplitudes[i]) for i, curve in enumerate(heel.curves)]
@@ -99,22 +101,31 @@ def source_fields(file: SceneFile) -> dict[str, tuple[float | str, str | None]]:
         return {
             "type": ("Fixed Tube X-ray", None),
             "voltage": (model.kvp, "kV"),
-            "charge": (_charge(file, model), "mA*s"),
+            **_charge(file, model),
             "target_material": (model.anode, None),
-            "focal_spot": (0.0, "mm"),
+            "focal_spot": (_spot_size(file), "mm"),
         }
     if isinstance(model, schema.SeveralSourcesModel):
-        return {"type": ("Fixed Tube X-ray", None), "focal_spot": (0.0, "mm")}
+        return {"type": ("Fixed Tube X-ray", None), "focal_spot": (_spot_size(file), "mm")}
     if isinstance(model, schema.MonochromaticModel | schema.BandModel):
         return {"type": ("Synchrotron X-ray Source", None)}
     return {}
 
 
-def _charge(file: SceneFile, model: schema.TubeModel) -> float:
-    """Charge per view [mAs] that a tube's photons need, by SpekPy's model."""
+def _spot_size(file: SceneFile) -> float:
+    """Longer side of the focal spot [mm]; 0 for a point."""
+    spot = file.model.effects.focal_spot
+    return 0.0 if spot is None else max(spot.width, spot.height or 0.0)
+
+
+def _charge(file: SceneFile, model: schema.TubeModel) -> dict[str, tuple[float, str]]:
+    """Charge per view [mAs] that a tube's photons need, by SpekPy's model, where the distance to the panel is known."""
     if model.mas is not None:
-        return model.mas
-    return float(model.photons or 0.0) / (_unscaled(file, model, ("source",)).photons * _pixel_area(file.model))
+        return {"charge": (model.mas, "mA*s")}
+    if isinstance(file.model.geometry, schema.ParallelModel | schema.PosesModel):
+        return {}
+    photons = _unscaled(file, model, ("source",)).photons * _pixel_area(file.model)
+    return {"charge": (float(model.photons or 0.0) / photons, "mA*s")}
 
 
 def composition_name(composition: str | Mapping[str, float]) -> str:
@@ -127,15 +138,10 @@ def _material(model: schema.FilterModel | schema.BowtieModel) -> Material:
     return Material(composition_name(model.composition), model.density, model.composition)
 
 
-def _panel(scene: schema.SceneModel) -> Panel:
-    """The pixel grid."""
-    return Panel(scene.panel.rows, scene.panel.columns, scene.panel.pitch)
-
-
 def _pixel_area(scene: schema.SceneModel) -> float:
     """Area of a pixel at the panel's centre [cm^2], as seen at 1 m from the source."""
-    panel = _panel(scene)
-    return panel.row_pitch * panel.column_pitch / 100 * (1000 / scene.geometry.sdd) ** 2
+    panel, sdd = panel_of(scene), panel_distance(scene, "the charge per view, mas,")
+    return panel.row_pitch * panel.column_pitch / 100 * (1000 / sdd) ** 2
 
 
 def _bowtie_at(

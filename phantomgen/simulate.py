@@ -1,16 +1,26 @@
 """From a scan to its dataset: expected counts view by view, noise, truth, and an error measured on the way."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
-from phantomgen.dataset_truth import Truth
+import numpy as np
+from jaxtyping import Float32
+
+from phantomgen.compression import Compression, check_compression
+from phantomgen.dataset_truth import StreamedTruth, Truth
 from phantomgen.dataset_writer import DatasetWriter
+from phantomgen.frame_journal import FrameJournal, check_journal
+from phantomgen.grid import Grid
+from phantomgen.kept_paths import Keeper, usable
 from phantomgen.ops.voxelize_shapes import fractions
 from phantomgen.planning import TOLERANCE, make_plan
+from phantomgen.scan_identity import identity
 from phantomgen.scene import Scan
 from phantomgen.simulate_check import full_check, quick_check
+from phantomgen.simulate_collisions import check_collisions
 from phantomgen.simulate_coverage import coverage_warnings
-from phantomgen.simulate_frames import write_frames
+from phantomgen.simulate_frames import compute_frames, write_frames
 from phantomgen.simulate_spectra import (
     fit_warnings,
     material_coefficients,
@@ -21,6 +31,9 @@ from phantomgen.simulate_summary import Summary
 from phantomgen.simulate_views import Views
 from phantomgen.stopwatch import Stopwatch
 
+# From a grid to the part of each voxel that each material fills.
+Filled = Callable[[Grid], Float32[np.ndarray, "material z y x"]]
+
 
 def simulate(
     scan: Scan,
@@ -29,8 +42,12 @@ def simulate(
     tolerance: float | None = None,
     overwrite: bool = False,
     keep_expected: bool = False,
+    keep_paths: bool = False,
+    paths: Path | str | None = None,
     verify: bool = False,
     progress: bool = False,
+    resume: bool = False,
+    compression: Compression = "gzip",
 ) -> Summary:
     """Simulate a scan and write its dataset.
 
@@ -42,8 +59,13 @@ def simulate(
         scene allows
     overwrite : replace a file that exists
     keep_expected : store the counts without noise in the truth as well
+    keep_paths : store the projections of each view at a few energies, so that `paths` of a later run may name this one
+    paths : dataset with such projections of the same objects, materials and geometry: views are computed from there,
+        with the spectra, doses, channels and noise of `scan`
     verify : measure the error on all edge pixels of three views, not on a sample
     progress : show a progress bar on stderr
+    resume : go on with the frames that an interrupted run left, if any; the dataset is the same as without interruption
+    compression : of the large arrays
 
     Returns
     -------
@@ -51,34 +73,58 @@ def simulate(
 
     Raises
     ------
+    GeometryError
+        When an object lies behind the source, or where the panel is.
     InputError
-        When a tolerance is given that cannot be met.
+        When a tolerance is given that cannot be met, or projections are those of another scan.
     """
+    kept = None if paths is None else usable(paths, scan, out, keep_paths)
+    check_collisions(scan)
     watch = Stopwatch()
-    with DatasetWriter(out, overwrite) as writer:
-        with watch("spectrum"):
-            spectra = reconstructor_spectra(scan)
-        with watch("plan"):
-            plan = make_plan(scan, TOLERANCE if tolerance is None else tolerance)
-            if tolerance is not None:
-                plan.check()
-            scan = plan.scan
-            views = Views(scan, plan.exposure, plan.settings)
-            warnings = [*plan.warnings, *coverage_warnings(scan), *fit_warnings(scan, material_fit(scan))]
-            warnings += [*scan.detector.poor, *plan.exposure.warnings]
-        writer.write_scan(
-            scan.name, scan.geometry, spectra, scan.grid, dict(scan.splits), scan.scheme, views.recorded_exposure
-        )
-        writer.write_instrument(scan.geometry, spectra, dict(scan.source_fields))
-        writer.write_process("phantomgen make", scan.seed)
+    writer = DatasetWriter(out, overwrite, compression)
+    check_journal(writer.path, resume, overwrite)
+    check_compression(compression)
+    with watch("spectrum"):
+        spectra = reconstructor_spectra(scan)
+    with watch("plan"):
+        wanted = TOLERANCE if tolerance is None else tolerance
+        plan, kept_views = (make_plan(scan, wanted), None) if kept is None else kept.planned(scan, wanted)
+        if tolerance is not None:
+            plan.check()
+        scan = plan.scan
+        views = Views(scan, plan.exposure, plan.settings, kept=kept_views)
+        keeper = Keeper.of(plan) if keep_paths else None
+        warnings = [*plan.warnings, *coverage_warnings(scan), *fit_warnings(scan, material_fit(scan))]
+        warnings += [*scan.detector.poor, *plan.exposure.warnings]
+    nominal, options = (
+        scan.nominal or scan.geometry,
+        {"compression": compression, "keep": f"{keep_expected}{' paths' * keep_paths}"},
+    )
+    if kept is not None:
+        options["projections"] = kept.identity
+    same = identity(scan, plan.settings, plan.exposure.groups, options)
+    with FrameJournal(writer.path, same, resume, overwrite) as journal:
         with watch("views"):
-            write_frames(writer, views, keep_expected, progress)
-        with watch("truth"):
-            writer.write_truth(scan_truth(scan), scan.scene.materials)
-        with watch("check"):
-            error = (full_check if verify else quick_check)(scan, plan.exposure.transmission, plan.settings)
-        writer.write_plan(json.dumps({**plan.to_dict(), "measured": error.to_dict()}, indent=1))
-        writer.finish(spectra)
+            compute_frames(journal, views, keep_expected, compression, progress, keeper)
+        with writer:
+            writer.write_scan(
+                scan.name, nominal, spectra, scan.grid, dict(scan.splits), scan.scheme, views.recorded_exposure
+            )
+            writer.write_instrument(nominal, spectra, dict(scan.source_fields))
+            writer.write_mask(spectra.channels, views.detector.recorded_mask)
+            writer.write_process("phantomgen make", scan.seed)
+            with watch("write"):
+                write_frames(writer, views, journal, keep_expected, keeper)
+            with watch("truth"):
+                filled = None if kept is None else kept.fractions(scan)
+                writer.write_truth(streamed_truth(scan, filled), scan.scene.materials)
+                if scan.nominal is not None:
+                    writer.write_true_geometry(scan.geometry, scan.sample_poses)
+            with watch("check"):
+                check, primary = full_check if verify else quick_check, None if kept is None else views.primary
+                error = check(scan, plan.exposure.transmission, plan.settings, primary)
+            writer.write_plan(json.dumps({**plan.to_dict(), "measured": error.to_dict()}, indent=1))
+            writer.finish(spectra)
     return Summary(
         path=writer.path,
         shape=views.shape,
@@ -92,7 +138,16 @@ def simulate(
 
 def scan_truth(scan: Scan) -> Truth:
     """Material fractions and basis volumes."""
+    return streamed_truth(scan).part(scan.grid)
+
+
+def streamed_truth(scan: Scan, filled: Filled | None = None) -> StreamedTruth:
+    """The same, for volumes that are larger than memory; `filled` says what materials fill where that is known."""
     names = tuple(m.name for m in scan.scene.materials)
-    filled = fractions(scan.grid, scan.scene.solids, len(names), background=scan.scene.background)
+    solids, background = scan.scene.solids, scan.scene.background
     coefficients, fit = material_coefficients(scan), material_fit(scan)
-    return Truth.of(scan.grid, scan.basis.names, names, coefficients, filled, scan.text, fit)
+
+    def voxelized(grid: Grid) -> Float32[np.ndarray, "material z y x"]:
+        return fractions(grid, solids, len(names), background=background)
+
+    return StreamedTruth(scan.grid, scan.basis.names, names, coefficients, filled or voxelized, scan.text, fit)

@@ -4,7 +4,7 @@ The yardstick shares the exact chords with the simulator, and neither its way of
 nodes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,12 +17,15 @@ from phantomgen.scene import Scan
 from phantomgen.settings import Settings
 from phantomgen.simulate_coverage import sampled_lengths
 from phantomgen.simulate_spectra import STEP, compressed_transmission, fine_transmission
+from phantomgen.simulate_views import aperture_of, expected_view
 from spectra.threads import run_parallel
 from spectra.transmission import Transmission
 
 SUB_RAYS = 256
+# With a focal spot, fewer rays per pixel from so many of its points.
+SPOT_RAYS, SPOT_POINTS = 24, 985
 FINER = 10
-QUICK_PIXELS, _QUICK_RAYS = 24, 2000
+_QUICK_PIXELS, _QUICK_RAYS = 24, 2000
 _FULL_VIEWS, _FULL_RAYS = 3, 100_000
 _PIXELS_PER_PIECE = 8
 # Of the pixels that voxel maps project to, which may be all, no more than these are looked at per view.
@@ -35,6 +38,8 @@ _LEAST = 1e-12
 Errors = Float[np.ndarray, " value"]
 Counts = Float[np.ndarray, "sample channel"]
 Pixels = Int[np.ndarray, "pixel 2"]
+# From a view, and the energies and channels of its signal, to that signal.
+Primary = Callable[[int, Transmission], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -71,29 +76,38 @@ class MeasuredError:
         )
 
 
-def quick_check(scan: Scan, transmission: Transmission, settings: Settings) -> MeasuredError:
-    """On a seeded sample of edge pixels and rays, in about a second."""
-    return _check(scan, transmission, settings, QUICK_PIXELS, _QUICK_RAYS)
+def quick_check(
+    scan: Scan, transmission: Transmission, settings: Settings, primary: Primary | None = None
+) -> MeasuredError:
+    """On a seeded sample of edge pixels and rays, in about a second; `primary` gives views where rays do not."""
+    return _check(scan, transmission, settings, _QUICK_PIXELS, _QUICK_RAYS, primary)
 
 
-def full_check(scan: Scan, transmission: Transmission, settings: Settings) -> MeasuredError:
+def full_check(
+    scan: Scan, transmission: Transmission, settings: Settings, primary: Primary | None = None
+) -> MeasuredError:
     """On all edge pixels of three views and 1e5 rays."""
-    return _check(scan, transmission, settings, None, _FULL_RAYS)
+    return _check(scan, transmission, settings, None, _FULL_RAYS, primary)
 
 
 def _check(
-    scan: Scan, transmission: Transmission, settings: Settings, pixels_per_scan: int | None, rays: int
+    scan: Scan,
+    transmission: Transmission,
+    settings: Settings,
+    pixels_per_scan: int | None,
+    rays: int,
+    primary: Primary | None = None,
 ) -> MeasuredError:
     """Errors of edge pixels and of rays; all edge pixels where no number of them is given."""
     rng = np.random.default_rng([scan.seed, 6])
     views = np.linspace(0, len(scan.geometry) - 1, min(_FULL_VIEWS, len(scan.geometry))).round().astype(int)
     yardstick, _ = compressed_transmission(scan, sampled_lengths(scan), _ENERGY_TOLERANCE, STEP / FINER, refine=False)
     share = None if pixels_per_scan is None else -(-pixels_per_scan // len(views))
-    edges = [_edge_errors(scan, transmission, settings, yardstick, int(view), share, rng) for view in views]
+    edges = [_edge_errors(scan, transmission, settings, yardstick, int(view), share, rng, primary) for view in views]
     edge = np.concatenate(edges)
     ray = _ray_errors(scan, transmission, rays, rng)
     counted = len(edge) // len(scan.detector)
-    return MeasuredError(*_rms_and_worst(edge), counted, len(views), *_rms_and_worst(ray), rays)
+    return MeasuredError(*_rms_and_worst(edge), counted, len(views), *_rms_and_worst(ray), rays, _sub_rays(scan))
 
 
 def _edge_errors(
@@ -104,6 +118,7 @@ def _edge_errors(
     view: int,
     count: int | None,
     rng: np.random.Generator,
+    primary: Primary | None = None,
 ) -> Errors:
     """Errors of all edge pixels of a view, or of `count` of them."""
     frame, panel = scan.geometry.ray_frames()[view], scan.geometry.panel
@@ -113,6 +128,7 @@ def _edge_errors(
         panel.columns,
         *_arguments(scan, transmission),
         profile=_profile(scan),
+        aperture=aperture_of(scan),
         **settings.pixels,
     )
     if settings.sub_rays == 1:  # rays through centres know of no edges
@@ -128,18 +144,30 @@ def _edge_errors(
     if count is not None and len(pixels) > count:
         pixels = pixels[rng.choice(len(pixels), count, replace=False)]
     brute = _brute(scan, yardstick, frame, pixels)
+    if primary is not None:
+        found = found._replace(counts=primary(view, transmission))
+    elif scan.effects.focal_spot is not None:
+        found = found._replace(counts=expected_view(scan, transmission, view, settings))
     counts = found.counts[:, pixels[:, 0], pixels[:, 1]].T
     return _log_error(counts, _level(scan, transmission, pixels), brute, _level(scan, yardstick, pixels))
 
 
 def _brute(scan: Scan, yardstick: Transmission, frame: Float[np.ndarray, "4 3"], pixels: Pixels) -> np.ndarray:
-    """Counts of pixels from a regular grid of rays, in parallel pieces."""
+    """Counts of pixels from a regular grid of rays from each point of the source, in parallel pieces."""
+    spot = scan.effects.focal_spot
+    frames = [frame] if spot is None else spot.frames(frame, SPOT_POINTS)
+    kept = {"n": _sub_rays(scan), "profile": _profile(scan), "aperture": aperture_of(scan)}
 
     def piece(part: Pixels) -> np.ndarray:
-        return expose_brute(frame, part, *_arguments(scan, yardstick), n=SUB_RAYS, profile=_profile(scan))
+        return np.mean([expose_brute(f, part, *_arguments(scan, yardstick), **kept) for f in frames], axis=0)
 
     parts = [pixels[first : first + _PIXELS_PER_PIECE] for first in range(0, len(pixels), _PIXELS_PER_PIECE)]
     return np.concatenate([np.empty((0, len(scan.detector))), *run_parallel(piece, parts)])
+
+
+def _sub_rays(scan: Scan) -> int:
+    """Rays of the yardstick per pixel and axis."""
+    return SUB_RAYS if scan.effects.focal_spot is None else SPOT_RAYS
 
 
 def _ray_errors(scan: Scan, transmission: Transmission, count: int, rng: np.random.Generator) -> Errors:

@@ -35,10 +35,10 @@ def sampled_lengths(scan: Scan) -> Float[np.ndarray, "ray material"]:
     objects, frames = scan.scene.objects, scan.geometry.ray_frames()
     many = len(objects) > _MANY
     picked = _largest(scan.scene) if many else range(len(objects))
-    targets = np.concatenate([_points(objects[i][0], _RAYS_PER_OBJECT)[0] for i in picked])
+    targets = np.concatenate([points_of(objects[i][0], _RAYS_PER_OBJECT)[0] for i in picked])
     frames = frames[:: -(-len(frames) * len(targets) // (_RAYS if many else _MOST_RAYS))]
     to_target = targets[None] - frames[:, None, 0]
-    depth = _on_panel(frames, targets)[..., 0]
+    depth = on_panel(frames, targets)[..., 0]
     in_front = depth > 1e-6
     directions = to_target[in_front] / depth[in_front][:, None]
     origins = np.broadcast_to(frames[:, None, 0], to_target.shape)[in_front]
@@ -48,7 +48,7 @@ def sampled_lengths(scan: Scan) -> Float[np.ndarray, "ray material"]:
 def _solid_warnings(scan: Scan) -> Iterator[str]:
     """Objects that the source runs into, and objects without a point inside."""
     sources = scan.geometry.ray_frames()[:, 0]
-    for i, name, shape in _named(scan, _around(scan, sources)):
+    for i, name, shape in named(scan, _around(scan, sources)):
         inside = shape.contains(sources).mean()
         if inside:
             yield (
@@ -57,12 +57,12 @@ def _solid_warnings(scan: Scan) -> Iterator[str]:
                 "it smaller, or move the source, if that is not meant"
             )
     combined = [i for i, (shape, _) in enumerate(scan.scene.objects) if shape.volume is None]
-    for i, name, shape in _named(scan, combined):
-        if not len(_points(shape, _POINTS)[0]):
+    for i, name, shape in named(scan, combined):
+        if not len(points_of(shape, _POINTS)[0]):
             yield f"object {i} ({name}) is empty, or too thin to be found: no random point of its bounds lies inside it"
 
 
-def _named(scan: Scan, numbers: Iterable[int]) -> Iterator[tuple[int, str, Shape]]:
+def named(scan: Scan, numbers: Iterable[int]) -> Iterator[tuple[int, str, Shape]]:
     """Objects with their numbers and the names of their materials."""
     for i in numbers:
         shape, material = scan.scene.objects[i]
@@ -92,14 +92,14 @@ def _largest(scene: Scene) -> list[int]:
 def _panel_warnings(scan: Scan) -> Iterator[str]:
     """Objects that leave the panel in some view."""
     frames, panel = scan.geometry.ray_frames(), scan.geometry.panel
-    suspects = _outside(scan, _panel_planes(frames, panel))
+    suspects = reaching(scan, _panel_planes(frames, panel))
     described = 0
     for rank, i in enumerate(suspects):
         if described == _DESCRIBED:
             yield f"up to {len(suspects) - rank} more objects leave the panel's field of view in some view"
             return
         shape, material = scan.scene.objects[i]
-        inside, surface = _points(shape, _POINTS)
+        inside, surface = points_of(shape, _POINTS)
         outside, beyond = _missed(frames, surface, panel)
         if not outside.any():
             continue
@@ -117,7 +117,7 @@ def _volume_warnings(scan: Scan) -> Iterator[str]:
     grid = scan.grid
     low = np.array([grid.origin[i] - grid.spacing[i] / 2 for i in (2, 1, 0)])
     high = low + np.array([grid.shape[i] * grid.spacing[i] for i in (2, 1, 0)])
-    suspects = _outside(scan, (np.concatenate([np.eye(3), -np.eye(3)])[None], np.concatenate([-low, high])[None]))
+    suspects = reaching(scan, (np.concatenate([np.eye(3), -np.eye(3)])[None], np.concatenate([-low, high])[None]))
     described = 0
     for rank, i in enumerate(suspects):
         if described == _DESCRIBED:
@@ -128,7 +128,7 @@ def _volume_warnings(scan: Scan) -> Iterator[str]:
         beyond = max((low - lowest).max(), (highest - high).max())
         if beyond <= 1e-9:
             continue
-        inside, surface = _points(shape, _POINTS)
+        inside, surface = points_of(shape, _POINTS)
         share = ((inside < low) | (inside > high)).any(axis=1).mean()
         if not _is_whole(shape):  # bounds may then lie far outside the shape: points of its surface tell
             beyond = max((low - surface).max(), (surface - high).max())
@@ -140,7 +140,7 @@ def _volume_warnings(scan: Scan) -> Iterator[str]:
             )
 
 
-def _outside(
+def reaching(
     scan: Scan, planes: tuple[Float[np.ndarray, "view plane 3"], Float[np.ndarray, "view plane"]]
 ) -> list[int]:
     """Numbers of objects that may reach where ``normal . x + offset < 0`` for some plane; balls around them do."""
@@ -184,7 +184,7 @@ def _missed(
     panel: Panel,
 ) -> tuple[Bool[np.ndarray, "view point"], float]:
     """Which points no pixel sees (also those behind the source), and the largest distance beyond the panel [mm]."""
-    depth, column, row = np.moveaxis(_on_panel(frames, points), -1, 0)
+    depth, column, row = np.moveaxis(on_panel(frames, points), -1, 0)
     beyond = np.maximum(
         np.maximum(-0.5 - column, column - (panel.columns - 0.5)) * panel.column_pitch,
         np.maximum(-0.5 - row, row - (panel.rows - 0.5)) * panel.row_pitch,
@@ -193,7 +193,7 @@ def _missed(
     return unseen | (beyond > 1e-9), float(beyond[~unseen].max(initial=0.0))
 
 
-def _on_panel(
+def on_panel(
     frames: Float[np.ndarray, "view 4 3"], points: Float[np.ndarray, "point 3"]
 ) -> Float[np.ndarray, "view point 3"]:
     """Depth (0 at the source, 1 on the panel), column and row of points in every view."""
@@ -203,7 +203,7 @@ def _on_panel(
     return np.concatenate([depth, scaled[..., 1:] / np.where(depth == 0, 1.0, depth)], axis=-1)
 
 
-def _points(shape: Shape, count: int) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
+def points_of(shape: Shape, count: int) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
     """Points spread evenly inside a shape, the middle of its bounds first if inside, and points of its surface."""
     rng = np.random.default_rng(0)
     if maps := [part for term in shape.terms for part in term if part.voxels is not None]:

@@ -1,6 +1,6 @@
 """What views are exposed with, and how noise is drawn for it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
@@ -36,7 +36,9 @@ class Exposure:
     dead_time: DeadTime | None = None
 
     @classmethod
-    def of(cls, scan: Scan, lengths: Float[np.ndarray, "ray material"], tolerance: float) -> tuple["Exposure", float]:
+    def of(
+        cls, scan: Scan, lengths: Float[np.ndarray, "ray material"], tolerance: float, refine: bool = True
+    ) -> tuple["Exposure", float]:
         """For rays with such path lengths [mm], and the worst error of log signals from few energy nodes.
 
         Parameters
@@ -44,9 +46,12 @@ class Exposure:
         scan : what is simulated
         lengths : path lengths of rays that meet every object [mm]
         tolerance : worst error of log signals that is wanted
+        refine : whether nodes may be of no single energy, and fewer
         """
-        groups, error = compressed_transmission(scan, lengths, tolerance, grouped=True)
-        quanta = photon_quanta(scan)
+        groups, error = compressed_transmission(scan, lengths, tolerance, refine=refine, grouped=True)
+        quanta, aperture = photon_quanta(scan), scan.effects.aperture
+        if aperture is not None:
+            groups = replace(groups, weights=groups.weights * aperture.area)
         if quanta is None:
             return cls(groups, scan.detector.names, np.arange(len(scan.detector)), None, scan.dead_time), error
         channels = np.repeat(np.arange(len(quanta)), [len(own) for own in quanta])

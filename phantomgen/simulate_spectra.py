@@ -5,6 +5,7 @@ only gets bins and basis functions. Where all materials are explicit coefficient
 basis functions, which has fewer dimensions, and then translated.
 """
 
+from itertools import pairwise
 from math import ceil
 
 import numpy as np
@@ -79,6 +80,21 @@ def compressed_transmission(
         coefficients = block_diag(coefficients, np.eye(len(scan.profile.names)))
     small, error = _compress(fine, lengths @ coefficients, tolerance, refine)
     return Transmission(coefficients @ small.columns, small.weights, small.starts, small.channel_names), error
+
+
+def node_energies(scan: Scan, transmission: Transmission) -> Float[np.ndarray, " node"]:
+    """Energy of each node that `compressed_transmission` chose without refinement [keV], by the attenuation there.
+
+    Energies at which all materials are alike cannot be told apart, and need not be.
+    """
+    energies, weights, _ = _rows(scan, STEP, grouped=True)
+    curves = np.stack([m.attenuation(energies.nodes, scan.basis) for m in scan.scene.materials])
+    found = []
+    for row, (first, last) in zip(weights > 0, pairwise(transmission.starts), strict=True):
+        own = transmission.columns[: len(curves), first:last]
+        apart = np.abs(own[:, None] / curves[:, row, None] - 1).max(axis=0)
+        found.append(energies.nodes[row][apart.argmin(axis=0)] if last > first else np.empty(0))
+    return np.concatenate(found)
 
 
 def photon_quanta(scan: Scan) -> list[Float[np.ndarray, " group"]] | None:

@@ -3,10 +3,11 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from phantomgen.dataset import Dataset
 from phantomgen.geometry import Geometry
+from recon.electronics import with_floor, without_floor
 from spectra.dead_time import DeadTime
 from spectra.errors import InputError
 from spectra.transmission import Transmission
@@ -21,9 +22,9 @@ class Measurements:
     Parameters
     ----------
     counts : measured counts minus dark, corrected for dead time, float32; sums of energies in units whose open-beam
-        variance is their mean
+        variance is their mean; `recon.electronics` has what noise without beam adds
     gains : open-beam counts of each pixel over those that `transmission` expects, float32; 0 where a pixel or a
-        channel is blind
+        channel is blind or masked, and then counts are 0 as well
     exposure : tube output of each view and channel relative to the flat frames; 0 where a view was not taken
     geometry : poses of the views
     transmission : columns are the basis functions, and after them the parts of `profile`
@@ -68,6 +69,12 @@ class Measurements:
         nothing = np.zeros((rows, columns, len(self.basis_names)))
         return np.moveaxis(self.transmission.expected(self.with_profile(nothing)), -1, 0)
 
+    @property
+    def unseen(self) -> Bool[np.ndarray, "row column"]:
+        """Pixels in which too few channels measure to tell the bases apart."""
+        channels = (self.gains > 0).sum(axis=0)
+        return channels < min(len(self.basis_names), int(channels.max(initial=0)))
+
     def with_profile(
         self, lengths: Float[np.ndarray, "... row column basis"]
     ) -> Float[np.ndarray, "... row column basis_and_part"]:
@@ -98,12 +105,21 @@ class Measurements:
                 exposure[view, c] = 1.0
         return replace(self, counts=counts, exposure=exposure)
 
+    def shifted(self, added: Float[np.ndarray, " channel"], transmission: Transmission) -> "Measurements":
+        """Counts with so many more at exposure and gain 1, and the transmission that expects them."""
+        more = added[:, None, None] * self.gains * self.exposure[:, :, None, None]
+        return replace(self, counts=(self.counts + more).astype(np.float32), transmission=transmission)
+
     def compressed(self, tolerance: float) -> tuple["Measurements", float]:
         """The same scan with few energy nodes, and the worst error of the log counts that this causes.
 
         The box of line integrals in which the error holds is read off the data: no line integral of a basis can exceed
         what the least attenuated channel allows.
         """
+        bare, floor = without_floor(self.transmission)
+        if floor.any():
+            few, error = self.shifted(-floor, bare).compressed(tolerance)
+            return replace(self, transmission=with_floor(few.transmission, floor)), error
         gains = (self.gains * self.open_beam)[:, ::4, ::4] * self.exposure[:, :, None, None]
         open_beam = np.maximum(gains, 0.5)
         projections = np.log(open_beam / np.maximum(self.counts[:, :, ::4, ::4], 0.5))
@@ -156,7 +172,7 @@ def read_measurements(dataset: Dataset, views: Int[np.ndarray, " view"], bases: 
         _check_load(dataset, dead_time)
         flat, counts = dead_time.corrected(flat), dead_time.corrected(counts)
     measured = Measurements(
-        counts=np.maximum(counts / unit, 0).astype(np.float32),
+        counts=(counts / unit).astype(np.float32),
         gains=np.ones(flat.shape, np.float32),
         exposure=dataset.exposure[views],
         geometry=dataset.geometry[views],
@@ -164,8 +180,12 @@ def read_measurements(dataset: Dataset, views: Int[np.ndarray, " view"], bases: 
         basis_names=tuple(names[:count]),
         profile=None if profile is None else profile.lengths,
     )
-    gains = np.maximum(_ratio(flat / unit, measured.open_beam), 0)
-    return replace(measured, gains=gains.astype(np.float32))
+    gains = np.where(dataset.mask, 0, np.maximum(_ratio(flat / unit, measured.open_beam), 0)).astype(np.float32)
+    measured = replace(measured, gains=gains)
+    variance = dataset.dark_variance / quantum**2
+    if variance.any():
+        measured = measured.shifted(variance, with_floor(transmission, variance))
+    return replace(measured, counts=np.where(gains > 0, np.maximum(measured.counts, 0), np.float32(0)))
 
 
 def _check_load(dataset: Dataset, dead_time: DeadTime) -> None:

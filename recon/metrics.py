@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Real
 from scipy import ndimage
 
 from recon.edges import edge_mask
+from recon.filling import filled
 from spectra.errors import InputError
 
 SSIM_WINDOW = 11  # pixels: 2 int(3.5 sigma + 0.5) + 1 with sigma = 1.5, as in Wang et al. 2004
@@ -140,7 +141,9 @@ class HeldOutView:
         distance: float = 2.0,
     ) -> "HeldOutView":
         """With the rays more than `distance` pixels from the edges that the model's own log projections show."""
-        return cls(counts, expected, open_beam, edge_mask(_log_projections(expected, open_beam), distance))
+        logs = _log_projections(expected, open_beam)
+        whole = np.stack([filled(image, air <= 0) for image, air in zip(logs, open_beam, strict=True)])
+        return cls(counts, expected, open_beam, edge_mask(whole, distance))
 
 
 def score_projections(views: Iterable[HeldOutView], channel_names: Sequence[str]) -> dict[str, Scores]:

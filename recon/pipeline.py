@@ -10,10 +10,12 @@ from phantomgen.dataset import Dataset
 from phantomgen.stopwatch import Stopwatch
 from recon.baselines.fdk import fdk
 from recon.decompose import decompose_views
+from recon.filling import filled
 from recon.fitting import Progress, fit
 from recon.gaussians import Gaussians
 from recon.initialize import initialize
 from recon.measurements import matching_bin, read_measurements
+from recon.orbit_check import check_full_circle
 from recon.recipe import Recipe
 from spectra.threads import without_other_pools
 
@@ -53,6 +55,7 @@ def reconstruct(
     bases : how many of the dataset's basis functions to use, default all
     on_stage, on_step : called when a stage begins, and after each step of the fit
     """
+    check_full_circle(dataset.geometry[dataset.splits["train"]])
     stage = Stopwatch(on_stage)
     grid = dataset.grid
     with stage("read"):
@@ -62,6 +65,7 @@ def reconstruct(
     with stage("decompose"):
         coarse = measured.completed().binned(matching_bin(measured.geometry, min(grid.spacing)))
         line_integrals, fisher = decompose_views(coarse, recipe.dispersion)
+        line_integrals = filled(line_integrals, coarse.unseen)
     with stage("fdk"):
         volumes = fdk(line_integrals, coarse.geometry, grid)
     with stage("initialize"):

@@ -16,6 +16,7 @@ from recon import figures
 from recon.fitting import Progress
 from recon.gaussians import Gaussians
 from recon.metrics import psnr
+from recon.orbit_check import check_full_circle
 from recon.pipeline import Reconstruction, reconstruct
 from recon.recipe import Recipe
 from recon.report import MODEL, peak_memory_mib, write_json, write_volumes
@@ -83,6 +84,7 @@ def run(
         recipe = replace(recipe, stages=tuple(replace(stage, sweeps=sweeps) for stage in recipe.stages))
     log, clock = _Log(), Stopwatch(watcher.stage)
     with clock("check"):
+        check_full_circle(dataset.geometry[dataset.splits["train"]])
         _check_test_views(dataset)
 
     def on_step(progress: Progress) -> None:

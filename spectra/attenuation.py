@@ -113,6 +113,12 @@ def linear_attenuation(
     return mass_attenuation(composition, energy) * (density / 10.0)
 
 
+def electrons_per_gram(composition: Composition) -> float:
+    """Electrons in a gram of a composition [1/g]."""
+    parts = ((n, share / xraylib.AtomicWeight(n)) for n, share in mass_fractions(composition))
+    return xraylib.AVOGNUM * 1e24 * sum(n * moles for n, moles in parts)
+
+
 def compton_share(composition: Composition, energy: Float[np.ndarray, " energy"]) -> Float[np.ndarray, " energy"]:
     """Part of the attenuation at `energy` [keV] that is Compton scattering."""
     parts = [

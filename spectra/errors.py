@@ -8,6 +8,7 @@ Raise               when
 `DatasetError`      a dataset file is damaged, of a newer schema, or lacks something
 `GeometryError`     a scan geometry cannot be what the caller means
 `NotInstalledError` an optional dependency is missing; names the command that installs it
+`StorageError`      a disk is full or cannot be written; what was computed so far is kept
 `Error`             never directly: it is what a command line catches
 ==================  ==========================================================================
 
@@ -38,3 +39,7 @@ class GeometryError(Error, ValueError):
 
 class NotInstalledError(Error, ImportError):
     """An optional dependency is missing."""
+
+
+class StorageError(Error, OSError):
+    """A disk is full, or refuses to be written."""

@@ -52,7 +52,8 @@ def test_everything_imported_is_a_dependency(imports):
     known = {**metadata.packages_distributions(), **BROUGHT_ALONG}
     external = {name for name in imports.modules if name.partition(".")[0] not in {*PACKAGES, *sys.stdlib_module_names}}
     needed = {known[name.partition(".")[0]][0].lower() for name in external}
-    optional = {Requirement(text).name.lower() for text in PROJECT["project"]["optional-dependencies"]["images"]}
+    extras = PROJECT["project"]["optional-dependencies"]
+    optional = {Requirement(text).name.lower() for extra in ("cluster", "compress", "images") for text in extras[extra]}
     assert needed == {Requirement(text).name for text in PROJECT["project"]["dependencies"]} | optional
 
 

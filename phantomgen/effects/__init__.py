@@ -6,9 +6,30 @@ the detector makes of it. `phantomgen.simulate_views` applies them; an effect th
 
 from dataclasses import dataclass
 
+from phantomgen.effects.aperture import Aperture
+from phantomgen.effects.blur import Blur
+from phantomgen.effects.defects import Defects
+from phantomgen.effects.electronics import Electronics
+from phantomgen.effects.focal_spot import FocalSpot
+from phantomgen.effects.gain import Gain
+from phantomgen.effects.lag import Lag
+from phantomgen.effects.scatter_compton import ComptonScatter
+from phantomgen.effects.scatter_kernel import ScatterKernel
 from phantomgen.effects.tube_output import TubeOutput
 
-__all__ = ["Effects", "TubeOutput"]
+__all__ = [
+    "Aperture",
+    "Blur",
+    "ComptonScatter",
+    "Defects",
+    "Effects",
+    "Electronics",
+    "FocalSpot",
+    "Gain",
+    "Lag",
+    "ScatterKernel",
+    "TubeOutput",
+]
 
 
 @dataclass(frozen=True)
@@ -18,6 +39,22 @@ class Effects:
     Parameters
     ----------
     tube_output : photons per view that vary
+    focal_spot : points that photons start from
+    aperture : the part of each pixel that is sensitive
+    scatter : photons that an object scatters onto the panel
+    blur : of the detector
+    gain : sensitivity that differs between pixels
+    lag : afterglow in later views
+    electronics : noise and offset of readings
+    defects : dead and hot pixels
     """
 
     tube_output: TubeOutput | None = None
+    focal_spot: FocalSpot | None = None
+    aperture: Aperture | None = None
+    scatter: ScatterKernel | ComptonScatter | None = None
+    blur: Blur | None = None
+    gain: Gain | None = None
+    lag: Lag | None = None
+    electronics: Electronics | None = None
+    defects: Defects | None = None

@@ -18,7 +18,16 @@ from phantomgen.schema.detectors import (
     PhotonCountingModel,
     ResponseMatrixModel,
 )
-from phantomgen.schema.effects import EffectsModel, TubeOutputModel
+from phantomgen.schema.effects import (
+    ApertureModel,
+    ComptonScatterModel,
+    EffectsModel,
+    FocalSpotModel,
+    KernelScatterModel,
+    ScatterModel,
+    TubeOutputModel,
+)
+from phantomgen.schema.effects_detector import BlurModel, DefectsModel, ElectronicsModel, GainModel, LagModel
 from phantomgen.schema.functions import (
     EdgeFunctionModel,
     ElementFunctionModel,
@@ -28,6 +37,7 @@ from phantomgen.schema.functions import (
     SvdFunctionsModel,
 )
 from phantomgen.schema.materials import MaterialModel, MixtureModel, SolutionModel
+from phantomgen.schema.motion import DriftModel, MotionModel, RandomWalkModel, SinusoidModel
 from phantomgen.schema.objects import (
     BoxModel,
     CapsuleModel,
@@ -51,7 +61,16 @@ from phantomgen.schema.objects import (
     TubeShapeModel,
     VoxelsModel,
 )
-from phantomgen.schema.scan import CircularModel, PanelModel, VolumeModel
+from phantomgen.schema.orbits import (
+    CircularModel,
+    HelicalModel,
+    JitterModel,
+    LaminographyModel,
+    OrbitModel,
+    ParallelModel,
+    PosesModel,
+)
+from phantomgen.schema.scan import OffsetModel, PanelModel, TiltModel, VolumeModel
 from phantomgen.schema.sources import (
     BandModel,
     BowtieModel,
@@ -66,8 +85,10 @@ from phantomgen.schema.sources import (
 )
 
 __all__ = [
+    "ApertureModel",
     "AxisModel",
     "BandModel",
+    "BlurModel",
     "BowtieModel",
     "BoxModel",
     "CapsuleModel",
@@ -75,20 +96,31 @@ __all__ = [
     "CircularModel",
     "CombinedModel",
     "Composition",
+    "ComptonScatterModel",
     "ConeModel",
     "CylinderModel",
     "DeadTimeModel",
+    "DefectsModel",
     "DetectorModel",
     "DifferenceModel",
+    "DriftModel",
     "EdgeFunctionModel",
     "EffectsModel",
+    "ElectronicsModel",
     "ElementFunctionModel",
     "EllipsoidModel",
     "EnergyIntegratingModel",
     "FilterModel",
+    "FocalSpotModel",
     "FunctionModel",
+    "GainModel",
     "GridModel",
     "GroupModel",
+    "HelicalModel",
+    "JitterModel",
+    "KernelScatterModel",
+    "LagModel",
+    "LaminographyModel",
     "LinesModel",
     "MaterialFunctionModel",
     "MaterialModel",
@@ -96,25 +128,34 @@ __all__ = [
     "MixtureModel",
     "Model",
     "MonochromaticModel",
+    "MotionModel",
     "ObjectModel",
+    "OffsetModel",
     "OneSourceModel",
+    "OrbitModel",
     "PanelModel",
+    "ParallelModel",
     "PhotonCountingModel",
     "PlainFunctionModel",
     "PlaneModel",
     "PolygonModel",
+    "PosesModel",
+    "RandomWalkModel",
     "RepeatModel",
     "ResponseMatrixModel",
     "RingModel",
+    "ScatterModel",
     "SceneModel",
     "SeveralSourcesModel",
     "ShapeModel",
+    "SinusoidModel",
     "SolutionModel",
     "SourceModel",
     "SphereModel",
     "SvdFunctionsModel",
     "SweepModel",
     "TableModel",
+    "TiltModel",
     "TorusModel",
     "TubeModel",
     "TubeOutputModel",
@@ -139,7 +180,7 @@ class SceneModel(Model):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     source: SourceModel
     detector: DetectorModel
-    geometry: CircularModel
+    geometry: OrbitModel
     panel: PanelModel
     volume: VolumeModel
     effects: EffectsModel = EffectsModel()

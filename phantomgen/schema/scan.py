@@ -1,20 +1,26 @@
-"""Orbit, panel and volume in a scene file. Lengths in mm, angles in degrees."""
+"""Panel and volume in a scene file. Lengths in mm, angles in degrees."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
-from pydantic import Field, PositiveFloat, PositiveInt
+from pydantic import Field, FiniteFloat, PositiveFloat, PositiveInt
 
-from phantomgen.schema.base import Model, NonNegativeInt
+from phantomgen.schema.base import Model
+from phantomgen.schema.orbits import Tilt
 
 
-class CircularModel(Model):
-    """Circular orbit: training views at i 360/views degrees, test views at (j + 1/2) 360/test_views degrees."""
+class OffsetModel(Model):
+    """Shift of the panel in its plane, the way columns count and the way rows count [mm]."""
 
-    type: Literal["circular"]
-    sod: PositiveFloat
-    sdd: PositiveFloat
-    views: PositiveInt
-    test_views: NonNegativeInt = 0
+    columns: FiniteFloat = 0.0
+    rows: FiniteFloat = 0.0
+
+
+class TiltModel(Model):
+    """Turns of the panel: about the direction of its columns' steps, of its rows' steps, and in its plane [degree]."""
+
+    columns: Tilt = 0.0
+    rows: Tilt = 0.0
+    in_plane: Annotated[FiniteFloat, Field(ge=-180, le=180)] = 0.0
 
 
 class PanelModel(Model):
@@ -27,6 +33,8 @@ class PanelModel(Model):
     rows: PositiveInt
     columns: PositiveInt
     pitch: PositiveFloat | tuple[PositiveFloat, PositiveFloat]
+    offset: OffsetModel | None = None
+    tilt: TiltModel | None = None
     sub_rays: Annotated[int, Field(ge=1, le=16)] | None = None
 
 

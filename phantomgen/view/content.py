@@ -6,9 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Float32, Shaped
 
+from phantomgen.dataset_geometry import distances
 from phantomgen.dataset_layout import FRACTION_SCALE
 from phantomgen.dataset_truth import Truth
 from phantomgen.geometry import Geometry
+from phantomgen.geometry_figure import drawn_sources
 from phantomgen.grid import Grid
 from spectra.errors import InputError
 
@@ -163,13 +165,14 @@ def usual_top(values: Float32[np.ndarray, "z y x"]) -> float:
     return top if top <= 2 * usual else usual
 
 
-def source_path(geometry: Geometry) -> Float[np.ndarray, "point 3"]:
+def source_path(geometry: Geometry, grid: Grid | None = None) -> Float[np.ndarray, "point 3"]:
     """Curve through all source points in the order of the angle, an arc for a circular orbit [mm].
 
+    In a parallel beam it goes where `drawn_sources` has its start, which depends on the size of the volume `grid`.
     It is closed when the gap between its ends is no larger than twice that between other views.
     """
-    source = geometry.source
-    if geometry.kind != "circular" or len(source) < 2:
+    source = drawn_sources(geometry, grid)
+    if geometry.kind not in {"circular", "parallel"} or len(source) < 2:
         known = np.isfinite(geometry.angles).all()
         return source[np.argsort(geometry.angles, kind="stable")] if known else source
     angles = np.arctan2(source[:, 1], source[:, 0]) % _FULL_TURN
@@ -196,9 +199,10 @@ def panel_corners(geometry: Geometry, view: int) -> Float[np.ndarray, "4 3"]:
 
 def scan_title(geometry: Geometry) -> str:
     """The scan in one line."""
-    sdd = np.linalg.norm(geometry.panel_center - geometry.source, axis=1).mean()
-    sod = np.linalg.norm(geometry.source, axis=1).mean()
-    return f"{geometry.kind} scan, {len(geometry)} views, SOD {sod:.4g} mm, SDD {sdd:.4g} mm"
+    found = distances(geometry)
+    if found["sod_mm"] is None:
+        return f"{geometry.kind} scan, {len(geometry)} views, {found['object_to_panel_mm']:.4g} mm from axis to panel"
+    return f"{geometry.kind} scan, {len(geometry)} views, SOD {found['sod_mm']:.4g} mm, SDD {found['sdd_mm']:.4g} mm"
 
 
 Box = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]

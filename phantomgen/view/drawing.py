@@ -6,6 +6,7 @@ import numpy as np
 import pyvista
 
 from phantomgen.dataset_truth import Truth
+from phantomgen.geometry_figure import drawn_sources
 from phantomgen.view.content import (
     Content,
     Limits,
@@ -114,22 +115,25 @@ def draw_scan(pane: Pane, content: Content) -> None:
     """Orbit of the source, and source, panel and central ray of one view around the object."""
     pane.plotter.subplot(*pane.place)
     plotter, geometry, truth = pane.plotter, content.geometry, content.truth
-    source, corners, path = geometry.source[VIEW], panel_corners(geometry, VIEW), source_path(geometry)
-    points = np.concatenate([path, geometry.source, corners])
+    sources, corners = drawn_sources(geometry, content.grid), panel_corners(geometry, VIEW)
+    source, path = sources[VIEW], source_path(geometry, content.grid)
+    points = np.concatenate([path, sources, corners])
     size = float(np.ptp(points, axis=0).max())
     if len(path) > 1:
         pane.stroke(pyvista.MultipleLines(path), SOURCE, 2)
-    pane.dots(geometry.source, SOURCE, 5)
+    pane.dots(sources, SOURCE, 5)
     plotter.add_mesh(pyvista.Sphere(radius=size / 60, center=source), color=SOURCE, **_SOLID)
     plotter.add_mesh(pyvista.PolyData(corners, faces=[4, 0, 1, 2, 3]), color=PANEL, opacity=0.3, lighting=False)
     pane.stroke(pyvista.MultipleLines(np.concatenate([corners, corners[:1]])), PANEL, 2)
     plotter.add_mesh(pyvista.Sphere(radius=size / 90, center=corners[0]), color=CORNER, **_SOLID)
     for corner in corners:
-        pane.stroke(pyvista.Line(source, corner), FAINT, 1)
+        start = source + corner - geometry.panel_center[VIEW] if geometry.is_parallel else source
+        pane.stroke(pyvista.Line(start, corner), FAINT, 1)
     pane.stroke(pyvista.Line(source, geometry.panel_center[VIEW]), RAY, 2.5)
     pane.stroke(_box(limits(content.grid)), FAINT, 1)
     keys = [("volume", FAINT), ("central ray", RAY), (f"panel in view {VIEW}", PANEL), ("its pixel (0, 0)", CORNER)]
-    keys.append((f"source, larger in view {VIEW}", SOURCE))
+    where = "where the beam comes from" if geometry.is_parallel else "source"
+    keys.append((f"{where}, larger in view {VIEW}", SOURCE))
     if truth is not None and (found := object_limits(truth)) is not None:
         pane.stroke(_box(found), INK, 1.5)
         keys.append(("bounds of the object", INK))

@@ -22,16 +22,18 @@ def load(source: str | None, preset: str | None, at: Triple | None = None, voxel
     at : where the slices cut (x, y, z) [mm], by default the centre
     voxels : along each edge of the volume, in place of those that a scene asks for
     """
-    if source is not None and _is_dataset(Path(source)):
+    if source is not None and is_dataset(Path(source)):
         if voxels is not None:
             raise InputError(f"--voxels is for scenes: the truth in {source} has its voxels already")
         return content_of_dataset(Path(source), at)
-    overrides = [] if voxels is None else [f"volume.voxels={voxels}"]
+    return content_of_scene(scene_of(source, preset, [] if voxels is None else [f"volume.voxels={voxels}"]), at)
+
+
+def scene_of(source: str | None, preset: str | None, overrides: list[str] | None = None) -> SceneFile:
+    """The scene of a file or a preset; the name of a preset may stand for a file."""
     if preset is None and source in preset_names():
         preset = source
-    return content_of_scene(
-        SceneFile.preset(preset, overrides) if preset else SceneFile.read(source or "", overrides), at
-    )
+    return SceneFile.preset(preset, overrides or []) if preset else SceneFile.read(source or "", overrides or [])
 
 
 def point_of(text: str) -> Triple:
@@ -72,11 +74,12 @@ def content_of_scene(file: SceneFile, at: Triple | None = None) -> Content:
 
     scan = load_scene(file)
     at = at or _centre(scan.grid)
-    Content(scan.name, scan.geometry, scan.grid, None, at)  # refuses a bad point before the voxels are made
-    return Content(scan.name, scan.geometry, scan.grid, scan_truth(scan), at)
+    geometry = scan.nominal or scan.geometry
+    Content(scan.name, geometry, scan.grid, None, at)  # refuses a bad point before the voxels are made
+    return Content(scan.name, geometry, scan.grid, scan_truth(scan), at)
 
 
-def _is_dataset(path: Path) -> bool:
+def is_dataset(path: Path) -> bool:
     """Whether a file is HDF5, or would be by its name."""
     return h5py.is_hdf5(path) if path.is_file() else path.suffix.lower() in {".h5", ".hdf5", ".nxs"}
 

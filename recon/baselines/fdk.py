@@ -6,7 +6,7 @@ from jaxtyping import Float
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
 from recon.ops.backproject import backproject
-from spectra.errors import GeometryError
+from recon.orbit_check import check_full_circle
 
 
 def fdk(
@@ -24,10 +24,9 @@ def fdk(
     Raises
     ------
     GeometryError
-        When the geometry is not a circular orbit of at least two views.
+        When the geometry is not a full circular orbit of at least two views.
     """
-    if geometry.kind != "circular" or len(geometry) < 2:
-        raise GeometryError(f"FDK needs a circular orbit of at least two views, got {geometry!r}")
+    check_full_circle(geometry)
     sod = np.linalg.norm(geometry.source[:, :2], axis=1)
     height = np.einsum("vi,vi->v", geometry.panel_center - geometry.source, geometry.normals())
     sdd = np.abs(height)

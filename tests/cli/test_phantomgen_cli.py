@@ -136,6 +136,13 @@ def test_an_output_that_exists_is_refused_before_any_work(made):
         (["materials", "liver", "--plot", "liver.bmp"], 1, "a picture ends in .png, .pdf or .svg, got 'liver.bmp'"),
         (["materials", "bone", "--scene", "kedge"], 1, "material 'bone' is given by coefficients"),
         (["materials", "bne", "--scene", "kedge"], 1, "kedge.yaml has no material 'bne'; did you mean 'bone'?"),
+        (["make", "--preset", "kedge", "--compression", "zip"], 1, "there is no compression 'zip': choose from gzip"),
+        (["batch", "none.yaml"], 1, "none.yaml cannot be read as a manifest: No such file or directory"),
+        (
+            ["batch", "none.yaml", "--shard", "3/2"],
+            1,
+            "--shard is written i/n with 1 <= i <= n, such as 1/4, got '3/2'",
+        ),
         (["frobnicate"], 2, "No such command"),
     ],
 )
@@ -280,7 +287,18 @@ def test_schema_prints_the_layout_or_the_json_schema():
 
 @pytest.mark.parametrize(
     "command",
-    [[], ["make"], ["materials"], ["presets"], ["presets", "show"], ["view"], ["info"], ["validate"], ["schema"]],
+    [
+        [],
+        ["make"],
+        ["materials"],
+        ["presets"],
+        ["presets", "show"],
+        ["view"],
+        ["info"],
+        ["validate"],
+        ["schema"],
+        ["batch"],
+    ],
 )
 def test_every_help_ends_with_examples(command):
     result = run(*command, "--help")
@@ -320,3 +338,22 @@ def test_a_drawn_scene_is_shown_as_it_is_made(tmp_path):
     result = run("presets", "show", "random", "--seed", 7)
     assert result.exit_code == 2
     assert "--seed and --set need --resolved" in result.stderr
+
+
+def test_plan_says_what_make_would_do(made):
+    folder, _ = made
+    text = run("plan", folder / "toy.yaml", "--tol", "1e-2").stdout
+    for words in ("4 views (circular) x 1 channels", "effects none", "pixels  ", "meets 1e-02", "time    about", "MB"):
+        assert words in text
+    report = json.loads(run("plan", folder / "toy.yaml", "--json").stdout)
+    assert report["plan"]["error"] <= report["plan"]["tolerance"] == 1e-3
+    assert report["error"]["edge_worst"] < 1e-3
+    assert report["cost"]["file_bytes"] > 0
+
+
+@pytest.mark.parametrize(("tolerance", "code", "words"), [("1e-9", 3, "MISSES 1e-09"), ("5", 1, "--tol must lie in")])
+def test_plan_ends_with_what_cannot_be_met(made, tolerance, code, words):
+    folder, _ = made
+    result = run("plan", folder / "toy.yaml", "--tol", tolerance)
+    assert result.exit_code == code
+    assert words in result.output

@@ -88,3 +88,15 @@ def test_the_dual_energy_scan_has_a_signal_for_each_voltage(tmp_path):
     with open_dataset(tmp_path / "dual.h5") as dataset:
         assert dataset.spectra.channels == ("low_signal", "high_signal")
         assert (np.diff(dataset.spectra.effective_energy) > 20).all()
+
+
+def test_the_flat_panel_has_darks_and_a_mask(tmp_path, monkeypatch):
+    monkeypatch.setattr("phantomgen.simulate.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
+    small = ["panel.rows=24", "panel.columns=96", "geometry.views=3", "geometry.test_views=1", "volume.voxels=8"]
+    simulate(load_scene(EXAMPLES / "flat_panel.yaml", small), tmp_path / "panel.h5")
+    with open_dataset(tmp_path / "panel.h5") as dataset:
+        good = ~dataset.mask[0]
+        assert not good[:, 90].any()
+        assert dataset.dark[0][good].mean() == pytest.approx(5000, abs=5 * 100 / np.sqrt(50 * good.sum()))
+        ratio = (dataset.load() - dataset.dark)[:, 0, :, :3][:, good[:, :3]] / dataset.flat[0, :, :3][good[:, :3]]
+        assert ratio.mean() == pytest.approx(1, abs=0.05)  # air beside the object, less what is stored

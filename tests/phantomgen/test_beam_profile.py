@@ -44,9 +44,9 @@ def scan_of(source, *overrides):
     return load_scene(SceneFile("toy.yaml", SCENE.format(source=source), overrides))
 
 
-def made(tmp_path, source, *overrides):
+def made(tmp_path, source, *overrides, tolerance=None):
     path = tmp_path / f"{len(list(tmp_path.iterdir()))}.h5"
-    return path, simulate(scan_of(source, *overrides), path)
+    return path, simulate(scan_of(source, *overrides), path, tolerance=tolerance)
 
 
 def bowtie_lengths():
@@ -150,8 +150,8 @@ def scans(tmp_path_factory):
 
 
 def test_simulated_counts_are_as_exact_as_without(tmp_path):
-    _, summary = made(tmp_path, TUBE % (BOWTIE, "true"))
-    assert summary.node_error < 2e-5
+    _, summary = made(tmp_path, TUBE % (BOWTIE, "true"), tolerance=1e-4)
+    assert summary.plan.error < 1e-4
     assert summary.error.ray_worst < 5e-5
     assert summary.error.edge_rms < 2e-4
 

@@ -239,7 +239,7 @@ def test_nodes_tile_the_square(conics: list[tuple], tangent: bool) -> None:
     for i, conic in enumerate(conics):
         room.local[i] = [*conic, 1e-15, float(tangent)]
     count = square_nodes(room.local, len(conics), rules.nodes[0], rules.sizes[0], room.lines, room.nodes, 0)
-    a, b, weight = room.nodes[:count].T
+    a, b, weight, _ = room.nodes[:count].T
     assert weight.sum() == pytest.approx(1, abs=2e-4)
     assert (weight * a).sum() == pytest.approx(0, abs=2e-4)
     assert (weight * a * b).sum() == pytest.approx(0, abs=2e-4)
@@ -256,7 +256,7 @@ def test_nodes_integrate_the_height_of_a_ball(x: float, y: float, radius: float)
     for level in range(2):
         room.local[0] = [radius**2 - x**2 - y**2, 2 * x, 2 * y, -1, 0, -1, 1e-15, 1]
         count = square_nodes(room.local, 1, rules.nodes[level], rules.sizes[level], room.lines, room.nodes, 0)
-        a, b, weight = room.nodes[:count].T
+        a, b, weight, _ = room.nodes[:count].T
         height = np.sqrt(np.maximum(0, radius**2 - (a - x) ** 2 - (b - y) ** 2))
         s = (np.arange(3000) + 0.5) / 3000 - 0.5
         many = np.sqrt(np.maximum(0, radius**2 - (s[:, None] - x) ** 2 - (s - y) ** 2)).mean()

@@ -18,6 +18,10 @@ from spectra.threads import set_threads
 GRID = Grid((5, 6, 7), (1.3, 0.9, 1.1), (-2.0, -3.0, -2.5))
 CUBE = Grid.cube(8, 8.0)
 CIRCLE = Geometry.circular(15.0, 30.0, np.arange(6) * 0.7, Panel(6, 8, (0.9, 1.1))).ray_frames()
+# Beams up to two voxels wide, and wider ones, some in the same column.
+WIDE, WIDEST = (
+    Geometry.circular(15.0, 30.0, np.arange(6) * 0.7, Panel(6, 8, (pitch, pitch))).ray_frames() for pitch in (2.3, 4.0)
+)
 ASKEW = np.random.default_rng(3).normal(size=(3, 3))
 TILTED = np.stack([np.array([15, 4, 3.0]), np.array([-27, -12, -3.0]), *ASKEW[:2]])[None]
 STEEP = np.array([[[1.0, 0.5, 20], [-4, -3.5, -33], [1.1, 0.2, 0.1], [0.1, 1.2, -0.1]]])
@@ -26,6 +30,8 @@ UPRIGHT = np.array([[[-30.0, 9, 4], [12.0, -7, -5], [0.3, 0.9, 0.1], [0, 0, 0.8]
 INSIDE = np.array([[[0.3, 0.2, 0.1], [-1.5, -6.5, -2], [0.4, 0, 0], [0, 0, 0.7]]])
 VIEWS = {
     "circle": (CIRCLE, False),
+    "wide": (WIDE, False),
+    "widest": (WIDEST, False),
     "tilted": (TILTED, False),
     "steep": (STEEP, False),
     "inside": (INSIDE, False),

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from phantomgen.scene import circular_angles, load_scene
+from phantomgen.orbits import spread_angles
+from phantomgen.scene import load_scene
 from phantomgen.scene_yaml import SceneFile, preset_names, preset_summaries
 from phantomgen.schema import json_schema
 from phantomgen.simulate_coverage import coverage_warnings
@@ -46,7 +47,7 @@ def test_a_scene_becomes_shapes_source_geometry_and_grid():
 
 
 def test_training_views_come_first_and_test_views_lie_between():
-    degrees = np.rad2deg(circular_angles(75, 100))
+    degrees = np.rad2deg(spread_angles(75, 100))
     assert degrees[:3] == pytest.approx([0.0, 4.8, 9.6])
     assert degrees[75:77] == pytest.approx([1.8, 5.4])
     scan = load_scene(SceneFile("toy.yaml", SCENE))

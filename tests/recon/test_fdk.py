@@ -49,5 +49,5 @@ def test_a_shift_of_the_object_shifts_the_volume():
 @pytest.mark.parametrize("geometry", [tilted(), circular(views=1)], ids=["free", "one view"])
 def test_other_orbits_are_refused(geometry):
     images = np.zeros((len(geometry), 1, geometry.panel.rows, geometry.panel.columns), np.float32)
-    with pytest.raises(GeometryError, match="circular orbit of at least two views"):
+    with pytest.raises(GeometryError, match="needs a full circular orbit of at least two evenly spaced views"):
         fdk(images, geometry, GRID)

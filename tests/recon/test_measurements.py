@@ -89,8 +89,8 @@ def fake_dataset(model, counts, flat, dark):
     )
     geometry = Geometry.circular(60, 100, np.arange(3.0), Panel(4, 5, 1.0))
     return SimpleNamespace(
-        path=Path("scan.h5"), spectra=spectra, geometry=geometry, flat=flat, dark=dark,
-        exposure=np.arange(12.0).reshape(3, 4), load=lambda views: counts[views],
+        path=Path("scan.h5"), spectra=spectra, geometry=geometry, flat=flat, dark=dark, mask=np.zeros(flat.shape, bool),
+        dark_variance=np.zeros(len(flat)), exposure=np.arange(12.0).reshape(3, 4), load=lambda views: counts[views],
     )  # fmt: skip
 
 
@@ -103,7 +103,7 @@ def test_reading_takes_darks_off_and_compares_flats_with_the_model(bases):
     dataset = fake_dataset(model, counts, gain * model.open_beam[:, None, None], dark)
     found = read_measurements(dataset, np.array([2, 0]), bases)
     np.testing.assert_allclose(found.gains, gain, rtol=1e-6)
-    np.testing.assert_array_equal(found.counts, np.maximum(counts[[2, 0]] - 7, 0))
+    np.testing.assert_array_equal(found.counts, np.where(gain > 0, np.maximum(counts[[2, 0]] - 7, 0), 0))
     np.testing.assert_array_equal(found.exposure, dataset.exposure[[2, 0]])
     assert found.basis_names == NAMES[:bases]
     assert len(found.transmission.columns) == len(found.basis_names)

@@ -6,7 +6,9 @@ average over a plain n x n grid of rays.
 
 Accuracy, as the largest error of a log-projection against 256 x 256 rays per pixel: 3e-5 where silhouettes cross, rms
 4e-6 (four nested cylinders, 0.8 mm pixels). Split exactly are the silhouettes of single shapes. Where surfaces of two
-shapes intersect, or where panel or source cut a shape, the kink is met by a plain grid: some 1e-3 in those pixels.
+shapes intersect, edges of a mesh pass, or panel or source cut a shape, counts have a kink: there, the pixel is halved
+into rectangles until their estimated errors come to less than `KINK_TOLERANCE`; true ones are about half as large, see
+`benchmarks/kinked_pixels.py`.
 """
 
 from itertools import pairwise
@@ -27,6 +29,7 @@ __all__ = [
     "CROSSED",
     "EMPTY",
     "KINKED",
+    "KINK_TOLERANCE",
     "NEAR",
     "SMOOTH",
     "VOXELS",
@@ -39,6 +42,8 @@ __all__ = [
 # Gauss nodes across and along a silhouette for pixels of growing contrast.
 RULES = ((2, 2), (3, 2), (4, 3), (6, 4), (9, 6))
 MOST_SUB_RAYS = 16
+# Error of log counts that is left in pixels with kinks.
+KINK_TOLERANCE = 3e-4
 # Where a voxel map projects to: rays per voxel along each side of a pixel, and most rays along it.
 RAYS_PER_VOXEL, MOST_RAYS = 4.0, 64
 
@@ -63,8 +68,10 @@ def expose(
     rules: tuple[tuple[int, int], ...] = RULES,
     reach: float = 5.0,
     sub_rays: int | None = None,
+    kink_tolerance: float = KINK_TOLERANCE,
     rays_per_voxel: float = RAYS_PER_VOXEL,
     profile: Float[np.ndarray, "part row column"] | None = None,
+    aperture: tuple[float, float] = (1.0, 1.0),
 ) -> Exposed:
     """Expected counts of all pixels of one view, each averaged over the pixel's area.
 
@@ -81,16 +88,21 @@ def expose(
     reach : width of the band inside a tangent where one ray per pixel does not do [pixel]
     sub_rays : if given, a plain grid of so many rays along each edge of a pixel, 1 to 16, in place of Gauss nodes along
         silhouettes; 1 means the ray through the centre of every pixel and nothing else
+    kink_tolerance : estimated error of log counts that is left in pixels where surfaces intersect, in the worst channel
     rays_per_voxel : where a voxel map projects to, rays along each edge of a pixel for each voxel that fits there; a
         pixel has at least as many along an edge, and at most `MOST_RAYS`
     profile : lengths [mm] that the rays to each pixel have, objects aside, in the last materials of `attenuation`; the
         same for all rays to a pixel
+    aperture : width and height of the sensitive part of a pixel, which the average is taken over [pixel]
     """
     from phantomgen.ops.expose.cpu import expose_view  # noqa: PLC0415 - numba only where it computes
+    from phantomgen.ops.expose.rectangles import scratch  # noqa: PLC0415
     from phantomgen.ops.silhouette.quadrature import make_room, make_rules  # noqa: PLC0415
 
     if sub_rays is not None and not 1 <= sub_rays <= MOST_SUB_RAYS:
         raise InputError(f"sub-rays along the edge of a pixel must be 1 to {MOST_SUB_RAYS}, got {sub_rays}")
+    if not kink_tolerance > 0:
+        raise InputError(f"the tolerance of pixels with kinks must be positive, got {kink_tolerance:g}")
     view = _View.of(
         frame,
         rows,
@@ -105,9 +117,10 @@ def expose(
         rays_per_voxel,
     )
     gauss, pixels = make_rules(*rules), (rows, columns)
+    room = make_room(gauss)
     out, rays = np.empty((len(starts) - 1, *pixels)), np.zeros(CLASSES, dtype=np.int64)
     classes, guess = np.empty(pixels, dtype=np.uint8), np.zeros(pixels, dtype=np.uint8)
-    maps = (classes, guess, np.zeros(pixels, dtype=np.int64), np.empty((rows * columns, 3), dtype=np.int64))
+    maps = (classes, guess, np.zeros(pixels, dtype=np.int64), np.empty((rows * columns, 5), dtype=np.int64))
     outline = (view.outline.forms, view.outline.shapes, view.outline.roots)
     expose_view(
         *view.shapes[:4],
@@ -116,13 +129,15 @@ def expose(
         np.int64(view.map_grid),
         *view.shapes[5:],
         outline,
-        float(reach),
+        float(reach) / min(aperture),  # whose forms are measured in apertures, while neighbours are pixels away
+        (float(aperture[0]), float(aperture[1])),
         sub_rays or 0,
         view.spectrum,
         tuple(gauss),
-        tuple(make_room(gauss)),
+        (*room, np.empty(len(room.nodes), dtype=np.int64)),
         view.ray,
         maps,
+        (0.0 if sub_rays else float(kink_tolerance), (float(aperture[0]), float(aperture[1])), *scratch(len(out))),
         np.empty_like(out),
         out,
         rays,
@@ -140,6 +155,7 @@ def expose_brute(
     background: int = -1,
     n: int = 256,
     profile: Float[np.ndarray, "part row column"] | None = None,
+    aperture: tuple[float, float] = (1.0, 1.0),
 ) -> Float[np.ndarray, "pixel channel"]:
     """Expected counts of some pixels (row, column), each the mean over n x n rays on a grid of midpoints.
 
@@ -153,9 +169,10 @@ def expose_brute(
     view = _View.of(frame, rows, columns, solids, attenuation, weights, starts, background, False, profile)
     out = np.empty((len(starts) - 1, rows, columns))
     places = (np.arange(n) + 0.5) / n - 0.5
-    grid = np.stack([np.tile(places, n), np.repeat(places, n), np.full(n * n, 1 / n**2)], axis=1)
-    maps = (np.empty(out.shape[1:], dtype=np.int64), np.empty((1, 3), dtype=np.int64))
-    expose_pixels(*view.shapes, view.spectrum, grid, view.ray, pixels, maps, out)
+    across, down = aperture
+    grid = np.stack([across * np.tile(places, n), down * np.repeat(places, n), np.full(n * n, 1 / n**2)], axis=1)
+    scratch = (np.empty((1, 5), dtype=np.int64), np.empty(n * n, dtype=np.int64))
+    expose_pixels(*view.shapes, view.spectrum, grid, view.ray, pixels, scratch, out)
     return out[:, pixels[:, 0], pixels[:, 1]].T
 
 

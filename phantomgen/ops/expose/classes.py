@@ -7,10 +7,11 @@ class      where                                             rule
 `SMOOTH`   away from silhouettes                             centre, and second differences over the four neighbours
 `NEAR`     up to a few pixels inside a tangent, or beside a  Gauss nodes in the tangent's own variable
            pixel that is crossed, or on the panel's border
-`CROSSED`  a silhouette passes                               split along it, Gauss nodes on each side
-`KINKED`   the order of shapes along the ray changes though  regular grid of rays
-           no silhouette passes: surfaces of two shapes
-           intersect there
+`CROSSED`  a silhouette passes                               split along it, Gauss nodes on each side; where surfaces
+                                                             intersect as well, more of these, or as `KINKED`
+`KINKED`   the order of surfaces along the ray changes       rectangles, halved until their errors are small
+           though no silhouette passes: two of them
+           intersect there, or an edge of a mesh passes
 `VOXELS`   a voxel map projects there                        small regular grid of rays, unless one of the two above
 =========  ================================================  =======================================================
 """

@@ -31,7 +31,8 @@ def forward(
     def view(i: int) -> None:
         if stacked[i]:
             room = _room_for_lines(shape, rows, components, shape[0])
-            upright.forward(lines, views[i], parallel, spacing, strides[0], room, out[i])
+            drawing = _room_for_pictures(shape, components)
+            upright.forward(lines, views[i], parallel, spacing, strides[0], room, drawing, out[i])
         else:
             cpu.forward(flat, views[i], parallel, spacing, strides, _room(shape, components), out[i])
 
@@ -86,6 +87,14 @@ def _room_for_lines(shape: Sequence[int], rows: int, components: int, layers: in
     """Scratch of a kernel that works on lines along z."""
     lines = np.empty((2, components, layers + 1))
     return np.empty(7), np.empty(max(shape)), np.empty((4, rows)), lines[0], lines[1]
+
+
+def _room_for_pictures(shape: Sequence[int], components: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Scratch of `upright.forward` for lines that are summed together."""
+    most = max(shape[1:])
+    pictures = np.zeros((components, most, shape[0] + upright.PADDING), dtype=np.float32)
+    steps, sizes = np.empty((2, most), dtype=np.float32)
+    return pictures, steps, sizes
 
 
 def _are_upright(

@@ -1,21 +1,25 @@
 """The same projector for views whose rows are stacked along z, as those of circular and helical orbits are.
 
 All rays of a panel's column then cross the layers at the same places, seen along z. So each layer is interpolated
-across once for all rows, whole lines of voxels along z at a time, and a row takes its part from the line's running sum.
-Lines along z are contiguous in memory. This is several times as fast as `phantomgen.ops.project.cpu`, with the same
-weights.
+across once for all rows, whole lines of voxels along z at a time. Lines along z are contiguous in memory. Where beams
+are up to two voxels wide, these lines are a picture in the plane of a column's rays, and a row is the sum of what its
+beam covers over all layers, eight or sixteen at a time. Elsewhere a row takes its part from each line's running sum.
+This is many times as fast as `phantomgen.ops.project.cpu`, with the same weights.
 """
 
 from math import ceil, floor
 from typing import no_type_check
 
+import numpy as np
 from numba import njit
 
-from phantomgen.ops.device import inlined
+from phantomgen.ops.device import inlined, reordered
 from phantomgen.ops.project.cpu import _aim, _spread, _width
 
 # What is known of each row of a column: place and slope of its ray along z, its width there, and its length.
 _PLACE, _RISE, _WIDE, _LONG = 0, 1, 2, 3
+# Voxels of nothing before a line, where a beam may begin, and in all: at the end it may begin and cover two more.
+_BEFORE, PADDING = 2, 5
 
 
 @inlined
@@ -56,9 +60,94 @@ def _edge(place, low, high):
     return i, x - i
 
 
+@inlined
+@no_type_check
+def _draw(volume, c, axis, k, place, count, weights, length, line):
+    """Write a layer's line, interpolated across and times `length`, behind some voxels of nothing."""
+    for i in range(count):
+        y, x = (k, place + i) if axis == 1 else (place + i, k)
+        part = np.float32(length * weights[i])
+        if i == 0:
+            for z in range(volume.shape[3]):
+                line[z + _BEFORE] = part * volume[c, y, x, z]
+        else:
+            for z in range(volume.shape[3]):
+                line[z + _BEFORE] += part * volume[c, y, x, z]
+
+
+@inlined
+@no_type_check
+def _sum_up(volume, axis, k, place, count, weights, lines, sums):
+    """Write a layer's lines, interpolated across, and their running sums."""
+    depth = volume.shape[3]
+    for c in range(lines.shape[0]):
+        for z in range(depth):
+            lines[c, z] = 0.0
+        for i in range(count):
+            y, x = (k, place + i) if axis == 1 else (place + i, k)
+            for z in range(depth):
+                lines[c, z] += weights[i] * volume[c, y, x, z]
+        sums[c, 0] = 0.0
+        for z in range(depth):
+            sums[c, z + 1] = sums[c, z] + lines[c, z]
+
+
+@reordered
+@no_type_check
+def _along(picture, width, first, rise, wide, steps, sizes, count):
+    """Sum of what a beam up to two voxels wide covers of the lines of a picture.
+
+    Places are counted from a voxel below all of the beam, which keeps 32 bits exact to 1e-6 voxels.
+
+    Parameters
+    ----------
+    picture : lines of `width` values one after the other, with nothing at their ends
+    first, rise : place in the first line, where 0 is the middle of the first voxel, and change of it per unit of t
+    wide : width at the panel [voxel]; if 0, a voxel everywhere, which is linear interpolation
+    steps, sizes, count : t of each line less that of the first; width there over that at the panel; how many lines
+    """
+    last, one, two = first + rise * steps[count - 1], np.float32(1.0), np.float32(2.0)
+    lowest, total = min(first, last), np.float32(0.0)
+    if max(first, last) <= -1.5 or lowest >= width - PADDING + 0.5:
+        return total
+    below = np.int32(floor(max(lowest + (_BEFORE - 0.5), 0.0)))
+    start, slope, across = np.float32(first + _BEFORE - below), np.float32(rise), np.float32(wide)
+    low, high, row = np.float32(-below), np.float32(np.int32(width - 3) - below), np.int32(width)
+    if wide == 0.0:
+        for k in range(count):
+            x = min(max(start + slope * steps[k], low), high)
+            i = np.int32(x)
+            at = np.uint32(np.int32(k) * row + below + i)
+            total += picture[at] + (x - np.float32(i)) * (picture[at + np.uint32(1)] - picture[at])
+        return total
+    for k in range(count):
+        size = max(across * sizes[k], one)
+        x = min(max(start + slope * steps[k] - (size - one) / two, low), high)
+        i = np.int32(x)
+        at = np.uint32(np.int32(k) * row + below + i)
+        begun = one - (x - np.float32(i))
+        rest = max(size - begun - one, np.float32(0.0))
+        covered = begun * picture[at] + (size - begun - rest) * picture[at + np.uint32(1)]
+        total += (covered + rest * picture[at + np.uint32(2)]) / size
+    return total
+
+
+@inlined
+@no_type_check
+def _add_drawn(pictures, start, steps, sizes, drawn, rows, is_wide, column, out):
+    """Add what the beams of all rows of a column cover of the layers that were drawn."""
+    for row in range(rows.shape[1]):
+        rise, wide = rows[_RISE, row], (rows[_WIDE, row] if is_wide else 0.0)
+        place = rows[_PLACE, row] + start * rise
+        for c in range(pictures.shape[0]):
+            picture = pictures[c].reshape(-1)
+            total = _along(picture, pictures.shape[2], place, rise, wide, steps, sizes, drawn)
+            out[c, row, column] += rows[_LONG, row] * total
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def forward(volume, frame, parallel, spacing, counts, room, out):
+def forward(volume, frame, parallel, spacing, counts, room, drawing, out):
     """Line integrals of one view.
 
     Parameters
@@ -66,9 +155,11 @@ def forward(volume, frame, parallel, spacing, counts, room, out):
     volume : values (component, y, x, z)
     frame, spacing, counts : (4, 3) in voxels, voxel sizes [mm], numbers of voxels, in the order (z, y, x)
     room : scratch: ray (7,), weights across (most voxels,), rows (4, row), lines and sums (component, z + 1)
+    drawing : scratch, 32 bits: pictures (component, most voxels, z + PADDING), zero on entry; steps, sizes of `_along`
     out : (component, row, column), zero on entry
     """
     ray, weights, rows, lines, sums = room
+    pictures, steps, sizes = drawing
     last_z = counts[0] - 1
     for column in range(out.shape[2]):
         axis, widest = _aim_rows(frame, parallel, spacing, float(column), ray, rows)
@@ -76,6 +167,7 @@ def forward(volume, frame, parallel, spacing, counts, room, out):
         wide, thick = _width(frame, ray, axis, across), 1.0 / ray[3 + axis]
         begin, end = ray[axis], ray[axis] + ray[3 + axis]
         first = int(max(0.0, floor(min(begin, end) + 0.5)))
+        drawn, start, widest_drawn = 0, 0.0, 0.0
         for k in range(first, int(min(counts[axis] - 1.0, floor(max(begin, end) + 0.5))) + 1):
             t0, t1 = (k - 0.5 - begin) * thick, (k + 0.5 - begin) * thick
             t0, t1 = max(0.0, min(t0, t1)), min(1.0, max(t0, t1))
@@ -85,16 +177,15 @@ def forward(volume, frame, parallel, spacing, counts, room, out):
             top, bottom = _near(rows, t, 0.0, float(last_z), 0.5 * widest + 1.0)
             if t1 <= t0 or count == 0 or top == bottom:
                 continue
-            for c in range(lines.shape[0]):
-                for z in range(last_z + 1):
-                    lines[c, z] = 0.0
-                for i in range(count):
-                    y, x = (k, place + i) if axis == 1 else (place + i, k)
-                    for z in range(last_z + 1):
-                        lines[c, z] += weights[i] * volume[c, y, x, z]
-                sums[c, 0] = 0.0
-                for z in range(last_z + 1):
-                    sums[c, z + 1] = sums[c, z] + lines[c, z]
+            if size * widest <= 2.0:
+                start = t if drawn == 0 else start
+                widest_drawn = max(widest_drawn, size * widest)
+                for c in range(lines.shape[0]):
+                    _draw(volume, c, axis, k, place, count, weights, t1 - t0, pictures[c, drawn])
+                steps[drawn], sizes[drawn] = t - start, size
+                drawn += 1
+                continue
+            _sum_up(volume, axis, k, place, count, weights, lines, sums)
             for row in range(top, bottom):
                 middle, width = rows[_PLACE, row] + t * rows[_RISE, row], max(1.0, size * rows[_WIDE, row])
                 low, past_low = _edge(middle - 0.5 * width, 0, last_z)
@@ -103,6 +194,8 @@ def forward(volume, frame, parallel, spacing, counts, room, out):
                 for c in range(lines.shape[0]):
                     within = sums[c, high] - sums[c, low] + past_high * lines[c, high] - past_low * lines[c, low]
                     out[c, row, column] += scale * within
+        if drawn > 0:
+            _add_drawn(pictures, start, steps, sizes, drawn, rows, widest_drawn > 1.0, column, out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -44,12 +44,12 @@ class Room(NamedTuple):
     ----------
     local : conics of the square: a, b, c, d, e, f, rounding error of a, 1 for a tangent and 0 for a kink
     lines : splits of the outer coordinate, cuts of the inner one, tangents
-    nodes : (a, b, weight) of each node
+    nodes : (a, b, weight, part) of each node; nodes of a square in the same part have no conic between them
     """
 
     local: Float[np.ndarray, "conic 8"]
     lines: Float[np.ndarray, "3 cut"]
-    nodes: Float[np.ndarray, "node 3"]
+    nodes: Float[np.ndarray, "node 4"]
 
 
 def gauss(n: int) -> Float[np.ndarray, "2 node"]:
@@ -69,11 +69,11 @@ def make_rules(*strengths: tuple[int, int]) -> Rules:
 
 
 def make_room(rules: Rules) -> Room:
-    """Scratch for `square_nodes`, with nodes for two squares of the worst kind."""
+    """Scratch for `square_nodes`, with nodes for three squares of the worst kind."""
     splits = 6 * CONICS + CONICS * CONICS + 2
     lines = (splits + 1) * int(rules.sizes[:, BOTH].max())
     size = max(lines * (2 * CONICS + 1) * int(rules.sizes[:, ARC].max()), GRID * GRID)
-    return Room(np.empty((CONICS + 1, 8)), np.empty((3, splits)), np.empty((2 * size, 3)))
+    return Room(np.empty((CONICS + 1, 8)), np.empty((3, splits)), np.empty((3 * size, 4)))
 
 
 @inlined
@@ -264,8 +264,11 @@ def _cut_inner(local, conics, lines, b):
 
 @inlined
 @no_type_check
-def _add_line(local, conics, rule_nodes, rule_sizes, lines, nodes, at, b, weight):
-    """Nodes along the inner coordinate for the outer coordinate `b`, from index `at` on; return the next index."""
+def _add_line(local, conics, rule_nodes, rule_sizes, lines, nodes, at, b, weight, part):
+    """Nodes along the inner coordinate for the outer coordinate `b`, from index `at` on; return the next index.
+
+    `part` is the number of the part that the line begins in.
+    """
     cuts, tangents = _cut_inner(local, conics, lines, b)
     for i in range(cuts):
         low, high = lines[_CUTS, i], lines[_CUTS, i + 1]
@@ -278,6 +281,7 @@ def _add_line(local, conics, rule_nodes, rule_sizes, lines, nodes, at, b, weight
             a, slope = _substituted(kind, base, half, first + span * rule_nodes[rule, 0, k])
             nodes[at, 0], nodes[at, 1] = a, b
             nodes[at, 2] = weight * slope * span * rule_nodes[rule, 1, k]
+            nodes[at, 3] = part + i
             at += 1
     return at
 
@@ -301,7 +305,7 @@ def grid_nodes(nodes, at, n):
     """Midpoints of n x n equal parts of the square, from index `at` on; return the next index."""
     for i in range(n * n):
         nodes[at + i, 0], nodes[at + i, 1] = (i // n + 0.5) / n - 0.5, (i % n + 0.5) / n - 0.5
-        nodes[at + i, 2] = 1.0 / (n * n)
+        nodes[at + i, 2], nodes[at + i, 3] = 1.0 / (n * n), 0.0
     return at + n * n
 
 
@@ -325,7 +329,7 @@ def lattice_nodes(nodes, at, count):
 @njit(error_model="numpy")
 @no_type_check
 def square_nodes(local, conics, rule_nodes, rule_sizes, lines, nodes, at):
-    """Write nodes (a, b, weight) for the first `conics` conics of `local`, from index `at` on; return the next index.
+    """Write nodes (a, b, weight, part) for the first `conics` conics of `local`, from `at` on; return the next index.
 
     Weights sum to the area, 1, up to the error of the rule. Arguments are the fields of `Room`, one level of `Rules`.
     """
@@ -344,7 +348,8 @@ def square_nodes(local, conics, rule_nodes, rule_sizes, lines, nodes, at):
             x, slope = _end_map(rule_nodes[rule, 0, j], i > 0, i < splits)
             weight = rule_nodes[rule, 1, j] * slope * (high - low)
             b = low + (high - low) * x
-            count = _add_line(local, conics, rule_nodes, rule_sizes, lines, nodes, count, b, weight)
+            part = i * (2 * CONICS + 1)  # lines between two splits are cut alike
+            count = _add_line(local, conics, rule_nodes, rule_sizes, lines, nodes, count, b, weight, part)
         low = high
     if swapped:
         for i in range(at, count):

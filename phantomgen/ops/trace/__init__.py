@@ -47,3 +47,43 @@ def trace(
     tubes = ring_tubes(solids)
     cpu.trace_rays(table, tubes, listed, maps, balls, background, origins, directions, active, events, out)
     return out
+
+
+def trace_view(
+    frame: Float[np.ndarray, "4 3"],
+    rows: int,
+    columns: int,
+    solids: Solids,
+    count: int,
+    background: int = -1,
+) -> Float[np.ndarray, "row column material"]:
+    """Path length per material of the rays through all pixels' centres [mm].
+
+    Parameters
+    ----------
+    frame : source, vector from there to the centre of pixel (0, 0), column step, row step (x, y, z) [mm]
+    rows, columns : size of the panel
+    solids : the objects; a later one overrides an earlier one
+    count : number of materials
+    background : material outside all shapes, -1 for none
+    """
+    frame = np.ascontiguousarray(frame, dtype=np.float64)
+    if solids.surfaces is not None or solids.voxels is not None:
+        row, column = np.divmod(np.arange(rows * columns), columns)
+        directions = frame[1] + column[:, None] * frame[2] + row[:, None] * frame[3]
+        origins = np.broadcast_to(frame[0], directions.shape)
+        return trace(origins, directions, solids, count, background).reshape(rows, columns, count)
+    from phantomgen.ops.silhouette.forms import cone_bounds  # noqa: PLC0415
+    from phantomgen.ops.silhouette.tiles import Tiles  # noqa: PLC0415
+    from phantomgen.ops.trace.cpu import event_room  # noqa: PLC0415
+    from phantomgen.ops.trace.table import ALONE, ring_tubes, solid_table  # noqa: PLC0415
+    from phantomgen.ops.trace.view import trace_pixels  # noqa: PLC0415
+
+    solids = solids.checked(count, background)
+    table, bounds = solid_table(solids), cone_bounds(frame, solids.kinds, solids.locals_)
+    tiles = Tiles.of(bounds, np.empty(0, np.int64), rows, columns)
+    whole = bool((table[:, ALONE] > 0).all() and (solids.owners == np.arange(solids.rows)).all())
+    ray = np.empty(solids.rows, np.int64), event_room(solids.rows), np.empty(count)
+    out = np.empty((rows, columns, count))
+    trace_pixels(frame, table, ring_tubes(solids), tuple(tiles), int(background), whole, ray, out)
+    return out

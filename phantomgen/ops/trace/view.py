@@ -1,0 +1,78 @@
+"""Path lengths of the rays through all pixels' centres of a view, in numba.
+
+Where shapes lie apart from each other or inside each other along a ray, the later one inside, the length of each is
+that of its chord, less the chords of what lies inside it. That needs no events in order, and most rays of most scenes
+are so; the others are cut where their owner changes, as everywhere else.
+"""
+
+from math import sqrt
+from typing import no_type_check
+
+from numba import njit
+
+from phantomgen.ops.device import inlined
+from phantomgen.ops.silhouette.tiles_cpu import list_active
+from phantomgen.ops.trace.cpu import ENTER, HIT, LEAVE, add_pieces, collect, owned_pieces
+from phantomgen.ops.trace.table import MATERIAL, set_origin
+
+
+@inlined
+@no_type_check
+def _add_nested(table, background, norm, hits, events, lengths):
+    """Write path lengths of a ray whose shapes are disjoint or nested along it; return whether they are."""
+    for m in range(lengths.size):
+        lengths[m] = 0.0
+    free = norm
+    for i in range(hits):
+        enter, leave, within = events[ENTER, i], events[LEAVE, i], -1
+        for j in range(i):
+            if events[ENTER, j] < leave and events[LEAVE, j] > enter:
+                if events[ENTER, j] > enter or events[LEAVE, j] < leave:
+                    return False
+                within = j
+        part = (leave - enter) * norm
+        lengths[int(table[int(events[HIT, i]), MATERIAL])] += part
+        if within >= 0:
+            lengths[int(table[int(events[HIT, within]), MATERIAL])] -= part
+        else:
+            free -= part
+    if background >= 0:
+        lengths[background] += free
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def trace_pixels(frame, table, tubes, tiles, background, whole, ray, out):
+    """Write path lengths of a view, (row, column, material).
+
+    Parameters
+    ----------
+    frame : source, vector from there to the centre of pixel (0, 0), column step, row step [mm]
+    table, tubes, background : the shapes; table gets the source as origin
+    tiles : fields of `phantomgen.ops.silhouette.tiles.Tiles`
+    whole : whether every object is one primitive
+    ray : scratch: indices of shapes, events, path lengths of one ray
+    """
+    active, events, lengths = ray
+    for s in range(table.shape[0]):
+        set_origin(table, s, frame[0, 0], frame[0, 1], frame[0, 2])
+    for row in range(out.shape[0]):
+        for column in range(out.shape[1]):
+            count = list_active(tiles, row, column, active)
+            if count == 0 and background < 0:
+                for m in range(lengths.size):
+                    out[row, column, m] = 0.0
+                continue
+            dx = frame[1, 0] + column * frame[2, 0] + row * frame[3, 0]
+            dy = frame[1, 1] + column * frame[2, 1] + row * frame[3, 1]
+            dz = frame[1, 2] + column * frame[2, 2] + row * frame[3, 2]
+            nested = False
+            if whole:
+                hits = collect(table, tubes, None, dx, dy, dz, active, count, events)
+                nested = _add_nested(table, background, sqrt(dx * dx + dy * dy + dz * dz), hits, events, lengths)
+            if not nested:
+                pieces = owned_pieces(table, tubes, None, dx, dy, dz, active, count, events)
+                add_pieces(table, None, background, dx, dy, dz, pieces, events, lengths)
+            for m in range(lengths.size):
+                out[row, column, m] = lengths[m]

@@ -1,0 +1,44 @@
+"""Images without holes: pixels that nothing measured, interpolated from those around them."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+Lines = Int[np.ndarray, "row column"]
+
+
+def filled(
+    images: Float[np.ndarray, "... row column"], unseen: Bool[np.ndarray, "row column"]
+) -> Float[np.ndarray, "... row column"]:
+    """Images whose unseen pixels are interpolated linearly between the nearest seen ones along a row or a column.
+
+    The axis with the smaller gap is taken. At the border, where one neighbour is missing, the other gives the value.
+    Filtered back-projection needs every pixel; a fit does not, and leaves these out.
+    """
+    if not unseen.any() or unseen.all():
+        return images
+    along = [_between(~unseen), [x.T for x in _between(~unseen.T)]]
+    row, column = np.nonzero(unseen)
+    whole, best = images.copy(), np.full(len(row), np.inf)
+    for (before, after, gap), axis in zip(along, (1, 0), strict=True):
+        better = gap[row, column] < best
+        r, c = row[better], column[better]
+        best[better] = gap[r, c]
+        a, b = before[r, c], after[r, c]
+        part = (((r, c)[axis] - a) / np.maximum(b - a, 1)).astype(images.dtype)
+        ends = [images[..., r, x] if axis == 1 else images[..., x, c] for x in (a, b)]
+        whole[..., r, c] = (1 - part) * ends[0] + part * ends[1]
+    left = np.zeros_like(unseen)
+    left[row[np.isinf(best)], column[np.isinf(best)]] = True
+    return filled(whole, left)
+
+
+def _between(seen: Bool[np.ndarray, "row column"]) -> list[np.ndarray]:
+    """For every pixel the nearest seen columns before and after it in its row, and the gap between; inf for none."""
+    count = seen.shape[1]
+    column = np.broadcast_to(np.arange(count), seen.shape)
+    before = np.maximum.accumulate(np.where(seen, column, -1), axis=1)
+    after = np.minimum.accumulate(np.where(seen, column, count)[:, ::-1], axis=1)[:, ::-1]
+    first, last = before < 0, after >= count
+    gap = np.where(first & last, np.inf, np.where(first | last, 2.0 * count, 0.0) + after - before)
+    before, after = np.where(first, after, before), np.where(last, before, after)
+    return [before, after, gap]
