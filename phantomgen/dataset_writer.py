@@ -31,7 +31,7 @@ from phantomgen.dataset_layout import (
 from phantomgen.dataset_mask import write_mask
 from phantomgen.dataset_profile import write_profile
 from phantomgen.dataset_truth import StreamedTruth, Truth, truth_group, write_grid, write_truth
-from phantomgen.disk_room import is_full, one_sentence
+from phantomgen.disk_room import is_full, one_sentence, reserve
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
 from phantomgen.versions import environment, program_version
@@ -57,9 +57,15 @@ class DatasetWriter:
         self.part = self.path.with_name(self.path.name + ".part")
         check_output(self.path, overwrite)
 
+    @property
+    def reserved(self) -> Path:
+        """File that takes some room on the disk while the dataset is written."""
+        return self.part.with_name(self.part.name + ".room")
+
     def __enter__(self) -> "DatasetWriter":
         with one_sentence(self.part):
             try:
+                reserve(self.reserved)
                 self.file = h5py.File(self.part, "w")
                 _write_root(self.file)
             except (OSError, RuntimeError) as error:
@@ -74,6 +80,7 @@ class DatasetWriter:
                 if error is not None and is_full(error):
                     raise error
                 if error is None:
+                    self.reserved.unlink(missing_ok=True)
                     self.file.close()
                     os.replace(self.part, self.path)
             finally:
@@ -82,8 +89,9 @@ class DatasetWriter:
     def _discard(self) -> None:
         """Close and remove what is not complete.
 
-        On a full disk HDF5 may fail to close the file and keep it open, so that its room has to be given back first.
+        On a full disk HDF5 fails to close a file, keeps it open, and may crash; so it gets some room that was reserved.
         """
+        self.reserved.unlink(missing_ok=True)
         with suppress(OSError, RuntimeError, AttributeError):
             self.file.close()
         if self.part.exists():

@@ -9,6 +9,8 @@ from pathlib import Path
 
 from spectra.errors import InputError, StorageError
 
+# Least and most room that is reserved for closing a file [byte].
+_LEAST_RESERVE, _MOST_RESERVE = 1 << 16, 1 << 23
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -31,6 +33,14 @@ def check_room(path: Path, needed: float) -> None:
             f"{path} needs about {readable(needed)} of disk while it is written, and {readable(free)} are free: "
             "make room, or choose another folder by --out"
         )
+
+
+def reserve(path: Path) -> None:
+    """Write a file of zeros, a small part of the room that is left, to be removed when it is needed."""
+    size = min(max(free_bytes(path) // 64, _LEAST_RESERVE), _MOST_RESERVE)
+    with path.open("wb", buffering=0) as file:
+        if file.write(bytes(size)) < size:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def readable(size: float) -> str:
