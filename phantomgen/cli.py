@@ -7,6 +7,7 @@ Results go to stdout, progress and warnings to stderr. Exit codes: 0 done, 1 an 
 import json
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -159,8 +160,13 @@ def _make(
         scan = load_scene(file)
         wait_for_kernels()
         ready = time.perf_counter() - start
-        summary = simulate(scan, path, progress=not quiet, **options)
+        summary = simulate(scan, path, progress=not quiet, on_stage=_stages(shown), **options)
     return replace(summary, seconds={"scene": ready, **summary.seconds})
+
+
+def _stages(shown: bool) -> Callable[[str], None]:
+    """What says on stderr which stage has begun, where somebody can see it."""
+    return lambda name: click.echo(f"{name} ...", err=True) if shown else None
 
 
 @main.command(
@@ -195,7 +201,7 @@ def plan(
     from phantomgen.plan_report import PlanReport
     from phantomgen.scene import load_scene
 
-    report = PlanReport.of(load_scene(file), tol)
+    report = PlanReport.of(load_scene(file), tol, _stages(sys.stderr.isatty() and not as_json))
     click.echo(json.dumps(report.to_dict()) if as_json else report.text)
     sys.exit(3 if report.plan.missed else 0)
 

@@ -5,11 +5,10 @@ sum_k w_k exp(-p(E_k)), with p(E_k) a combination of what is kept and w_k the ph
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -21,7 +20,8 @@ from phantomgen.dataset_layout import FRACTION_SCALE, array_at, group_at, new_fr
 from phantomgen.dataset_truth import truth_group
 from phantomgen.grid import Grid
 from phantomgen.kept_energies import SHARE, attenuation, kept_energies
-from phantomgen.planning import Choice, Plan
+from phantomgen.plan_pixels import Choice
+from phantomgen.planning import ENERGY, Plan
 from phantomgen.scan_identity import digest
 from phantomgen.scene import Scan
 from phantomgen.scene_yaml import SceneFile
@@ -35,8 +35,6 @@ from spectra.errors import DatasetError, InputError
 from spectra.transmission import Transmission
 
 GROUP = "truth/paths"
-# Share of the tolerance for energy nodes, as `phantomgen.planning` has it.
-_ENERGY = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +118,7 @@ class KeptPaths:
         energies = PiecewiseChebyshev(tuple(bounds), tuple(counts))
         setting = f"{sum(counts)} energies of {bounds[0]:g} .. {bounds[-1]:g} keV from {Path(path).name}"
         last = Choice("kept projections", setting, error, SHARE * plan["tolerance"])
-        traced = [_choice(part) for part in plan["parts"] if part["part"] not in {"energies", last.part}]
+        traced = [Choice.from_dict(part) for part in plan["parts"] if part["part"] not in {"energies", last.part}]
         settings = Settings.from_dict(plan["settings"])
         return cls(Path(path), energies, (*traced, last), plan["tolerance"], settings, depends_on)
 
@@ -155,7 +153,7 @@ class KeptPaths:
 
     def planned(self, scan: Scan, tolerance: float) -> tuple[Plan, "KeptViews"]:
         """How a scan is computed from here, and its views."""
-        share = _ENERGY * tolerance
+        share = ENERGY * tolerance
         exposure, error = Exposure.of(scan, sampled_lengths(scan), share, refine=False)
         groups, old = exposure.groups, len(scan.scene.materials)
         counts = " + ".join(str(n) for n in np.diff(exposure.transmission.starts))
@@ -257,11 +255,6 @@ def kept_scene(path: Path | str, overrides: Sequence[str] = ()) -> SceneFile:
     with _opened(path) as file:
         group_at(file, GROUP)
         return SceneFile(str(path), text_of(array_at(file, "truth/scene/data")[()]), tuple(overrides))
-
-
-def _choice(part: Mapping[str, Any]) -> Choice:
-    """A part of a plan that was written as JSON."""
-    return Choice(part["part"], part["setting"], part["error"], part["share"])
 
 
 @contextmanager

@@ -1,7 +1,5 @@
 """What a planned scan will take: time, memory and file size, from a few of its frames and slabs of its truth."""
 
-import resource
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,9 +11,14 @@ from phantomgen.dataset_layout import pack_image
 from phantomgen.noise import Stream
 from phantomgen.simulate import streamed_truth
 from phantomgen.simulate_views import Views
+from phantomgen.stopwatch import peak_memory_mib
 from spectra.threads import run_parallel, thread_count
 
 T = TypeVar("T")
+# Geometry, spectra and notes of a file [byte].
+_SMALL_PARTS = 200_000
+# Bytes per voxel of a slab and material (float32, then uint16), and basis (float32).
+_SHARE, _VOLUME = 6, 4
 # Slabs of the truth that are tried, and slices of each.
 _SLABS, _THICK = 4, 6
 
@@ -27,30 +30,26 @@ class Cost:
     Parameters
     ----------
     seconds : per stage
-    memory : largest resident memory of the process [byte]
+    memory : largest resident memory of the process [MiB], None where the system does not tell
     size : of the file [byte]
     """
 
     seconds: dict[str, float]
-    memory: int
+    memory: float | None
     size: int
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
         total = sum(self.seconds.values())
-        return {"seconds": {**self.seconds, "total": total}, "memory_bytes": self.memory, "file_bytes": self.size}
+        return {"seconds": {**self.seconds, "total": total}, "memory_mib": self.memory, "file_bytes": self.size}
 
     @property
     def text(self) -> str:
         """For people."""
         stages = ", ".join(f"{name} {seconds:.2g} s" for name, seconds in self.seconds.items())
-        return "\n".join(
-            [
-                f"time    about {sum(self.seconds.values()):.2g} s: {stages}",
-                f"memory  about {self.memory / 2**30:.1f} GiB",
-                f"file    about {self.size / 1e6:.3g} MB",
-            ]
-        )
+        memory = [] if self.memory is None else [f"memory  about {self.memory:.0f} MiB"]
+        total = sum(self.seconds.values())
+        return "\n".join([f"time    about {total:.2g} s: {stages}", *memory, f"file    about {self.size / 1e6:.3g} MB"])
 
 
 def expected_cost(views: Views) -> Cost:
@@ -66,11 +65,7 @@ def expected_cost(views: Views) -> Cost:
     truth_time, truth_bytes = _truth(views)
     views_time = view_time * views.shape[0] + flat_time * scan.flats
     size = view_bytes * views.shape[0] + flat_bytes * scan.flats + truth_bytes + _SMALL_PARTS
-    return Cost({"views": views_time, "truth": truth_time}, _memory(views), int(size))
-
-
-# Geometry, spectra and notes of a file [byte].
-_SMALL_PARTS = 200_000
+    return Cost({"views": views_time, "truth": truth_time}, expected_memory(views), int(size))
 
 
 def _per_frame(views: Views, stream: Stream, count: int) -> tuple[float, float]:
@@ -107,14 +102,17 @@ def _truth(views: Views) -> tuple[float, float]:
     return begin * -(-depth // step) + per_slice * depth, float(np.mean(sizes)) / thick * depth
 
 
-def _memory(views: Views) -> int:
-    """Memory that is in use now, and what frames on their way and the truth add."""
-    frame = 8 * int(np.prod(views.shape[1:]))
-    voxels = int(np.prod(views.scan.grid.shape))
+def expected_memory(views: Views) -> float | None:
+    """Memory that was in use, and what frames on their way and a slab of the truth add [MiB]; None if nobody knows."""
+    known = peak_memory_mib()
+    if known is None:
+        return None
+    truth = streamed_truth(views.scan)
+    depth, rows, columns = truth.grid.shape
+    voxels = min(truth.slab, depth) * rows * columns
     materials, bases = len(views.scan.scene.materials), len(views.scan.basis)
-    unit = 1 if sys.platform == "darwin" else 1024
-    now = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
-    return now + 3 * thread_count() * frame + voxels * (4 * materials + 2 * materials + 4 * bases + 2)
+    frames = 3 * thread_count() * 8 * int(np.prod(views.shape[1:]))
+    return known + (frames + voxels * (_SHARE * materials + _VOLUME * bases)) / 2**20
 
 
 def _timed(task: Callable[[], T]) -> tuple[float, T]:

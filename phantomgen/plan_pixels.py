@@ -5,9 +5,10 @@ all pixels of the sampled windows. Where surfaces meet, or voxel maps lie, it is
 pixels. Both share the energy nodes with what they judge, so that pixels are judged alone.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -83,6 +84,15 @@ class Choice:
     def met(self) -> bool:
         """Whether the error is no larger than wished."""
         return self.error <= self.share
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> "Choice":
+        """From what `to_dict` gives."""
+        return cls(**{**values, "trials": tuple(Trial(**trial) for trial in values["trials"])})
 
 
 @dataclass(frozen=True, eq=False)
@@ -342,6 +352,12 @@ def worst_error(counts: Counts, exact: Counts, level: Counts) -> float:
     if not seen.any():
         return 0.0
     return float(np.abs(np.log(counts[seen] / exact[seen])).max())
+
+
+def worst_difference(images: Sequence[Image], exact: Sequence[Image]) -> float:
+    """The same over whole windows."""
+    pairs = zip(images, exact, strict=True)
+    return max((worst_error(a, b, b.max(axis=(1, 2), keepdims=True)) for a, b in pairs), default=0.0)
 
 
 def _rule_name(rules: tuple[tuple[int, int], ...]) -> str:

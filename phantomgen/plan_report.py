@@ -1,6 +1,7 @@
 """What `phantomgen plan` says: the parts of a scan, how finely each is computed, and what the whole takes."""
 
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 from textwrap import indent
 from typing import Any
 
@@ -31,18 +32,19 @@ class PlanReport:
     cost: Cost
 
     @classmethod
-    def of(cls, scan: Scan, tolerance: float) -> "PlanReport":
-        """Plan a scan and try parts of it."""
+    def of(cls, scan: Scan, tolerance: float, on_stage: Callable[[str], None] = lambda name: None) -> "PlanReport":
+        """Plan a scan and try parts of it; `on_stage` is called with the name of each stage when it begins."""
         check_collisions(scan)
-        watch = Stopwatch()
+        watch = Stopwatch(on_stage)
         with watch("plan"):
             plan = make_plan(scan, tolerance)
         scan = plan.scan
-        cost = expected_cost(Views(scan, plan.exposure, plan.settings))
         with watch("check"):
             error = quick_check(scan, plan.exposure.transmission, plan.settings)
+        with watch("cost"):
+            cost = expected_cost(Views(scan, plan.exposure, plan.settings))
         seconds = {"plan": watch.seconds["plan"], **cost.seconds, "check": watch.seconds["check"]}
-        return cls(scan, plan, error, Cost(seconds, cost.memory, cost.size))
+        return cls(scan, plan, error, replace(cost, seconds=seconds))
 
     @property
     def effects(self) -> list[str]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from phantomgen.effects.focal_spot import LATTICES, FocalSpot
-from phantomgen.plan_pixels import Choice, Image, Trial, Window, exposed, windows_of, worst_error
+from phantomgen.plan_pixels import Choice, Image, Trial, Window, exposed, windows_of, worst_difference
 from phantomgen.scene import Scan
 from phantomgen.settings import Settings
 from spectra.threads import run_parallel
@@ -36,13 +36,7 @@ def choose_spot(
 
     finest, trials = averages(_FINEST), []
     for points in _LADDER:
-        error = max(
-            (
-                worst_error(a, b, b.max(axis=(1, 2), keepdims=True))
-                for a, b in zip(averages(points), finest, strict=True)
-            ),
-            default=0.0,
-        )
+        error = worst_difference(averages(points), finest)
         trials.append(Trial(f"{points} points of the spot", error, float(points)))
         if error <= share:
             break

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from phantomgen.plan_pixels import Choice, Trial, exposed, windows_of, worst_error
+from phantomgen.plan_pixels import Choice, Trial, exposed, windows_of, worst_difference
 from phantomgen.scene import Scan
 from phantomgen.settings import Settings
 from spectra.transmission import Transmission
@@ -36,4 +36,4 @@ def _difference(coarse: Scan, fine: Scan, transmission: Transmission) -> float:
     """Worst difference of log counts in some windows."""
     windows = windows_of(fine, transmission, np.random.default_rng(_SEED))
     found = [[exposed(scan, transmission, window, Settings()).counts for window in windows] for scan in (coarse, fine)]
-    return max((worst_error(a, b, b.max(axis=(1, 2), keepdims=True)) for a, b in zip(*found, strict=True)), default=0.0)
+    return worst_difference(*found)

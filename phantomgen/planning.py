@@ -22,7 +22,7 @@ from spectra.errors import InputError
 TOLERANCE = 1e-3
 _LEAST, _MOST = 1e-9, 1.0
 # Shares of the tolerance; the average over pixels gets what is left, so that they sum to 1, as errors may add up.
-_ENERGY, _TESSELLATION, _SPOT = 0.25, 0.25, 0.4
+ENERGY, _TESSELLATION, _SPOT = 0.25, 0.25, 0.4
 # How much finer energy nodes are sought where their share is missed.
 _FINER = (1.0, 3.0, 10.0)
 
@@ -91,16 +91,7 @@ class Plan:
             "error": self.error,
             "settings": self.settings.to_dict(),
             "nodes": list(self.nodes),
-            "parts": [
-                {
-                    "part": c.part,
-                    "setting": c.setting,
-                    "error": c.error,
-                    "share": c.share,
-                    "tried": [vars(trial) for trial in c.trials],
-                }
-                for c in self.choices
-            ],
+            "parts": [choice.to_dict() for choice in self.choices],
         }
 
     @property
@@ -130,8 +121,8 @@ def make_plan(scan: Scan, tolerance: float = TOLERANCE) -> Plan:
         When the tolerance is no sensible number.
     """
     check_tolerance(tolerance)
-    exposure, energies = _energies(scan, _ENERGY * tolerance)
-    choices, left, settings = [energies], 1 - _ENERGY, Settings()
+    exposure, energies = _energies(scan, ENERGY * tolerance)
+    choices, left, settings = [energies], 1 - ENERGY, Settings()
     if scan.file is not None:
         scan, tessellation = choose_tessellation(scan, exposure.transmission, _TESSELLATION * tolerance)
         choices, left = [*choices, tessellation], left - _TESSELLATION

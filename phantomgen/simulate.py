@@ -46,6 +46,7 @@ def simulate(
     paths: Path | str | None = None,
     verify: bool = False,
     progress: bool = False,
+    on_stage: Callable[[str], None] = lambda name: None,
     resume: bool = False,
     compression: Compression = "gzip",
 ) -> Summary:
@@ -64,6 +65,7 @@ def simulate(
         with the spectra, doses, channels and noise of `scan`
     verify : measure the error on all edge pixels of three views, not on a sample
     progress : show a progress bar on stderr
+    on_stage : called with the name of each stage when it begins
     resume : go on with the frames that an interrupted run left, if any; the dataset is the same as without interruption
     compression : of the large arrays
 
@@ -80,7 +82,7 @@ def simulate(
     """
     kept = None if paths is None else usable(paths, scan, out, keep_paths)
     check_collisions(scan)
-    watch = Stopwatch()
+    watch = Stopwatch(on_stage)
     writer = DatasetWriter(out, overwrite, compression)
     check_journal(writer.path, resume, overwrite)
     check_compression(compression)

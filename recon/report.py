@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -87,16 +86,6 @@ def write_volumes(
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write indented JSON; NaN is refused."""
     path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def peak_memory_mib() -> float | None:
-    """Largest memory this process has held [MiB]; None where the system does not tell."""
-    try:
-        import resource  # noqa: PLC0415 - not on Windows
-    except ImportError:
-        return None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (2**20 if sys.platform == "darwin" else 2**10)
 
 
 def score_table(metrics: dict[str, Any]) -> str:

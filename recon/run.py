@@ -10,7 +10,7 @@ import yaml
 
 from phantomgen.dataset import Dataset
 from phantomgen.dataset_truth import Truth, read_truth
-from phantomgen.stopwatch import Stopwatch
+from phantomgen.stopwatch import Stopwatch, peak_memory_mib
 from phantomgen.versions import environment
 from recon import figures
 from recon.fitting import Progress
@@ -19,7 +19,7 @@ from recon.metrics import psnr
 from recon.orbit_check import check_full_circle
 from recon.pipeline import Reconstruction, reconstruct
 from recon.recipe import Recipe
-from recon.report import MODEL, peak_memory_mib, write_json, write_volumes
+from recon.report import MODEL, write_json, write_volumes
 from recon.scoring import held_out_views, score_start, score_test_views, score_truth
 from spectra.threads import without_other_pools
 

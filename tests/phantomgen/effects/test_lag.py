@@ -63,7 +63,7 @@ def test_a_few_views_before_tell_what_is_stored():
 @pytest.mark.parametrize("first", [2, 3, 4, 5])
 def test_a_scan_goes_on_at_any_view_bit_by_bit(first):
     views = views_of(integrating(SETTING, *SHORT))
-    whole, rest = (list(projections(views, lambda *both: np.array(both), True, begin)) for begin in (0, first))
+    whole, rest = (list(projections(views, lambda _, *both: np.array(both), True, begin)) for begin in (0, first))
     np.testing.assert_array_equal(rest, whole[first:])
 
 
