@@ -169,7 +169,7 @@ def _sentence(error: Any) -> str:
     if kind in {"missing", "union_tag_not_found"}:
         return f"is missing{_choices(str(error['loc'][-1]))}"
     if kind == "extra_forbidden":
-        return f"unknown key{_hint(str(error['loc'][-1]))}"
+        return f"unknown key{_hint(error['loc'])}"
     if kind == "union_tag_invalid":
         return f"unknown type {error['ctx']['tag']!r}: choose from {error['ctx']['expected_tags']}"
     if isinstance(got, dict) and len(got) == 1 and not kind.startswith("missing"):
@@ -203,9 +203,13 @@ def _fields() -> set[str]:
     return {name for model in _models() for name in model.model_fields}
 
 
-def _hint(key: str) -> str:
-    """A hint at the key that is meant, where one is close."""
-    near = difflib.get_close_matches(key, _fields(), 1)
+def _hint(location: Location) -> str:
+    """A hint at the key that is meant: of the type that is described there, else of any."""
+    key, tag = str(location[-1]), location[-2] if len(location) > 1 else None
+    owners = [m for m in _models() if "type" in m.model_fields and tag in get_args(m.model_fields["type"].annotation)]
+    if len(owners) == 1:
+        return closest(key, owners[0].model_fields)
+    near = difflib.get_close_matches(key, _fields() - {key}, 1)
     return f"; did you mean {near[0]!r}?" if near else ""
 
 
