@@ -6,9 +6,9 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
-from phantomgen.ops.project import project, project_transpose
+from phantomgen.ops.project import project, project_transpose, values_of_averages
 from phantomgen.ops.project.reference import matrix_of_view
-from phantomgen.ops.trace import trace
+from phantomgen.ops.trace import trace, trace_view
 from phantomgen.ops.voxelize_shapes import fractions
 from phantomgen.panel import Panel
 from phantomgen.shapes import Box, Cylinder, Sphere, solids_of
@@ -143,6 +143,30 @@ def test_chords_through_what_was_voxelized(pixels: int, limit: float) -> None:
         error = image - chords.mean(axis=(1, 3))
         assert np.sqrt((error**2).mean()) < limit
         assert abs(error.sum()) < 2e-3 * chords.mean(axis=(1, 3)).sum()
+
+
+def test_an_interpolant_has_the_averages_it_was_made_for() -> None:
+    """Up to fourth derivatives, as its average over voxel i is (v_(i-1) + 6 v_i + v_(i+1)) / 8 along each axis."""
+    z, y, x = np.indices((24, 24, 24)) - 11.5
+    averages = np.exp(-((x - 1) ** 2 + y**2 + (z + 2) ** 2) / 2 / 4.0**2)
+    found = values_of_averages(averages)
+    before = abs(found - averages)[4:-4, 4:-4, 4:-4].max()
+    for axis in range(3):
+        found = found + (np.roll(found, 1, axis) - 2 * found + np.roll(found, -1, axis)) / 8
+    assert abs(found - averages)[4:-4, 4:-4, 4:-4].max() < 0.06 * before
+
+
+def test_chords_through_averages_are_nearer_with_values_of_averages() -> None:
+    solids = solids_of([(Sphere((9, -5, 4), 16.0), 0), (Cylinder((-10, 8, -2), 11.0, 40.0, (1, 2, 3)), 0)])
+    grid, panel = Grid.cube(48, 96.0), Panel(64, 64, 2.4)
+    frames = Geometry.circular(500.0, 800.0, np.array([0.0, 0.5]), panel).ray_frames()
+    averages = fractions(grid, solids, 1)
+    wanted = np.stack([trace_view(frame, 64, 64, solids, 1)[..., 0] for frame in frames])
+    with_values, plain = (
+        np.sqrt(((project(v, grid, frames, 64, 64)[0] - wanted) ** 2).mean())
+        for v in (values_of_averages(averages), averages)
+    )
+    assert with_values < 0.8 * plain
 
 
 def test_refuses_what_does_not_fit() -> None:
