@@ -28,7 +28,7 @@ def main() -> None:
     sampled = sampled_lengths(scan)
     rng = np.random.default_rng(0)
     lengths = sampled[rng.integers(len(sampled), size=SIDE * SIDE)]
-    exact = fine_transmission(scan, 0.05)
+    exact = fine_transmission(scan, step=0.05)
     few = lengths[:3000]
     truth = exact.expected(few) / exact.open_beam
     lines = [

@@ -69,7 +69,7 @@ def worst_error(scan: Scan, plan: Plan) -> tuple[float, int]:
     pixels = np.argwhere(classes >= CROSSED)
     rng = np.random.default_rng(9)
     pixels = pixels[rng.permutation(len(pixels))[:PIXELS]]
-    fine, _ = compressed_transmission(scan, sampled_lengths(scan), 1e-7, STEP / FINER, refine=False)
+    fine, _ = compressed_transmission(scan, sampled_lengths(scan), 1e-7, refine=False, step=STEP / FINER)
     rays = RAYS // 4 if (classes == VOXELS).any() else RAYS  # voxels have no silhouettes, and each ray costs more
 
     def brute(some: np.ndarray) -> np.ndarray:

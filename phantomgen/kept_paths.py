@@ -21,14 +21,14 @@ from phantomgen.dataset_truth import truth_group
 from phantomgen.grid import Grid
 from phantomgen.kept_energies import SHARE, attenuation, kept_energies
 from phantomgen.plan_pixels import Choice
-from phantomgen.planning import ENERGY, Plan
+from phantomgen.planning import BINS, ENERGY, Plan
 from phantomgen.scan_identity import digest
 from phantomgen.scene import Scan
 from phantomgen.scene_yaml import SceneFile
 from phantomgen.settings import Settings
 from phantomgen.simulate_coverage import sampled_lengths
 from phantomgen.simulate_noise import Exposure, Groups
-from phantomgen.simulate_spectra import node_energies
+from phantomgen.simulate_spectra import fine_cuts, node_energies
 from phantomgen.simulate_views import expected_view
 from spectra.chebyshev import PiecewiseChebyshev
 from spectra.errors import DatasetError, InputError
@@ -153,14 +153,15 @@ class KeptPaths:
 
     def planned(self, scan: Scan, tolerance: float) -> tuple[Plan, "KeptViews"]:
         """How a scan is computed from here, and its views."""
-        share = ENERGY * tolerance
-        exposure, error = Exposure.of(scan, sampled_lengths(scan), share, refine=False)
+        share, lengths = ENERGY * tolerance, sampled_lengths(scan)
+        cuts, bins = fine_cuts(scan, lengths, BINS * share)
+        exposure, error = Exposure.of(scan, lengths, (1 - BINS) * share, refine=False, cuts=cuts)
         groups, old = exposure.groups, len(scan.scene.materials)
         counts = " + ".join(str(n) for n in np.diff(exposure.transmission.starts))
-        shares = self.energies.matrix(node_energies(scan, groups)).T
+        shares = self.energies.matrix(node_energies(scan, groups, cuts)).T
         through = attenuation(scan, self.energies.nodes) @ shares
         groups = replace(groups, columns=np.concatenate([through, groups.columns[old:]]))
-        choices = (Choice("energies", f"{counts} nodes", error, share), *self._choices(tolerance))
+        choices = (Choice("energies", f"{counts} nodes", bins + error, share), *self._choices(tolerance))
         plan = Plan(tolerance, scan, self.settings, replace(exposure, groups=groups), choices)
         return plan, KeptViews(self, scan, np.concatenate([shares, groups.columns[old:]]))
 

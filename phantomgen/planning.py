@@ -17,12 +17,15 @@ from phantomgen.scene import Scan
 from phantomgen.settings import Settings
 from phantomgen.simulate_coverage import sampled_lengths
 from phantomgen.simulate_noise import Exposure
+from phantomgen.simulate_spectra import fine_cuts
 from spectra.errors import InputError
 
 TOLERANCE = 1e-3
 _LEAST, _MOST = 1e-9, 1.0
 # Shares of the tolerance; the average over pixels gets what is left, so that they sum to 1, as errors may add up.
 ENERGY, _TESSELLATION, _SPOT = 0.25, 0.25, 0.4
+# Share of bins in that of energies.
+BINS = 0.3
 # How much finer energy nodes are sought where their share is missed.
 _FINER = (1.0, 3.0, 10.0)
 
@@ -134,13 +137,14 @@ def make_plan(scan: Scan, tolerance: float = TOLERANCE) -> Plan:
 
 
 def _energies(scan: Scan, share: float) -> tuple[Exposure, Choice]:
-    """Few energy nodes whose worst error of log counts stays within `share`."""
+    """Few energy nodes whose worst error of log counts, together with that of their bins, stays within `share`."""
     lengths, trials = sampled_lengths(scan), []
+    cuts, bins = fine_cuts(scan, lengths, BINS * share)
     for finer in _FINER:
-        exposure, error = Exposure.of(scan, lengths, share / finer)
+        exposure, error = Exposure.of(scan, lengths, (share - min(bins, BINS * share)) / finer, cuts=cuts)
         nodes = [b - a for a, b in pairwise(exposure.transmission.starts.tolist())]
-        trials.append(Trial(f"{' + '.join(map(str, nodes))} nodes", error, sum(nodes)))
-        if error <= share:
+        trials.append(Trial(f"{' + '.join(map(str, nodes))} nodes", bins + error, sum(nodes)))
+        if bins + error <= share:
             break
     return exposure, Choice("energies", trials[-1].setting, trials[-1].error, share, tuple(trials))
 

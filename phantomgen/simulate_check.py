@@ -101,7 +101,9 @@ def _check(
     """Errors of edge pixels and of rays; all edge pixels where no number of them is given."""
     rng = np.random.default_rng([scan.seed, 6])
     views = np.linspace(0, len(scan.geometry) - 1, min(_FULL_VIEWS, len(scan.geometry))).round().astype(int)
-    yardstick, _ = compressed_transmission(scan, sampled_lengths(scan), _ENERGY_TOLERANCE, STEP / FINER, refine=False)
+    yardstick, _ = compressed_transmission(
+        scan, sampled_lengths(scan), _ENERGY_TOLERANCE, refine=False, step=STEP / FINER
+    )
     share = None if pixels_per_scan is None else -(-pixels_per_scan // len(views))
     edges = [_edge_errors(scan, transmission, settings, yardstick, int(view), share, rng, primary) for view in views]
     edge = np.concatenate(edges)
@@ -180,7 +182,7 @@ def _ray_errors(scan: Scan, transmission: Transmission, count: int, rng: np.rand
     met = lengths.any(axis=1)
     pixels = np.rint(np.stack([row[met], column[met]], axis=1)).astype(int)
     lengths = _beside_profile(scan, lengths[met], pixels)
-    exact = fine_transmission(scan, STEP / FINER)
+    exact = fine_transmission(scan, step=STEP / FINER)
     levels = (_level(scan, t, pixels) for t in (transmission, exact))
     return _log_error(transmission.expected(lengths), next(levels), exact.expected(lengths), next(levels))
 

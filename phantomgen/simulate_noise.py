@@ -7,7 +7,7 @@ from jaxtyping import Float, Int, Shaped
 
 from phantomgen.noise import Stream, compound_signal, dead_time_counts, poisson_counts
 from phantomgen.scene import Scan
-from phantomgen.simulate_spectra import compressed_transmission, photon_quanta
+from phantomgen.simulate_spectra import NO_CUTS, compressed_transmission, photon_quanta
 from spectra.dead_time import DeadTime
 from spectra.transmission import Transmission
 
@@ -37,7 +37,12 @@ class Exposure:
 
     @classmethod
     def of(
-        cls, scan: Scan, lengths: Float[np.ndarray, "ray material"], tolerance: float, refine: bool = True
+        cls,
+        scan: Scan,
+        lengths: Float[np.ndarray, "ray material"],
+        tolerance: float,
+        refine: bool = True,
+        cuts: Float[np.ndarray, " cut"] = NO_CUTS,
     ) -> tuple["Exposure", float]:
         """For rays with such path lengths [mm], and the worst error of log signals from few energy nodes.
 
@@ -47,9 +52,10 @@ class Exposure:
         lengths : path lengths of rays that meet every object [mm]
         tolerance : worst error of log signals that is wanted
         refine : whether nodes may be of no single energy, and fewer
+        cuts : of the bins that nodes replace [keV], see `fine_cuts`; the error is that against these
         """
-        groups, error = compressed_transmission(scan, lengths, tolerance, refine=refine, grouped=True)
-        quanta, aperture = photon_quanta(scan), scan.effects.aperture
+        groups, error = compressed_transmission(scan, lengths, tolerance, cuts, refine, grouped=True)
+        quanta, aperture = photon_quanta(scan, cuts), scan.effects.aperture
         if aperture is not None:
             groups = replace(groups, weights=groups.weights * aperture.area)
         if quanta is None:

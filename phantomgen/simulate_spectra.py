@@ -21,8 +21,12 @@ from spectra.scintillator import energy_groups
 from spectra.spanning import spanning_columns
 from spectra.transmission import Transmission
 
-# Bin width of the simulator before nodes are sought [keV].
+# Widest bins of the simulator before nodes are sought [keV], and the most parts that one is cut into.
 STEP = 0.125
+_MOST_PARTS = 64
+# Bins are compared with so many times finer ones, on so many rays.
+_FINER, _BIN_RAYS = 2, 300
+NO_CUTS = np.empty(0)
 RECONSTRUCTOR_BINS = 128
 FIT_WEIGHTS = "open-beam counts of all channels together, in bins of at most 1 keV"
 # Worse fits [relative rms] are said aloud; those of tissues, plastics and metals up to iron stay below 2 %.
@@ -36,22 +40,80 @@ _SPANNING_RAYS = 2000
 _MARGIN = 1.1
 
 
-def fine_transmission(scan: Scan, step: float = STEP, grouped: bool = False) -> Transmission:
+def fine_transmission(
+    scan: Scan, cuts: Float[np.ndarray, " cut"] = NO_CUTS, grouped: bool = False, step: float = STEP
+) -> Transmission:
     """Path lengths per material, and those of the beam's profile [mm], to expected counts, on bins of `step` keV.
 
     See `compressed_transmission`.
     """
-    energies, weights, names = _rows(scan, step, grouped)
-    return Transmission.from_spectrum(weights, _curves(scan, energies), names)
+    energies, weights, names = _rows(scan, step, cuts, grouped)
+    return Transmission.from_spectrum(weights, _curves(scan, energies.nodes), names)
+
+
+def fine_cuts(
+    scan: Scan, lengths: Float[np.ndarray, "ray material"], tolerance: float
+) -> tuple[Float[np.ndarray, " cut"], float]:
+    """Where bins of `STEP` keV are cut into finer ones, and the worst error of log counts that is left on some rays.
+
+    A bin across which the exponent of a ray changes by s makes an error of s^2 / 24 of its photons; n parts make
+    1 / n^2 of that. Parts are shared out so that the sum over bins meets the tolerance with the fewest of them.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    lengths : path lengths of rays that meet every object [mm]
+    tolerance : worst error of log counts that is wanted
+    """
+    rng, longest = np.random.default_rng(0), np.argsort(lengths.sum(axis=1), kind="stable")[-_BIN_RAYS // 4 :]
+    some = rng.integers(len(lengths), size=_BIN_RAYS if len(lengths) else 0)
+    rays = _with_profile_lengths(scan, lengths[np.append(some, longest)])
+    energies, weights = _weights(scan, STEP)
+    shares = _shares(scan, energies, weights, rays)
+    for aim in (tolerance, tolerance / 4, tolerance / 16):
+        parts, more = 1.0, np.ones(len(energies))
+        while (shares / (24 * more**2)).sum() > aim and parts < _MOST_PARTS**3 / shares.max(initial=0.0):
+            parts *= 2
+            more = np.clip(np.ceil(np.cbrt(parts * shares)), 1, _MOST_PARTS)
+        cuts, finer = (_cut(energies.edges, factor * more) for factor in (1, _FINER))
+        logs, exact = (fine_transmission(scan, c).log_projection(rays) for c in (cuts, finer))
+        # Midpoints err by the square of the width, so those of finer bins by a part of the same error.
+        error = float(np.abs(logs - exact).max(initial=0.0) / (1 - _FINER**-2))
+        if error <= tolerance:
+            break
+    return cuts, error
+
+
+def _shares(
+    scan: Scan, energies: Energies, weights: Float[np.ndarray, "channel energy"], rays: Float[np.ndarray, "ray column"]
+) -> Float[np.ndarray, " energy"]:
+    """Square of each bin's change of the exponent, times its part of a channel's counts, for the worst ray."""
+    near = 1e-6 * energies.widths
+    low, high = (_curves(scan, nodes) for nodes in (energies.edges[:-1] + near, energies.edges[1:] - near))
+    change = (rays @ (high - low)) ** 2
+    left = np.exp(-rays @ _curves(scan, energies.nodes))
+    worst = np.zeros(len(energies))
+    for row in weights:
+        counts = left * row
+        total = np.maximum(counts.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+        worst = np.maximum(worst, (counts / total * change).max(axis=0, initial=0.0))
+    return worst
+
+
+def _cut(edges: Float[np.ndarray, " edge"], parts: Float[np.ndarray, " energy"]) -> Float[np.ndarray, " cut"]:
+    """Places inside of bins that are cut into equal parts."""
+    inside = [np.linspace(a, b, int(n) + 1)[1:-1] for (a, b), n in zip(pairwise(edges), parts, strict=True) if n > 1]
+    return np.concatenate([np.empty(0), *inside])
 
 
 def compressed_transmission(
     scan: Scan,
     lengths: Float[np.ndarray, "ray material"],
     tolerance: float,
-    step: float = STEP,
+    cuts: Float[np.ndarray, " cut"] = NO_CUTS,
     refine: bool = True,
     grouped: bool = False,
+    step: float = STEP,
 ) -> tuple[Transmission, float]:
     """The same with few nodes.
 
@@ -61,9 +123,10 @@ def compressed_transmission(
     lengths : path lengths of rays that meet every object [mm]; they span the box of what can be reached; those of the
         beam's profile are added
     tolerance : worst error of log counts that is wanted
-    step : bin width before nodes are sought [keV]
+    cuts : where bins end besides [keV], see `fine_cuts`
     refine : whether nodes are merged and moved, for the fewest of them, or chosen only
     grouped : whether energy-integrating channels are split into the groups of `photon_quanta`, one channel each
+    step : bin width before nodes are sought [keV]
 
     Returns
     -------
@@ -71,9 +134,9 @@ def compressed_transmission(
     """
     materials, lengths = scan.scene.materials, _with_profile_lengths(scan, lengths)
     if any(m.composition is not None for m in materials) or len(materials) <= len(scan.basis):
-        return _compress(fine_transmission(scan, step, grouped), lengths, tolerance, refine)
-    energies, weights, names = _rows(scan, step, grouped)
-    columns = _with_profile(scan, scan.basis.evaluate(energies.nodes), energies)
+        return _compress(fine_transmission(scan, cuts, grouped, step), lengths, tolerance, refine)
+    energies, weights, names = _rows(scan, step, cuts, grouped)
+    columns = _with_profile(scan, scan.basis.evaluate(energies.nodes), energies.nodes)
     fine = Transmission.from_spectrum(weights, columns, names)
     coefficients = material_coefficients(scan)
     if scan.profile is not None:
@@ -82,12 +145,16 @@ def compressed_transmission(
     return Transmission(coefficients @ small.columns, small.weights, small.starts, small.channel_names), error
 
 
-def node_energies(scan: Scan, transmission: Transmission) -> Float[np.ndarray, " node"]:
+def node_energies(
+    scan: Scan, transmission: Transmission, cuts: Float[np.ndarray, " cut"]
+) -> Float[np.ndarray, " node"]:
     """Energy of each node that `compressed_transmission` chose without refinement [keV], by the attenuation there.
+
+    `cuts` are those of the bins that it chose from.
 
     Energies at which all materials are alike cannot be told apart, and need not be.
     """
-    energies, weights, _ = _rows(scan, STEP, grouped=True)
+    energies, weights, _ = _rows(scan, STEP, cuts, grouped=True)
     curves = np.stack([m.attenuation(energies.nodes, scan.basis) for m in scan.scene.materials])
     found = []
     for row, (first, last) in zip(weights > 0, pairwise(transmission.starts), strict=True):
@@ -97,9 +164,12 @@ def node_energies(scan: Scan, transmission: Transmission) -> Float[np.ndarray, "
     return np.concatenate(found)
 
 
-def photon_quanta(scan: Scan) -> list[Float[np.ndarray, " group"]] | None:
-    """Signal of one photon in each group of energies [keV], channel by channel; None where photons are counted."""
-    energies, weights = _weights(scan, ceil(_range(scan) / STEP))
+def photon_quanta(scan: Scan, cuts: Float[np.ndarray, " cut"] = NO_CUTS) -> list[Float[np.ndarray, " group"]] | None:
+    """Signal of one photon in each group of energies [keV], channel by channel; None where photons are counted.
+
+    `cuts` are those of the bins that are grouped.
+    """
+    energies, weights = _weights(scan, STEP, cuts)
     if scan.detector.variance(energies) is None:
         return None
     return [energy_groups(energies.nodes, row)[1] for row in weights]
@@ -154,7 +224,7 @@ def fit_warnings(scan: Scan, fit: CoefficientFit) -> list[str]:
 
 def _detected(scan: Scan) -> tuple[Float[np.ndarray, " energy"], Float[np.ndarray, " energy"]]:
     """Energies of bins of at most 1 keV in which photons are counted, and the open-beam counts of all channels."""
-    energies, weights = _weights(scan, ceil(_range(scan)))
+    energies, weights = _weights(scan, 1.0)
     detected = weights.sum(axis=0)
     seen = detected > 0
     return energies.nodes[seen], detected[seen]
@@ -174,34 +244,37 @@ def _sampled(
     return energies, photons, scan.detector.response(energies)
 
 
-def _weights(scan: Scan, count: int) -> tuple[Energies, Float[np.ndarray, "channel energy"]]:
-    """Grid that breaks at every edge of the scene, and open-beam counts per bin."""
+def _weights(
+    scan: Scan, step: float, cuts: Float[np.ndarray, " cut"] = NO_CUTS
+) -> tuple[Energies, Float[np.ndarray, "channel energy"]]:
+    """Bins of `step` keV that end at every edge of the scene and at `cuts`, and open-beam counts in each."""
     low, high = scan.detector.lowest, scan.source.maximum
     edges = (edge for material in scan.scene.materials for edge in material.k_edges(low, high))
-    energies, photons, response = _sampled(scan, count, (*scan.basis.breaks, *edges))
+    energies, photons, response = _sampled(scan, ceil(_range(scan) / step), (*scan.basis.breaks, *edges, *cuts))
     return energies, photons * response
 
 
-def _rows(scan: Scan, step: float, grouped: bool) -> tuple[Energies, Float[np.ndarray, "row energy"], tuple[str, ...]]:
-    """Grid of `step` keV, open-beam counts per bin of each channel, or of each group of photons, and their names."""
-    energies, weights = _weights(scan, ceil(_range(scan) / step))
+def _rows(
+    scan: Scan, step: float, cuts: Float[np.ndarray, " cut"], grouped: bool
+) -> tuple[Energies, Float[np.ndarray, "row energy"], tuple[str, ...]]:
+    """Bins, open-beam counts per bin of each channel, or of each group of photons, and their names."""
+    energies, weights = _weights(scan, step, cuts)
     if not grouped or scan.detector.variance(energies) is None:
         return energies, weights, scan.detector.names
     rows = np.concatenate([energy_groups(energies.nodes, row)[0] for row in weights])
     return energies, rows, tuple(f"group{i}" for i in range(len(rows)))
 
 
-def _curves(scan: Scan, energies: Energies) -> Float[np.ndarray, "material energy"]:
+def _curves(scan: Scan, energy: Float[np.ndarray, " energy"]) -> Float[np.ndarray, "material energy"]:
     """Attenuation of the materials, and of what makes the beam differ over the panel [1/mm]."""
-    curves = np.stack([m.attenuation(energies.nodes, scan.basis) for m in scan.scene.materials])
-    return _with_profile(scan, curves, energies)
+    return _with_profile(scan, np.stack([m.attenuation(energy, scan.basis) for m in scan.scene.materials]), energy)
 
 
 def _with_profile(
-    scan: Scan, columns: Float[np.ndarray, "column energy"], energies: Energies
+    scan: Scan, columns: Float[np.ndarray, "column energy"], energy: Float[np.ndarray, " energy"]
 ) -> Float[np.ndarray, "column_and_part energy"]:
     """Columns, and the curves of the beam's profile after them."""
-    return columns if scan.profile is None else np.concatenate([columns, scan.profile.attenuation(energies.nodes)])
+    return columns if scan.profile is None else np.concatenate([columns, scan.profile.attenuation(energy)])
 
 
 def _with_profile_lengths(
