@@ -11,6 +11,8 @@ TOLERANCES = {
     "voxelize_truncation": 4.1e-5,
     # closed form against the trapezoidal rule with ten steps per standard deviation, both in float64
     "quadrature": 1e-9,
+    # sums of some thousand float32 numbers
+    "float32_sums": 3e-6,
     # closed form in the kernel against the same rule: `kernel_value` without the cut
     "quadrature_kernel": 1e-5,
     # lattice harmonics beyond the nearest neighbours: 2 exp(-8 pi^2 / 12) / 0.61 = 0.45 % per axis, narrowest footprint

@@ -96,7 +96,7 @@ def test_a_gaussian_far_smaller_than_a_pixel_and_one_far_larger_than_the_panel(s
 
 
 def test_a_gaussian_around_the_source():
-    """Documented: the integral runs over the whole line, and only the centre decides what is left out."""
+    """Rays begin inside of it: what lies behind the source does not count."""
     parts, geometry = one_gaussian([55.0, 0.0, 0.0], 10.0), circular(views=5)
     image, gradients = image_and_gradients(parts, geometry)
     assert torch.isfinite(image).all()

@@ -42,7 +42,7 @@ def test_the_deviance_falls_and_coefficients_stay_non_negative(problem):
 
 
 def test_any_number_of_threads_gives_the_same_bits(problem, monkeypatch):
-    monkeypatch.setattr("recon.ops.rasterize.CHUNK", 16)
+    monkeypatch.setattr("recon.ops.rasterize.on_cpu.CHUNK", 16)
     results = []
     try:
         for threads in (1, 2):

@@ -16,13 +16,32 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from recon.ops.rasterize import near
+from recon.ops.rasterize.table import (
+    AMPLITUDE,
+    E1,
+    E2,
+    E3,
+    E4,
+    E5,
+    L11,
+    L21,
+    L22,
+    ROW_0,
+    ROW_1,
+    XC,
+    YC,
+    apply,
+    cross,
+    dot,
+    lattice_mass,
+    row_span,
+)
 from recon.ops.simd import WIDTH, exp_negative, load, minimum, ramp, splat, square_root, store, total, where_less
 
-XC, YC, L11, L21, L22, E1, E2, E3, E4, E5, AMPLITUDE, ROW_0, ROW_1 = range(13)
-FOOTPRINT_SIZE = 13
 SCRATCH = 15  # rows of the scratch array of one Gaussian in one view
-NARROWEST = 1 / 12  # variance of a pixel [pixel^2]
-NEGLIGIBLE = 18.0  # exp(-18) is below the resolution of float32
+HIDDEN, NEAR = near.HIDDEN, near.NEAR
+NEAR_SOURCE = 0.5  # depth up to which a shadow is so large that it is not bounded
 f4 = np.float32
 
 
@@ -74,102 +93,72 @@ def whitening_backward(log_scales, quaternions, matrices, cotangents, first, las
         to_quaternions[g, 3] = (gz - radial * z) / length
 
 
-@njit(inline="always")
-@no_type_check
-def _apply(a, x, out):
-    for i in range(3):
-        out[i] = a[i, 0] * x[0] + a[i, 1] * x[1] + a[i, 2] * x[2]
-
-
-@njit(inline="always")
-@no_type_check
-def _cross(a, b, out):
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
-
-
-@njit(inline="always")
-@no_type_check
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@njit(inline="always")
-@no_type_check
-def _lattice_mass(w, box, out):
-    """Sum of a footprint of unit mass over all pixels, and its gradient.
-
-    By Poisson summation 1 + 2 sum_k exp(-2 pi^2 k^T C k) cos(2 pi k.x) over half of the nearest lattice neighbours k.
-    `out`: sum, derivative in xc, yc, and in the covariance's entries 11, 12 (half of both), 22.
-    """
-    out[0] = 1.0
-    out[1:] = 0.0
-    if box < NARROWEST:  # pixels that do not average have no mass to keep
-        return
-    for n in range(4):
-        i, j = (1.0, 0.0) if n == 0 else (n - 2.0, 1.0)
-        exponent = 2 * math.pi**2 * (i * i * (w[8, 0] + box) + 2 * i * j * w[8, 1] + j * j * (w[8, 2] + box))
-        if exponent > NEGLIGIBLE:
-            continue
-        decay, phase = 2 * math.exp(-exponent), 2 * math.pi * (i * w[7, 0] + j * w[7, 1])
-        wave, slope = decay * math.cos(phase), -2 * math.pi * decay * math.sin(phase)
-        out[0] += wave
-        out[1] += i * slope
-        out[2] += j * slope
-        wave *= -2 * math.pi**2
-        out[3] += i * i * wave
-        out[4] += i * j * wave
-        out[5] += j * j * wave
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _project(centre, matrix, frame, inverse, box, w):
-    """Fill the scratch vectors `w` of one Gaussian in one view; returns False where it cannot be seen.
+def _project(centre, matrix, frame, inverse, box, affine, w):
+    """Fill the scratch vectors `w` of one Gaussian in one view; returns False where its centre is behind the source.
 
     Rows of `w`: 0 offset, 1 u, 2 vx, 3 vy, 4 u x vx, 5 u x vy, 6 v at the centre, 7 (xc, yc, lambda),
-    8 narrow covariance, 9 wide precision, 10 (D0, mass kept, 0), 11 (e1, e2, e3), 12 (e4, e5, 0),
-    13 and 14 the sum over pixels and its gradient.
+    8 narrow covariance, 9 wide precision, 10 (D0, mass kept, |d| of a local-affine centre), 11 (e1, e2, e3),
+    12 (e4, e5, 0), 13 and 14 the sum over pixels and its gradient.
     """
     for i in range(3):
         w[0, i] = centre[i] - frame[0, i]
-    _apply(inverse, w[0], w[7])
+    apply(inverse, w[0], w[7])
     depth = w[7, 2]
-    if not 0 < depth < 1:
+    if not depth > 0:
         return False
     w[7, 0] /= depth
     w[7, 1] /= depth
-    _apply(matrix, w[0], w[1])
-    _apply(matrix, frame[2], w[2])
-    _apply(matrix, frame[3], w[3])
-    _cross(w[1], w[2], w[4])
-    _cross(w[1], w[3], w[5])
+    apply(matrix, w[0], w[1])
+    apply(matrix, frame[2], w[2])
+    apply(matrix, frame[3], w[3])
+    cross(w[1], w[2], w[4])
+    cross(w[1], w[3], w[5])
     for i in range(3):
         w[6, i] = w[1, i] / depth
-    d0 = _dot(w[6], w[6])
-    volume = _dot(w[4], w[3])  # det[u, vx, vy]; det of the precision without cancellation
+    d0 = dot(w[6], w[6])
+    volume = dot(w[4], w[3])  # det[u, vx, vy]; det of the precision without cancellation
     det = depth * depth * volume * volume / d0
-    c11, c12, c22 = _dot(w[5], w[5]) / d0 / det, -_dot(w[4], w[5]) / d0 / det, _dot(w[4], w[4]) / d0 / det
+    c11, c12, c22 = dot(w[5], w[5]) / d0 / det, -dot(w[4], w[5]) / d0 / det, dot(w[4], w[4]) / d0 / det
     det_wide = 1 / det + box * (c11 + c22) + box * box
     w[8, 0], w[8, 1], w[8, 2] = c11, c12, c22
     w[9, 0], w[9, 1], w[9, 2] = (c22 + box) / det_wide, -c12 / det_wide, (c11 + box) / det_wide
-    _lattice_mass(w, box, w[13:].reshape(6))
+    lattice_mass(w[7, 0], w[7, 1], c11, c12, c22, box, w[13:].reshape(6))
     w[10, 0], w[10, 1] = d0, 1 / (math.sqrt(det * det_wide) * w[13, 0])
-    w[11, 0], w[11, 1], w[11, 2] = 2 * _dot(w[6], w[2]) / d0, 2 * _dot(w[6], w[3]) / d0, _dot(w[2], w[2]) / d0
-    w[12, 0], w[12, 1] = 2 * _dot(w[2], w[3]) / d0, _dot(w[3], w[3]) / d0
+    w[11, 0], w[11, 1], w[11, 2] = 2 * dot(w[6], w[2]) / d0, 2 * dot(w[6], w[3]) / d0, dot(w[2], w[2]) / d0
+    w[12, 0], w[12, 1] = 2 * dot(w[2], w[3]) / d0, dot(w[3], w[3]) / d0
+    w[10, 2] = 1.0
+    if affine:
+        w[11] = 0.0
+        w[12] = 0.0
+        w[10, 2] = math.sqrt(dot(w[0], w[0])) / depth
     return math.isfinite(det_wide) and det > 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def footprints(centres, matrices, frame, inverse, box, cutoff, rows, first, last, out):
-    """Write the 13 numbers of Gaussians `first` to `last` in one view into `out`; `box` is the pixel's variance."""
+def footprints(centres, matrices, frame, inverse, box, cutoff, affine, rows, first, last, out):
+    """Write the 13 numbers of Gaussians `first` to `last` in one view into `out`; `box` is the pixel's variance.
+
+    Those of a Gaussian near an end of the rays serve to bound it; `near` looks at its pixels.
+    """
     w = np.empty((SCRATCH, 3))
     k2 = cutoff * cutoff
     for g in range(first, last):
         out[g, ROW_0] = out[g, ROW_1] = f4(0)
-        if not _project(centres[g], matrices[g], frame, inverse, box, w):
+        kind = near.BETWEEN
+        if not affine:
+            kind = near.place(centres[g], matrices[g], frame, inverse, k2)
+            if kind == HIDDEN:
+                continue
+        seen = _project(centres[g], matrices[g], frame, inverse, box, affine, w)
+        if kind == NEAR and (not seen or w[7, 2] < NEAR_SOURCE):  # all pixels
+            for i in range(XC, AMPLITUDE):
+                out[g, i] = f4(0)
+            out[g, E3], out[g, ROW_0], out[g, ROW_1] = f4(1), f4(rows), f4(0)
+            continue
+        if not seen or (affine and w[7, 2] >= 1):
             continue
         p11, p12, p22 = w[9, 0], w[9, 1], w[9, 2]
         e1, e2, e3, e4, e5 = w[11, 0], w[11, 1], w[11, 2], w[12, 0], w[12, 1]
@@ -187,26 +176,8 @@ def footprints(centres, matrices, frame, inverse, box, cutoff, rows, first, last
         out[g, L11], out[g, L21] = math.sqrt(p11), p12 / math.sqrt(p11)
         out[g, L22] = 1 / math.sqrt(w[8, 2] + box)
         out[g, E1], out[g, E2], out[g, E3], out[g, E4], out[g, E5] = e1, e2, e3, e4, e5
-        out[g, AMPLITUDE] = w[10, 1] * math.sqrt(2 * math.pi / w[10, 0])
-        out[g, ROW_0], out[g, ROW_1] = low, high
-
-
-@njit(inline="always")
-@no_type_check
-def _row_span(p, dy, k2, columns):
-    """First and one past the last column in which N <= k2 E on the row `dy` pixels from the centre."""
-    a = p[L11] * p[L11] - k2 * p[E3]
-    b = p[L11] * p[L21] * dy - f4(0.5) * k2 * (p[E1] + p[E4] * dy)
-    c = (p[L21] * p[L21] + p[L22] * p[L22]) * dy * dy - k2 * (f4(1) + dy * (p[E2] + dy * p[E5]))
-    if a <= 0:
-        return 0, columns
-    inside = b * b - a * c
-    if inside < 0:
-        return 0, 0
-    half = math.sqrt(inside)
-    low = min(max(p[XC] - (b + half) / a, f4(0)), f4(columns))
-    high = min(max(p[XC] + (half - b) / a, f4(-1)), f4(columns - 1))
-    return int(math.ceil(low)), int(math.floor(high)) + 1
+        out[g, AMPLITUDE] = w[10, 1] * math.sqrt(2 * math.pi / w[10, 0]) * w[10, 2]
+        out[g, ROW_0], out[g, ROW_1] = (high, low) if kind == NEAR else (low, high)
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
@@ -219,7 +190,7 @@ def forward(table, coefficients, lengths, cutoff, columns, row_first, row_last, 
         p = table[g]
         for r in range(max(int(p[ROW_0]), row_first), min(int(p[ROW_1]), row_last)):
             dy = f4(r) - p[YC]
-            low, high = _row_span(p, dy, k2, columns)
+            low, high = row_span(p, dy, k2, columns)
             shear, across = p[L21] * dy, p[L22] * dy
             flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
             for base in range(low, high, WIDTH):
@@ -250,7 +221,7 @@ def _gather(p, coefficients, cotangent, k2, columns, sums, to_coefficients):
     b0, bx, by, bxx, bxy, byy = zero, zero, zero, zero, zero, zero
     for r in range(int(p[ROW_0]), int(p[ROW_1])):
         dy = f4(r) - p[YC]
-        low, high = _row_span(p, dy, k2, columns)
+        low, high = row_span(p, dy, k2, columns)
         shear, across = p[L21] * dy, p[L22] * dy
         flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
         for base in range(low, high, WIDTH):
@@ -294,7 +265,7 @@ def _gather(p, coefficients, cotangent, k2, columns, sums, to_coefficients):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _chain(w, s, box, matrix, frame, inverse, t, to_centre, to_matrix):
+def _chain(w, s, box, affine, matrix, frame, inverse, t, to_centre, to_matrix):
     """Carry pixel sums `s` back to centre and whitening matrix, the steps of `_project` in reverse."""
     xc, yc, depth = w[7, 0], w[7, 1], w[7, 2]
     c11, c12, c22 = w[8, 0], w[8, 1], w[8, 2]
@@ -318,14 +289,20 @@ def _chain(w, s, box, matrix, frame, inverse, t, to_centre, to_matrix):
     to_d0 -= (e1 * s[7] + e2 * s[8] + e3 * s[9] + e4 * s[10] + e5 * s[11] + s[0] / 2) / d0
     to_xc = -2 * (p11 * s[1] + p12 * s[2]) - (e1 * s[6] + 2 * e3 * s[7] + e4 * s[8]) + per_mass * w[13, 1]
     to_yc = -2 * (p12 * s[1] + p22 * s[2]) - (e2 * s[6] + e4 * s[7] + 2 * e5 * s[8]) + per_mass * w[13, 2]
+    if affine:  # the length of the ray through the centre
+        square = dot(w[0], w[0]) / (depth * depth)
+        for i in range(3):
+            along = (frame[1, i] + xc * frame[2, i] + yc * frame[3, i]) * s[0] / square
+            to_xc += along * frame[2, i]
+            to_yc += along * frame[3, i]
     u, vx, vy, a, b, v = w[1], w[2], w[3], w[4], w[5], w[6]
     for i in range(3):
         t[0, i] = 2 * (n11 * a[i] + n12 * b[i])
         t[1, i] = 2 * (n12 * a[i] + n22 * b[i])
-    _cross(vx, t[0], t[2])
-    _cross(vy, t[1], t[3])
-    _cross(t[0], u, t[4])
-    _cross(t[1], u, t[5])
+    cross(vx, t[0], t[2])
+    cross(vy, t[1], t[3])
+    cross(t[0], u, t[4])
+    cross(t[1], u, t[5])
     to_depth = -(xc * to_xc + yc * to_yc) / depth
     for i in range(3):
         to_v = 2 * (to_d0 * v[i] + (s[7] * vx[i] + s[8] * vy[i]) / d0)
@@ -343,7 +320,7 @@ def _chain(w, s, box, matrix, frame, inverse, t, to_centre, to_matrix):
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def backward(
-    centres, matrices, coefficients, frames, inverses, tables, cotangents, box, cutoff, columns, first, last,
+    centres, matrices, coefficients, frames, inverses, tables, cotangents, box, cutoff, affine, columns, first, last,
     to_centres, to_matrices, to_coefficients,
 ):  # fmt: skip
     """Gradients of Gaussians `first` to `last`, summed over views in order.
@@ -359,11 +336,18 @@ def backward(
     for g in range(first, last):
         for view in range(frames.shape[0]):
             p = tables[view, g]
+            if p[ROW_1] < p[ROW_0]:
+                near.backward(
+                    coefficients[g], cotangents[view], centres[g], matrices[g], frames[view], inverses[view], p, box,
+                    cutoff, columns, to_centres[g], to_matrices[g], to_coefficients[g],
+                )  # fmt: skip
             if p[ROW_1] <= p[ROW_0]:
                 continue
             lanes[:] = f4(0)
             _gather(p, coefficients[g], cotangents[view], k2, columns, sums, lanes)
             for m in range(bases):
                 to_coefficients[g, m] += total(load(lanes, m * WIDTH))
-            _project(centres[g], matrices[g], frames[view], inverses[view], box, w)
-            _chain(w, sums, box, matrices[g], frames[view], inverses[view], t, to_centres[g], to_matrices[g])
+            _project(centres[g], matrices[g], frames[view], inverses[view], box, affine, w)
+            if affine:
+                sums[6:] = 0.0
+            _chain(w, sums, box, affine, matrices[g], frames[view], inverses[view], t, to_centres[g], to_matrices[g])

@@ -12,7 +12,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from recon.ops.rasterize.cpu import NARROWEST, NEGLIGIBLE
+from recon.ops.rasterize.table import NARROWEST, NEGLIGIBLE
 from recon.ops.simd import WIDTH, count_from, exp_negative, load, minimum, splat, store, where_less
 
 X, Y, Z, U11, U12, U13, U22, U23, U33, AMPLITUDE, HALF_Z, HALF_Y, VOXEL_X, VOXEL_Y, VOXEL_Z = range(15)

@@ -1,0 +1,157 @@
+"""Triton kernels of the rasterizer: footprints to pixels of one view, and pixels back to footprints.
+
+A program of `_forward` owns a tile of pixels and adds the Gaussians that its list names, in their order; a program of
+`_backward` owns a Gaussian and sums over its pixels. Nothing is added atomically, so that results repeat bit by bit.
+Numbers and sums of a footprint mean what they mean in `recon.ops.rasterize.cpu`. The tests run the kernels in Triton's
+interpreter, and compile them for GPUs.
+"""
+
+from typing import NamedTuple, no_type_check
+
+import torch
+import triton
+import triton.language as tl
+from jaxtyping import Float32, Int32, Int64
+from torch import Tensor
+
+NUMBERS = 11  # xc, yc, l11, l21, l22, e1 to e5, amplitude
+SUMS = 12  # w, alpha (x, y, x^2, x y, y^2), beta (1, x, y, x^2, x y, y^2), as in `cpu.backward`
+_TILE = 16  # edge of a tile
+_BLOCK = 128  # pixels at a time of a Gaussian's program
+
+
+class Footprints(NamedTuple):
+    """Gaussians as one view sees them."""
+
+    numbers: Float32[Tensor, "gaussian 11"]
+    bounds: Int32[Tensor, "gaussian 4"]  # first row, one past the last, first column, one past the last
+
+
+@triton.jit
+@no_type_check
+def _value(p, column, row, k2):
+    """Value of a footprint in pixels, their places (x, y) from its centre, 1 / E and N / E."""
+    x, y = column.to(tl.float32) - tl.load(p), row.to(tl.float32) - tl.load(p + 1)
+    flat = 1.0 + y * (tl.load(p + 6) + y * tl.load(p + 9))
+    tilt = tl.load(p + 5) + tl.load(p + 8) * y
+    inverse = 1.0 / ((x * tl.load(p + 7) + tilt) * x + flat)
+    along, across = x * tl.load(p + 2) + y * tl.load(p + 3), y * tl.load(p + 4)
+    q = (along * along + across * across) * inverse
+    inside = (q >= 0.0) & (q < k2)
+    value = tl.sqrt(tl.where(inside, inverse, 1.0)) * tl.exp(-0.5 * tl.where(inside, q, 0.0)) * tl.load(p + 10)
+    return tl.where(inside, value, 0.0), x, y, tl.where(inside, inverse, 0.0), q
+
+
+@triton.jit
+@no_type_check
+def _forward(
+    numbers, coefficients, members, starts, out, rows, columns, across, bases, k2,
+    TILE: tl.constexpr, PADDED: tl.constexpr,
+):  # fmt: skip
+    """Pixels (basis, row, column) of a tile."""
+    tile, pixel, basis = tl.program_id(0), tl.arange(0, TILE * TILE), tl.arange(0, PADDED)
+    row, column = tile // across * TILE + pixel // TILE, tile % across * TILE + pixel % TILE
+    total = tl.zeros((TILE * TILE, PADDED), dtype=tl.float32)
+    for k in range(tl.load(starts + tile), tl.load(starts + tile + 1)):
+        g = tl.load(members + k)
+        value, _, _, _, _ = _value(numbers + g * 11, column, row, k2)
+        total += value[:, None] * tl.load(coefficients + g * bases + basis, mask=basis < bases, other=0.0)[None]
+    known = ((row < rows) & (column < columns))[:, None] & (basis < bases)[None]
+    place = (basis[None].to(tl.int64) * rows + row[:, None]) * columns + column[:, None]
+    tl.store(out + place, total, mask=known)
+
+
+@triton.jit
+@no_type_check
+def _backward(
+    numbers, coefficients, bounds, cotangent, sums, to_coefficients, rows, columns, bases, k2,
+    BLOCK: tl.constexpr, PADDED: tl.constexpr,
+):  # fmt: skip
+    """Sums over the pixels of a Gaussian (gaussian, 12) and the gradient of its coefficients (gaussian, basis)."""
+    g, basis = tl.program_id(0).to(tl.int64), tl.arange(0, PADDED)
+    first_row, first_column = tl.load(bounds + 4 * g), tl.load(bounds + 4 * g + 2)
+    width = tl.load(bounds + 4 * g + 3) - first_column
+    pixels = (tl.load(bounds + 4 * g + 1) - first_row) * width
+    weights = tl.load(coefficients + g * bases + basis, mask=basis < bases, other=0.0)
+    zero = tl.zeros((BLOCK,), dtype=tl.float32)
+    w, ax, ay, axx, axy, ayy = zero, zero, zero, zero, zero, zero
+    b, bx, by, bxx, bxy, byy = zero, zero, zero, zero, zero, zero
+    to_weights = tl.zeros((BLOCK, PADDED), dtype=tl.float32)
+    for begin in range(0, pixels, BLOCK):
+        pixel = begin + tl.arange(0, BLOCK)
+        row, column = first_row + pixel // width, first_column + pixel % width
+        value, x, y, inverse, q = _value(numbers + g * 11, column, row, k2)
+        value = tl.where(pixel < pixels, value, 0.0)
+        place = (basis[None].to(tl.int64) * rows + row[:, None]) * columns + column[:, None]
+        known = (pixel < pixels)[:, None] & (basis < bases)[None]
+        incoming = tl.load(cotangent + place, mask=known, other=0.0)
+        to_weights += incoming * value[:, None]
+        pull = tl.sum(incoming * weights[None], axis=1) * value
+        alpha = -0.5 * pull * inverse
+        beta = alpha - alpha * tl.where(value > 0.0, q, 0.0)
+        w, ax, ay, b, bx, by = w + pull, ax + alpha * x, ay + alpha * y, b + beta, bx + beta * x, by + beta * y
+        axx, axy, ayy = axx + alpha * x * x, axy + alpha * x * y, ayy + alpha * y * y
+        bxx, bxy, byy = bxx + beta * x * x, bxy + beta * x * y, byy + beta * y * y
+    sums += 12 * g
+    tl.store(sums, tl.sum(w, 0))
+    tl.store(sums + 1, tl.sum(ax, 0))
+    tl.store(sums + 2, tl.sum(ay, 0))
+    tl.store(sums + 3, tl.sum(axx, 0))
+    tl.store(sums + 4, tl.sum(axy, 0))
+    tl.store(sums + 5, tl.sum(ayy, 0))
+    tl.store(sums + 6, tl.sum(b, 0))
+    tl.store(sums + 7, tl.sum(bx, 0))
+    tl.store(sums + 8, tl.sum(by, 0))
+    tl.store(sums + 9, tl.sum(bxx, 0))
+    tl.store(sums + 10, tl.sum(bxy, 0))
+    tl.store(sums + 11, tl.sum(byy, 0))
+    tl.store(to_coefficients + g * bases + basis, tl.sum(to_weights, 0), mask=basis < bases)
+
+
+def forward(
+    footprints: Footprints, coefficients: Float32[Tensor, "gaussian basis"], rows: int, columns: int, cutoff: float
+) -> Float32[Tensor, "basis row column"]:
+    """Sum of all footprints, times their coefficients."""
+    bases = coefficients.shape[1]
+    down, across = triton.cdiv(rows, _TILE), triton.cdiv(columns, _TILE)
+    out = coefficients.new_empty((bases, rows, columns))
+    members, starts = _tile_lists(footprints.bounds.long(), down, across)
+    if down * across and bases:
+        _forward[(down * across,)](
+            footprints.numbers, coefficients, members, starts, out, rows, columns, across, bases, cutoff**2,
+            _TILE, triton.next_power_of_2(bases),
+        )  # fmt: skip
+    return out
+
+
+def backward(
+    footprints: Footprints,
+    coefficients: Float32[Tensor, "gaussian basis"],
+    cotangent: Float32[Tensor, "basis row column"],
+    cutoff: float,
+) -> tuple[Float32[Tensor, "gaussian 12"], Float32[Tensor, "gaussian basis"]]:
+    """Sums of every footprint over its pixels, and the gradient of the coefficients; of contiguous tensors."""
+    (n, bases), (_, rows, columns) = coefficients.shape, cotangent.shape
+    sums, to_coefficients = coefficients.new_empty((n, SUMS)), torch.empty_like(coefficients)
+    if n and bases:
+        _backward[(n,)](
+            footprints.numbers, coefficients, footprints.bounds, cotangent, sums, to_coefficients,
+            rows, columns, bases, cutoff**2, _BLOCK, triton.next_power_of_2(bases),
+        )  # fmt: skip
+    return sums, to_coefficients
+
+
+def _tile_lists(
+    bounds: Int64[Tensor, "gaussian 4"], down: int, across: int
+) -> tuple[Int64[Tensor, " member"], Int64[Tensor, " tile_plus_1"]]:
+    """Gaussians of each tile in their order, one tile after the other, and where each tile's list starts."""
+    row, column = bounds[:, 0] // _TILE, bounds[:, 2] // _TILE
+    height, width = (bounds[:, 1] + _TILE - 1) // _TILE - row, (bounds[:, 3] + _TILE - 1) // _TILE - column
+    counts = height.clamp(min=0) * width.clamp(min=0)
+    counts = torch.where((bounds[:, 1] > bounds[:, 0]) & (bounds[:, 3] > bounds[:, 2]), counts, 0)
+    member = torch.repeat_interleave(torch.arange(len(bounds), device=bounds.device), counts)
+    local = torch.arange(len(member), device=bounds.device) - (counts.cumsum(0) - counts)[member]
+    tile = (row[member] + local // width[member]) * across + column[member] + local % width[member]
+    tile, order = torch.sort(tile, stable=True)
+    starts = torch.searchsorted(tile, torch.arange(down * across + 1, device=bounds.device))
+    return member[order], starts
