@@ -11,6 +11,7 @@ from phantomgen.command import Commands, debug_option, json_option, version_opti
 
 if TYPE_CHECKING:
     from recon.fitting import Progress
+    from recon.paper.recipe import PaperRecipe
 
 
 @click.group(
@@ -41,6 +42,16 @@ def _finite(_: click.Context, __: click.Parameter, value: float | None) -> float
     callback=_finite,
     help="Times every training view is used.",
 )
+@click.option(
+    "--recipe",
+    "method",
+    type=click.Choice(["fast", "paper"]),
+    default="fast",
+    show_default=True,
+    help="This project's fit, or the method of SpectralCTGaussians.",
+)
+@click.option("--steps", type=click.IntRange(min=1), help="Steps of --recipe paper; schedules scale [default: 30000].")
+@click.option("--without", metavar="NAME", multiple=True, help="Leave out a component of --recipe paper; repeatable.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the first Gaussians.")
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
@@ -54,6 +65,9 @@ def fit(
     out: str | None,
     bases: str,
     sweeps: float | None,
+    method: str,
+    steps: int | None,
+    without: tuple[str, ...],
     seed: int,
     air: str | None,
     figures: bool,
@@ -72,16 +86,19 @@ def fit(
     from recon.run import run
     from spectra.threads import set_threads
 
+    paper = _paper_recipe(method, sweeps, steps, without, seed)
     source = Path(dataset)
     folder = RunFolder(Path(out) if out else Path(f"{source.stem}-run"), overwrite)
     set_threads(threads)
     with open_dataset(source, air) as opened, folder as part:
-        metrics = run(opened, part, _count(bases), sweeps, seed, figures, _Bar(quiet or as_json))
+        metrics = run(opened, part, _count(bases), sweeps, seed, figures, _Bar(quiet or as_json), paper)
     if as_json:
         click.echo(json.dumps({"run": str(folder.path), **metrics}))
         return
     click.echo(score_table(metrics))
     click.echo("")
+    if paper is not None:
+        click.echo(paper.says)
     click.echo(f"{metrics['gaussians']} Gaussians, {_seconds(metrics)}{_memory(metrics)}")
     for name in sorted(path.name for path in (folder.path / "figures").glob("*.png")):
         click.echo(str(folder.path / "figures" / name))
@@ -90,6 +107,22 @@ def fit(
 
 def _count(bases: str) -> int | None:
     return None if bases == "auto" else int(bases)
+
+
+def _paper_recipe(
+    method: str, sweeps: float | None, steps: int | None, without: tuple[str, ...], seed: int
+) -> "PaperRecipe | None":
+    """The paper's recipe if it was asked for; options of the other recipe are refused."""
+    from recon.paper.recipe import PAPER_STEPS, PaperRecipe
+
+    if method == "fast":
+        if steps is not None or without:
+            option = "--without" if steps is None else "--steps"
+            raise click.UsageError(f"{option} belongs to --recipe paper; the length of --recipe fast is --sweeps.")
+        return None
+    if sweeps is not None:
+        raise click.UsageError("--sweeps belongs to --recipe fast; the length of --recipe paper is --steps.")
+    return PaperRecipe(steps=steps or PAPER_STEPS, without=without, seed=seed)
 
 
 def _seconds(metrics: dict[str, Any]) -> str:

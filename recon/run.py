@@ -17,6 +17,8 @@ from recon.fitting import Progress
 from recon.gaussians import Gaussians
 from recon.metrics import psnr
 from recon.orbit_check import check_full_circle
+from recon.paper.pipeline import reconstruct_paper
+from recon.paper.recipe import PaperRecipe
 from recon.pipeline import Reconstruction, reconstruct
 from recon.recipe import Recipe
 from recon.report import MODEL, write_json, write_volumes
@@ -66,6 +68,7 @@ def run(
     seed: int,
     figures: bool,
     watcher: Watcher,
+    paper: PaperRecipe | None = None,
 ) -> dict[str, Any]:
     """Reconstruct, score and write everything into `folder`; returns what ``metrics.json`` holds.
 
@@ -78,6 +81,7 @@ def run(
     seed : of the first Gaussians
     figures : whether to draw
     watcher : is told about stages and steps
+    paper : run the paper's method by this recipe instead
     """
     recipe = Recipe(seed=seed)
     if sweeps is not None:
@@ -91,16 +95,20 @@ def run(
         log.add(progress)
         watcher.step(progress)
 
-    result = reconstruct(dataset, recipe, bases, watcher.stage, on_step)
+    if paper is None:
+        result = reconstruct(dataset, recipe, bases, watcher.stage, on_step)
+    else:
+        result = reconstruct_paper(dataset, paper, bases, watcher.stage, on_step)
     with clock("score"):
         truth = read_truth(dataset.path)
         metrics = _metrics(dataset, truth, result, seed)
+        metrics["recipe"] = "fast" if paper is None else paper.says
     with clock("write"):
         grid = dataset.grid
         volumes = result.gaussians.volume(grid)
         result.gaussians.save(folder / MODEL)
         write_volumes(folder / "volumes.h5", volumes, result.gaussians.basis_names, grid, result.fdk_volumes)
-        (folder / "recipe.yaml").write_text(yaml.safe_dump(_plain(recipe), sort_keys=False), encoding="utf-8")
+        (folder / "recipe.yaml").write_text(yaml.safe_dump(_plain(paper or recipe), sort_keys=False), encoding="utf-8")
         log.write(folder / "log.jsonl", truth)
     if figures:
         with clock("figures"):
@@ -139,9 +147,9 @@ def _psnr_of_bases(model: Gaussians, truth: Truth) -> dict[str, float]:
     return scores
 
 
-def _plain(recipe: Recipe) -> dict[str, Any]:
+def _plain(recipe: Recipe | PaperRecipe) -> dict[str, Any]:
     """Recipe as plain lists and numbers."""
-    return asdict(recipe) | {"stages": [asdict(stage) for stage in recipe.stages]}
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(recipe).items()}
 
 
 def _draw(dataset: Dataset, truth: Truth | None, result: Reconstruction, log: _Log, folder: Path) -> None:

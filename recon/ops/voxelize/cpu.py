@@ -1,7 +1,8 @@
 """Numba kernels of the voxelizer.
 
 `shapes` reduces a Gaussian to 15 numbers in voxel units; `fill` adds all Gaussians to a slab of slices, each voxel in
-the order of the Gaussians. In voxels (x, y, z) from the centre the exponent is half of
+the order of the Gaussians; `recon.ops.voxelize.backward` has the gradients. In voxels (x, y, z) from the centre the
+exponent is half of
 (u11 x + u12 y + u13 z)^2 + (u22 y + u23 z)^2 + (u33 z)^2, cut off where it exceeds cutoff^2. A centre is kept as
 the voxel it lies in and the offset from there, so that a part of a grid rounds like the whole.
 """
@@ -24,9 +25,15 @@ f4 = np.float32
 
 @njit(inline="always")
 @no_type_check
-def _lattice_mass(x, c, box):
-    """Sum of a density of unit mass over all voxels: 1 + 2 sum_k exp(-2 pi^2 k^T C k) cos(2 pi k.x), nearest k."""
+def lattice_mass(x, c, box, slopes):
+    """Sum of a density of unit mass over all voxels: 1 + 2 sum_k exp(-2 pi^2 k^T C k) cos(2 pi k.x), nearest k.
+
+    Writes its derivatives in x, y, z and in the covariance's entries 11, 12, 13, 22, 23, 33 (half of both for mixed
+    ones) into `slopes`.
+    """
     mass = 1.0
+    for i in range(9):
+        slopes[i] = 0.0
     if box < NARROWEST:  # voxels that do not average have no mass to keep
         return mass
     for n in range(14, 27):
@@ -35,8 +42,44 @@ def _lattice_mass(x, c, box):
         square += k1 * (k1 * c[1, 1] + 2 * k2 * c[1, 2]) + k2 * k2 * c[2, 2]
         exponent = 2 * math.pi**2 * square
         if exponent < NEGLIGIBLE:
-            mass += 2 * math.exp(-exponent) * math.cos(2 * math.pi * (k0 * x[0] + k1 * x[1] + k2 * x[2]))
+            decay, phase = 2 * math.exp(-exponent), 2 * math.pi * (k0 * x[0] + k1 * x[1] + k2 * x[2])
+            wave, slope = decay * math.cos(phase), -2 * math.pi * decay * math.sin(phase)
+            mass += wave
+            slopes[0] += k0 * slope
+            slopes[1] += k1 * slope
+            slopes[2] += k2 * slope
+            wave *= -2 * math.pi**2
+            slopes[3] += k0 * k0 * wave
+            slopes[4] += k0 * k1 * wave
+            slopes[5] += k0 * k2 * wave
+            slopes[6] += k1 * k1 * wave
+            slopes[7] += k1 * k2 * wave
+            slopes[8] += k2 * k2 * wave
     return mass
+
+
+@njit(inline="always")
+@no_type_check
+def place(centre, a, origin, spacing, box, norms, c, x, voxel):
+    """A Gaussian in voxels: squared lengths of the rows of A, covariance with the voxel's, offset from its voxel.
+
+    Returns the determinant of the covariance without the voxel's.
+    """
+    for i in range(3):
+        norms[i] = a[i, 0] ** 2 + a[i, 1] ** 2 + a[i, 2] ** 2
+    for i in range(3):
+        for j in range(3):
+            c[i, j] = 0.0
+            for k in range(3):  # R S^2 R^T with R S = A^T / |row|^2
+                c[i, j] += a[k, i] * a[k, j] / (norms[k] * norms[k])
+            c[i, j] /= spacing[i] * spacing[j]
+    narrow = 1 / (norms[0] * norms[1] * norms[2] * (spacing[0] * spacing[1] * spacing[2]) ** 2)
+    for i in range(3):
+        c[i, i] += box
+        x[i] = (centre[i] - origin[i]) / spacing[i]
+        voxel[i] = min(max(math.floor(x[i] + 0.5), -FARTHEST), FARTHEST)
+        x[i] -= voxel[i]
+    return narrow
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -47,44 +90,28 @@ def shapes(centres, matrices, origin, spacing, box, cutoff, first, last, out):
     `matrices` are the whitening matrices A = S^-1 R^T, so the covariance is (A^T A)^-1; `origin` and `spacing` are
     (x, y, z) [mm]; `box` is the variance of a voxel in voxels^2.
     """
-    c, x, voxel = np.empty((3, 3)), np.empty(3), np.empty(3)
+    c, x, voxel, norms, slopes = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(9)
     for g in range(first, last):
-        a = matrices[g]
-        norms = np.empty(3)
-        for i in range(3):
-            norms[i] = a[i, 0] ** 2 + a[i, 1] ** 2 + a[i, 2] ** 2
-        for i in range(3):
-            for j in range(3):
-                c[i, j] = 0.0
-                for k in range(3):  # R S^2 R^T with R S = A^T / |row|^2
-                    c[i, j] += a[k, i] * a[k, j] / (norms[k] * norms[k])
-                c[i, j] /= spacing[i] * spacing[j]
-        narrow = 1 / (norms[0] * norms[1] * norms[2] * (spacing[0] * spacing[1] * spacing[2]) ** 2)
-        for i in range(3):
-            c[i, i] += box
+        narrow = place(centres[g], matrices[g], origin, spacing, box, norms, c, x, voxel)
         # inverse of the Cholesky factor of C, from the last axis to the first: C = L L^T with L upper triangular
         l33 = math.sqrt(c[2, 2])
         l23, l13 = c[1, 2] / l33, c[0, 2] / l33
         l22 = math.sqrt(c[1, 1] - l23 * l23)
         l12 = (c[0, 1] - l13 * l23) / l22
         l11 = math.sqrt(c[0, 0] - l12 * l12 - l13 * l13)
-        for i in range(3):
-            x[i] = (centres[g, i] - origin[i]) / spacing[i]
-            voxel[i] = min(max(math.floor(x[i] + 0.5), -FARTHEST), FARTHEST)
-            x[i] -= voxel[i]
         out[g, X], out[g, Y], out[g, Z] = x[0], x[1], x[2]
         out[g, VOXEL_X], out[g, VOXEL_Y], out[g, VOXEL_Z] = voxel[0], voxel[1], voxel[2]
         out[g, U11], out[g, U22], out[g, U33] = 1 / l11, 1 / l22, 1 / l33
         out[g, U12] = -l12 / (l11 * l22)
         out[g, U23] = -l23 / (l22 * l33)
         out[g, U13] = (l12 * l23 - l13 * l22) / (l11 * l22 * l33)
-        out[g, AMPLITUDE] = math.sqrt(narrow) / (l11 * l22 * l33 * _lattice_mass(x, c, box))
+        out[g, AMPLITUDE] = math.sqrt(narrow) / (l11 * l22 * l33 * lattice_mass(x, c, box, slopes))
         out[g, HALF_Z], out[g, HALF_Y] = cutoff * l33, cutoff * l22
 
 
 @njit(inline="always")
 @no_type_check
-def _span(middle, half, voxel, first, last):
+def span(middle, half, voxel, first, last):
     """First and one past the last index in [first, last) within `half` of `middle`, which is measured from `voxel`."""
     low = min(max(middle - half - f4(SLACK), f4(first - voxel)), f4(last - voxel))
     high = min(max(middle + half + f4(SLACK), f4(first - voxel - 1)), f4(last - voxel - 1))
@@ -100,19 +127,19 @@ def fill(table, coefficients, cutoff, columns, first, last, volume):
     for g in range(table.shape[0]):
         p = table[g]
         nx, ny, nz = int(p[VOXEL_X]), int(p[VOXEL_Y]), int(p[VOXEL_Z])
-        for z in range(*_span(p[Z], p[HALF_Z], nz, first, last)):
+        for z in range(*span(p[Z], p[HALF_Z], nz, first, last)):
             dz = f4(z - nz) - p[Z]
             rest_z = k2 - (p[U33] * dz) ** 2
             half = math.sqrt(max(rest_z, f4(0))) / p[U22]
             middle = p[Y] - p[U23] * dz / p[U22]
-            for y in range(*_span(middle, half, ny, 0, rows)):
+            for y in range(*span(middle, half, ny, 0, rows)):
                 dy = f4(y - ny) - p[Y]
                 slope = p[U22] * dy + p[U23] * dz
                 rest = max(rest_z - slope * slope, f4(0))
                 shear = p[U12] * dy + p[U13] * dz
                 half = math.sqrt(rest) / p[U11]
                 middle = p[X] - shear / p[U11]
-                low, high = _span(middle, half, nx, 0, columns)
+                low, high = span(middle, half, nx, 0, columns)
                 for base in range(low, high, WIDTH):
                     along = (count_from(base - nx) - splat(p[X])) * p[U11] + shear
                     q = along * along + (k2 - rest)
