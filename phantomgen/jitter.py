@@ -13,7 +13,7 @@ from jaxtyping import Float
 from phantomgen.geometry import Geometry
 from phantomgen.mount import with_parallel_source
 from phantomgen.noise import Stream, generator
-from phantomgen.shapes import rotation_matrix
+from phantomgen.rotation import rotation_matrix
 from spectra.errors import InputError
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from phantomgen.geometry import FAR, Geometry
-from phantomgen.shapes import rotation_matrix
+from phantomgen.rotation import rotation_matrix
 
 Triple = tuple[float, float, float]
 

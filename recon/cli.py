@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from phantomgen.command import Commands, debug_option, json_option, version_option
+from recon.cli_outputs import render, volume
 
 if TYPE_CHECKING:
     from recon.fitting import Progress
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
 @version_option("recon")
 def main() -> None:
     """Reconstruct basis volumes from spectral-CT scans, and say how good they are."""
+
+
+main.add_command(volume)
+main.add_command(render)
 
 
 def _finite(_: click.Context, __: click.Parameter, value: float | None) -> float | None:
@@ -55,6 +60,10 @@ def _finite(_: click.Context, __: click.Parameter, value: float | None) -> float
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the first Gaussians.")
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
+@click.option("--held-out", type=click.IntRange(min=0), default=0, help="Training views that only say when to stop.")
+@click.option("--memory", type=click.FloatRange(min=0, min_open=True), metavar="GIB", help="Largest memory to take.")
+@click.option("--dry-run", is_flag=True, help="Say what it takes: Gaussians, time, memory; write nothing.")
+@click.option("--resume", is_flag=True, help="Go on with a run that was interrupted, if there is one.")
 @click.option("--overwrite", is_flag=True, help="Replace a run folder that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
@@ -71,6 +80,10 @@ def fit(
     seed: int,
     air: str | None,
     figures: bool,
+    held_out: int,
+    memory: float | None,
+    dry_run: bool,
+    resume: bool,
     overwrite: bool,
     threads: int | None,
     quiet: bool,
@@ -79,19 +92,36 @@ def fit(
     """Fit Gaussians to DATASET and score them.
 
     Writes a run folder: model.safetensors, volumes.h5, metrics.json, log.jsonl and figures. `auto` uses all basis
-    functions that the dataset's spectra section offers; the truth is read only after the fit, for the score.
+    functions that the dataset's spectra section offers; the truth is read only after the fit, for the score. Ctrl-C
+    stops after the step and leaves the model; --resume goes on, also after a crash.
     """
     from phantomgen.dataset import open_dataset
+    from recon.forecast import forecast
+    from recon.paper.recipe import PaperRecipe
+    from recon.processes import joined
     from recon.report import RunFolder, score_table
-    from recon.run import run
+    from recon.run import chosen_recipe, run
     from spectra.threads import set_threads
 
     paper = _paper_recipe(method, sweeps, steps, without, seed)
-    source = Path(dataset)
-    folder = RunFolder(Path(out) if out else Path(f"{source.stem}-run"), overwrite)
+    if paper is not None:
+        _refuse_beside_paper(resume=resume, dry_run=dry_run, memory=memory, held_out=held_out)
+    source, recipe = Path(dataset), paper or chosen_recipe(sweeps, seed, held_out)
     set_threads(threads)
-    with open_dataset(source, air) as opened, folder as part:
-        metrics = run(opened, part, _count(bases), sweeps, seed, figures, _Bar(quiet or as_json), paper)
+    if dry_run and not isinstance(recipe, PaperRecipe):
+        with open_dataset(source, air) as opened:
+            found = forecast(opened, recipe, _count(bases), memory)
+        click.echo(json.dumps(found.to_dict()) if as_json else str(found))
+        return
+    with joined() as processes, open_dataset(source, air) as opened:
+        bar = _Bar(quiet or as_json or not processes.first)
+        options = (_count(bases), recipe, figures, bar, memory, processes)
+        if not processes.first:
+            run(opened, None, *options)
+            return
+        folder = RunFolder(Path(out) if out else Path(f"{source.stem}-run"), overwrite, resume)
+        with folder as part:
+            metrics = run(opened, part, *options)
     if as_json:
         click.echo(json.dumps({"run": str(folder.path), **metrics}))
         return
@@ -125,6 +155,13 @@ def _paper_recipe(
     return PaperRecipe(steps=steps or PAPER_STEPS, without=without, seed=seed)
 
 
+def _refuse_beside_paper(**options: Any) -> None:
+    """Refuse options that only the other recipe knows."""
+    for name, value in options.items():
+        if value:
+            raise click.UsageError(f"--{name.replace('_', '-')} belongs to --recipe fast.")
+
+
 def _seconds(metrics: dict[str, Any]) -> str:
     parts = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in metrics["seconds"].items())
     return f"{sum(metrics['seconds'].values()):.0f} s ({parts})"
@@ -133,6 +170,10 @@ def _seconds(metrics: dict[str, Any]) -> str:
 def _memory(metrics: dict[str, Any]) -> str:
     peak = metrics["peak_memory_mib"]
     return "" if peak is None else f", peak memory {peak:.0f} MiB"
+
+
+def _each(values: Any) -> str:
+    return "/".join(f"{value:.1f}" for value in values)
 
 
 class _Bar:
@@ -156,8 +197,10 @@ class _Bar:
 
         if self.bar is None:
             self.bar = tqdm(total=progress.steps, desc="fit", unit="step", disable=True if self.quiet else None)
+        if progress.step > self.bar.n + 1:
+            self.bar.initial = self.bar.n = progress.step - 1  # resumed
         self.bar.update()
-        self.bar.set_postfix(deviance=f"{progress.deviance:.3f}")
+        self.bar.set_postfix(deviance=f"{progress.deviance:.3f}", chi_square=_each(progress.chi_square))
 
 
 if __name__ == "__main__":

@@ -37,8 +37,10 @@ def coefficient_curvature(
         some = measurements[slice(first, first + VIEWS_AT_ONCE)]
         frames = torch.from_numpy(some.geometry.ray_frames())
         images = rasterize(*parts, values, frames, panel.rows, panel.columns)
-        fisher = torch.from_numpy(ray_information(some, images[:, :bases].numpy(), dispersion)[:, :, :, *upper])
-        pulls = fisher.movedim(-1, 1).float() * images[:, bases:]
+        pulls = images[:, bases:].repeat(1, len(upper[0]), 1, 1)
+        for view in range(len(some)):  # matrices of one view at a time, in float64
+            information = ray_information(some[[view]], images[[view], :bases].numpy(), dispersion)[0][:, :, *upper]
+            pulls[view] *= torch.from_numpy(information).movedim(-1, 0).float()
         probed = rasterize(*parts, probe, frames, panel.rows, panel.columns)
         sums += torch.autograd.grad(probed, probe, pulls)[0]
     blocks = torch.empty(len(gaussians), bases, bases)

@@ -3,12 +3,13 @@
 import numpy as np
 from jaxtyping import Float
 
+from recon.array_store import IN_MEMORY, ArrayStore, release, taken
 from recon.measurements import Measurements
 from recon.ops.decompose import decompose
 
 
 def decompose_views(
-    measurements: Measurements, dispersion: float = 0.0
+    measurements: Measurements, dispersion: float = 0.0, store: ArrayStore = IN_MEMORY
 ) -> tuple[Float[np.ndarray, "view basis row column"], Float[np.ndarray, "basis basis"]]:
     """Maximum-likelihood line integrals of every view, and their mean Fisher matrix.
 
@@ -16,17 +17,19 @@ def decompose_views(
     ----------
     measurements : views to decompose, at any binning
     dispersion : relative model error that is added to the Poisson variance
+    store : where the line integrals shall live
     """
     views, channels, rows, columns = measurements.counts.shape
     bases = len(measurements.basis_names)
-    images = np.empty((views, bases, rows, columns), np.float32)
+    images = store.empty("line_integrals", (views, bases, rows, columns))
     fisher = np.zeros((bases, bases))
     profile = measurements.profile
     known = None if profile is None else np.ascontiguousarray(profile.reshape(len(profile), -1).T)
     for view in range(views):
-        counts = measurements.counts[view].reshape(channels, -1).T
+        counts = taken(measurements.counts, view).reshape(channels, -1).T
         gains = (measurements.exposure[view, :, None, None] * measurements.gains).reshape(channels, -1).T
         lengths, information = decompose(counts, gains, measurements.transmission, dispersion, known=known)
         images[view] = lengths.T.reshape(bases, rows, columns)
+        release(images)
         fisher += information.mean(axis=0) / views
     return images, fisher

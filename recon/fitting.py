@@ -3,95 +3,133 @@
 Two kinds of unknowns, two kinds of steps. Given the geometry the model is linear in the coefficients up to the
 exponential of Beer's law, so they take second-order steps (`recon.curvature`) with momentum, projected on
 what is physical: no negative coefficient in the raw basis. Centres, scales and rotations follow Adam.
+What steps change is a `recon.fit_state.FitState`, so that a fit can be interrupted between any two of them.
 """
 
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import accumulate, islice
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from recon.agreement import Agreement, agreement, agreement_and_gradients
 from recon.curvature import coefficient_curvature
+from recon.fit_state import FitState
 from recon.gaussians import Gaussians
-from recon.losses import deviance
 from recon.measurements import Measurements, matching_bin
+from recon.processes import ALONE, Processes
 from recon.recipe import Recipe
-from spectra.ops.transmit import transmit
 from spectra.threads import without_other_pools
 
-GEOMETRY = ("centres", "log_scales", "quaternions")
+SNAPSHOTS = 10  # models kept along the way, for error against time
+PATIENCE = 2  # snapshots in a row without progress on held-out rays that end a fit
 
 
 @dataclass(frozen=True)
 class Progress:
-    """What a callback is told after every step."""
+    """What a callback is told after every step.
+
+    Parameters
+    ----------
+    step, steps : steps made, and all
+    seconds : spent on steps
+    deviance : mean of the step's rays, before the step
+    gaussians : the model after the step
+    chi_square : of the step's rays per channel, before the step; see `recon.losses.chi_square`
+    state : all that is needed to go on from here; None where a method cannot
+    snapshot : whether this is one of the few steps along the way that are looked at more closely
+    held_out : at snapshots, chi-square per channel of the rays that the fit does not see; None where there are none
+    """
 
     step: int
     steps: int
     seconds: float
     deviance: float
     gaussians: Gaussians
+    chi_square: Float[np.ndarray, " channel"]
+    state: FitState | None
+    snapshot: bool
+    held_out: Float[np.ndarray, " channel"] | None = None
 
 
 @without_other_pools()
 def fit(
-    start: Gaussians,
+    start: Gaussians | FitState,
     measurements: Measurements,
     voxel: float,
     recipe: Recipe,
-    on_step: Callable[[Progress], None] = lambda progress: None,
+    on_step: Callable[[Progress], bool | None] = lambda progress: None,
+    held_out: Measurements | None = None,
+    processes: Processes = ALONE,
 ) -> Gaussians:
     """Improve Gaussians until the recipe's sweeps are used up.
 
     Parameters
     ----------
-    start : first guess, for instance from `recon.initialize.initialize`
+    start : first guess, for instance from `recon.initialize.initialize`, or where a fit was interrupted
     measurements : training views, unbinned
     voxel : edge of a voxel of the reconstruction grid [mm]
     recipe : hyper-parameters
-    on_step : called after every step
+    on_step : called after every step; the fit ends early where it returns True
+    held_out : views that are not fitted; the fit ends when chi-square on them no longer falls
+    processes : that share the views of each step; all must be given the same arguments
 
     Returns
     -------
     The fitted Gaussians; the thread count does not enter.
     """
-    gaussians = start.detached()
-    geometry = [getattr(gaussians, name).requires_grad_() for name in GEOMETRY]
-    coefficients = gaussians.coefficients.requires_grad_()
+    state = start if isinstance(start, FitState) else FitState.begin(start)
+    coefficients, groups = state.gaussians.coefficients, state.adam.param_groups
     rates = [recipe.centre_rate * voxel, recipe.shape_rate, recipe.shape_rate]
-    groups = [{"params": [p], "lr": r} for p, r in zip(geometry, rates, strict=True)]
-    adam = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15)
-    velocity = torch.zeros_like(coefficients)
-    began = time.perf_counter()
-    steps = sum(_steps(len(measurements), recipe))
-    done = 0
-    for stage, length in zip(recipe.stages, _steps(len(measurements), recipe), strict=True):
+    began = time.perf_counter() - state.seconds
+    lengths = _steps(len(measurements), recipe)
+    steps, firsts = sum(lengths), accumulate(lengths, initial=0)
+    for stage, first, length in zip(recipe.stages, firsts, lengths, strict=False):
+        if state.done >= first + length:
+            continue
         data = measurements.binned(matching_bin(measurements.geometry, stage.pixel * voxel))
         per_sweep = max(len(data) // recipe.views_per_step, 1)
-        inverse = torch.empty(0)
-        for step, views in enumerate(_subsets(len(data), per_sweep, length)):
+        for step, views in islice(enumerate(_subsets(len(data), per_sweep, length)), state.done - first, None):
             if step % max(round(recipe.curvature_sweeps * per_sweep), 1) == 0:
-                inverse = _inverse_curvature(gaussians, data, recipe)
-            fraction = done / steps
-            warm = done < recipe.warm_up * per_sweep
-            for group, rate in zip(adam.param_groups, rates, strict=True):
+                state.inverse = _inverse_curvature(state.gaussians, data, recipe, processes)
+            fraction = state.done / steps
+            warm = state.done < recipe.warm_up * per_sweep
+            for group, rate in zip(groups, rates, strict=True):
                 group["lr"] = 0.0 if warm else rate * recipe.final_rate**fraction
-            adam.zero_grad()
-            coefficients.grad = None
-            loss = _mean_deviance(gaussians, data[views], recipe.dispersion)
-            loss.backward()
-            adam.step()
+            found = agreement_and_gradients(state.gaussians, data, views, recipe.dispersion, processes)
+            state.adam.step()
             counts = np.prod(data.counts.shape)  # from the mean deviance of a few views to the likelihood of all
-            pull = torch.einsum("gmn,gn->gm", inverse, coefficients.grad) * float(counts / 2)
+            pull = torch.einsum("gmn,gn->gm", state.inverse, coefficients.grad) * float(counts / 2)
             rate = recipe.coefficient_rate * min(1.0, 10 ** (1 - 2 * fraction))
-            _project_step(coefficients, velocity, pull, inverse, rate, recipe.momentum)
-            done += 1
-            seconds = time.perf_counter() - began
-            on_step(Progress(done, steps, seconds, loss.item(), gaussians))
-    return gaussians.detached()
+            _project_step(coefficients, state.velocity, pull, state.inverse, rate, recipe.momentum)
+            state.done += 1
+            snapshot = state.done % max(steps // SNAPSHOTS, 1) == 0 or state.done == steps
+            unseen = _judge(state, held_out, recipe, processes) if snapshot and held_out is not None else None
+            state.seconds = time.perf_counter() - began
+            progress = _progress(state, steps, found, snapshot, unseen)
+            if processes.any(bool(on_step(progress))) or state.unimproved >= PATIENCE:
+                return state.gaussians.detached()
+    return state.gaussians.detached()
+
+
+def _progress(state: FitState, steps: int, found: Agreement, snapshot: bool, unseen: Agreement | None) -> Progress:
+    held_out = None if unseen is None else unseen.chi_square
+    return Progress(
+        state.done, steps, state.seconds, found.deviance, state.gaussians, found.chi_square, state, snapshot, held_out
+    )  # fmt: skip
+
+
+def _judge(state: FitState, held_out: Measurements, recipe: Recipe, processes: Processes) -> Agreement:
+    """Agreement with held-out rays; the state remembers the best."""
+    found = agreement(state.gaussians, held_out, recipe.dispersion, processes)
+    mean = float(np.nanmean(found.chi_square))
+    better = mean < state.lowest
+    state.lowest, state.unimproved = min(mean, state.lowest), 0 if better else state.unimproved + 1
+    return found
 
 
 def _steps(views: int, recipe: Recipe) -> list[int]:
@@ -107,21 +145,12 @@ def _subsets(views: int, per_sweep: int, steps: int) -> Iterator[np.ndarray]:
         yield np.arange(step * stride % per_sweep, views, per_sweep)
 
 
-def _mean_deviance(gaussians: Gaussians, data: Measurements, dispersion: float) -> Tensor:
-    images = gaussians.line_integrals(data.geometry)
-    gains = torch.from_numpy(data.gains * data.exposure[:, :, None, None].astype(np.float32))
-    lengths = images.movedim(1, -1).contiguous()
-    if data.profile is not None:
-        known = torch.from_numpy(data.profile).to(lengths).movedim(0, -1)
-        lengths = torch.cat([lengths, known.expand(len(lengths), *known.shape)], dim=-1)
-    expected = transmit(lengths, data.transmission).movedim(-1, 1) * gains
-    return deviance(torch.from_numpy(data.counts), expected, dispersion).mean()
-
-
-def _inverse_curvature(gaussians: Gaussians, data: Measurements, recipe: Recipe) -> Tensor:
+def _inverse_curvature(gaussians: Gaussians, data: Measurements, recipe: Recipe, processes: Processes) -> Tensor:
     """Inverse blocks of the coefficients' curvature, from a fifth of the views."""
-    some = data[np.arange(0, len(data), 5)]
-    blocks = coefficient_curvature(gaussians, some, recipe.dispersion) * (len(data) / len(some))
+    some = np.arange(0, len(data), 5)
+    blocks = coefficient_curvature(gaussians, data[processes.share(some)], recipe.dispersion)
+    processes.add_up([blocks])
+    blocks = blocks * (len(data) / len(some))
     diagonal = torch.diagonal(blocks, dim1=1, dim2=2)
     floor = 1e-4 * diagonal + 1e-6 * diagonal.mean(dim=0).clamp_min(1)  # a Gaussian that no ray meets stays as it is
     return torch.linalg.inv(blocks + torch.diag_embed(floor))

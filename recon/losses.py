@@ -28,3 +28,16 @@ def deviance(
         return 2 * (ratio - counts + expected)
     k = dispersion**-2
     return 2 * (ratio - (counts + k) * torch.log((counts + k) / (expected + k)))
+
+
+def chi_square(
+    counts: Float[Tensor, "..."], expected: Float[Tensor, "..."], dispersion: float = 0.0
+) -> Float[Tensor, "..."]:
+    """(y - Y)^2 / (Y + (dispersion Y)^2), about 1 on average if the model is right; a variance below 1 counts as 1.
+
+    Parameters
+    ----------
+    counts, expected : measured y and modelled Y
+    dispersion : relative model error
+    """
+    return (counts - expected) ** 2 / (expected + (dispersion * expected) ** 2).clamp_min(1.0)

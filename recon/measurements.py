@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from phantomgen.dataset import Dataset
 from phantomgen.geometry import Geometry
+from recon.array_store import IN_MEMORY, ArrayStore, release, taken
 from recon.electronics import with_floor, without_floor
 from spectra.dead_time import DeadTime
 from spectra.errors import InputError
@@ -45,7 +46,8 @@ class Measurements:
 
     def __getitem__(self, views: slice | list[int] | np.ndarray) -> "Measurements":
         """Some of the views."""
-        return replace(self, counts=self.counts[views], exposure=self.exposure[views], geometry=self.geometry[views])
+        counts = taken(self.counts, views)
+        return replace(self, counts=counts, exposure=self.exposure[views], geometry=self.geometry[views])
 
     def binned(self, factor: int) -> "Measurements":
         """The same scan with `factor` x `factor` pixels summed into one."""
@@ -122,7 +124,7 @@ class Measurements:
             return replace(self, transmission=with_floor(few.transmission, floor)), error
         gains = (self.gains * self.open_beam)[:, ::4, ::4] * self.exposure[:, :, None, None]
         open_beam = np.maximum(gains, 0.5)
-        projections = np.log(open_beam / np.maximum(self.counts[:, :, ::4, ::4], 0.5))
+        projections = np.log(open_beam / np.maximum(taken(self.counts, np.s_[:, :, ::4, ::4]), 0.5))
         largest = np.maximum(np.quantile(projections, 0.999, axis=(0, 2, 3)), 0.1)
         bases = len(self.basis_names)
         extremes = np.zeros((1, 0)) if self.profile is None else _extremes(self.profile)
@@ -137,8 +139,12 @@ class Measurements:
         return replace(self, transmission=few), error
 
 
-def read_measurements(dataset: Dataset, views: Int[np.ndarray, " view"], bases: int | None = None) -> Measurements:
+def read_measurements(
+    dataset: Dataset, views: Int[np.ndarray, " view"], bases: int | None = None, store: ArrayStore = IN_MEMORY
+) -> Measurements:
     """Measurements of some views of a dataset, in the first `bases` of its basis functions (default all).
+
+    The counts live in `store`.
 
     Raises
     ------
@@ -166,13 +172,12 @@ def read_measurements(dataset: Dataset, views: Int[np.ndarray, " view"], bases: 
     transmission = replace(whole, columns=columns, weights=weights)
     _check_independent(transmission, names[:count])
     profile = dataset.spectra.profile
-    flat, counts = dataset.flat, dataset.load(views) - dataset.dark
-    dead_time = dataset.spectra.dead_time
+    flat, dead_time = dataset.flat, dataset.spectra.dead_time
     if dead_time is not None:
         _check_load(dataset, dead_time)
-        flat, counts = dead_time.corrected(flat), dead_time.corrected(counts)
+        flat = dead_time.corrected(flat)
     measured = Measurements(
-        counts=(counts / unit).astype(np.float32),
+        counts=_read_counts(dataset, views, unit, store),
         gains=np.ones(flat.shape, np.float32),
         exposure=dataset.exposure[views],
         geometry=dataset.geometry[views],
@@ -185,7 +190,23 @@ def read_measurements(dataset: Dataset, views: Int[np.ndarray, " view"], bases: 
     variance = dataset.dark_variance / quantum**2
     if variance.any():
         measured = measured.shifted(variance, with_floor(transmission, variance))
-    return replace(measured, counts=np.where(gains > 0, np.maximum(measured.counts, 0), np.float32(0)))
+    for image in measured.counts:
+        image[:] = np.where(gains > 0, np.maximum(image, 0), np.float32(0))
+    release(measured.counts)
+    return measured
+
+
+def _read_counts(
+    dataset: Dataset, views: Int[np.ndarray, " view"], unit: Float[np.ndarray, "channel 1 1"], store: ArrayStore
+) -> Float[np.ndarray, "view channel row column"]:
+    """Counts minus dark, corrected for dead time, one view at a time."""
+    counts = store.empty("counts", (len(views), *dataset.counts.shape[1:]))
+    dead_time = dataset.spectra.dead_time
+    for image, view in zip(counts, views, strict=True):
+        seen = dataset.load([int(view)])[0] - dataset.dark
+        image[:] = (seen if dead_time is None else dead_time.corrected(seen)) / unit
+    release(counts)
+    return counts
 
 
 def _check_load(dataset: Dataset, dead_time: DeadTime) -> None:

@@ -2,22 +2,29 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float
 
 from phantomgen.dataset import Dataset
+from phantomgen.grid import Grid
 from phantomgen.stopwatch import Stopwatch
+from recon.array_store import IN_MEMORY, ArrayStore
 from recon.baselines.fdk import fdk
 from recon.decompose import decompose_views
 from recon.filling import filled
+from recon.fit_state import FitState
 from recon.fitting import Progress, fit
 from recon.gaussians import Gaussians
 from recon.initialize import initialize
-from recon.measurements import matching_bin, read_measurements
+from recon.measurements import Measurements, matching_bin, read_measurements
 from recon.orbit_check import check_full_circle
+from recon.processes import ALONE, Processes
 from recon.recipe import Recipe
+from spectra.errors import InputError
 from spectra.threads import without_other_pools
+from spectra.transmission import Transmission
 
 
 @dataclass
@@ -29,13 +36,25 @@ class Reconstruction:
     gaussians : the fitted model
     fdk_volumes : filtered back-projection of the decomposed rays, what the fit started from [1/mm]
     node_error : worst error of the log counts from compressing the energy grid
+    transmission : the spectral model of the fit
     seconds : time per stage
     """
 
     gaussians: Gaussians
     fdk_volumes: Float[np.ndarray, "basis z y x"]
     node_error: float
+    transmission: Transmission
     seconds: dict[str, float] = field(default_factory=dict)
+
+
+class Keeper(Protocol):
+    """What keeps a fit that may be interrupted, as `recon.partial_run.PartialRun` does."""
+
+    def found(self, measured: Measurements) -> tuple[FitState, np.ndarray, dict[str, float]] | None:
+        """Where an interrupted fit stands, what it started from, and the seconds that took."""
+
+    def begin(self, volumes: np.ndarray, seconds: dict[str, float], state: FitState) -> None:
+        """A fit begins."""
 
 
 @without_other_pools()
@@ -44,7 +63,10 @@ def reconstruct(
     recipe: Recipe,
     bases: int | None = None,
     on_stage: Callable[[str], None] = lambda name: None,
-    on_step: Callable[[Progress], None] = lambda progress: None,
+    on_step: Callable[[Progress], bool | None] = lambda progress: None,
+    keeper: Keeper | None = None,
+    processes: Processes = ALONE,
+    store: ArrayStore = IN_MEMORY,
 ) -> Reconstruction:
     """Fit Gaussians to the training views of a dataset.
 
@@ -53,24 +75,64 @@ def reconstruct(
     dataset : an open dataset; only ``/entry`` is read
     recipe : hyper-parameters
     bases : how many of the dataset's basis functions to use, default all
-    on_stage, on_step : called when a stage begins, and after each step of the fit
+    on_stage, on_step : called when a stage begins, and after each step of the fit, which ends where that returns True
+    keeper : knows where an interrupted fit stands, and is told where a new one starts
+    processes : that share the fit; the first one makes the start
+    store : where counts and line integrals live
     """
     check_full_circle(dataset.geometry[dataset.splits["train"]])
     stage = Stopwatch(on_stage)
-    grid = dataset.grid
+    grid, voxel = dataset.grid, min(dataset.grid.spacing)
     with stage("read"):
-        measured, node_error = read_measurements(dataset, dataset.splits["train"], bases).compressed(
+        measured, node_error = read_measurements(dataset, dataset.splits["train"], bases, store).compressed(
             recipe.node_tolerance
         )
+        fitted, held_out = _set_apart(measured, recipe)
+        kept = keeper.found(measured) if keeper is not None and processes.first else None
+    if kept is not None:
+        state, volumes, seconds = kept
+        stage.seconds.update(seconds | {"fit": state.seconds})
+    elif processes.first:
+        volumes, start = _first_guess(measured, grid, recipe, stage, store)
+        state = FitState.begin(start)
+        if keeper is not None:
+            keeper.begin(volumes, stage.seconds, state)
+    else:
+        state, volumes = None, np.zeros((len(measured.basis_names), *grid.shape), np.float32)
+    state = _shared(state, processes)
+    with stage("fit"):
+        gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, processes)
+    return Reconstruction(gaussians, volumes, node_error, measured.transmission, stage.seconds)
+
+
+def _first_guess(
+    measured: Measurements, grid: Grid, recipe: Recipe, stage: Stopwatch, store: ArrayStore
+) -> tuple[Float[np.ndarray, "basis z y x"], Gaussians]:
+    """Volumes by filtered back-projection, and Gaussians that follow them."""
+    voxel = min(grid.spacing)
     with stage("decompose"):
-        coarse = measured.completed().binned(matching_bin(measured.geometry, min(grid.spacing)))
-        line_integrals, fisher = decompose_views(coarse, recipe.dispersion)
-        line_integrals = filled(line_integrals, coarse.unseen)
+        coarse = measured.completed().binned(matching_bin(measured.geometry, voxel))
+        line_integrals, fisher = decompose_views(coarse, recipe.dispersion, store)
+        for image in line_integrals if coarse.unseen.any() else ():
+            image[:] = filled(image, coarse.unseen)
     with stage("fdk"):
         volumes = fdk(line_integrals, coarse.geometry, grid)
     with stage("initialize"):
-        voxel = min(grid.spacing)
         start = initialize(volumes, fisher, grid, recipe.spacing * voxel, measured.basis_names, recipe.seed)
-    with stage("fit"):
-        gaussians = fit(start, measured, voxel, recipe, on_step)
-    return Reconstruction(gaussians, volumes, node_error, stage.seconds)
+    return volumes, start
+
+
+def _set_apart(measured: Measurements, recipe: Recipe) -> tuple[Measurements, Measurements | None]:
+    """Views to fit, and those held out, which the seed picks; the start may use all."""
+    if recipe.held_out == 0:
+        return measured, None
+    if recipe.held_out >= len(measured):
+        raise InputError(f"of {len(measured)} training views, {recipe.held_out} cannot be held out: some must be left")
+    picked = np.sort(np.random.default_rng(recipe.seed).choice(len(measured), recipe.held_out, replace=False))
+    return measured[np.setdiff1d(np.arange(len(measured)), picked)], measured[picked]
+
+
+def _shared(state: FitState | None, processes: Processes) -> FitState:
+    """The state of the first process, in all."""
+    parts = processes.from_first(None if state is None else (state.tensors(), state.numbers()))
+    return state if state is not None else FitState.restore(*parts)  # type: ignore[misc]

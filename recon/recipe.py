@@ -37,7 +37,8 @@ class Recipe:
     momentum : of the coefficients
     curvature_sweeps : sweeps between two evaluations of the coefficients' curvature
     warm_up : sweeps in which only coefficients move
-    seed : of the placement and of the order of views
+    seed : of the placement, of the order of views, and of which are held out
+    held_out : training views that are not fitted; the fit ends when chi-square on them no longer falls; 0 for none
     """
 
     stages: tuple[Stage, ...] = (Stage(1.0, 10.0),)
@@ -53,11 +54,14 @@ class Recipe:
     curvature_sweeps: float = 2.0
     warm_up: float = 0.5
     seed: int = 0
+    held_out: int = 0
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if field.name not in ("stages", "seed", "warm_up", "momentum", "dispersion") and value <= 0:
+            if field.name not in ("stages", "seed", "warm_up", "momentum", "dispersion", "held_out") and value <= 0:
                 raise InputError(f"recipe {field.name} must be positive, got {value}")
+        if self.held_out < 0:
+            raise InputError(f"recipe held_out must be a number of views, 0 or more, got {self.held_out}")
         if not self.stages:
             raise InputError("a recipe needs at least one stage")

@@ -12,54 +12,80 @@ from jaxtyping import Float
 from phantomgen.dataset_layout import new_group, put
 from phantomgen.dataset_truth import write_grid
 from phantomgen.grid import Grid
+from recon.partial_run import clear, is_partial
+from recon.run_folder import MODEL
 from spectra.errors import InputError
-
-MODEL = "model.safetensors"
 
 
 class RunFolder:
-    """A folder that appears under its name only when it is complete; use it in a ``with`` statement.
+    """A folder that appears under its name when it is complete; use it in a ``with`` statement.
+
+    Until then it is ``<path>.part``. An interruption or a fault leaves that there with a checkpoint, if the fit had
+    begun; a fit that stopped cleanly at Ctrl-C gets its name, unless another run has it.
 
     Parameters
     ----------
     path : name of the folder
-    overwrite : replace a folder that exists
+    overwrite : replace a folder that exists, and begin anew where an interrupted run left a checkpoint
+    resume : go on from that checkpoint, if there is one
 
     Raises
     ------
     InputError
-        When the folder exists and `overwrite` is not given, when what is there was not written by a run, or when the
-        folder cannot be made.
+        When the folder exists and `overwrite` is not given, when what is there was not written by a run, when an
+        interrupted run is there and neither is given, or when the folder cannot be made.
     """
 
-    def __init__(self, path: Path, overwrite: bool) -> None:
+    def __init__(self, path: Path, overwrite: bool, resume: bool = False) -> None:
+        self.path, self.resume = path, resume
+        self.part = path.absolute().with_name(path.absolute().name + ".part")
         taken = path.exists() or path.is_symlink()
-        if taken and not overwrite:
+        interrupted = taken and not path.is_symlink() and is_partial(path)
+        if interrupted and not (resume or overwrite):
+            raise InputError(f"the output {path} is a run that was interrupted: go on by --resume, or add --overwrite")
+        if taken and not (overwrite or interrupted):
             raise InputError(f"the output {path} exists: choose another name by --out, or add --overwrite")
         if taken and (path.is_symlink() or not all((path / name).is_file() for name in ("metrics.json", MODEL))):
             raise InputError(f"the output {path} is not a folder that recon wrote; it will not be replaced")
         if not path.absolute().parent.is_dir():
             raise InputError(f"the folder {path.parent} for the output {path.name} does not exist")
-        self.path = path
-        self.part = path.absolute().with_name(path.absolute().name + ".part")
         if self.part.exists() and not (self.part / "figures").is_dir():
             raise InputError(f"{self.part} is in the way and was not written by recon: move it, or choose another name")
+        if is_partial(self.part) and not (resume or overwrite):
+            raise InputError(f"{self.part} is a run that was interrupted: go on by --resume, or anew by --overwrite")
 
     def __enter__(self) -> Path:
-        shutil.rmtree(self.part, ignore_errors=True)
         try:
-            (self.part / "figures").mkdir(parents=True)
+            if self.resume and is_partial(self.path) and not is_partial(self.part):
+                shutil.rmtree(self.part, ignore_errors=True)
+                os.replace(self.path, self.part)
+            elif not (self.resume and is_partial(self.part)):
+                shutil.rmtree(self.part, ignore_errors=True)
+            (self.part / "figures").mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{self.part} cannot be written: {error.strerror}") from None
         return self.part
 
-    def __exit__(self, error_type: type | None, *details: object) -> None:
-        if error_type is not None:
+    def __exit__(self, kind: type | None, error: object, traceback: object) -> None:
+        if kind is None:
+            if self.path.exists():
+                shutil.rmtree(self.path)
+            os.replace(self.part, self.path)
+            clear(self.path)
+        elif kind is Stopped:
+            onward = ": go on by --resume" if is_partial(self.part) else ""
+            place = self.part if self.path.exists() else self.path
+            if place is self.path:
+                os.replace(self.part, self.path)
+            raise KeyboardInterrupt(f"{place} holds the model {error}, not yet scored{onward}")
+        elif not is_partial(self.part):
             shutil.rmtree(self.part, ignore_errors=True)
-            return
-        if self.path.exists():
-            shutil.rmtree(self.path)
-        os.replace(self.part, self.path)
+        elif kind is KeyboardInterrupt:
+            raise KeyboardInterrupt(f"what was fitted is kept in {self.part}: go on by --resume")
+
+
+class Stopped(KeyboardInterrupt):
+    """A fit stopped after a step, as it was asked to, and left its model."""
 
 
 def write_volumes(

@@ -1,7 +1,6 @@
 """One whole run: reconstruct, score, write. The truth is opened only when the fit is over."""
 
-import json
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,19 +12,23 @@ from phantomgen.dataset_truth import Truth, read_truth
 from phantomgen.stopwatch import Stopwatch, peak_memory_mib
 from phantomgen.versions import environment
 from recon import figures
+from recon.array_store import array_store
 from recon.fitting import Progress
 from recon.gaussians import Gaussians
+from recon.interruption import Interruption
+from recon.memory import plan_memory
 from recon.metrics import psnr
 from recon.orbit_check import check_full_circle
 from recon.paper.pipeline import reconstruct_paper
 from recon.paper.recipe import PaperRecipe
+from recon.partial_run import PartialRun
 from recon.pipeline import Reconstruction, reconstruct
+from recon.processes import ALONE, Processes
 from recon.recipe import Recipe
-from recon.report import MODEL, write_json, write_volumes
+from recon.report import Stopped, write_json, write_volumes
+from recon.run_folder import MODEL, write_scan
 from recon.scoring import held_out_views, score_start, score_test_views, score_truth
 from spectra.threads import without_other_pools
-
-SNAPSHOTS = 10  # models kept along the way, for error against time
 
 
 class Watcher(Protocol):
@@ -38,85 +41,106 @@ class Watcher(Protocol):
         """A step of the fit is done."""
 
 
-class _Log:
-    """Deviance of every step, and a few models along the way."""
-
-    def __init__(self) -> None:
-        self.steps: list[dict[str, float]] = []
-        self.models: dict[int, Gaussians] = {}
-
-    def add(self, progress: Progress) -> None:
-        self.steps.append({"step": progress.step, "seconds": progress.seconds, "deviance": progress.deviance})
-        if progress.step % max(progress.steps // SNAPSHOTS, 1) == 0 or progress.step == progress.steps:
-            self.models[progress.step] = progress.gaussians.detached()
-
-    def write(self, path: Path, truth: Truth | None) -> None:
-        """One JSON object per step; steps with a kept model also have the PSNR of each basis."""
-        for entry in self.steps:
-            model = self.models.get(int(entry["step"]))
-            if model is not None and truth is not None and model.basis_names == truth.basis_names:
-                entry.update(_psnr_of_bases(model, truth))
-        path.write_text("".join(json.dumps(entry) + "\n" for entry in self.steps), encoding="utf-8")
-
-
 @without_other_pools()
 def run(
     dataset: Dataset,
-    folder: Path,
+    folder: Path | None,
     bases: int | None,
-    sweeps: float | None,
-    seed: int,
+    recipe: Recipe | PaperRecipe,
     figures: bool,
     watcher: Watcher,
-    paper: PaperRecipe | None = None,
+    memory: float | None = None,
+    processes: Processes = ALONE,
 ) -> dict[str, Any]:
     """Reconstruct, score and write everything into `folder`; returns what ``metrics.json`` holds.
 
     Parameters
     ----------
     dataset : an open dataset
-    folder : an existing folder with a subfolder ``figures``
+    folder : an existing folder with a subfolder ``figures``, which may hold an interrupted run; None where another
+        process writes, and then nothing is returned
     bases : how many of the dataset's basis functions to fit, default all
-    sweeps : overrides the length of the recipe's stages
-    seed : of the first Gaussians
+    recipe : hyper-parameters of this project's fit, or of the paper's method
     figures : whether to draw
     watcher : is told about stages and steps
-    paper : run the paper's method by this recipe instead
+    memory : largest memory to take [GiB]; see `recon.memory`
+    processes : that share the fit
+
+    Raises
+    ------
+    Stopped
+        When Ctrl-C ended the fit after a step; the model is in the folder.
     """
-    recipe = Recipe(seed=seed)
-    if sweeps is not None:
-        recipe = replace(recipe, stages=tuple(replace(stage, sweeps=sweeps) for stage in recipe.stages))
-    log, clock = _Log(), Stopwatch(watcher.stage)
+    clock = Stopwatch(watcher.stage)
     with clock("check"):
         check_full_circle(dataset.geometry[dataset.splits["train"]])
         _check_test_views(dataset)
+    keeper = None if folder is None else PartialRun(folder, dataset.spectra.channels, _options(dataset, recipe))
+    last: list[Progress] = []
+    with Interruption() as interruption:
 
-    def on_step(progress: Progress) -> None:
-        log.add(progress)
-        watcher.step(progress)
+        def on_step(progress: Progress) -> bool:
+            last[:] = [progress]
+            if keeper is not None:
+                keeper.add(progress)
+            watcher.step(progress)
+            return interruption.asked
 
-    if paper is None:
-        result = reconstruct(dataset, recipe, bases, watcher.stage, on_step)
-    else:
-        result = reconstruct_paper(dataset, paper, bases, watcher.stage, on_step)
+        if isinstance(recipe, PaperRecipe):
+            result = reconstruct_paper(dataset, recipe, bases, watcher.stage, on_step)
+        else:
+            plan = plan_memory(dataset, recipe, bases, memory)
+            with array_store(folder or Path(), plan.on_disk) as store:
+                result = reconstruct(dataset, recipe, bases, watcher.stage, on_step, keeper, processes, store)
+    if folder is None or keeper is None:
+        return {}
+    _write_model(dataset, recipe, result, folder)
+    if interruption.asked and last and last[0].step < last[0].steps:
+        raise _stopped(last[0], keeper, folder)
     with clock("score"):
         truth = read_truth(dataset.path)
-        metrics = _metrics(dataset, truth, result, seed)
-        metrics["recipe"] = "fast" if paper is None else paper.says
+        metrics = _metrics(dataset, truth, result, recipe.seed)
+        metrics["recipe"] = recipe.says if isinstance(recipe, PaperRecipe) else "fast"
+        keeper.add_scores(_psnr_along_the_way(keeper, truth))
     with clock("write"):
-        grid = dataset.grid
-        volumes = result.gaussians.volume(grid)
-        result.gaussians.save(folder / MODEL)
-        write_volumes(folder / "volumes.h5", volumes, result.gaussians.basis_names, grid, result.fdk_volumes)
-        (folder / "recipe.yaml").write_text(yaml.safe_dump(_plain(paper or recipe), sort_keys=False), encoding="utf-8")
-        log.write(folder / "log.jsonl", truth)
+        volumes = result.gaussians.volume(dataset.grid)
+        write_volumes(folder / "volumes.h5", volumes, result.gaussians.basis_names, dataset.grid, result.fdk_volumes)
     if figures:
         with clock("figures"):
-            _draw(dataset, truth, result, log, folder / "figures")
+            _draw(dataset, truth, result, keeper.log, folder / "figures")
     metrics["seconds"] = {"check": 0.0, **result.seconds, **clock.seconds}
     metrics["peak_memory_mib"] = peak_memory_mib()
     write_json(folder / "metrics.json", metrics)
     return metrics
+
+
+def chosen_recipe(sweeps: float | None, seed: int, held_out: int) -> Recipe:
+    """The recipe with what a user chose; `sweeps` overrides the length of all stages."""
+    recipe = Recipe(seed=seed, held_out=held_out)
+    if sweeps is None:
+        return recipe
+    return replace(recipe, stages=tuple(replace(stage, sweeps=sweeps) for stage in recipe.stages))
+
+
+def _options(dataset: Dataset, recipe: Recipe | PaperRecipe) -> dict[str, Any]:
+    """What results depend on beside the training views, by the names of options and of numbers of the recipe."""
+    return {"grid": dataset.grid, **{f.name: getattr(recipe, f.name) for f in fields(recipe)}}
+
+
+def _write_model(dataset: Dataset, recipe: Recipe | PaperRecipe, result: Reconstruction, folder: Path) -> None:
+    """Write the model, what it was fitted by, and what is known of the scan."""
+    result.gaussians.save(folder / MODEL)
+    (folder / "recipe.yaml").write_text(yaml.safe_dump(_plain(recipe), sort_keys=False), encoding="utf-8")
+    write_scan(folder, dataset.grid, dataset.spectra.basis, result.transmission, dataset.spectra.channels)
+
+
+def _stopped(progress: Progress, keeper: PartialRun, folder: Path) -> Stopped:
+    """Write a checkpoint, if the fit can go on from one, and how far the model is."""
+    if progress.state is not None:
+        keeper.save(progress.state)
+    done = {"gaussians": len(progress.gaussians), "step": progress.step, "steps": progress.steps}
+    write_json(folder / "metrics.json", {"interrupted": done})
+    return Stopped(f"after step {progress.step} of {progress.steps}")
 
 
 def _check_test_views(dataset: Dataset) -> None:
@@ -137,6 +161,14 @@ def _metrics(dataset: Dataset, truth: Truth | None, result: Reconstruction, seed
     return metrics
 
 
+def _psnr_along_the_way(keeper: PartialRun, truth: Truth | None) -> dict[int, dict[str, float]]:
+    """PSNR of each basis of the models along the way, by their step."""
+    if truth is None:
+        return {}
+    models = ((step, Gaussians.load(path)) for step, path in keeper.snapshots().items())
+    return {step: _psnr_of_bases(model, truth) for step, model in models if model.basis_names == truth.basis_names}
+
+
 def _psnr_of_bases(model: Gaussians, truth: Truth) -> dict[str, float]:
     volumes = model.volume(truth.grid)
     scores = {}
@@ -152,7 +184,9 @@ def _plain(recipe: Recipe | PaperRecipe) -> dict[str, Any]:
     return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(recipe).items()}
 
 
-def _draw(dataset: Dataset, truth: Truth | None, result: Reconstruction, log: _Log, folder: Path) -> None:
+def _draw(
+    dataset: Dataset, truth: Truth | None, result: Reconstruction, log: list[dict[str, Any]], folder: Path
+) -> None:
     """Draw every figure that the data allow."""
     gaussians, grid = result.gaussians, dataset.grid if truth is None else truth.grid
     names, volumes = gaussians.basis_names, gaussians.volume(grid)
@@ -160,7 +194,7 @@ def _draw(dataset: Dataset, truth: Truth | None, result: Reconstruction, log: _L
     for plane in ("axial", "coronal"):
         figures.basis_slices(volumes, true, names, grid, folder / f"{plane}.png", plane)
     figures.profiles(volumes, true, names, grid, folder / "profiles.png")
-    seconds, deviances = (np.array([entry[key] for entry in log.steps]) for key in ("seconds", "deviance"))
+    seconds, deviances = (np.array([entry[key] for entry in log]) for key in ("seconds", "deviance"))
     figures.convergence(seconds, deviances, folder / "convergence.png")
     s = dataset.spectra
     figures.spectrum(

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from phantomgen.geometry import Geometry
 from phantomgen.noise import Stream, generator
-from phantomgen.shapes import rotation_matrix
+from phantomgen.rotation import rotation_matrix
 
 Triple = tuple[float, float, float]
 Times = Float[np.ndarray, " view"]

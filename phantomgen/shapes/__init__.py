@@ -1,8 +1,9 @@
 """Regions of space with exact surfaces; nothing here knows about materials or energies."""
 
+from phantomgen.rotation import rotation_matrix
 from phantomgen.shapes.arrays import solids_of
 from phantomgen.shapes.ball import Ellipsoid, Sphere
-from phantomgen.shapes.base import Part, Primitive, Shape, rotation_matrix
+from phantomgen.shapes.base import Part, Primitive, Shape
 from phantomgen.shapes.boolean import Difference, HalfSpace, Intersection, Placed, Union
 from phantomgen.shapes.box import Box
 from phantomgen.shapes.cone import Cone

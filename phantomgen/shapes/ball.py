@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from phantomgen.ops.primitives import BALL
-from phantomgen.shapes.base import Primitive, Triple, checked_lengths, checked_triple, rotation_matrix
+from phantomgen.rotation import rotation_matrix
+from phantomgen.shapes.base import Primitive, Triple, checked_lengths, checked_triple
 
 
 @dataclass(frozen=True)

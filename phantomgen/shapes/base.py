@@ -7,7 +7,7 @@ from that.
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from math import cos, pi, prod, sin
+from math import pi, prod
 from typing import ClassVar
 
 import numpy as np
@@ -175,15 +175,6 @@ def local_map(axes: Float[np.ndarray, "3 3"], center: Float[np.ndarray, " 3"]) -
     """Map from world [mm] to coordinates along orthogonal `axes` from `center` on."""
     inverse = (axes / (axes**2).sum(axis=0)).T
     return np.column_stack([inverse, -inverse @ center])
-
-
-def rotation_matrix(angles: Triple) -> Float[np.ndarray, "3 3"]:
-    """Rotation about the fixed x axis, then y, then z, by `angles` [rad]."""
-    (cx, cy, cz), (sx, sy, sz) = map(cos, angles), map(sin, angles)
-    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    return about_z @ about_y @ about_x
 
 
 def shortest_turn(axis: Triple) -> Float[np.ndarray, "3 3"]:

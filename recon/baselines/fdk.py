@@ -5,8 +5,11 @@ from jaxtyping import Float
 
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
+from recon.array_store import taken
 from recon.ops.backproject import backproject
 from recon.orbit_check import check_full_circle
+
+VIEWS_AT_ONCE = 16
 
 
 def fdk(
@@ -31,8 +34,12 @@ def fdk(
     height = np.einsum("vi,vi->v", geometry.panel_center - geometry.source, geometry.normals())
     sdd = np.abs(height)
     pitch = geometry.panel.column_pitch * sod[0] / sdd[0]  # at the isocentre
-    filtered = _ramp(line_integrals * _cosines(geometry)[:, None], pitch, hann)
-    return backproject(filtered, geometry, grid, sod / sdd) * np.float32(2 * np.pi / len(geometry))
+    volume = np.zeros((line_integrals.shape[1], *grid.shape), np.float32)
+    for first in range(0, len(geometry), VIEWS_AT_ONCE):
+        some = slice(first, first + VIEWS_AT_ONCE)
+        filtered = _ramp(taken(line_integrals, some) * _cosines(geometry[some])[:, None], pitch, hann)
+        volume = backproject(filtered, geometry[some], grid, (sod / sdd)[some], volume)
+    return volume * np.float32(2 * np.pi / len(geometry))
 
 
 def _cosines(geometry: Geometry) -> Float[np.ndarray, "view row column"]:

@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float
 
 from phantomgen.grid import Grid
-from recon.fitting import Progress
-from recon.losses import deviance
+from recon.fitting import SNAPSHOTS, Progress
+from recon.losses import chi_square, deviance
 from recon.paper.adam import EdgeAdam, GroupedAdam, rates
 from recon.paper.densify import PullOnPanel, densify, reset_fractions
 from recon.paper.loss import total_loss
@@ -30,7 +30,7 @@ def fit(
     grid: Grid,
     units: Units,
     recipe: PaperRecipe,
-    on_step: Callable[[Progress], None] = lambda progress: None,
+    on_step: Callable[[Progress], bool | None] = lambda progress: None,
 ) -> FactorisedGaussians:
     """Run all steps of the recipe; `model`, and the K edge of `spectral`, are changed.
 
@@ -43,7 +43,8 @@ def fit(
     grid : where the volume is
     units : of the scene
     recipe : numbers and components
-    on_step : called after every step, with the deviance of the counts of its view
+    on_step : called after every step, with deviance and chi-square of the counts of its view; the fit ends early where
+        it returns True
 
     Returns
     -------
@@ -77,10 +78,14 @@ def fit(
         if _due(step, recipe.fraction_reset, recipe) and recipe.uses("fraction-reset"):
             reset_fractions(adam)
         counts = torch.from_numpy(projections.counts[views])
-        expected = torch.from_numpy(projections.open_beam[views]) * torch.exp(-rendered.log_projections)
+        expected = torch.from_numpy(projections.open_beam[views]) * torch.exp(-rendered.log_projections.detach())
         misfit = float(deviance(counts, expected)[seen].mean())
+        squares = torch.where(seen, chi_square(counts, expected), torch.nan).nanmean(dim=(0, 2, 3)).double().numpy()
         gaussians = model.gaussians(units, spectral.basis.to_raw(raw[1]), raw[0])
-        on_step(Progress(step, recipe.steps, time.perf_counter() - began, misfit, gaussians))
+        snapshot = step % max(recipe.steps // SNAPSHOTS, 1) == 0 or step == recipe.steps
+        seconds = time.perf_counter() - began
+        if on_step(Progress(step, recipe.steps, seconds, misfit, gaussians, squares, None, snapshot)):
+            break
     return model
 
 

@@ -32,7 +32,7 @@ def reconstruct_paper(
     recipe: PaperRecipe,
     bases: int | None = None,
     on_stage: Callable[[str], None] = lambda name: None,
-    on_step: Callable[[Progress], None] = lambda progress: None,
+    on_step: Callable[[Progress], bool | None] = lambda progress: None,
 ) -> Reconstruction:
     """Fit factorised Gaussians to the training views of a dataset.
 
@@ -81,7 +81,8 @@ def reconstruct_paper(
     with stage("fit"):
         fit(model, projections, spectral, (measured.basis_names, raw), grid, units, recipe, on_step)
     gaussians = model.gaussians(units, basis.to_raw(raw), measured.basis_names)
-    return Reconstruction(gaussians, start, _node_error(measured, energies, raw, gaussians), stage.seconds)
+    error = _node_error(measured, energies, raw, gaussians)
+    return Reconstruction(gaussians, start, error, measured.transmission, stage.seconds)
 
 
 def _node_error(

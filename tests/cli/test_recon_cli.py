@@ -97,7 +97,15 @@ def edited(path: Path, edit) -> Path:
 
 def test_a_run_folder_is_complete(complete):
     folder, _ = complete
-    assert names(folder) == {"model.safetensors", "volumes.h5", "metrics.json", "log.jsonl", "recipe.yaml", "figures"}
+    assert names(folder) == {
+        "model.safetensors",
+        "volumes.h5",
+        "metrics.json",
+        "log.jsonl",
+        "recipe.yaml",
+        "scan.json",
+        "figures",
+    }
     assert names(folder / "figures") == FIGURES
     assert names(folder.parent) == {"run"}
 
@@ -146,7 +154,8 @@ def test_metrics_have_the_documented_keys(complete):
 def test_the_log_has_a_line_per_step_and_scores_along_the_way(complete):
     log = [json.loads(line) for line in (complete[0] / "log.jsonl").read_text().splitlines()]
     assert [entry["step"] for entry in log] == list(range(1, VIEWS // Recipe().views_per_step + 1))
-    assert set(log[-1]) == {"step", "seconds", "deviance", *(f"psnr_{name}" for name in BASES)}
+    channels = {f"chi_square_bin{c}" for c in range(4)}
+    assert set(log[-1]) == {"step", "seconds", "deviance", *channels, *(f"psnr_{name}" for name in BASES)}
     assert log[-1]["psnr_compton"] == pytest.approx(metrics_of(complete[0])["basis"]["compton"]["psnr"], abs=1e-3)
 
 
@@ -384,7 +393,7 @@ def test_debug_shows_the_traceback(tmp_path):
     assert type(result.exception).__name__ == "DatasetError"
 
 
-@pytest.mark.parametrize("command", [["fit"], []])
+@pytest.mark.parametrize("command", [["fit"], ["volume"], ["render"], []])
 def test_every_help_ends_with_two_examples(command):
     result = CliRunner().invoke(recon, [*command, "--help"])
     assert result.exit_code == 0

@@ -1,0 +1,5 @@
+"""The command line as a module: ``torchrun --nproc-per-node 2 -m recon fit scan.h5``."""
+
+from recon.cli import main
+
+main(prog_name="recon")

@@ -1,0 +1,114 @@
+"""How well a model explains views, and which way it should move.
+
+Views are taken one at a time where images of all channels are held, so that memory does not grow with the views of a
+step; each ray is computed the same way in any company, so that this changes no bit of the gradients.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from recon.gaussians import Gaussians
+from recon.losses import chi_square, deviance
+from recon.measurements import Measurements
+from recon.processes import ALONE, Processes
+from spectra.ops.transmit import transmit
+
+PARTS = ("centres", "log_scales", "quaternions", "coefficients")
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """Of a model with some views.
+
+    Parameters
+    ----------
+    deviance : mean of all pixels, blind ones included, which count as 0
+    chi_square : mean of the pixels of each channel that measure; NaN for a channel without
+    """
+
+    deviance: float
+    chi_square: Float[np.ndarray, " channel"]
+
+
+def agreement(gaussians: Gaussians, data: Measurements, dispersion: float, processes: Processes = ALONE) -> Agreement:
+    """Agreement with all views of `data`, whose work `processes` share."""
+    sums = torch.zeros(2 * data.counts.shape[1] + 1, dtype=torch.float64)
+    with torch.no_grad():
+        for view in processes.share(np.arange(len(data))):
+            one = data[[int(view)]]
+            sums += _view_sums(gaussians.line_integrals(one.geometry), one, dispersion)[1]
+    return _summed(sums, data.counts.size, processes)
+
+
+def agreement_and_gradients(
+    gaussians: Gaussians,
+    data: Measurements,
+    views: Int[np.ndarray, " view"],
+    dispersion: float,
+    processes: Processes = ALONE,
+) -> Agreement:
+    """Agreement with some views of `data`; the gradients of the mean deviance are left in the tensors of `gaussians`.
+
+    Parameters
+    ----------
+    gaussians : model whose tensors require gradients
+    data, views : what was measured, and which views to take
+    dispersion : relative model error added to the Poisson variance
+    processes : that share the views; all are left with the gradients of all views
+    """
+    parts = [getattr(gaussians, name) for name in PARTS]
+    values = len(views) * int(np.prod(data.counts.shape[1:]))
+    sums = torch.zeros(2 * data.counts.shape[1] + 1, dtype=torch.float64)
+    mine = data[processes.share(views)]
+    for part in parts:
+        part.grad = None
+    if len(mine):
+        images = gaussians.line_integrals(mine.geometry)
+        known, pull = images.detach(), torch.empty_like(images)
+        for view in range(len(mine)):
+            lengths = known[view : view + 1].requires_grad_()
+            loss, found = _view_sums(lengths, mine[[view]], dispersion)
+            pull[view] = torch.autograd.grad(loss / values, lengths)[0][0]
+            sums += found
+        images.backward(pull)
+    else:
+        for part in parts:
+            part.grad = torch.zeros_like(part)
+    processes.add_up([part.grad for part in parts])
+    return _summed(sums, values, processes)
+
+
+def _view_sums(
+    images: Float[Tensor, "1 basis row column"], one: Measurements, dispersion: float
+) -> tuple[Tensor, Float[Tensor, " sum"]]:
+    """Sum of the deviance; and as numbers that sum, chi-square per channel, and measuring pixels per channel."""
+    counts, expected, measuring = _expected(images, one)
+    loss = deviance(counts, expected, dispersion).sum()
+    with torch.no_grad():
+        found = torch.where(measuring, chi_square(counts, expected, dispersion), 0.0)
+        parts = [loss.reshape(1), found.sum(dim=(0, 2, 3)), measuring.sum(dim=(0, 2, 3))]
+        return loss, torch.cat([part.double().cpu() for part in parts])
+
+
+def _expected(images: Float[Tensor, "view basis row column"], data: Measurements) -> tuple[Tensor, Tensor, Tensor]:
+    """Measured counts, expected ones, and which pixels measure."""
+    gains = torch.from_numpy(data.gains * data.exposure[:, :, None, None].astype(np.float32))
+    lengths = images.movedim(1, -1).contiguous()
+    if data.profile is not None:
+        known = torch.from_numpy(data.profile).to(lengths).movedim(0, -1)
+        lengths = torch.cat([lengths, known.expand(len(lengths), *known.shape)], dim=-1)
+    expected = transmit(lengths, data.transmission).movedim(-1, 1) * gains
+    return torch.from_numpy(data.counts), expected, gains > 0
+
+
+def _summed(sums: Float[Tensor, " sum"], values: int, processes: Processes) -> Agreement:
+    """Means of sums over the views of all processes."""
+    processes.add_up([sums])
+    total, *rest = sums.tolist()
+    squares, pixels = np.array(rest).reshape(2, -1)
+    found = np.divide(squares, pixels, out=np.full(len(pixels), np.nan), where=pixels > 0)
+    return Agreement(total / values, found)

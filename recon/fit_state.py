@@ -1,0 +1,79 @@
+"""Everything that steps of a fit change, so that a fit can be put down and taken up again without a trace."""
+
+from dataclasses import dataclass, field
+from math import inf
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.gaussians import Gaussians
+
+GEOMETRY = ("centres", "log_scales", "quaternions")
+_PARTS = (*GEOMETRY, "coefficients")
+_MOMENTS = ("exp_avg", "exp_avg_sq")  # as Adam calls its means of gradients and of their squares
+
+
+@dataclass(eq=False)
+class FitState:
+    """A fit between two steps.
+
+    Parameters
+    ----------
+    gaussians : the model, whose tensors require gradients
+    adam : optimiser of centres, log-scales and quaternions, a group each
+    velocity : last step of the coefficients [1/mm]
+    inverse : inverse blocks of the coefficients' curvature; empty before the first step
+    done : steps made
+    seconds : spent on them
+    lowest : smallest chi-square on held-out rays so far
+    unimproved : snapshots since then
+    """
+
+    gaussians: Gaussians
+    adam: torch.optim.Adam
+    velocity: Float[Tensor, "gaussian basis"]
+    inverse: Float[Tensor, "..."] = field(default_factory=lambda: torch.empty(0))
+    done: int = 0
+    seconds: float = 0.0
+    lowest: float = inf
+    unimproved: int = 0
+
+    @classmethod
+    def begin(cls, start: Gaussians) -> "FitState":
+        """Before the first step; `start` is left as it is."""
+        gaussians = start.detached()
+        groups = [{"params": [getattr(gaussians, name).requires_grad_()]} for name in GEOMETRY]
+        gaussians.coefficients.requires_grad_()
+        adam = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15)
+        return cls(gaussians, adam, torch.zeros_like(gaussians.coefficients))
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All arrays by name."""
+        found = {name: getattr(self.gaussians, name).detach() for name in _PARTS}
+        found |= {"velocity": self.velocity, "inverse": self.inverse}
+        for name in GEOMETRY if self.done else ():
+            moments = self.adam.state[getattr(self.gaussians, name)]
+            found |= {f"{name}.{moment}": moments[moment] for moment in _MOMENTS}
+        return found
+
+    def numbers(self) -> dict[str, Any]:
+        """All else, for JSON."""
+        lowest = None if self.lowest == inf else self.lowest
+        names = list(self.gaussians.basis_names)
+        return {
+            "basis": names, "done": self.done, "seconds": self.seconds, "lowest": lowest, "unimproved": self.unimproved
+        }  # fmt: skip
+
+    @classmethod
+    def restore(cls, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> "FitState":
+        """From what `tensors` and `numbers` gave."""
+        state = cls.begin(Gaussians(*(tensors[name] for name in _PARTS), basis_names=tuple(numbers["basis"])))
+        state.velocity, state.inverse = tensors["velocity"].clone(), tensors["inverse"].clone()
+        state.done, state.seconds, state.unimproved = (numbers[key] for key in ("done", "seconds", "unimproved"))
+        state.lowest = inf if numbers["lowest"] is None else numbers["lowest"]
+        for name in GEOMETRY if state.done else ():
+            moments = {moment: tensors[f"{name}.{moment}"].clone() for moment in _MOMENTS}
+            state.adam.state[getattr(state.gaussians, name)] = {"step": torch.tensor(float(state.done)), **moments}
+        return state

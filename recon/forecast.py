@@ -1,0 +1,77 @@
+"""What a fit will take: it is begun, a few steps are timed, and nothing is kept."""
+
+from dataclasses import asdict, dataclass
+from math import ceil
+from typing import Any
+
+from phantomgen.dataset import Dataset
+from recon.fitting import Progress
+from recon.memory import MemoryPlan, plan_memory
+from recon.pipeline import reconstruct
+from recon.recipe import Recipe
+
+TIMED_STEPS = 3
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Of a fit.
+
+    Parameters
+    ----------
+    gaussians : that it starts with
+    steps : that it makes
+    start_seconds, fit_seconds : of the start, and of all steps; without scores and figures
+    memory : expected peak
+    """
+
+    gaussians: int
+    steps: int
+    start_seconds: float
+    fit_seconds: float
+    memory: MemoryPlan
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self) | {"memory": {"peak_gib": self.memory.peak, **asdict(self.memory)}}
+
+    def __str__(self) -> str:
+        total = self.start_seconds + self.fit_seconds
+        return (
+            f"{self.gaussians} Gaussians, {self.steps} steps\n"
+            f"about {total:.0f} s: start {self.start_seconds:.0f} s, steps {self.fit_seconds:.0f} s\n"
+            f"about {self.memory}"
+        )
+
+
+def forecast(dataset: Dataset, recipe: Recipe, bases: int | None, limit: float | None) -> Forecast:
+    """Make the start and a few steps, and say what all of them will take.
+
+    Parameters
+    ----------
+    dataset : an open dataset
+    recipe : hyper-parameters
+    bases : how many basis functions to fit, default all
+    limit : largest memory to take [GiB], None for no limit
+    """
+    plan_memory(dataset, recipe, bases, limit)
+    timed: list[Progress] = []
+
+    def on_step(progress: Progress) -> bool:
+        timed.append(progress)
+        return len(timed) == TIMED_STEPS
+
+    result = reconstruct(dataset, recipe, bases, on_step=on_step)
+    count = len(result.gaussians)
+    start = sum(seconds for name, seconds in result.seconds.items() if name != "fit")
+    return Forecast(
+        count, timed[-1].steps, start, _all_steps(timed, recipe), plan_memory(dataset, recipe, bases, limit, count)
+    )
+
+
+def _all_steps(timed: list[Progress], recipe: Recipe) -> float:
+    """Seconds of all steps, from the first, which also finds the curvature, and those after it."""
+    first, last = timed[0].seconds, timed[-1].seconds
+    plain = (last - first) / (len(timed) - 1) if len(timed) > 1 else first
+    renewals = sum(ceil(stage.sweeps / recipe.curvature_sweeps) for stage in recipe.stages)
+    return plain * timed[-1].steps + max(first - plain, 0.0) * renewals

@@ -1,0 +1,79 @@
+"""What a run folder tells later commands: the model, and ``scan.json``, which says what the model was fitted to."""
+
+import json
+from dataclasses import asdict, dataclass
+from math import isnan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phantomgen.grid import Grid
+from recon.gaussians import Gaussians
+from spectra.basis import Basis
+from spectra.errors import DatasetError
+from spectra.transmission import Transmission
+
+MODEL, SCAN = "model.safetensors", "scan.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A finished fit.
+
+    Parameters
+    ----------
+    gaussians : the model
+    grid : the volume that the scan asked for
+    basis : functions of energy; those of the model are the first
+    transmission : spectral model of a pixel at the panel's centre, at exposure 1; `columns` are those of the model
+    """
+
+    gaussians: Gaussians
+    grid: Grid
+    basis: Basis
+    transmission: Transmission
+
+
+def write_scan(folder: Path, grid: Grid, basis: Basis, transmission: Transmission, channels: tuple[str, ...]) -> None:
+    """Write what is known of a scan into a run folder."""
+    table = {name: _plain(value) for name, value in basis.to_dict().items()}
+    nodes = {name: getattr(transmission, name).tolist() for name in ("columns", "weights", "starts")}
+    content = {"grid": asdict(grid), "basis": table, "channels": list(channels), "transmission": nodes}
+    (folder / SCAN).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def open_run(folder: Path) -> Run:
+    """Read a run folder.
+
+    Raises
+    ------
+    DatasetError
+        When it is not one, or a file in it is damaged.
+    """
+    if not (folder / MODEL).is_file():
+        raise DatasetError(f"{folder} is not a run folder: it has no {MODEL}; make one by recon fit")
+    gaussians = Gaussians.load(folder / MODEL)
+    try:
+        content = json.loads((folder / SCAN).read_text(encoding="utf-8"))
+        grid = Grid(**{name: tuple(values) for name, values in content["grid"].items()})
+        basis = Basis.from_table({name: _back(name, values) for name, values in content["basis"].items()})
+        nodes = {name: np.array(values) for name, values in content["transmission"].items()}
+        columns = nodes["columns"][: len(gaussians.basis_names)]
+        transmission = Transmission(columns, nodes["weights"], nodes["starts"], tuple(content["channels"]))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise DatasetError(f"{folder / SCAN} cannot be read as what recon fit writes there ({error})") from error
+    return Run(gaussians, grid, basis, transmission)
+
+
+def _plain(value: Any) -> Any:
+    """For JSON, which has no NaN."""
+    if isinstance(value, np.ndarray):
+        return [None if isnan(number) else number for number in value.tolist()]
+    return value
+
+
+def _back(name: str, value: Any) -> Any:
+    """What `_plain` was given."""
+    numbers = name in ("edge_energy", "edge_width", "normalisation_energy")
+    return np.array([np.nan if number is None else number for number in value]) if numbers else value
