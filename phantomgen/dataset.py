@@ -6,7 +6,7 @@ of its own, so that a reconstructor which imports this one cannot see it by acci
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from phantomgen.compression import check_readable
+from phantomgen.dataset_basis import in_basis
 from phantomgen.dataset_geometry import read_geometry
 from phantomgen.dataset_layout import SCHEMA, SCHEMA_VERSION, array_at, group_at, text_of
 from phantomgen.dataset_mask import read_mask
@@ -121,6 +122,12 @@ class Dataset:
         edges = self.spectra.edges
         shape = f"{views} views x {channels} channels x {rows} x {columns}"
         return f"Dataset({self.name}: {shape}, {edges[0]:g}..{edges[-1]:g} keV)"
+
+    def with_basis(self, basis: Basis) -> "Dataset":
+        """The same open file, read in other basis functions than those it states."""
+        other = replace(self)
+        vars(other)["spectra"] = in_basis(self.spectra, basis)  # in place of what would be read
+        return other
 
     @property
     def name(self) -> str:

@@ -35,11 +35,14 @@ def _finite(_: click.Context, __: click.Parameter, value: float | None) -> float
     return value
 
 
-@main.command(epilog="\b\nExamples:\n  recon fit kedge.h5\n  recon fit scan.h5 -o run --bases 2 --air 0:16,0:256")
+@main.command(epilog="\b\nExamples:\n  recon fit kedge.h5\n  recon fit scan.h5 --edge auto --air 0:16,0:256")
 @click.argument("dataset", type=click.Path(dir_okay=False))
 @click.option("-o", "--out", type=click.Path(), help="Run folder to write [default: <dataset>-run].")
 @click.option(
     "--bases", type=click.Choice(["2", "3", "auto"]), default="auto", show_default=True, help="Basis functions to fit."
+)
+@click.option(
+    "--edge", metavar="auto|keV[,keV]", help="Look for K edges, starting anywhere [default: believe the file]."
 )
 @click.option(
     "--sweeps",
@@ -73,6 +76,7 @@ def fit(
     dataset: str,
     out: str | None,
     bases: str,
+    edge: str | None,
     sweeps: float | None,
     method: str,
     steps: int | None,
@@ -91,11 +95,12 @@ def fit(
 ) -> None:
     """Fit Gaussians to DATASET and score them.
 
-    Writes a run folder: model.safetensors, volumes.h5, metrics.json, log.jsonl and figures. `auto` uses all basis
-    functions that the dataset's spectra section offers; the truth is read only after the fit, for the score. Ctrl-C
-    stops after the step and leaves the model; --resume goes on, also after a crash.
+    Writes a run folder: model.safetensors, volumes.h5, metrics.json, log.jsonl and figures. `--bases auto` uses
+    those basis functions of the dataset that its counts warrant; the truth is read only after the fit, for the score.
+    Ctrl-C stops after the step and leaves the model; --resume goes on, also after a crash.
     """
     from phantomgen.dataset import open_dataset
+    from recon.edge_report import parse_edges
     from recon.forecast import forecast
     from recon.paper.recipe import PaperRecipe
     from recon.processes import joined
@@ -105,8 +110,9 @@ def fit(
 
     paper = _paper_recipe(method, sweeps, steps, without, seed)
     if paper is not None:
-        _refuse_beside_paper(resume=resume, dry_run=dry_run, memory=memory, held_out=held_out)
+        _refuse_beside_paper(resume=resume, dry_run=dry_run, memory=memory, held_out=held_out, edge=edge)
     source, recipe = Path(dataset), paper or chosen_recipe(sweeps, seed, held_out)
+    edges = parse_edges(edge)
     set_threads(threads)
     if dry_run and not isinstance(recipe, PaperRecipe):
         with open_dataset(source, air) as opened:
@@ -115,7 +121,7 @@ def fit(
         return
     with joined() as processes, open_dataset(source, air) as opened:
         bar = _Bar(quiet or as_json or not processes.first)
-        options = (_count(bases), recipe, figures, bar, memory, processes)
+        options = (_count(bases), recipe, figures, bar, edges, memory, processes)
         if not processes.first:
             run(opened, None, *options)
             return
@@ -133,6 +139,45 @@ def fit(
     for name in sorted(path.name for path in (folder.path / "figures").glob("*.png")):
         click.echo(str(folder.path / "figures" / name))
     click.echo(f"Wrote {folder.path}; next: look at the figures, or open {folder.path / 'volumes.h5'}")
+
+
+@main.command(epilog="\b\nExamples:\n  recon edge kedge.h5\n  recon edge scan.h5 --edge 33,50 -o found")
+@click.argument("dataset", type=click.Path(dir_okay=False))
+@click.option("-o", "--out", type=click.Path(), help="Files to write, without suffix [default: <dataset>-edge].")
+@click.option("--edge", metavar="auto|keV[,keV]", default="auto", show_default=True, help="Where to start.")
+@click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
+@click.option("--figures/--no-figures", default=True, show_default=True, help="Draw the profile.")
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+@click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
+@json_option
+@debug_option
+def edge(
+    dataset: str,
+    out: str | None,
+    edge: str,
+    air: str | None,
+    figures: bool,
+    overwrite: bool,
+    threads: int | None,
+    as_json: bool,
+) -> None:
+    """Find the energies of K edges in DATASET.
+
+    Tries edges at all energies on rays that two bases do not explain, whatever the dataset says about edges, and writes
+    the profile likelihood as JSON and as a figure.
+    """
+    from phantomgen.dataset import open_dataset
+    from recon.basis_choice import find_edges
+    from recon.edge_report import EdgeFiles, parse_edges
+    from spectra.threads import set_threads
+
+    source = Path(dataset)
+    files = EdgeFiles(Path(out or f"{source.stem}-edge"), overwrite)
+    set_threads(threads)
+    with open_dataset(source, air) as opened:
+        choice = find_edges(opened, parse_edges(edge) or ())
+        record = files.write(choice, opened, figures)
+    click.echo(json.dumps(record) if as_json else "\n".join([*choice.sentences, *map(str, files.written)]))
 
 
 def _count(bases: str) -> int | None:
@@ -190,6 +235,11 @@ class _Bar:
             self.bar = None
         if not self.quiet and name != "fit":
             click.echo(f"{name} ...", err=True)
+
+    def say(self, sentence: str) -> None:
+        """Something was decided."""
+        if not self.quiet:
+            click.echo(sentence, err=True)
 
     def step(self, progress: "Progress") -> None:
         """A step of the fit is done."""

@@ -167,9 +167,9 @@ def read_measurements(
             "make the scan with basis functions of type material, or photoelectric and compton"
         )
     quantum = dataset.spectra.quantum
-    weights, unit = whole.weights / np.repeat(quantum, np.diff(whole.starts)), quantum[:, None, None]
+    unit = quantum[:, None, None]
     columns = np.delete(whole.columns, np.s_[count : len(names)], axis=0)
-    transmission = replace(whole, columns=columns, weights=weights)
+    transmission = replace(in_quanta(whole, quantum), columns=columns)
     _check_independent(transmission, names[:count])
     profile = dataset.spectra.profile
     flat, dead_time = dataset.flat, dataset.spectra.dead_time
@@ -207,6 +207,11 @@ def _read_counts(
         image[:] = (seen if dead_time is None else dead_time.corrected(seen)) / unit
     release(counts)
     return counts
+
+
+def in_quanta(transmission: Transmission, quantum: Float[np.ndarray, " channel"]) -> Transmission:
+    """Signals in units whose open-beam variance is their mean."""
+    return replace(transmission, weights=transmission.weights / np.repeat(quantum, np.diff(transmission.starts)))
 
 
 def _check_load(dataset: Dataset, dead_time: DeadTime) -> None:

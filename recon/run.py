@@ -1,5 +1,6 @@
 """One whole run: reconstruct, score, write. The truth is opened only when the fit is over."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,6 +14,8 @@ from phantomgen.stopwatch import Stopwatch, peak_memory_mib
 from phantomgen.versions import environment
 from recon import figures
 from recon.array_store import array_store
+from recon.basis_choice import choose_basis
+from recon.edge_report import draw_choice
 from recon.fitting import Progress
 from recon.gaussians import Gaussians
 from recon.interruption import Interruption
@@ -40,6 +43,9 @@ class Watcher(Protocol):
     def step(self, progress: Progress) -> None:
         """A step of the fit is done."""
 
+    def say(self, sentence: str) -> None:
+        """Something was decided."""
+
 
 @without_other_pools()
 def run(
@@ -49,6 +55,7 @@ def run(
     recipe: Recipe | PaperRecipe,
     figures: bool,
     watcher: Watcher,
+    edges: Sequence[float] | None = None,
     memory: float | None = None,
     processes: Processes = ALONE,
 ) -> dict[str, Any]:
@@ -59,10 +66,11 @@ def run(
     dataset : an open dataset
     folder : an existing folder with a subfolder ``figures``, which may hold an interrupted run; None where another
         process writes, and then nothing is returned
-    bases : how many of the dataset's basis functions to fit, default all
+    bases : how many basis functions to fit, default those that the data warrant; the paper's method takes all
     recipe : hyper-parameters of this project's fit, or of the paper's method
     figures : whether to draw
-    watcher : is told about stages and steps
+    watcher : is told about stages, steps and decisions
+    edges : where to look for K edges, see `recon.basis_choice.choose_basis`; None to believe the dataset
     memory : largest memory to take [GiB]; see `recon.memory`
     processes : that share the fit
 
@@ -75,6 +83,13 @@ def run(
     with clock("check"):
         check_full_circle(dataset.geometry[dataset.splits["train"]])
         _check_test_views(dataset)
+    choice = None
+    if isinstance(recipe, Recipe):
+        with clock("basis"):
+            choice = choose_basis(dataset, bases, edges)
+            dataset, bases = dataset.with_basis(choice.basis), None
+            for sentence in choice.sentences:
+                watcher.say(sentence)
     keeper = None if folder is None else PartialRun(folder, dataset.spectra.channels, _options(dataset, recipe))
     last: list[Progress] = []
     with Interruption() as interruption:
@@ -100,6 +115,7 @@ def run(
     with clock("score"):
         truth = read_truth(dataset.path)
         metrics = _metrics(dataset, truth, result, recipe.seed)
+        metrics |= {} if choice is None else {"basis_choice": choice.record()}
         metrics["recipe"] = recipe.says if isinstance(recipe, PaperRecipe) else "fast"
         keeper.add_scores(_psnr_along_the_way(keeper, truth))
     with clock("write"):
@@ -108,7 +124,10 @@ def run(
     if figures:
         with clock("figures"):
             _draw(dataset, truth, result, keeper.log, folder / "figures")
-    metrics["seconds"] = {"check": 0.0, **result.seconds, **clock.seconds}
+            if choice is not None:
+                draw_choice(choice, dataset, folder / "figures" / "edge.png")
+    first = {name: 0.0 for name in ("check", "basis") if name in clock.seconds}
+    metrics["seconds"] = first | result.seconds | clock.seconds
     metrics["peak_memory_mib"] = peak_memory_mib()
     write_json(folder / "metrics.json", metrics)
     return metrics

@@ -1,0 +1,222 @@
+"""Which basis a fit uses: how many functions the data warrant, and where their K edges lie."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from phantomgen.dataset import Dataset
+from recon.edge_profile import EdgeLikelihood, EdgeProfile, Functions, moved_edge
+from recon.edge_rays import Rays, rays_away_from_edges
+from recon.edge_search import WARRANTED, Judgement, judge, next_edge, refine_together
+from recon.recipe import Recipe
+from spectra.basis import Basis, BasisFunction
+from spectra.errors import InputError
+
+DISPERSION = Recipe().dispersion  # relative model error that a fit concedes, so that a misfit of that size is no K edge
+SAME = 2.0  # an edge so close to one that the file states is that one [keV]
+SURE = 3.0  # standard deviations within which an element's edge may lie from where it was found
+
+
+@dataclass(frozen=True, eq=False)
+class BasisChoice:
+    """What was decided, and on what grounds.
+
+    Parameters
+    ----------
+    basis : what the fit uses
+    judgements : one per function that was judged
+    profiles : of the K edges that were found, by the names of their functions
+    """
+
+    basis: Basis
+    judgements: tuple[Judgement, ...] = ()
+    profiles: tuple[tuple[str, EdgeProfile], ...] = ()
+
+    @property
+    def sentences(self) -> list[str]:
+        """What to tell a user."""
+        judged = [
+            f"{j.name} is {'warranted' if j.warranted else 'not warranted'} beside {', '.join(j.before)}: {j.reason} "
+            f"(deviance per ray {j.deviance_before:.3g} without it, {j.deviance_after:.3g} with it, {j.rays} rays)"
+            for j in self.judgements
+        ]
+        found = [
+            f"K edge at {p.best:.2f} keV, 1 sigma from {p.low:.2f} to {p.high:.2f} keV, Cramer-Rao {p.bound:.2g} keV"
+            for _, p in self.profiles
+        ]
+        return judged + found
+
+    def record(self) -> dict[str, Any]:
+        """For ``metrics.json``."""
+        edges = {f.name: f.edge_energy for f in self.basis.functions}
+        return {
+            "names": list(self.basis.names),
+            "edges": [
+                {
+                    "name": name, "energy_keV": edges[name], "found_keV": p.best, "low_keV": p.low, "high_keV": p.high,
+                    "sigma_keV": p.sigma, "bound_keV": p.bound, "rays": p.rays,
+                }
+                for name, p in self.profiles
+            ],
+            "judgements": [asdict(j) for j in self.judgements],
+        }  # fmt: skip
+
+
+def choose_basis(dataset: Dataset, bases: int | None = None, edges: Sequence[float] | None = None) -> BasisChoice:
+    """The basis functions to fit a dataset with; only ``/entry`` is read.
+
+    Parameters
+    ----------
+    dataset : an open dataset
+    bases : how many; None for those that the data warrant
+    edges : None to believe the K edges that the file states; else edges are looked for, at any energy. Numbers are
+        energies to try besides [keV], and say how many edges there are; none leave that to `bases` and the data
+
+    Raises
+    ------
+    InputError
+        When a K edge was asked for that the channels or the counts do not show.
+    """
+    stated = dataset.spectra.basis
+    if stated.signed:
+        return BasisChoice(stated)
+    known = [f for f in stated.functions if f.edge_energy is not None]
+    plain = tuple(f for f in stated.functions if f.edge_energy is None)
+    if edges is None and bases is not None and bases <= len(stated):
+        return BasisChoice(Basis(stated.functions[:bases], stated.reference_energy))
+    if edges is None and not known and bases is None:
+        return BasisChoice(stated)
+    if edges is None and bases is None:
+        return _warranted(dataset, plain, known)
+    kept = plain if edges is not None else (*plain, *known)
+    wanted = _wanted(dataset, bases, edges or (), kept)
+    return _searched(dataset, kept, known, wanted, edges or ())
+
+
+def find_edges(dataset: Dataset, starts: Sequence[float] = ()) -> BasisChoice:
+    """All K edges that the counts show beside the functions without an edge, at least one.
+
+    Parameters
+    ----------
+    dataset : an open dataset
+    starts : energies to try besides [keV], one per edge; none for as many edges as there are
+
+    Raises
+    ------
+    InputError
+        When there is none, or fewer than starts.
+    """
+    choice = choose_basis(dataset, None, starts)
+    if not choice.profiles:
+        raise InputError(_not_found(dataset, choice.judgements))
+    return choice
+
+
+def _wanted(dataset: Dataset, bases: int | None, starts: Sequence[float], kept: Functions) -> int | None:
+    """How many edges to find; None for those that the data warrant."""
+    if bases is None:
+        wanted = len(starts) or None
+    else:
+        wanted = bases - len(kept)
+        if wanted < 1 or len(starts) > wanted:
+            names = ", ".join(f.name for f in kept)
+            raise InputError(
+                f"{bases} bases leave room for {max(wanted, 0)} K edges beside {names}, but {len(starts) or 1} were "
+                "asked for: ask for more bases or fewer edges"
+            )
+    bins = len(dataset.spectra.channels)
+    least = len(kept) + (wanted or 1) + 1
+    if bins < least:
+        raise InputError(
+            f"{dataset.path} has the bases {', '.join(dataset.spectra.basis.names)}: {least - 1} were asked for, and a "
+            f"K edge whose energy is not known needs a channel more than there are bases, at least {least}, not {bins}"
+        )
+    return wanted
+
+
+def _likelihood(dataset: Dataset, plain: Functions) -> EdgeLikelihood:
+    """Of all rays that may be judged."""
+    reference = dataset.spectra.basis.reference_energy
+    rays = rays_away_from_edges(dataset.with_basis(Basis(plain, reference)))
+    floor = dataset.dark_variance / dataset.spectra.quantum**2
+    return EdgeLikelihood(rays, dataset.spectra, floor, DISPERSION)
+
+
+def _warranted(dataset: Dataset, plain: Functions, known: Sequence[BasisFunction]) -> BasisChoice:
+    """Those of the file's functions that the data warrant, the most needed one first."""
+    stated = dataset.spectra.basis
+    if len(dataset.spectra.channels) <= len(plain):
+        return BasisChoice(stated)
+    likelihood = _likelihood(dataset, plain)
+    if likelihood.rays.channels <= len(plain):
+        return BasisChoice(stated)
+    taken, left, judgements = plain, list(known), []
+    while left and likelihood.rays.channels > len(taken):
+        judged = [judge(likelihood, taken, f) for f in left]
+        best = max(range(len(left)), key=lambda i: judged[i].score)
+        if not judged[best].warranted:
+            judgements += judged
+            break
+        judgements.append(judged[best])
+        taken = (*taken, left.pop(best))
+    order = [f for f in stated.functions if f in taken]
+    return BasisChoice(Basis(tuple(order), stated.reference_energy), tuple(judgements))
+
+
+def _searched(
+    dataset: Dataset, kept: Functions, known: Sequence[BasisFunction], wanted: int | None, starts: Sequence[float]
+) -> BasisChoice:
+    """Edges found one after the other, then refined together."""
+    reference = dataset.spectra.basis.reference_energy
+    likelihood = _likelihood(dataset, kept)
+    like = next((f for f in known if f.kind in ("step", "sigmoid")), BasisFunction("step", edge_energy=reference))
+    found: list[BasisFunction] = []
+    profiles: list[EdgeProfile] = []
+    judgements: list[Judgement] = []
+    rays: Rays | None = None
+    while wanted is None or len(found) < wanted:
+        if likelihood.rays.channels < len(kept) + len(found) + 2:
+            break
+        chosen, profile, judgement = next_edge(likelihood, (*kept, *found), like, starts)
+        judgements.append(judgement)
+        if not judgement.warranted:
+            break
+        rays = chosen.rays if rays is None else rays.joined(chosen.rays)
+        found.append(moved_edge(like, profile.best))
+        profiles.append(profile)
+    if wanted is not None and len(found) < wanted:
+        raise InputError(_not_found(dataset, judgements))
+    if len(found) > 1 and rays is not None:
+        profiles = refine_together(likelihood.with_rays(rays), kept, found)
+    functions = [_settled(moved_edge(like, p.best), p, known) for p in profiles]
+    names = tuple((f.name, p) for f, p in zip(functions, profiles, strict=True))
+    return BasisChoice(Basis((*kept, *functions), reference), tuple(judgements), names)
+
+
+def _not_found(dataset: Dataset, judgements: Sequence[Judgement]) -> str:
+    """Why an edge that was asked for is not used, and what would help."""
+    if not judgements:
+        return (
+            f"no ray of {dataset.path} was measured in enough channels at once to find a K edge: leave --edge out, so "
+            "that the energies which the file states are used"
+        )
+    last = judgements[-1]
+    need = "a whole channel below and above it" if last.score >= WARRANTED else "a stronger contrast"
+    return (
+        f"no K edge shows in {dataset.path} beside {', '.join(last.before)}: the best one, at {last.edge:.4g} keV, is "
+        f"not taken since {last.reason}; more photons or {need} would help, or use --bases {len(last.before)}"
+    )
+
+
+def _settled(found: BasisFunction, profile: EdgeProfile, known: Sequence[BasisFunction]) -> BasisFunction:
+    """The function to fit with: that of the file where it names an element whose edge this is, else a moved one.
+
+    Within `SAME` of an edge that the file states the name stays, so that volumes and scores go by one name.
+    """
+    near = min(known, key=lambda f: abs(float(f.edge_energy or 0.0) - profile.best), default=None)
+    if near is None or abs(float(near.edge_energy or 0.0) - profile.best) > SAME:
+        return replace(found, name=f"kedge_{profile.best:.1f}")
+    if near.kind == "element":
+        off = abs(float(near.edge_energy or 0.0) - profile.best)
+        return near if off <= max(SURE * profile.sigma, SAME / 2) else replace(found, name=f"kedge_{profile.best:.1f}")
+    return replace(near, edge_energy=profile.best)
