@@ -15,7 +15,7 @@ demo: $(VENV)/installed
 	$(BIN)/recon fit kedge.h5 --overwrite
 
 test: $(VENV)/installed-test
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
 check: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .

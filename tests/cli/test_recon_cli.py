@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from safetensors.numpy import load_file
+from tiny_scans import make, one_sentence
 
-from phantomgen.cli import main as phantomgen
-from phantomgen.simulate_check import MeasuredError
 from recon.cli import main as recon
 from recon.recipe import Recipe
 from spectra.threads import set_threads
@@ -33,29 +32,12 @@ def fit(*arguments):
     return CliRunner().invoke(recon, ["fit", *map(str, arguments)])
 
 
-def make(path: Path, *arguments: str) -> Path:
-    panel = f"panel={{rows: {PIXELS}, columns: {PIXELS}, pitch: {204.8 / PIXELS}}}"
-    options = ["--preset", "kedge-small", "-q", "-o", str(path), "--voxels", str(VOXELS), "--set", panel, *arguments]
-    with pytest.MonkeyPatch.context() as patch:  # how exact the counts are is the business of other tests
-        patch.setattr("phantomgen.simulate.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
-        result = CliRunner().invoke(phantomgen, ["make", *options])
-    assert result.exit_code == 0, result.output
-    return path
-
-
 def names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
 def metrics_of(folder: Path) -> dict:
     return json.loads((folder / "metrics.json").read_text())
-
-
-def one_sentence(result) -> str:
-    assert (result.exit_code, result.stdout) == (1, ""), result.output
-    assert result.stderr.startswith("Error: ")
-    assert result.stderr.count("\n") == 1
-    return result.stderr
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -5,7 +5,7 @@ import json
 import h5py
 import pytest
 from click.testing import CliRunner
-from test_recon_cli import make, one_sentence
+from tiny_scans import make, one_sentence
 
 from phantomgen.dataset import open_dataset
 from recon.basis_choice import choose_basis, find_edges

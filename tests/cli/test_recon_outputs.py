@@ -15,11 +15,10 @@ import pytest
 import yaml
 from click.testing import CliRunner
 from gaussian_scenes import small_model
+from tiny_scans import make
 
-from phantomgen.cli import main as phantomgen
 from phantomgen.dataset import open_dataset
 from phantomgen.grid import Grid
-from phantomgen.simulate_check import MeasuredError
 from recon.cli import main as recon
 from recon.geometry_file import read_geometry_file
 from recon.run_folder import MODEL, open_run, write_scan
@@ -67,13 +66,7 @@ def run(tmp_path_factory):
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     path = tmp_path_factory.mktemp("data") / "tiny.h5"
-    options = ["--voxels", "16", "--views", "6", "--test-views", "1", "-q", "-o", str(path)]
-    panel = "panel={rows: 16, columns: 24, pitch: 8}"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("phantomgen.simulate.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
-        result = CliRunner().invoke(phantomgen, ["make", "--preset", "kedge-small", "--set", panel, *options])
-    assert result.exit_code == 0, result.output
-    return path
+    return make(path, "--views", "6", "--test-views", "1", rows=16, columns=24)
 
 
 def test_a_run_folder_gives_back_what_was_written(run):

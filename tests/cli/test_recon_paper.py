@@ -9,10 +9,9 @@ import pytest
 import torch
 import yaml
 from click.testing import CliRunner
+from tiny_scans import make
 
-from phantomgen.cli import main as phantomgen
 from phantomgen.dataset import open_dataset
-from phantomgen.simulate_check import MeasuredError
 from recon.cli import main as recon
 from recon.gaussians import Gaussians
 from recon.paper.components import COMPONENTS
@@ -41,13 +40,7 @@ def _all_threads_again():
 @pytest.fixture(scope="module")
 def scan(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("data") / "tiny.h5"
-    panel = "panel={rows: 24, columns: 24, pitch: 8.5333}"
-    options = ["--preset", "kedge-small", "-q", "-o", str(path), "--voxels", "16", "--set", panel]
-    with pytest.MonkeyPatch.context() as patch:  # how exact the counts are is the business of other tests
-        patch.setattr("phantomgen.simulate.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
-        result = CliRunner().invoke(phantomgen, ["make", *options, "--views", "9", "--test-views", "2"])
-    assert result.exit_code == 0, result.output
-    return path
+    return make(path, "--views", "9", "--test-views", "2", rows=24, columns=24)
 
 
 def run(scan, recipe=RECIPE, bases=None):
@@ -110,7 +103,7 @@ def test_the_command_writes_the_same_run_folder_and_says_what_it_did(scan, tmp_p
     assert json.loads((folder / "metrics.json").read_text())["recipe"] == says
     assert yaml.safe_load((folder / "recipe.yaml").read_text())["without"] == ["tv", "dssim"]
     assert {p.name for p in folder.iterdir()} == {
-        "model.safetensors", "volumes.h5", "metrics.json", "log.jsonl", "recipe.yaml", "figures",
+        "model.safetensors", "volumes.h5", "metrics.json", "log.jsonl", "recipe.yaml", "scan.json", "figures",
     }  # fmt: skip
     model = Gaussians.load(folder / "model.safetensors")
     assert len(model.basis_names) == 3
