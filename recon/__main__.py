@@ -2,4 +2,5 @@
 
 from recon.cli import main
 
-main(prog_name="recon")
+if __name__ == "__main__":
+    main(prog_name="recon")

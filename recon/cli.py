@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from phantomgen.command import Commands, debug_option, json_option, version_option
+from recon.baselines import METHODS
 from recon.cli_outputs import render, volume
 
 if TYPE_CHECKING:
+    from recon.baselines.method import Iteration
     from recon.fitting import Progress
-    from recon.paper.recipe import PaperRecipe
 
 
 @click.group(
@@ -52,7 +53,6 @@ def _finite(_: click.Context, __: click.Parameter, value: float | None) -> float
 )
 @click.option(
     "--recipe",
-    "method",
     type=click.Choice(["fast", "paper"]),
     default="fast",
     show_default=True,
@@ -60,6 +60,20 @@ def _finite(_: click.Context, __: click.Parameter, value: float | None) -> float
 )
 @click.option("--steps", type=click.IntRange(min=1), help="Steps of --recipe paper; schedules scale [default: 30000].")
 @click.option("--without", metavar="NAME", multiple=True, help="Leave out a component of --recipe paper; repeatable.")
+@click.option(
+    "--method",
+    type=click.Choice(["gaussian", *METHODS]),
+    default="gaussian",
+    show_default=True,
+    help="Gaussians, or voxels by a classical method; `--sweeps` are then its iterations.",
+)
+@click.option(
+    "--pipeline",
+    type=click.Choice(["two-step", "image"]),
+    default="two-step",
+    show_default=True,
+    help="Of classical methods: bases from counts ray by ray before, or linearly voxel by voxel after.",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the first Gaussians.")
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
@@ -78,9 +92,11 @@ def fit(
     bases: str,
     edge: str | None,
     sweeps: float | None,
-    method: str,
+    recipe: str,
     steps: int | None,
     without: tuple[str, ...],
+    method: str,
+    pipeline: str,
     seed: int,
     air: str | None,
     figures: bool,
@@ -93,49 +109,62 @@ def fit(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Fit Gaussians to DATASET and score them.
+    """Fit Gaussians to DATASET, or reconstruct it classically, and score the result.
 
     Writes a run folder: model.safetensors, volumes.h5, metrics.json, log.jsonl and figures. `--bases auto` uses
     those basis functions of the dataset that its counts warrant; the truth is read only after the fit, for the score.
     Ctrl-C stops after the step and leaves the model; --resume goes on, also after a crash.
     """
     from phantomgen.dataset import open_dataset
+    from recon.baselines import method_named
+    from recon.classical import run_classical
     from recon.edge_report import parse_edges
     from recon.forecast import forecast
-    from recon.paper.recipe import PaperRecipe
+    from recon.paper.recipe import PAPER_STEPS, PaperRecipe
     from recon.processes import joined
     from recon.report import RunFolder, score_table
     from recon.run import chosen_recipe, run
     from spectra.threads import set_threads
 
-    paper = _paper_recipe(method, sweeps, steps, without, seed)
-    if paper is not None:
-        _refuse_beside_paper(resume=resume, dry_run=dry_run, memory=memory, held_out=held_out, edge=edge)
-    source, recipe = Path(dataset), paper or chosen_recipe(sweeps, seed, held_out)
-    edges = parse_edges(edge)
+    special = {"resume": resume, "dry-run": dry_run, "memory": memory, "held-out": held_out, "edge": edge}
+    if method != "gaussian":
+        _refuse(f"--method {method}", special | {"steps": steps, "without": without, "recipe": recipe == "paper"})
+    if recipe == "paper":
+        _refuse("--recipe paper, whose length is --steps", special | {"sweeps": sweeps})
+        how = PaperRecipe(steps=steps or PAPER_STEPS, without=without, seed=seed)
+    else:
+        _refuse("--recipe fast, whose length is --sweeps", {"steps": steps, "without": without})
+        how = chosen_recipe(sweeps, seed, held_out)
+    source, edges = Path(dataset), parse_edges(edge)
     set_threads(threads)
-    if dry_run and not isinstance(recipe, PaperRecipe):
+    if dry_run and not isinstance(how, PaperRecipe):
         with open_dataset(source, air) as opened:
-            found = forecast(opened, recipe, _count(bases), memory)
+            found = forecast(opened, how, _count(bases), memory)
         click.echo(json.dumps(found.to_dict()) if as_json else str(found))
         return
     with joined() as processes, open_dataset(source, air) as opened:
         bar = _Bar(quiet or as_json or not processes.first)
-        options = (_count(bases), recipe, figures, bar, edges, memory, processes)
+        options = (_count(bases), how, figures, bar, edges, memory, processes)
         if not processes.first:
             run(opened, None, *options)
             return
         folder = RunFolder(Path(out) if out else Path(f"{source.stem}-run"), overwrite, resume)
-        with folder as part:
-            metrics = run(opened, part, *options)
+        if method != "gaussian":
+            chosen = method_named(method, None if sweeps is None else max(round(sweeps), 1))
+            with folder as part:
+                metrics = run_classical(opened, part, chosen, pipeline, _count(bases), figures, bar)
+        else:
+            with folder as part:
+                metrics = run(opened, part, *options)
     if as_json:
         click.echo(json.dumps({"run": str(folder.path), **metrics}))
         return
     click.echo(score_table(metrics))
     click.echo("")
-    if paper is not None:
-        click.echo(paper.says)
-    click.echo(f"{metrics['gaussians']} Gaussians, {_seconds(metrics)}{_memory(metrics)}")
+    if isinstance(how, PaperRecipe):
+        click.echo(how.says)
+    what = f"{metrics['gaussians']} Gaussians" if method == "gaussian" else f"{method} in voxels"
+    click.echo(f"{what}, {_seconds(metrics)}{_memory(metrics)}")
     for name in sorted(path.name for path in (folder.path / "figures").glob("*.png")):
         click.echo(str(folder.path / "figures" / name))
     click.echo(f"Wrote {folder.path}; next: look at the figures, or open {folder.path / 'volumes.h5'}")
@@ -184,27 +213,11 @@ def _count(bases: str) -> int | None:
     return None if bases == "auto" else int(bases)
 
 
-def _paper_recipe(
-    method: str, sweeps: float | None, steps: int | None, without: tuple[str, ...], seed: int
-) -> "PaperRecipe | None":
-    """The paper's recipe if it was asked for; options of the other recipe are refused."""
-    from recon.paper.recipe import PAPER_STEPS, PaperRecipe
-
-    if method == "fast":
-        if steps is not None or without:
-            option = "--without" if steps is None else "--steps"
-            raise click.UsageError(f"{option} belongs to --recipe paper; the length of --recipe fast is --sweeps.")
-        return None
-    if sweeps is not None:
-        raise click.UsageError("--sweeps belongs to --recipe fast; the length of --recipe paper is --steps.")
-    return PaperRecipe(steps=steps or PAPER_STEPS, without=without, seed=seed)
-
-
-def _refuse_beside_paper(**options: Any) -> None:
-    """Refuse options that only the other recipe knows."""
+def _refuse(beside: str, options: dict[str, Any]) -> None:
+    """Refuse options that mean nothing beside another one."""
     for name, value in options.items():
-        if value:
-            raise click.UsageError(f"--{name.replace('_', '-')} belongs to --recipe fast.")
+        if value is not None and value is not False and value not in (0, ()):
+            raise click.UsageError(f"--{name} cannot be used with {beside}.")
 
 
 def _seconds(metrics: dict[str, Any]) -> str:
@@ -251,6 +264,15 @@ class _Bar:
             self.bar.initial = self.bar.n = progress.step - 1  # resumed
         self.bar.update()
         self.bar.set_postfix(deviance=f"{progress.deviance:.3f}", chi_square=_each(progress.chi_square))
+
+    def iterated(self, iteration: "Iteration") -> None:
+        """An iteration of a classical method is done."""
+        from tqdm.auto import tqdm
+
+        if self.bar is None:
+            self.bar = tqdm(total=iteration.total, desc="iterations", disable=True if self.quiet else None)
+        self.bar.update()
+        self.bar.set_postfix(residual=f"{iteration.residual:.4f}")
 
 
 if __name__ == "__main__":

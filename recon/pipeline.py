@@ -1,4 +1,4 @@
-"""From a dataset to a model: decomposition, FDK, first Gaussians, fit. Nothing in here knows the truth."""
+"""From a dataset to a model: decomposition, first volumes, first Gaussians, fit. Nothing in here knows the truth."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -11,7 +11,6 @@ from phantomgen.dataset import Dataset
 from phantomgen.grid import Grid
 from phantomgen.stopwatch import Stopwatch
 from recon.array_store import IN_MEMORY, ArrayStore
-from recon.baselines.fdk import fdk
 from recon.decompose import decompose_views
 from recon.filling import filled
 from recon.fit_state import FitState
@@ -19,9 +18,9 @@ from recon.fitting import Progress, fit
 from recon.gaussians import Gaussians
 from recon.initialize import initialize
 from recon.measurements import Measurements, matching_bin, read_measurements
-from recon.orbit_check import check_full_circle
 from recon.processes import ALONE, Processes
 from recon.recipe import Recipe
+from recon.start import start_volumes, starting_method
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
 from spectra.transmission import Transmission
@@ -34,14 +33,14 @@ class Reconstruction:
     Parameters
     ----------
     gaussians : the fitted model
-    fdk_volumes : filtered back-projection of the decomposed rays, what the fit started from [1/mm]
+    start_volumes : what the fit started from, by `recon.start` from the decomposed rays [1/mm]
     node_error : worst error of the log counts from compressing the energy grid
     transmission : the spectral model of the fit
     seconds : time per stage
     """
 
     gaussians: Gaussians
-    fdk_volumes: Float[np.ndarray, "basis z y x"]
+    start_volumes: Float[np.ndarray, "basis z y x"]
     node_error: float
     transmission: Transmission
     seconds: dict[str, float] = field(default_factory=dict)
@@ -80,9 +79,9 @@ def reconstruct(
     processes : that share the fit; the first one makes the start
     store : where counts and line integrals live
     """
-    check_full_circle(dataset.geometry[dataset.splits["train"]])
-    stage = Stopwatch(on_stage)
     grid, voxel = dataset.grid, min(dataset.grid.spacing)
+    starting_method(dataset.geometry[dataset.splits["train"]], grid)  # refuses scans that show no depth
+    stage = Stopwatch(on_stage)
     with stage("read"):
         measured, node_error = read_measurements(dataset, dataset.splits["train"], bases, store).compressed(
             recipe.node_tolerance
@@ -115,8 +114,9 @@ def _first_guess(
         line_integrals, fisher = decompose_views(coarse, recipe.dispersion, store)
         for image in line_integrals if coarse.unseen.any() else ():
             image[:] = filled(image, coarse.unseen)
-    with stage("fdk"):
-        volumes = fdk(line_integrals, coarse.geometry, grid)
+    method = starting_method(measured.geometry, grid)
+    with stage(method.name):
+        volumes = start_volumes(line_integrals, coarse.unseen, coarse.geometry, grid, method)
     with stage("initialize"):
         start = initialize(volumes, fisher, grid, recipe.spacing * voxel, measured.basis_names, recipe.seed)
     return volumes, start

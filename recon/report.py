@@ -45,7 +45,7 @@ class RunFolder:
             raise InputError(f"the output {path} is a run that was interrupted: go on by --resume, or add --overwrite")
         if taken and not (overwrite or interrupted):
             raise InputError(f"the output {path} exists: choose another name by --out, or add --overwrite")
-        if taken and (path.is_symlink() or not all((path / name).is_file() for name in ("metrics.json", MODEL))):
+        if taken and (path.is_symlink() or not _is_run(path)):
             raise InputError(f"the output {path} is not a folder that recon wrote; it will not be replaced")
         if not path.absolute().parent.is_dir():
             raise InputError(f"the folder {path.parent} for the output {path.name} does not exist")
@@ -84,19 +84,28 @@ class RunFolder:
             raise KeyboardInterrupt(f"what was fitted is kept in {self.part}: go on by --resume")
 
 
+def _is_run(path: Path) -> bool:
+    """Whether a folder was written by a run; one that was stopped has no volumes, a voxel method has no model."""
+    return (path / "metrics.json").is_file() and any((path / name).is_file() for name in (MODEL, "volumes.h5"))
+
+
 class Stopped(KeyboardInterrupt):
     """A fit stopped after a step, as it was asked to, and left its model."""
 
 
 def write_volumes(
-    path: Path, volumes: Float[np.ndarray, "basis z y x"], names: tuple[str, ...], grid: Grid, fdk: np.ndarray
+    path: Path,
+    volumes: Float[np.ndarray, "basis z y x"],
+    names: tuple[str, ...],
+    grid: Grid,
+    others: dict[str, Float[np.ndarray, "basis z y x"]],
 ) -> None:
-    """Write ``/basis/data`` [1/mm] as a NeXus plot with axes in mm; ``/fdk/data`` holds what the fit started from."""
+    """Write ``/basis/data`` [1/mm] as a NeXus plot with axes in mm, and `others` beside it, by their name."""
     import h5py  # noqa: PLC0415
 
     with h5py.File(path, "w") as file:
         file.attrs.update({"NX_class": "NXroot", "default": "basis", "creator": "recon"})
-        for group_name, values in (("basis", volumes), ("fdk", fdk)):
+        for group_name, values in (("basis", volumes), *others.items()):
             group = new_group(file, group_name, "NXdata", signal="data", axes=("basis_name", "z", "y", "x"))
             data = group.create_dataset(
                 "data", data=values.astype(np.float32), chunks=(1, 1, *values.shape[2:]), compression="gzip",
@@ -123,13 +132,16 @@ def _basis_table(metrics: dict[str, Any]) -> str:
     """Scores against the truth, beside those of the volumes that the fit started from and of a volume of zeros."""
     if "basis" not in metrics:
         return ""
-    start = metrics.get("fdk", {})
-    header = f"{'basis':<16}{'PSNR':>8}{'SSIM':>8}{'FDK':>8}{'zero volume':>13}{'bias':>12}{'RMSE':>11}"
-    lines = [f"{header}   [dB, -, dB, dB, 1/mm, 1/mm]"]
+    method = metrics.get("start", "")
+    start = metrics.get(method, {})
+    shown = f"{method.upper():>8}" if method else ""
+    header = f"{'basis':<16}{'PSNR':>8}{'SSIM':>8}{shown}{'zero volume':>13}{'bias':>12}{'RMSE':>11}"
+    units = f"dB, -, {'dB, ' if method else ''}dB, 1/mm, 1/mm"
+    lines = [f"{header}   [{units}]"]
     for name, s in metrics["basis"].items():
         lines.append(
             f"{name:<16}{_number(s['psnr'], '8.2f')}{_number(s['ssim'], '8.3f')}"
-            f"{_number(start.get(name, {}).get('psnr'), '8.2f')}{_number(s['psnr_zero'], '13.1f')}"
+            f"{_number(start.get(name, {}).get('psnr'), '8.2f') if method else ''}{_number(s['psnr_zero'], '13.1f')}"
             f"{_number(s['bias'], '12.1e')}{_number(s['rmse'], '11.1e')}"
         )
     return "\n".join(lines)

@@ -20,8 +20,7 @@ from recon.fitting import Progress
 from recon.gaussians import Gaussians
 from recon.interruption import Interruption
 from recon.memory import plan_memory
-from recon.metrics import psnr
-from recon.orbit_check import check_full_circle
+from recon.model_figures import draw_model
 from recon.paper.pipeline import reconstruct_paper
 from recon.paper.recipe import PaperRecipe
 from recon.partial_run import PartialRun
@@ -30,7 +29,8 @@ from recon.processes import ALONE, Processes
 from recon.recipe import Recipe
 from recon.report import Stopped, write_json, write_volumes
 from recon.run_folder import MODEL, write_scan
-from recon.scoring import held_out_views, score_start, score_test_views, score_truth
+from recon.scoring import psnr_of_bases, score_start, score_test_views, score_truth
+from recon.start import starting_method
 from spectra.threads import without_other_pools
 
 
@@ -81,7 +81,7 @@ def run(
     """
     clock = Stopwatch(watcher.stage)
     with clock("check"):
-        check_full_circle(dataset.geometry[dataset.splits["train"]])
+        start = starting_method(dataset.geometry[dataset.splits["train"]], dataset.grid).name
         _check_test_views(dataset)
     choice = None
     if isinstance(recipe, Recipe):
@@ -114,13 +114,14 @@ def run(
         raise _stopped(last[0], keeper, folder)
     with clock("score"):
         truth = read_truth(dataset.path)
-        metrics = _metrics(dataset, truth, result, recipe.seed)
+        metrics = _metrics(dataset, truth, result, start, recipe.seed)
         metrics |= {} if choice is None else {"basis_choice": choice.record()}
         metrics["recipe"] = recipe.says if isinstance(recipe, PaperRecipe) else "fast"
         keeper.add_scores(_psnr_along_the_way(keeper, truth))
     with clock("write"):
         volumes = result.gaussians.volume(dataset.grid)
-        write_volumes(folder / "volumes.h5", volumes, result.gaussians.basis_names, dataset.grid, result.fdk_volumes)
+        others = {start: result.start_volumes}
+        write_volumes(folder / "volumes.h5", volumes, result.gaussians.basis_names, dataset.grid, others)
     if figures:
         with clock("figures"):
             _draw(dataset, truth, result, keeper.log, folder / "figures")
@@ -168,12 +169,12 @@ def _check_test_views(dataset: Dataset) -> None:
         dataset.load([view])
 
 
-def _metrics(dataset: Dataset, truth: Truth | None, result: Reconstruction, seed: int) -> dict[str, Any]:
+def _metrics(dataset: Dataset, truth: Truth | None, result: Reconstruction, start: str, seed: int) -> dict[str, Any]:
     gaussians = result.gaussians
-    metrics: dict[str, Any] = {"dataset": dataset.path.name, "seed": seed, "gaussians": len(gaussians)}
+    metrics: dict[str, Any] = {"dataset": dataset.path.name, "seed": seed, "gaussians": len(gaussians), "start": start}
     if truth is not None:
         metrics.update(score_truth(truth, gaussians))
-        metrics.update(score_start(truth, result.fdk_volumes, gaussians.basis_names, dataset.grid))
+        metrics.update(score_start(start, truth, result.start_volumes, gaussians.basis_names, dataset.grid))
     metrics["channels"] = score_test_views(dataset, gaussians) if len(dataset.splits["test"]) else {}
     metrics["node_error"] = result.node_error
     metrics["versions"] = environment()
@@ -185,17 +186,7 @@ def _psnr_along_the_way(keeper: PartialRun, truth: Truth | None) -> dict[int, di
     if truth is None:
         return {}
     models = ((step, Gaussians.load(path)) for step, path in keeper.snapshots().items())
-    return {step: _psnr_of_bases(model, truth) for step, model in models if model.basis_names == truth.basis_names}
-
-
-def _psnr_of_bases(model: Gaussians, truth: Truth) -> dict[str, float]:
-    volumes = model.volume(truth.grid)
-    scores = {}
-    for name, volume, true in zip(truth.basis_names, volumes, truth.volumes, strict=True):
-        value = psnr(float(true.max()), float(np.mean((volume - true) ** 2)))
-        if value is not None:
-            scores[f"psnr_{name}"] = value
-    return scores
+    return {step: psnr_of_bases(truth, model) for step, model in models if model.basis_names == truth.basis_names}
 
 
 def _plain(recipe: Recipe | PaperRecipe) -> dict[str, Any]:
@@ -207,21 +198,6 @@ def _draw(
     dataset: Dataset, truth: Truth | None, result: Reconstruction, log: list[dict[str, Any]], folder: Path
 ) -> None:
     """Draw every figure that the data allow."""
-    gaussians, grid = result.gaussians, dataset.grid if truth is None else truth.grid
-    names, volumes = gaussians.basis_names, gaussians.volume(grid)
-    true = truth.volumes if truth is not None and truth.basis_names == names else None
-    for plane in ("axial", "coronal"):
-        figures.basis_slices(volumes, true, names, grid, folder / f"{plane}.png", plane)
-    figures.profiles(volumes, true, names, grid, folder / "profiles.png")
+    draw_model(dataset, truth, result.gaussians, folder)
     seconds, deviances = (np.array([entry[key] for entry in log]) for key in ("seconds", "deviance"))
     figures.convergence(seconds, deviances, folder / "convergence.png")
-    s = dataset.spectra
-    figures.spectrum(
-        s.energy, s.edges, s.source, s.response, s.channels, s.basis.names, s.basis_values, folder / "spectrum.png",
-        s.basis.breaks,
-    )  # fmt: skip
-    for view in held_out_views(dataset, gaussians):
-        taken = np.flatnonzero(view.open_beam.any(axis=(1, 2)))
-        names = [s.channels[c] for c in taken]
-        figures.residuals(view.counts[taken], view.expected[taken], names, folder / "residuals.png", view.away)
-        break

@@ -11,23 +11,24 @@ from phantomgen.dataset_truth import Truth
 from phantomgen.grid import Grid
 from recon.gaussians import Gaussians
 from recon.measurements import Measurements, read_measurements
-from recon.metrics import HeldOutView, score_basis_volumes, score_materials, score_projections
+from recon.metrics import HeldOutView, psnr, score_basis_volumes, score_materials, score_projections
+from recon.voxels import Voxels
 
 FULL_FRACTION = 65535  # as the truth stores a voxel that one material fills
 VIEWS_AT_ONCE = 2
 
 
-def held_out_views(dataset: Dataset, gaussians: Gaussians) -> Iterator[HeldOutView]:
+def held_out_views(dataset: Dataset, model: Gaussians | Voxels) -> Iterator[HeldOutView]:
     """Test views of a dataset and what the model expects there, in order."""
     test = dataset.splits["test"]
     for first in range(0, len(test), VIEWS_AT_ONCE):
         views = test[first : first + VIEWS_AT_ONCE]
-        measured = read_measurements(dataset, views, len(gaussians.basis_names))
-        yield from _predict(measured, gaussians)
+        measured = read_measurements(dataset, views, len(model.basis_names))
+        yield from _predict(measured, model)
 
 
-def _predict(measured: Measurements, gaussians: Gaussians) -> Iterator[HeldOutView]:
-    lengths = gaussians.line_integrals(measured.geometry).numpy()
+def _predict(measured: Measurements, model: Gaussians | Voxels) -> Iterator[HeldOutView]:
+    lengths = model.line_integrals(measured.geometry).numpy()
     lengths = measured.with_profile(np.moveaxis(lengths, 1, -1))
     expected = np.moveaxis(measured.transmission.expected(lengths), -1, 1)
     open_beam = measured.gains * measured.open_beam
@@ -36,30 +37,40 @@ def _predict(measured: Measurements, gaussians: Gaussians) -> Iterator[HeldOutVi
         yield HeldOutView.of(counts, expected[view] * measured.gains * scale, open_beam * scale)
 
 
-def score_test_views(dataset: Dataset, gaussians: Gaussians) -> dict[str, Any]:
+def score_test_views(dataset: Dataset, model: Gaussians | Voxels) -> dict[str, Any]:
     """Per channel: PSNR of log projections and chi-square, see `recon.metrics.score_projections`."""
-    return score_projections(held_out_views(dataset, gaussians), dataset.spectra.channels)
+    return score_projections(held_out_views(dataset, model), dataset.spectra.channels)
 
 
-def score_truth(truth: Truth, gaussians: Gaussians) -> dict[str, Any]:
+def score_truth(truth: Truth, model: Gaussians | Voxels) -> dict[str, Any]:
     """Per basis and per material, on the grid and in the basis of the truth.
 
     A basis that the model lacks is scored as a volume of zeros.
     """
-    volumes = _in_basis_of(truth, gaussians.volume(truth.grid), gaussians.basis_names)
+    volumes = _in_basis_of(truth, model.volume(truth.grid), model.basis_names)
     materials = score_materials(
         volumes, truth.fractions, truth.coefficients, truth.material_names, truth.basis_names, FULL_FRACTION
     )
     return {"basis": score_basis_volumes(volumes, truth.volumes, truth.basis_names), **materials}
 
 
+def psnr_of_bases(truth: Truth, model: Gaussians | Voxels) -> dict[str, float]:
+    """PSNR of each basis [dB] as ``psnr_<name>``, of a model with the bases of the truth."""
+    scores = {}
+    for name, volume, true in zip(truth.basis_names, model.volume(truth.grid), truth.volumes, strict=True):
+        value = psnr(float(true.max()), float(np.mean((volume - true) ** 2)))
+        if value is not None:
+            scores[f"psnr_{name}"] = value
+    return scores
+
+
 def score_start(
-    truth: Truth, volumes: Float[np.ndarray, "basis z y x"], names: tuple[str, ...], grid: Grid
+    method: str, truth: Truth, volumes: Float[np.ndarray, "basis z y x"], names: tuple[str, ...], grid: Grid
 ) -> dict[str, Any]:
-    """Scores per basis of the volumes that a fit started from; empty where their grid is not that of the truth."""
+    """Scores per basis of what `method` made a fit start from; empty on another grid than that of the truth."""
     if grid != truth.grid:
         return {}
-    return {"fdk": score_basis_volumes(_in_basis_of(truth, volumes, names), truth.volumes, truth.basis_names)}
+    return {method: score_basis_volumes(_in_basis_of(truth, volumes, names), truth.volumes, truth.basis_names)}
 
 
 def _in_basis_of(

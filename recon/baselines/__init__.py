@@ -1,1 +1,40 @@
-"""Classical reconstructions, one method per file."""
+"""Classical reconstructions, one method per file, and the table that ``recon fit --method`` chooses from.
+
+A new method is a file with a frozen dataclass that is a `recon.baselines.method.LinearMethod` or `CountsMethod`, and a
+line in `METHODS`. Modules are imported when their method is asked for.
+"""
+
+from dataclasses import fields, replace
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from spectra.errors import InputError
+
+if TYPE_CHECKING:
+    from recon.baselines.method import Method
+
+METHODS = {  # name -> module and class
+    "fdk": ("fdk", "Fdk"),
+    "sirt": ("sirt", "Sirt"),
+    "sart": ("sart", "Sart"),
+    "cgls": ("cgls", "Cgls"),
+}
+
+
+def method_named(name: str, iterations: int | None = None) -> "Method":
+    """A method with its defaults, or with a number of iterations of its own.
+
+    Raises
+    ------
+    InputError
+        When there is no such method, or it does not iterate.
+    """
+    if name not in METHODS:
+        raise InputError(f"there is no method {name}: choose one of {', '.join(METHODS)}")
+    module, kind = METHODS[name]
+    method = getattr(import_module(f"recon.baselines.{module}"), kind)()
+    if iterations is None:
+        return method
+    if "iterations" not in {field.name for field in fields(method)}:
+        raise InputError(f"the method {name} has no iterations: leave --sweeps out")
+    return replace(method, iterations=iterations)

@@ -1,45 +1,100 @@
-"""Filtered back-projection of cone-beam data (Feldkamp, Davis, Kress 1984, doi:10.1364/JOSAA.1.000612)."""
+"""Filtered back-projection of cone-beam data (Feldkamp, Davis, Kress 1984, doi:10.1364/JOSAA.1.000612).
+
+Full circles, half-fan panels that see one side of the axis only, short scans of half a turn and the fan, tilted panels,
+and parallel beams; `recon.baselines.circle` says which orbits those are.
+"""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
+from phantomgen.panel import Panel
 from recon.array_store import taken
+from recon.baselines.circle import Circle, circle_of
+from recon.baselines.method import Images, Iteration, OnIteration, Volumes, Weights, unwatched
+from recon.baselines.ramp import WINDOWS, ramp_filtered
+from recon.baselines.redundancy import half_fan_weights, parker_weights
+from recon.baselines.upright import on_upright_panel
 from recon.ops.backproject import backproject
-from recon.orbit_check import check_full_circle
+from spectra.errors import InputError
+
+
+@dataclass(frozen=True)
+class Fdk:
+    """Filtered back-projection as a method; parameters as of `fdk`. Every ray counts alike, whatever its weight."""
+
+    window: str = "hann"
+    cutoff: float = 1.0
+
+    @property
+    def name(self) -> str:
+        """What ``--method`` calls it."""
+        return "fdk"
+
+    def reconstruct(
+        self,
+        line_integrals: Images,
+        weights: Weights | None,
+        geometry: Geometry,
+        grid: Grid,
+        on_iteration: OnIteration = unwatched,
+    ) -> Volumes:
+        """See `recon.baselines.method.LinearMethod`."""
+        del weights
+        volumes = fdk(np.moveaxis(line_integrals, 0, 1), geometry, grid, self.window, self.cutoff)
+        on_iteration(Iteration(1, 1, 0.0, volumes))
+        return volumes
+
 
 VIEWS_AT_ONCE = 16
 
 
 def fdk(
-    line_integrals: Float[np.ndarray, "view basis row column"], geometry: Geometry, grid: Grid, hann: float = 1.0
+    line_integrals: Float[np.ndarray, "view basis row column"],
+    geometry: Geometry,
+    grid: Grid,
+    window: str = "hann",
+    cutoff: float = 1.0,
 ) -> Float[np.ndarray, "basis z y x"]:
-    """Volumes [1/mm] of line integrals [no unit] on a full circular orbit of evenly spaced views.
+    """Volumes [1/mm] of line integrals [no unit] on a circular orbit of evenly spaced views.
 
     Parameters
     ----------
     line_integrals : one image per view and basis
-    geometry : circular orbit about the z axis
+    geometry : circular orbit about the z axis, full or at least half a turn and the fan
     grid : the volume to reconstruct
-    hann : where the Hann window that tames the ramp filter reaches zero, in Nyquist frequencies; ``inf`` for none
+    window : what tames the ramp filter: ``ram-lak`` (nothing), ``shepp-logan``, ``cosine`` or ``hann``
+    cutoff : frequency from which nothing is left, in Nyquist frequencies
 
     Raises
     ------
+    InputError
+        When there is no such window, or the cutoff is not above 0.
     GeometryError
-        When the geometry is not a full circular orbit of at least two views.
+        When the geometry is not such an orbit.
     """
-    check_full_circle(geometry)
-    sod = np.linalg.norm(geometry.source[:, :2], axis=1)
-    height = np.einsum("vi,vi->v", geometry.panel_center - geometry.source, geometry.normals())
-    sdd = np.abs(height)
-    pitch = geometry.panel.column_pitch * sod[0] / sdd[0]  # at the isocentre
+    if window not in WINDOWS or not cutoff > 0:
+        known = ", ".join(WINDOWS)
+        raise InputError(f"a filter is a window ({known}) and a cutoff above 0, got {window!r} and {cutoff}")
+    circle = circle_of(geometry, grid)
+    if not circle.is_upright:
+        line_integrals, geometry = on_upright_panel(line_integrals, geometry, circle)
+        circle = circle_of(geometry, grid)
+    if not circle.is_centred:
+        line_integrals, geometry = _half_fan(line_integrals, geometry, circle)
+    weights = _cosines(geometry)
+    if not circle.is_full:
+        weights = weights * _parker(geometry, circle)[:, None]
+    pitch = geometry.panel.column_pitch * circle.sod[0] / circle.sdd[0]  # at the isocentre
     volume = np.zeros((line_integrals.shape[1], *grid.shape), np.float32)
     for first in range(0, len(geometry), VIEWS_AT_ONCE):
         some = slice(first, first + VIEWS_AT_ONCE)
-        filtered = _ramp(taken(line_integrals, some) * _cosines(geometry[some])[:, None], pitch, hann)
-        volume = backproject(filtered, geometry[some], grid, (sod / sdd)[some], volume)
-    return volume * np.float32(2 * np.pi / len(geometry))
+        filtered = ramp_filtered(taken(line_integrals, some) * weights[some, None], pitch, window, cutoff)
+        volume = backproject(filtered, geometry[some], grid, (circle.sod / circle.sdd)[some], volume)
+    return volume * np.float32(circle.arc / len(geometry))
 
 
 def _cosines(geometry: Geometry) -> Float[np.ndarray, "view row column"]:
@@ -53,18 +108,27 @@ def _cosines(geometry: Geometry) -> Float[np.ndarray, "view row column"]:
     return out
 
 
-def _ramp(
-    images: Float[np.ndarray, "view basis row column"], pitch: float, hann: float
-) -> Float[np.ndarray, "view basis row column"]:
-    """Half the band-limited ramp filter along rows, sampled in space (Kak & Slaney 1988, eq. 3.61), zero-padded."""
-    columns = images.shape[-1]
-    size = 1 << (2 * columns - 1).bit_length()
-    steps = np.minimum(np.arange(size), size - np.arange(size))
-    kernel = np.zeros(size)
-    kernel[0] = 1 / (8 * pitch)
-    odd = steps % 2 == 1
-    kernel[odd] = -1 / (2 * np.pi**2 * pitch * steps[odd] ** 2)
-    frequency = np.arange(size // 2 + 1) / (size / 2)
-    window = np.where(frequency < hann, 0.5 + 0.5 * np.cos(np.pi * frequency / hann), 0.0) if np.isfinite(hann) else 1.0
-    response = (np.fft.rfft(kernel).real * window).astype(np.float32)
-    return np.stack([np.fft.irfft(np.fft.rfft(view, size) * response, size)[..., :columns] for view in images])
+def _half_fan(
+    images: Float[np.ndarray, "view basis row column"], geometry: Geometry, circle: Circle
+) -> tuple[Float[np.ndarray, "view basis row column"], Geometry]:
+    """Weighted images on a panel that is made symmetric by columns of zeros, where the filter leaves its tails."""
+    columns, pitch = geometry.panel.columns, geometry.panel.column_pitch
+    across = (np.arange(columns) - circle.middle[:, None]) * pitch
+    low, high = circle.middle.min() + 0.5, columns - 0.5 - circle.middle.max()
+    side = 1.0 if low < high else -1.0
+    weights = half_fan_weights(side * across, min(low, high) * pitch, float(circle.sdd[0])).astype(np.float32)
+    missing = int(np.ceil(abs(high - low)))
+    widths = (missing, 0) if side > 0 else (0, missing)
+    wide = np.pad(images * weights[:, None, None], [(0, 0)] * 3 + [widths])
+    panel = Panel(geometry.panel.rows, columns + missing, geometry.panel.pitch)
+    center = geometry.panel_center - side * missing / 2 * geometry.column_step
+    return wide, replace(geometry, panel_center=center, panel=panel)
+
+
+def _parker(geometry: Geometry, circle: Circle) -> Float[np.ndarray, "view column"]:
+    """Weights of a short scan."""
+    counter_clockwise = np.cross([0.0, 0.0, 1.0], circle.outward)
+    steps = np.einsum("vi,vi->v", geometry.column_step, counter_clockwise)
+    across = (np.arange(geometry.panel.columns) - circle.middle[:, None]) * steps[:, None]
+    fan = np.arctan(across / circle.sdd[:, None])
+    return parker_weights(circle.angles, fan, circle.spare).astype(np.float32)

@@ -7,13 +7,11 @@ from jaxtyping import Float
 
 from phantomgen.dataset import Dataset
 from phantomgen.stopwatch import Stopwatch
-from recon.baselines.fdk import fdk
 from recon.electronics import without_floor
 from recon.filling import filled
 from recon.fitting import Progress
 from recon.gaussians import Gaussians
 from recon.measurements import Measurements, matching_bin, read_measurements
-from recon.orbit_check import check_full_circle
 from recon.paper.edge import ConditionedBasis, KEdge
 from recon.paper.fitting import fit
 from recon.paper.projections import Projections
@@ -21,6 +19,8 @@ from recon.paper.recipe import PaperRecipe
 from recon.paper.spectral import EnergyGrid, SpectralModel, energy_grid
 from recon.paper.start import first_gaussians, start_volumes, units_of
 from recon.pipeline import Reconstruction
+from recon.start import start_volumes as volumes_of_rays
+from recon.start import starting_method
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
 from spectra.transmission import Transmission
@@ -54,8 +54,8 @@ def reconstruct_paper(
     InputError
         When the dataset has no 2 or 3 basis functions to report.
     """
-    check_full_circle(dataset.geometry[dataset.splits["train"]])
     stage, grid = Stopwatch(on_stage), dataset.grid
+    method = starting_method(dataset.geometry[dataset.splits["train"]], grid)
     count = len(dataset.spectra.basis.names) if bases is None else bases
     if count not in (2, 3):
         raise InputError(f"the paper's method has 2 or 3 bases, {dataset.path} has {count}: use --bases 2 or 3")
@@ -68,11 +68,12 @@ def reconstruct_paper(
         used = energies if recipe.uses("polychromatic") else energies.monochromatic()
         spectral = SpectralModel(used, basis, measured.profile)
         raw = dataset.spectra.basis.evaluate(energies.energy)[:count]
-    with stage("fdk"):
+    with stage(method.name):
         lowest = int(np.argmin(dataset.spectra.effective_energy))
         coarse = measured.completed().binned(matching_bin(measured.geometry, min(grid.spacing)))
         images = Projections.of(coarse).log(slice(None))[:, lowest : lowest + 1].numpy()
-        volume = fdk(filled(images, coarse.gains[lowest] <= 0), coarse.geometry, grid)[0]
+        blind = coarse.gains[lowest] <= 0
+        volume = volumes_of_rays(filled(images, blind), blind, coarse.geometry, grid, method)[0]
     with stage("initialize"):
         units = units_of(volume, grid, recipe)
         means = spectral.channel_means()[lowest].detach().double().numpy()

@@ -91,6 +91,7 @@ def fake_dataset(model, counts, flat, dark):
     return SimpleNamespace(
         path=Path("scan.h5"), spectra=spectra, geometry=geometry, flat=flat, dark=dark, mask=np.zeros(flat.shape, bool),
         dark_variance=np.zeros(len(flat)), exposure=np.arange(12.0).reshape(3, 4), load=lambda views: counts[views],
+        counts=counts,
     )  # fmt: skip
 
 

@@ -1,0 +1,89 @@
+"""What a classical method is: a value with hyper-parameters that turns data into volumes."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.geometry import Geometry
+from phantomgen.grid import Grid
+from recon.measurements import Measurements
+
+Volumes: TypeAlias = Float[np.ndarray, "basis z y x"]
+Images: TypeAlias = Float[np.ndarray, "basis view row column"]
+Weights: TypeAlias = Float[np.ndarray, "view row column"]
+
+
+@dataclass(frozen=True, eq=False)
+class Iteration:
+    """What a callback is told after every iteration.
+
+    Parameters
+    ----------
+    done, total : iterations so far and in all
+    residual : what is left of the data, as a method measures it; 0 for methods that do not look
+    volumes : the state [1/mm]; it changes in place, so copy what is to be kept
+    """
+
+    done: int
+    total: int
+    residual: float
+    volumes: Volumes
+
+
+OnIteration: TypeAlias = Callable[[Iteration], None]
+
+
+def unwatched(_: Iteration) -> None:
+    """A callback that does nothing."""
+
+
+@runtime_checkable
+class LinearMethod(Protocol):
+    """Volumes from line integrals; bases or channels do not know of each other."""
+
+    @property
+    def name(self) -> str:
+        """What ``--method`` calls it."""
+        ...
+
+    def reconstruct(
+        self,
+        line_integrals: Images,
+        weights: Weights | None,
+        geometry: Geometry,
+        grid: Grid,
+        on_iteration: OnIteration = unwatched,
+    ) -> Volumes:
+        """Volumes [1/mm] of line integrals [no unit].
+
+        Parameters
+        ----------
+        line_integrals : one image per basis and view
+        weights : how much each ray counts, 0 for those that were not measured; all alike if None
+        geometry : poses of the views
+        grid : the volume to reconstruct
+        on_iteration : called after every iteration
+        """
+        ...
+
+
+@runtime_checkable
+class CountsMethod(Protocol):
+    """Volumes of all bases at once, from counts."""
+
+    @property
+    def name(self) -> str:
+        """What ``--method`` calls it."""
+        ...
+
+    def reconstruct_counts(
+        self, measurements: Measurements, grid: Grid, on_iteration: OnIteration = unwatched
+    ) -> Volumes:
+        """Volumes [1/mm] of the bases of `measurements`."""
+        ...
+
+
+Method: TypeAlias = LinearMethod | CountsMethod

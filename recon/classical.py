@@ -1,0 +1,185 @@
+"""One whole run of a classical method: reconstruct, score, write, as `recon.run` does for Gaussians.
+
+Three ways lead from counts to volumes of the bases. `two-step`: every ray is decomposed by maximum likelihood, then the
+line integrals of each basis are reconstructed. `image`: each channel is reconstructed, then decomposed in every voxel.
+A method that takes counts knows a way of its own.
+"""
+
+import json
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import yaml
+from jaxtyping import Float
+
+from phantomgen.dataset import Dataset
+from phantomgen.dataset_truth import Truth, read_truth
+from phantomgen.grid import Grid
+from phantomgen.stopwatch import Stopwatch, peak_memory_mib
+from phantomgen.versions import environment
+from recon.baselines.circle import circle_of
+from recon.baselines.fdk import Fdk
+from recon.baselines.image_domain import reconstruct_channels
+from recon.baselines.method import CountsMethod, Iteration, Method, OnIteration
+from recon.decompose import decompose_views
+from recon.filling import filled
+from recon.measurements import Measurements, matching_bin, read_measurements
+from recon.model_figures import draw_model
+from recon.recipe import Recipe
+from recon.report import write_json, write_volumes
+from recon.scoring import psnr_of_bases, score_test_views, score_truth
+from recon.start import check_directions
+from recon.voxels import Voxels
+from spectra.errors import InputError
+from spectra.threads import without_other_pools
+
+PIPELINES = ("two-step", "image")
+SNAPSHOTS = 10  # volumes kept along the way, for error against time
+
+
+class Watcher(Protocol):
+    """What is told how a run goes on."""
+
+    def stage(self, name: str) -> None:
+        """A stage begins."""
+
+    def iterated(self, iteration: Iteration) -> None:
+        """An iteration is done."""
+
+
+class _Log:
+    """Residual of every iteration, and a few volumes along the way."""
+
+    def __init__(self) -> None:
+        self.entries: list[dict[str, float]] = []
+        self.volumes: dict[int, np.ndarray] = {}
+        self._began = time.perf_counter()
+
+    def add(self, iteration: Iteration) -> None:
+        seconds = time.perf_counter() - self._began
+        self.entries.append({"iteration": iteration.done, "seconds": seconds, "residual": iteration.residual})
+        if iteration.done % max(iteration.total // SNAPSHOTS, 1) == 0 or iteration.done == iteration.total:
+            self.volumes[iteration.done] = iteration.volumes.copy()
+
+    def write(self, path: Path, truth: Truth | None, names: tuple[str, ...], grid: Grid) -> None:
+        """One JSON object per iteration; those with kept volumes also have the PSNR of each basis."""
+        for entry in self.entries:
+            volumes = self.volumes.get(int(entry["iteration"]))
+            if volumes is not None and truth is not None and names == truth.basis_names:
+                entry.update(psnr_of_bases(truth, Voxels(volumes, grid, names)))
+        path.write_text("".join(json.dumps(entry) + "\n" for entry in self.entries), encoding="utf-8")
+
+
+@without_other_pools()
+def run_classical(
+    dataset: Dataset,
+    folder: Path,
+    method: Method,
+    pipeline: str,
+    bases: int | None,
+    figures: bool,
+    watcher: Watcher,
+) -> dict[str, Any]:
+    """Reconstruct, score and write everything into `folder`; returns what ``metrics.json`` holds.
+
+    Parameters
+    ----------
+    dataset : an open dataset
+    folder : an existing folder with a subfolder ``figures``
+    method : see `recon.baselines`
+    pipeline : one of `PIPELINES`
+    bases : how many of the dataset's basis functions to use, default all
+    figures : whether to draw
+    watcher : is told about stages and iterations
+    """
+    clock, log = Stopwatch(watcher.stage), _Log()
+    with clock("check"):
+        check_method(method, pipeline, dataset)
+        for view in dataset.splits["test"]:
+            dataset.load([view])  # counts that cannot be scored are refused now
+    with clock("read"):
+        measured = read_measurements(dataset, dataset.splits["train"], bases)
+        measured, node_error = measured.compressed(Recipe().node_tolerance)
+
+    def on_iteration(iteration: Iteration) -> None:
+        log.add(iteration)
+        watcher.iterated(iteration)
+
+    volumes = reconstruct_volumes(measured, dataset.grid, method, pipeline, clock, on_iteration)
+    model = Voxels(volumes, dataset.grid, measured.basis_names)
+    with clock("score"):
+        truth = read_truth(dataset.path)
+        metrics = _metrics(dataset, truth, model, method, pipeline) | {"node_error": node_error}
+    with clock("write"):
+        write_volumes(folder / "volumes.h5", volumes, model.basis_names, model.grid, {})
+        recipe = yaml.safe_dump(_settings(method, pipeline), sort_keys=False)
+        (folder / "recipe.yaml").write_text(recipe, encoding="utf-8")
+        log.write(folder / "log.jsonl", truth, model.basis_names, model.grid)
+    if figures:
+        with clock("figures"):
+            draw_model(dataset, truth, model, folder / "figures")
+    metrics["seconds"] = clock.seconds
+    metrics["peak_memory_mib"] = peak_memory_mib()
+    write_json(folder / "metrics.json", metrics)
+    return metrics
+
+
+def check_method(method: Method, pipeline: str, dataset: Dataset) -> None:
+    """Refuse what cannot be, before any work.
+
+    Raises
+    ------
+    InputError
+        When a method has no such pipeline.
+    GeometryError
+        When the scan shows no depth, or has another orbit than filtered back-projection needs.
+    """
+    if isinstance(method, CountsMethod) and pipeline != PIPELINES[0]:
+        raise InputError(f"the method {method.name} works on counts: leave --pipeline {pipeline} out")
+    train = dataset.geometry[dataset.splits["train"]]
+    check_directions(train)
+    if isinstance(method, Fdk):
+        circle_of(train, dataset.grid)
+
+
+def reconstruct_volumes(
+    measured: Measurements,
+    grid: Grid,
+    method: Method,
+    pipeline: str,
+    stage: Stopwatch,
+    on_iteration: OnIteration,
+) -> Float[np.ndarray, "basis z y x"]:
+    """Volumes of the bases [1/mm] from counts."""
+    if isinstance(method, CountsMethod):
+        with stage(method.name):
+            return method.reconstruct_counts(measured, grid, on_iteration)
+    coarse = measured.completed().binned(matching_bin(measured.geometry, min(grid.spacing)))
+    unseen = coarse.unseen
+    seen = np.broadcast_to(~unseen, coarse.counts[:, 0].shape).astype(np.float32) if unseen.any() else None
+    if pipeline == "image":
+        with stage(method.name):
+            return reconstruct_channels(coarse, seen, method, grid, on_iteration)
+    with stage("decompose"):
+        lengths = filled(decompose_views(coarse, Recipe().dispersion)[0], unseen)
+    with stage(method.name):
+        images = np.ascontiguousarray(np.moveaxis(lengths, 1, 0))
+        return method.reconstruct(images, seen, coarse.geometry, grid, on_iteration)
+
+
+def _settings(method: Method, pipeline: str) -> dict[str, Any]:
+    """Name of a method and what steers it, as plain numbers."""
+    way = {} if isinstance(method, CountsMethod) else {"pipeline": pipeline}
+    return {"method": method.name} | way | asdict(method)  # type: ignore[call-overload] - methods are dataclasses
+
+
+def _metrics(dataset: Dataset, truth: Truth | None, model: Voxels, method: Method, pipeline: str) -> dict[str, Any]:
+    metrics: dict[str, Any] = {"dataset": dataset.path.name, "method": _settings(method, pipeline)}
+    if truth is not None:
+        metrics.update(score_truth(truth, model))
+    metrics["channels"] = score_test_views(dataset, model) if len(dataset.splits["test"]) else {}
+    metrics["versions"] = environment()
+    return metrics
