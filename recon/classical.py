@@ -53,21 +53,23 @@ class Watcher(Protocol):
 class _Log:
     """Residual of every iteration, and a few volumes along the way."""
 
-    def __init__(self) -> None:
-        self.entries: list[dict[str, float]] = []
+    def __init__(self, grid: Grid) -> None:
+        self._shape = grid.shape
+        self.entries: list[dict[str, Any]] = []
         self.volumes: dict[int, np.ndarray] = {}
         self._began = time.perf_counter()
 
     def add(self, iteration: Iteration) -> None:
         seconds = time.perf_counter() - self._began
         self.entries.append({"iteration": iteration.done, "seconds": seconds, "residual": iteration.residual})
-        if iteration.done % max(iteration.total // SNAPSHOTS, 1) == 0 or iteration.done == iteration.total:
+        due = iteration.done % max(iteration.total // SNAPSHOTS, 1) == 0 or iteration.done == iteration.total
+        if due and iteration.volumes.shape[1:] == self._shape:
             self.volumes[iteration.done] = iteration.volumes.copy()
 
     def write(self, path: Path, truth: Truth | None, names: tuple[str, ...], grid: Grid) -> None:
         """One JSON object per iteration; those with kept volumes also have the PSNR of each basis."""
         for entry in self.entries:
-            volumes = self.volumes.get(int(entry["iteration"]))
+            volumes = self.volumes.get(entry["iteration"])
             if volumes is not None and truth is not None and names == truth.basis_names:
                 entry.update(psnr_of_bases(truth, Voxels(volumes, grid, names)))
         path.write_text("".join(json.dumps(entry) + "\n" for entry in self.entries), encoding="utf-8")
@@ -95,7 +97,7 @@ def run_classical(
     figures : whether to draw
     watcher : is told about stages and iterations
     """
-    clock, log = Stopwatch(watcher.stage), _Log()
+    clock, log = Stopwatch(watcher.stage), _Log(dataset.grid)
     with clock("check"):
         check_method(method, pipeline, dataset)
         for view in dataset.splits["test"]:

@@ -272,7 +272,8 @@ class _Bar:
         if self.bar is None:
             self.bar = tqdm(total=iteration.total, desc="iterations", disable=True if self.quiet else None)
         self.bar.update()
-        self.bar.set_postfix(residual=f"{iteration.residual:.4f}")
+        if iteration.residual is not None:
+            self.bar.set_postfix(residual=f"{iteration.residual:.4g}")
 
 
 if __name__ == "__main__":

@@ -36,4 +36,8 @@ TOLERANCES = {
     "deviance": 1e-7,
     # float32 projections inside
     "curvature": 1e-4,
+    # float32 line integrals and counts, sums in float64
+    "likelihood": 1e-5,
+    # float32 sums of differences
+    "total_variation": 1e-5,
 }

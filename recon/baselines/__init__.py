@@ -18,6 +18,8 @@ METHODS = {  # name -> module and class
     "sirt": ("sirt", "Sirt"),
     "sart": ("sart", "Sart"),
     "cgls": ("cgls", "Cgls"),
+    "pdhg-tv": ("pdhg_tv", "PdhgTv"),
+    "one-step": ("one_step", "OneStep"),
 }
 
 

@@ -23,14 +23,17 @@ class Iteration:
     Parameters
     ----------
     done, total : iterations so far and in all
-    residual : what is left of the data, as a method measures it; 0 for methods that do not look
+    residual : what is left of the data, as a method measures it: norm of residuals, deviance per count, or duality gap
+        over the objective; None where it was not looked at
     volumes : the state [1/mm]; it changes in place, so copy what is to be kept
+    grid : of the volumes where it is another one than was asked for, as in coarse passes
     """
 
     done: int
     total: int
-    residual: float
+    residual: float | None
     volumes: Volumes
+    grid: Grid | None = None
 
 
 OnIteration: TypeAlias = Callable[[Iteration], None]
@@ -38,6 +41,18 @@ OnIteration: TypeAlias = Callable[[Iteration], None]
 
 def unwatched(_: Iteration) -> None:
     """A callback that does nothing."""
+
+
+class Report:
+    """Counts iterations, and tells a callback."""
+
+    def __init__(self, on_iteration: OnIteration, total: int) -> None:
+        self._tell, self._total, self._done = on_iteration, total, 0
+
+    def __call__(self, volumes: Volumes, residual: float | None, grid: Grid | None = None) -> None:
+        """One more is done."""
+        self._done += 1
+        self._tell(Iteration(self._done, self._total, residual, volumes, grid))
 
 
 @runtime_checkable

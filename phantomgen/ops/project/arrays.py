@@ -61,7 +61,8 @@ def backward(
         for image, view, is_stacked in zip(images, views, stacked, strict=True):
             if is_stacked:
                 room = _room_for_lines(shape, rows, components, last - first + 1)
-                upright.backward(image, view, parallel, spacing, strides[0], first, last, room, lines)
+                narrow = _room_for_columns(rows, components, last - first + 1)
+                upright.backward(image, view, parallel, spacing, strides[0], first, last, room, narrow, lines)
             else:
                 room = _room(shape, components)
                 cpu.backward(image, view, parallel, spacing, strides, first, last, room, flat)
@@ -87,6 +88,12 @@ def _room_for_lines(shape: Sequence[int], rows: int, components: int, layers: in
     """Scratch of a kernel that works on lines along z."""
     lines = np.empty((2, components, layers + 1))
     return np.empty(7), np.empty(max(shape)), np.empty((4, rows)), lines[0], lines[1]
+
+
+def _room_for_columns(rows: int, components: int, layers: int) -> tuple[np.ndarray, np.ndarray]:
+    """Scratch of `upright.backward` for beams up to two voxels wide."""
+    lines = np.empty((components, layers + upright.PADDING), dtype=np.float32)
+    return np.empty((components, rows), dtype=np.float32), lines
 
 
 def _room_for_pictures(shape: Sequence[int], components: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -198,16 +198,59 @@ def forward(volume, frame, parallel, spacing, counts, room, drawing, out):
             _add_drawn(pictures, start, steps, sizes, drawn, rows, widest_drawn > 1.0, column, out)
 
 
+@inlined
+@no_type_check
+def _scatter(values, rows, top, bottom, t, size, length, low_z, last, lines):
+    """Write what beams up to two voxels wide, of some rows of a column, give to a layer's line.
+
+    Lines begin `_BEFORE` voxels below `low_z`, and end as many as a beam may reach behind the last.
+    """
+    for c in range(lines.shape[0]):
+        for z in range(last + 1 + PADDING):
+            lines[c, z] = np.float32(0.0)
+    for row in range(top, bottom):
+        width = max(1.0, size * rows[_WIDE, row])
+        begin = rows[_PLACE, row] + t * rows[_RISE, row] - 0.5 * width + (_BEFORE + 0.5 - low_z)
+        if begin < 0.0 or begin >= last + 1.0 + _BEFORE:
+            continue
+        i = np.uint64(begin)
+        begun, scale = 1.0 - (begin - i), length * rows[_LONG, row] / width
+        rest = max(width - begun - 1.0, 0.0)
+        first, second, third = scale * begun, scale * (width - begun - rest), scale * rest
+        for c in range(lines.shape[0]):
+            value = values[c, row]
+            lines[c, i] += np.float32(first) * value
+            lines[c, i + np.uint64(1)] += np.float32(second) * value
+            lines[c, i + np.uint64(2)] += np.float32(third) * value
+
+
+@inlined
+@no_type_check
+def _add_lines(lines, before, last, axis, k, place, count, weights, volume):
+    """Add a layer's lines, from their entry `before` on, to the voxels that the beam crosses."""
+    for c in range(volume.shape[0]):
+        for i in range(count):
+            y, x = (k, place + i) if axis == 1 else (place + i, k)
+            part = lines.dtype.type(weights[i])
+            for z in range(last + 1):
+                volume[c, y, x, z] += part * lines[c, z + before]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def backward(images, frame, parallel, spacing, counts, low_z, high_z, room, volume):
+def backward(images, frame, parallel, spacing, counts, low_z, high_z, room, narrow, volume):
     """Add what one view (component, row, column) gives to the layers ``low_z <= z <= high_z`` of a volume.
 
-    `volume` is (component, y, x, z) with these layers only; the rest is as in `forward`.
+    `volume` is (component, y, x, z) with these layers only; `narrow` is scratch, 32 bits: a column (component, row),
+    and lines (component, z + PADDING). The rest is as in `forward`.
     """
     ray, weights, rows, lines, sums = room
+    values, drawn = narrow
     last = high_z - low_z
     for column in range(images.shape[2]):
+        for c in range(values.shape[0]):
+            for row in range(values.shape[1]):
+                values[c, row] = images[c, row, column]
         axis, widest = _aim_rows(frame, parallel, spacing, float(column), ray, rows)
         across = 3 - axis
         wide, thick = _width(frame, ray, axis, across), 1.0 / ray[3 + axis]
@@ -222,6 +265,10 @@ def backward(images, frame, parallel, spacing, counts, low_z, high_z, room, volu
             top, bottom = _near(rows, t, float(low_z), float(high_z), 0.5 * widest + 1.0)
             if t1 <= t0 or count == 0 or top == bottom:
                 continue
+            if size * widest <= 2.0:
+                _scatter(values, rows, top, bottom, t, size, t1 - t0, low_z, last, drawn)
+                _add_lines(drawn, _BEFORE, last, axis, k, place, count, weights, volume)
+                continue
             for c in range(lines.shape[0]):
                 for z in range(last + 1):
                     lines[c, z] = sums[c, z] = 0.0
@@ -231,7 +278,7 @@ def backward(images, frame, parallel, spacing, counts, low_z, high_z, room, volu
                 high, past_high = _edge(middle + 0.5 * width, low_z, high_z)
                 scale = (t1 - t0) * rows[_LONG, row] / width
                 for c in range(lines.shape[0]):
-                    value = scale * images[c, row, column]
+                    value = scale * values[c, row]
                     sums[c, high] += value
                     sums[c, low] -= value
                     lines[c, high] += past_high * value
@@ -242,7 +289,4 @@ def backward(images, frame, parallel, spacing, counts, low_z, high_z, room, volu
                 for z in range(last, -1, -1):
                     lines[c, z] += total
                     total += sums[c, z]
-                for i in range(count):
-                    y, x = (k, place + i) if axis == 1 else (place + i, k)
-                    for z in range(last + 1):
-                        volume[c, y, x, z] += weights[i] * lines[c, z]
+            _add_lines(lines, 0, last, axis, k, place, count, weights, volume)

@@ -1,0 +1,38 @@
+"""The same volumes on coarser and finer grids."""
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.grid import Grid
+
+
+def coarser(grid: Grid, factor: int) -> Grid:
+    """A grid of voxels `factor` times as large that covers the same box; its last voxels may reach beyond."""
+    shape = tuple(-(-n // factor) for n in grid.shape)
+    spacing = tuple(factor * s for s in grid.spacing)
+    origin = tuple(o + (factor - 1) / 2 * s for o, s in zip(grid.origin, grid.spacing, strict=True))
+    return Grid(shape, spacing, origin)  # type: ignore[arg-type]
+
+
+def resampled(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, onto: Grid) -> Float[np.ndarray, "basis z y x"]:
+    """Volumes on another grid, by linear interpolation; beyond the border the nearest voxel counts."""
+    if onto == grid:
+        return volumes
+    out = volumes
+    for i in range(3):
+        centres = onto.origin[i] + onto.spacing[i] * np.arange(onto.shape[i])
+        out = _along(out, (centres - grid.origin[i]) / grid.spacing[i], 1 + i)
+    return out
+
+
+def _along(
+    volumes: Float[np.ndarray, "basis z y x"], place: Float[np.ndarray, " voxel"], axis: int
+) -> Float[np.ndarray, "basis z y x"]:
+    """Linear interpolation along one axis, at places in voxels."""
+    last = volumes.shape[axis] - 1
+    place = np.clip(place, 0, last)
+    low = np.minimum(place.astype(int), max(last - 1, 0))
+    shape = [1] * volumes.ndim
+    shape[axis] = -1
+    part = (place - low).astype(volumes.dtype).reshape(shape)
+    return (1 - part) * volumes.take(low, axis) + part * volumes.take(np.minimum(low + 1, last), axis)

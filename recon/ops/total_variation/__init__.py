@@ -1,0 +1,106 @@
+"""Joint total variation of several volumes: its value, and the two steps of a primal-dual method.
+
+TV(x) = sum over voxels of |W (D x)|, where D are the differences to the next voxel along z, y and x (0 at the far
+border), each over the voxel's size relative to the smallest, W mixes the bases, and the norm is over bases and axes
+together, so that edges of all bases like to coincide. TV(x) is the largest <p, W D x> over fields p with |p| <= 1.
+
+References
+----------
+Rudin, Osher, Fatemi 1992, doi:10.1016/0167-2789(92)90242-F; jointly over channels: Blomgren & Chan 1998,
+doi:10.1109/83.661180; the dual: Chambolle 2004, doi:10.1023/B:JMIV.0000011325.36760.1e.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.grid import Grid
+from recon.ops.total_variation import cpu
+from spectra.threads import run_parallel
+
+SLAB = 4  # slices per piece of work
+
+Volumes = Float[np.ndarray, "basis z y x"]
+Field = Float[np.ndarray, "axis basis z y x"]
+Mixing = Float[np.ndarray, "basis basis"]
+
+
+def total_variation(volumes: Volumes, mixing: Mixing, grid: Grid) -> float:
+    """TV of volumes; the unit is theirs times that of `mixing`.
+
+    Parameters
+    ----------
+    volumes : one per basis
+    mixing : W; any matrix with the same W^T W gives the same
+    grid : the voxels
+    """
+    volumes, mixing = _plain(volumes), _plain(mixing)
+    parts = np.zeros(len(volumes[0]))
+
+    def slab(first: int, last: int) -> None:
+        room = np.empty((2, 3, *volumes.shape[::3]), np.float32)
+        cpu.total_variation(volumes, mixing, _scales(grid), first, last, room, parts)
+
+    _over_slabs(slab, len(parts))
+    return float(parts.sum())
+
+
+def ascend(
+    field: Field, volumes: Volumes, mixing: Mixing, grid: Grid, steps: Float[np.ndarray, "z y x"], radius: float
+):
+    """Move a field, in place, by `steps` times W D x, and back into the ball of a radius around 0 in each voxel.
+
+    Parameters
+    ----------
+    field : p of every voxel, float32
+    volumes, mixing, grid : x, W and the voxels
+    steps : length of the step of each voxel
+    radius : largest |p|
+    """
+    volumes, mixing, steps = _plain(volumes), _plain(mixing), _plain(steps)
+
+    def slab(first: int, last: int) -> None:
+        room = np.empty((2, 3, *volumes.shape[::3]), np.float32)
+        cpu.ascend(field, volumes, mixing, _scales(grid), steps, np.float32(radius), first, last, room)
+
+    _over_slabs(slab, field.shape[2])
+
+
+def pull(field: Field, mixing: Mixing, grid: Grid) -> Volumes:
+    """D^T W^T p, the transpose of what `ascend` adds for steps of 1."""
+    mixing = _plain(mixing)
+    out = np.empty(field.shape[1:], np.float32)
+
+    def slab(first: int, last: int) -> None:
+        room = np.empty(out.shape[::3], np.float32)
+        cpu.pull(field, mixing, _scales(grid), first, last, room, out)
+
+    _over_slabs(slab, field.shape[2])
+    return out
+
+
+def neighbour_sums(values: Float[np.ndarray, "z y x"], grid: Grid) -> Float[np.ndarray, "z y x"]:
+    """Upper bound of |D diag(values)^(1/2)|^2 as ``sum_j values_j |(D^T p)_j|^2 <= sum_j out_j |p_j|^2``."""
+    scales = _scales(grid)
+    worst = values.copy()
+    for axis in range(3):
+        inner = [slice(None)] * 3
+        outer = [slice(None)] * 3
+        inner[axis], outer[axis] = slice(None, -1), slice(1, None)
+        worst[tuple(inner)] = np.maximum(worst[tuple(inner)], values[tuple(outer)])
+    return (values + worst) * np.float32(2 * (scales**2).sum())
+
+
+def _scales(grid: Grid) -> Float[np.ndarray, " axis"]:
+    """Factors of the differences along z, y and x."""
+    return (min(grid.spacing) / np.array(grid.spacing)).astype(np.float32)
+
+
+def _plain(values: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    return np.ascontiguousarray(values, np.float32)
+
+
+def _over_slabs(task: Callable[[int, int], None], slices: int) -> None:
+    for _ in run_parallel(lambda first: task(first, min(first + SLAB, slices)), range(0, slices, SLAB)):
+        pass

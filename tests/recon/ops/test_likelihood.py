@@ -1,0 +1,120 @@
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from gaussian_scenes import spectral_model
+from tolerances import TOLERANCES
+
+from recon.ops.likelihood import BLOCK, likelihood
+from recon.ops.likelihood.reference import half_deviance
+from recon.ops.positive_step import as_matrices
+from spectra.errors import InputError
+from spectra.threads import set_threads
+from spectra.transmission import Transmission
+
+
+def some_rays(model, bases, views=2, rows=3, columns=BLOCK // 2 + 1, seed=1, scale=1.0):
+    """Line integrals, and counts of others nearby, with gains and exposures of their own."""
+    rng = np.random.default_rng(seed)
+    lengths = scale * rng.uniform(0, 1, (bases, views, rows, columns)).astype(np.float32)
+    gains = rng.uniform(0.5, 2, (len(model), rows, columns)).astype(np.float32)
+    exposure = rng.uniform(0.5, 2, (views, len(model)))
+    near = np.moveaxis(lengths * rng.uniform(0.9, 1.1, lengths.shape), 0, -1)
+    parts = np.zeros((*near.shape[:-1], len(model.columns) - bases))
+    expected = np.moveaxis(model.expected(np.concatenate([near, parts], axis=-1)), -1, 1)
+    counts = rng.poisson(expected * gains * exposure[:, :, None, None]).astype(np.float32)
+    return lengths, counts, gains, exposure
+
+
+def by_reference(lengths, counts, gains, exposure, model, dispersion, profile=None):
+    """Half the deviance and its gradient, by automatic differentiation in float64."""
+    known = np.zeros((0, *gains.shape[1:])) if profile is None else profile
+    known = np.broadcast_to(known[:, None], (len(known), len(counts), *gains.shape[1:]))
+    flat = torch.tensor(np.concatenate([lengths, known]).reshape(len(lengths) + len(known), -1).T.astype(float))
+    flat.requires_grad_()
+    scale = np.moveaxis(gains * exposure[:, :, None, None], 1, -1).reshape(-1, len(gains)).astype(float)
+    y = np.moveaxis(counts, 1, -1).reshape(-1, len(gains)).astype(float)
+    arrays = (torch.from_numpy(a) for a in (y, scale, model.columns, model.weights))
+    value = half_deviance(flat, *arrays, model.starts.tolist(), dispersion)
+    (gradient,) = torch.autograd.grad(value, flat)
+    return value.item(), gradient[:, : len(lengths)].T.reshape(lengths.shape).numpy()
+
+
+@pytest.mark.parametrize("dispersion", [0.0, 0.02])
+@pytest.mark.parametrize("bases", [1, 2, 3])
+@pytest.mark.parametrize("columns", [1, BLOCK // 2 + 1])
+def test_value_and_gradient_are_those_of_the_reference(bases, dispersion, columns):
+    model = spectral_model(bases)
+    rays = some_rays(model, bases, columns=columns)
+    value, gradient = by_reference(*rays, model, dispersion)
+    deviances, found, fisher = likelihood(*rays, model, dispersion)
+    np.testing.assert_allclose(deviances.sum() / 2, value, rtol=TOLERANCES["likelihood"])
+    np.testing.assert_allclose(found, gradient, atol=TOLERANCES["likelihood"] * np.abs(gradient).max())
+    assert fisher is None
+
+
+def test_a_known_profile_adds_to_every_ray():
+    whole = spectral_model(3)
+    profile = np.random.default_rng(2).uniform(0, 1, (1, 3, 40))
+    rays = some_rays(whole, 2, columns=40)
+    value, gradient = by_reference(*rays, whole, 0.01, profile)
+    deviances, found, _ = likelihood(*rays, whole, 0.01, profile)
+    np.testing.assert_allclose(deviances.sum() / 2, value, rtol=TOLERANCES["likelihood"])
+    np.testing.assert_allclose(found, gradient, atol=TOLERANCES["likelihood"] * np.abs(gradient).max())
+
+
+def test_information_is_the_expected_square_of_the_gradient():
+    model = spectral_model(3)
+    lengths, counts, gains, exposure = some_rays(model, 3, columns=5)
+    _, _, fisher = likelihood(lengths, counts, gains, exposure, model, 0.02, information=True)
+    expected, slopes = model.expected_and_jacobian(np.moveaxis(lengths, 0, -1).astype(float))
+    scale = np.moveaxis(gains * exposure[:, :, None, None], 1, -1)
+    y = expected * scale
+    right = np.einsum("...c,...cm,...cn->...mn", scale**2 / (y + (0.02 * y) ** 2), slopes, slopes)
+    np.testing.assert_allclose(as_matrices(fisher), right, rtol=1e-5)
+
+
+@pytest.mark.parametrize("blind", ["gain", "exposure"])
+def test_what_was_not_measured_has_no_say(blind):
+    model = spectral_model(2)
+    lengths, counts, gains, exposure = some_rays(model, 2, columns=5)
+    if blind == "gain":
+        gains[1] = 0
+    else:
+        exposure[:, 1] = 0
+    counts[:, 1] = 0
+    few = [0, 2, 3]
+    keep = np.concatenate([np.arange(a, b) for c, (a, b) in enumerate(pairwise(model.starts)) if c in few])
+    starts = np.array([0, 4, 8, 12])
+    less = Transmission(model.columns[:, keep], model.weights[keep], starts)
+    without = likelihood(lengths, counts[:, few], gains[few], exposure[:, few], less, 0.01)
+    for found, right in zip(likelihood(lengths, counts, gains, exposure, model, 0.01)[:2], without[:2], strict=True):
+        np.testing.assert_allclose(found, right, rtol=1e-12)
+
+
+@pytest.mark.parametrize("scale", [50.0, 1000.0, -200.0])
+def test_rays_without_photons_and_rays_that_amplify_give_finite_numbers(scale):
+    model = spectral_model(2)
+    lengths, counts, gains, exposure = some_rays(model, 2, columns=5)
+    for values in likelihood(lengths * np.float32(scale), counts, gains, exposure, model, 0.01, information=True):
+        assert np.isfinite(values).all()
+
+
+def test_any_number_of_threads_gives_the_same_bits():
+    model = spectral_model(3)
+    rays, results = some_rays(model, 3, views=5), []
+    try:
+        for threads in (1, 3):
+            set_threads(threads)
+            results.append(likelihood(*rays, model, 0.01, information=True))
+    finally:
+        set_threads(None)
+    assert all(np.array_equal(a, b) for a, b in zip(*results, strict=True))
+
+
+def test_line_integrals_of_other_views_are_refused():
+    model = spectral_model(2)
+    lengths, *rest = some_rays(model, 2, columns=5)
+    with pytest.raises(InputError, match=r"\(2, 2, 3, 5\), got \(2, 1, 3, 5\)"):
+        likelihood(lengths[:, :1], *rest, model, 0.01)

@@ -1,0 +1,120 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gaussian_scenes import tilted
+from voxel_scenes import balls, voxel_scan
+
+from phantomgen.grid import Grid
+from recon.baselines.grids import coarser, resampled
+from recon.baselines.one_step import OneStep
+from recon.metrics import score_volume
+from spectra.errors import InputError
+from spectra.threads import set_threads
+
+PLAIN = OneStep(levels=((1, 12),), subsets=1, strength=0.0, dispersion=0.0, momentum=False)
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    truth, grid = balls()
+    return truth, grid, voxel_scan(truth, grid, seed=1)
+
+
+def decibels(volumes, truth):
+    return [score_volume(v, t)["psnr"] for v, t in zip(volumes, truth, strict=True)]
+
+
+def deviances(method, scan, grid):
+    history = []
+    volumes = method.reconstruct_counts(scan, grid, lambda i: history.append(i.residual))
+    return volumes, np.array(history)
+
+
+@pytest.mark.parametrize("dispersion", [0.0, 0.02])
+def test_without_subsets_and_momentum_the_deviance_never_rises(noisy, dispersion):
+    _, grid, scan = noisy
+    _, history = deviances(replace(PLAIN, dispersion=dispersion), scan, grid)
+    assert (np.diff(history) < 1e-6 * history[:-1]).all()
+    assert history[-1] < 0.05 * history[0]
+
+
+def test_momentum_and_subsets_come_further_in_as_many_passes(noisy):
+    _, grid, scan = noisy
+    slow, fast = (deviances(m, scan, grid)[1][-1] for m in (PLAIN, replace(PLAIN, momentum=True, subsets=4)))
+    assert fast - 0.5 < 0.5 * (slow - 0.5)
+
+
+@pytest.mark.parametrize("bases", [1, 2, 3])
+def test_exact_counts_give_the_truth(bases):
+    truth, grid = balls(bases=bases)
+    method = OneStep(levels=((2, 5), (1, 25)), strength=0.0, dispersion=0.0)
+    found = method.reconstruct_counts(voxel_scan(truth, grid, views=16, photons=1e6), grid)
+    assert min(decibels(found, truth)) > 32
+    assert found.min() >= 0
+
+
+def test_total_variation_takes_noise_away():
+    truth, grid = balls()
+    scan = voxel_scan(truth, grid, seed=1, photons=2e3)
+    without, with_prior = (replace(OneStep(), strength=s).reconstruct_counts(scan, grid) for s in (0.0, 1.0))
+    assert np.mean(decibels(with_prior, truth)) > np.mean(decibels(without, truth)) + 3
+
+
+def test_any_number_of_threads_gives_the_same_bits(noisy):
+    _, grid, scan = noisy
+    results = []
+    try:
+        for threads in (1, 3):
+            set_threads(threads)
+            results.append(OneStep(levels=((2, 2), (1, 2))).reconstruct_counts(scan, grid))
+    finally:
+        set_threads(None)
+    assert np.array_equal(*results)
+
+
+def test_views_that_lack_channels_are_used_as_they_are():
+    """Tube voltages that change from view to view: every view has half of the channels."""
+    truth, grid = balls()
+    scan = voxel_scan(truth, grid, views=30, seed=1)
+    exposure = scan.exposure.copy()
+    exposure[::2, 2:], exposure[1::2, :2] = 0, 0
+    counts = scan.counts * (exposure > 0)[:, :, None, None]
+    method = OneStep(strength=1.0, dispersion=0.01)
+    found = method.reconstruct_counts(replace(scan, counts=counts, exposure=exposure), grid)
+    assert np.mean(decibels(found, truth)) > 24
+
+
+def test_any_orbit_will_do():
+    truth, grid = balls(bases=2)
+    scan = voxel_scan(truth, grid, geometry=tilted(16, 16, views=10), seed=2)
+    assert np.isfinite(OneStep().reconstruct_counts(scan, grid)).all()
+
+
+def test_the_callback_hears_of_every_pass_and_of_its_grid(noisy):
+    _, grid, scan = noisy
+    heard = []
+    OneStep(levels=((2, 2), (1, 1))).reconstruct_counts(scan, grid, heard.append)
+    assert [(i.done, i.total, i.grid.shape[0]) for i in heard] == [(1, 3, 6), (2, 3, 6), (3, 3, 12)]
+    assert all(i.volumes.shape[1:] == i.grid.shape and i.residual > 0 for i in heard)
+
+
+@pytest.mark.parametrize("factor", [1, 2, 3])
+def test_linear_volumes_stay_linear_on_other_grids(factor):
+    grid = Grid((9, 7, 11), (1.0, 2.0, 0.5), (-3.0, 1.0, 0.0))
+    other = coarser(grid, factor)
+    ramps = [np.add.outer(np.add.outer(g.axis("z"), 2 * g.axis("y")), 3 * g.axis("x"))[None] for g in (grid, other)]
+    found = resampled(ramps[0], grid, other)[0][:-1, :-1, :-1]
+    np.testing.assert_allclose(found, ramps[1][0][:-1, :-1, :-1])
+
+
+def test_a_coarser_grid_covers_the_same_box():
+    grid = Grid.cube(12, 24.0)
+    assert coarser(grid, 3) == Grid.cube(4, 24.0)
+    assert coarser(grid, 5).shape == (3, 3, 3)
+
+
+@pytest.mark.parametrize("wrong", [{"levels": ()}, {"levels": ((0, 3),)}, {"subsets": 0}, {"strength": -1.0}])
+def test_settings_that_cannot_be_are_refused(wrong):
+    with pytest.raises(InputError, match=f"one-step .*{next(iter(wrong))}"):
+        OneStep(**wrong)
