@@ -25,6 +25,7 @@ class FitState:
     adam : optimiser of centres, log-scales and quaternions, a group each
     velocity : last step of the coefficients [1/mm]
     inverse : inverse blocks of the coefficients' curvature; empty before the first step
+    weight : of the prior, see `recon.anchor`; empty before the first step
     done : steps made
     seconds : spent on them
     lowest : smallest chi-square on held-out rays so far
@@ -35,6 +36,7 @@ class FitState:
     adam: torch.optim.Adam
     velocity: Float[Tensor, "gaussian basis"]
     inverse: Float[Tensor, "..."] = field(default_factory=lambda: torch.empty(0))
+    weight: Float[Tensor, "..."] = field(default_factory=lambda: torch.empty(0))
     done: int = 0
     seconds: float = 0.0
     lowest: float = inf
@@ -52,7 +54,7 @@ class FitState:
     def tensors(self) -> dict[str, Tensor]:
         """All arrays by name."""
         found = {name: getattr(self.gaussians, name).detach() for name in _PARTS}
-        found |= {"velocity": self.velocity, "inverse": self.inverse}
+        found |= {"velocity": self.velocity, "inverse": self.inverse, "weight": self.weight}
         for name in GEOMETRY if self.done else ():
             moments = self.adam.state[getattr(self.gaussians, name)]
             found |= {f"{name}.{moment}": moments[moment] for moment in _MOMENTS}
@@ -70,7 +72,9 @@ class FitState:
     def restore(cls, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> "FitState":
         """From what `tensors` and `numbers` gave."""
         state = cls.begin(Gaussians(*(tensors[name] for name in _PARTS), basis_names=tuple(numbers["basis"])))
-        state.velocity, state.inverse = tensors["velocity"].clone(), tensors["inverse"].clone()
+        state.velocity, state.inverse, state.weight = (
+            tensors[name].clone() for name in ("velocity", "inverse", "weight")
+        )
         state.done, state.seconds, state.unimproved = (numbers[key] for key in ("done", "seconds", "unimproved"))
         state.lowest = inf if numbers["lowest"] is None else numbers["lowest"]
         for name in GEOMETRY if state.done else ():

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.agreement import Agreement, agreement, agreement_and_gradients
+from recon.anchor import Anchor
 from recon.curvature import coefficient_curvature
 from recon.fit_state import FitState
 from recon.gaussians import Gaussians
@@ -65,6 +66,7 @@ def fit(
     on_step: Callable[[Progress], bool | None] = lambda progress: None,
     held_out: Measurements | None = None,
     processes: Processes = ALONE,
+    anchor: Anchor | None = None,
 ) -> Gaussians:
     """Improve Gaussians until the recipe's sweeps are used up.
 
@@ -77,6 +79,7 @@ def fit(
     on_step : called after every step; the fit ends early where it returns True
     held_out : views that are not fitted; the fit ends when chi-square on them no longer falls
     processes : that share the views of each step; all must be given the same arguments
+    anchor : volumes to stay near; None for the likelihood alone
 
     Returns
     -------
@@ -95,15 +98,17 @@ def fit(
         per_sweep = max(len(data) // recipe.views_per_step, 1)
         for step, views in islice(enumerate(_subsets(len(data), per_sweep, length)), state.done - first, None):
             if step % max(round(recipe.curvature_sweeps * per_sweep), 1) == 0:
-                state.inverse = _inverse_curvature(state.gaussians, data, recipe, processes)
+                state.inverse, state.weight = _inverse_curvature(state.gaussians, data, recipe, processes, anchor)
             fraction = state.done / steps
             warm = state.done < recipe.warm_up * per_sweep
             for group, rate in zip(groups, rates, strict=True):
                 group["lr"] = 0.0 if warm else rate * recipe.final_rate**fraction
             found = agreement_and_gradients(state.gaussians, data, views, recipe.dispersion, processes)
+            scale = float(np.prod(data.counts.shape)) / 2  # from a mean deviance to the likelihood of all views
+            if anchor is not None:
+                anchor.add_gradients(state.gaussians, state.weight / scale, state.done)
             state.adam.step()
-            counts = np.prod(data.counts.shape)  # from the mean deviance of a few views to the likelihood of all
-            pull = torch.einsum("gmn,gn->gm", state.inverse, coefficients.grad) * float(counts / 2)
+            pull = torch.einsum("gmn,gn->gm", state.inverse, coefficients.grad) * scale
             rate = recipe.coefficient_rate * min(1.0, 10 ** (1 - 2 * fraction))
             _project_step(coefficients, state.velocity, pull, state.inverse, rate, recipe.momentum)
             state.done += 1
@@ -145,15 +150,19 @@ def _subsets(views: int, per_sweep: int, steps: int) -> Iterator[np.ndarray]:
         yield np.arange(step * stride % per_sweep, views, per_sweep)
 
 
-def _inverse_curvature(gaussians: Gaussians, data: Measurements, recipe: Recipe, processes: Processes) -> Tensor:
-    """Inverse blocks of the coefficients' curvature, from a fifth of the views."""
+def _inverse_curvature(
+    gaussians: Gaussians, data: Measurements, recipe: Recipe, processes: Processes, anchor: Anchor | None
+) -> tuple[Tensor, Tensor]:
+    """Inverse blocks of the coefficients' curvature, from a fifth of the views, and the weight of the prior."""
     some = np.arange(0, len(data), 5)
     blocks = coefficient_curvature(gaussians, data[processes.share(some)], recipe.dispersion)
     processes.add_up([blocks])
-    blocks = blocks * (len(data) / len(some))
+    blocks, weight = blocks * (len(data) / len(some)), torch.empty(0)
+    if anchor is not None:
+        blocks, weight = anchor.curvature(gaussians, blocks)
     diagonal = torch.diagonal(blocks, dim1=1, dim2=2)
     floor = 1e-4 * diagonal + 1e-6 * diagonal.mean(dim=0).clamp_min(1)  # a Gaussian that no ray meets stays as it is
-    return torch.linalg.inv(blocks + torch.diag_embed(floor))
+    return torch.linalg.inv(blocks + torch.diag_embed(floor)), weight
 
 
 @torch.no_grad()

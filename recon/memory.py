@@ -19,6 +19,7 @@ GAUSSIANS_PER_VOXEL = 0.05  # where nobody has counted yet; the preset kedge-sma
 _BYTES_PER_GAUSSIAN = 1600  # parameters, moments, gradients in float64, curvature, two footprint tables
 _CURVATURE_VIEWS = 5  # as many are rasterized at once
 _FDK_VIEWS = 16
+_ONE_STEP_VOLUMES = 14  # of each basis
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ def _parts(dataset: Dataset, recipe: Recipe, bases: int | None, gaussians: int |
         "line integrals": 4 * views * m * pixels // factor,
         "flats and gains": 8 * 5 * channels * pixels,
         "images": max(per_step, curvature, filtering) * pixels,
-        "volumes": 4 * voxels * (4 * m + 14),
+        "volumes": 4 * voxels * max(4 * m + 14, _ONE_STEP_VOLUMES * m if recipe.prior else 0),
         "Gaussians": _BYTES_PER_GAUSSIAN * gaussians,
     }
     return {"program": PROGRAM, **{name: size / GIB for name, size in sizes.items()}}

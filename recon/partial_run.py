@@ -66,12 +66,12 @@ class PartialRun:
         self._check(content["identity"])
         state = FitState.restore(*read_checkpoint(self.folder / CHECKPOINT))
         self._read_log(state.done)
-        return state, start["fdk"].numpy(), content["seconds"]
+        return state, start["volumes"].numpy(), content["seconds"]
 
     def begin(self, volumes: Float[np.ndarray, "basis z y x"], seconds: dict[str, float], state: FitState) -> None:
         """Keep what a fit starts from."""
         content = {"identity": self._identity, "seconds": seconds}
-        write_checkpoint(self.folder / START, {"fdk": torch.from_numpy(volumes)}, content)
+        write_checkpoint(self.folder / START, {"volumes": torch.from_numpy(volumes)}, content)
         (self.folder / LOG).write_bytes(b"")
         self.save(state)
 

@@ -10,7 +10,10 @@ from jaxtyping import Float
 from phantomgen.dataset import Dataset
 from phantomgen.grid import Grid
 from phantomgen.stopwatch import Stopwatch
+from recon.anchor import Anchor
 from recon.array_store import IN_MEMORY, ArrayStore
+from recon.baselines.method import CountsMethod, Method
+from recon.baselines.one_step import OneStep
 from recon.decompose import decompose_views
 from recon.filling import filled
 from recon.fit_state import FitState
@@ -25,6 +28,8 @@ from spectra.errors import InputError
 from spectra.threads import without_other_pools
 from spectra.transmission import Transmission
 
+_FISHER_VIEWS = 8  # one of so many views tells the mean information of rays
+
 
 @dataclass
 class Reconstruction:
@@ -33,13 +38,15 @@ class Reconstruction:
     Parameters
     ----------
     gaussians : the fitted model
-    start_volumes : what the fit started from, by `recon.start` from the decomposed rays [1/mm]
+    start : name of the method that made the volumes to start from
+    start_volumes : those [1/mm]
     node_error : worst error of the log counts from compressing the energy grid
     transmission : the spectral model of the fit
     seconds : time per stage
     """
 
     gaussians: Gaussians
+    start: str
     start_volumes: Float[np.ndarray, "basis z y x"]
     node_error: float
     transmission: Transmission
@@ -98,25 +105,36 @@ def reconstruct(
             keeper.begin(volumes, stage.seconds, state)
     else:
         state, volumes = None, np.zeros((len(measured.basis_names), *grid.shape), np.float32)
-    state = _shared(state, processes)
+    state, volumes = _shared(state, processes), processes.from_first(volumes)
+    anchor = Anchor(volumes, grid, recipe.prior) if recipe.prior else None
     with stage("fit"):
-        gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, processes)
-    return Reconstruction(gaussians, volumes, node_error, measured.transmission, stage.seconds)
+        gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, processes, anchor)
+    name = _starting(measured, grid, recipe).name
+    return Reconstruction(gaussians, name, volumes, node_error, measured.transmission, stage.seconds)
+
+
+def _starting(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
+    """What makes the first volumes: the voxels that the prior wants, or decomposed rays without one."""
+    return OneStep() if recipe.prior else starting_method(measured.geometry, grid)
 
 
 def _first_guess(
     measured: Measurements, grid: Grid, recipe: Recipe, stage: Stopwatch, store: ArrayStore
 ) -> tuple[Float[np.ndarray, "basis z y x"], Gaussians]:
-    """Volumes by filtered back-projection, and Gaussians that follow them."""
-    voxel = min(grid.spacing)
-    with stage("decompose"):
-        coarse = measured.completed().binned(matching_bin(measured.geometry, voxel))
-        line_integrals, fisher = decompose_views(coarse, recipe.dispersion, store)
-        for image in line_integrals if coarse.unseen.any() else ():
-            image[:] = filled(image, coarse.unseen)
-    method = starting_method(measured.geometry, grid)
-    with stage(method.name):
-        volumes = start_volumes(line_integrals, coarse.unseen, coarse.geometry, grid, method)
+    """First volumes, and Gaussians that follow them."""
+    voxel, method = min(grid.spacing), _starting(measured, grid, recipe)
+    coarse = measured.completed().binned(matching_bin(measured.geometry, voxel))
+    if isinstance(method, CountsMethod):
+        with stage(method.name):
+            volumes = method.reconstruct_counts(measured, grid)
+        fisher = decompose_views(coarse[np.arange(0, len(coarse), _FISHER_VIEWS)], recipe.dispersion)[1]
+    else:
+        with stage("decompose"):
+            line_integrals, fisher = decompose_views(coarse, recipe.dispersion, store)
+            for image in line_integrals if coarse.unseen.any() else ():
+                image[:] = filled(image, coarse.unseen)
+        with stage(method.name):
+            volumes = start_volumes(line_integrals, coarse.unseen, coarse.geometry, grid, method)
     with stage("initialize"):
         start = initialize(volumes, fisher, grid, recipe.spacing * voxel, measured.basis_names, recipe.seed)
     return volumes, start

@@ -53,13 +53,17 @@ class Recipe:
     momentum: float = 0.9
     curvature_sweeps: float = 2.0
     warm_up: float = 0.5
+    prior: float = 0.3
     seed: int = 0
     held_out: int = 0
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if field.name not in ("stages", "seed", "warm_up", "momentum", "dispersion", "held_out") and value <= 0:
+            if (
+                field.name not in ("stages", "seed", "warm_up", "momentum", "dispersion", "prior", "held_out")
+                and value <= 0
+            ):
                 raise InputError(f"recipe {field.name} must be positive, got {value}")
         if self.held_out < 0:
             raise InputError(f"recipe held_out must be a number of views, 0 or more, got {self.held_out}")

@@ -134,14 +134,14 @@ def _basis_table(metrics: dict[str, Any]) -> str:
         return ""
     method = metrics.get("start", "")
     start = metrics.get(method, {})
-    shown = f"{method.upper():>8}" if method else ""
+    shown = f"{method:>10}" if method else ""
     header = f"{'basis':<16}{'PSNR':>8}{'SSIM':>8}{shown}{'zero volume':>13}{'bias':>12}{'RMSE':>11}"
     units = f"dB, -, {'dB, ' if method else ''}dB, 1/mm, 1/mm"
     lines = [f"{header}   [{units}]"]
     for name, s in metrics["basis"].items():
         lines.append(
             f"{name:<16}{_number(s['psnr'], '8.2f')}{_number(s['ssim'], '8.3f')}"
-            f"{_number(start.get(name, {}).get('psnr'), '8.2f') if method else ''}{_number(s['psnr_zero'], '13.1f')}"
+            f"{_number(start.get(name, {}).get('psnr'), '10.2f') if method else ''}{_number(s['psnr_zero'], '13.1f')}"
             f"{_number(s['bias'], '12.1e')}{_number(s['rmse'], '11.1e')}"
         )
     return "\n".join(lines)

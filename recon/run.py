@@ -30,7 +30,7 @@ from recon.recipe import Recipe
 from recon.report import Stopped, write_json, write_volumes
 from recon.run_folder import MODEL, write_scan
 from recon.scoring import psnr_of_bases, score_start, score_test_views, score_truth
-from recon.start import starting_method
+from recon.start import check_directions
 from spectra.threads import without_other_pools
 
 
@@ -81,7 +81,7 @@ def run(
     """
     clock = Stopwatch(watcher.stage)
     with clock("check"):
-        start = starting_method(dataset.geometry[dataset.splits["train"]], dataset.grid).name
+        check_directions(dataset.geometry[dataset.splits["train"]])
         _check_test_views(dataset)
     choice = None
     if isinstance(recipe, Recipe):
@@ -114,13 +114,13 @@ def run(
         raise _stopped(last[0], keeper, folder)
     with clock("score"):
         truth = read_truth(dataset.path)
-        metrics = _metrics(dataset, truth, result, start, recipe.seed)
+        metrics = _metrics(dataset, truth, result, recipe.seed)
         metrics |= {} if choice is None else {"basis_choice": choice.record()}
         metrics["recipe"] = recipe.says if isinstance(recipe, PaperRecipe) else "fast"
         keeper.add_scores(_psnr_along_the_way(keeper, truth))
     with clock("write"):
         volumes = result.gaussians.volume(dataset.grid)
-        others = {start: result.start_volumes}
+        others = {result.start: result.start_volumes}
         write_volumes(folder / "volumes.h5", volumes, result.gaussians.basis_names, dataset.grid, others)
     if figures:
         with clock("figures"):
@@ -169,12 +169,13 @@ def _check_test_views(dataset: Dataset) -> None:
         dataset.load([view])
 
 
-def _metrics(dataset: Dataset, truth: Truth | None, result: Reconstruction, start: str, seed: int) -> dict[str, Any]:
+def _metrics(dataset: Dataset, truth: Truth | None, result: Reconstruction, seed: int) -> dict[str, Any]:
     gaussians = result.gaussians
-    metrics: dict[str, Any] = {"dataset": dataset.path.name, "seed": seed, "gaussians": len(gaussians), "start": start}
+    metrics: dict[str, Any] = {"dataset": dataset.path.name, "seed": seed, "gaussians": len(gaussians)}
+    metrics["start"] = result.start
     if truth is not None:
         metrics.update(score_truth(truth, gaussians))
-        metrics.update(score_start(start, truth, result.start_volumes, gaussians.basis_names, dataset.grid))
+        metrics.update(score_start(result.start, truth, result.start_volumes, gaussians.basis_names, dataset.grid))
     metrics["channels"] = score_test_views(dataset, gaussians) if len(dataset.splits["test"]) else {}
     metrics["node_error"] = result.node_error
     metrics["versions"] = environment()

@@ -83,7 +83,7 @@ def reconstruct_paper(
         fit(model, projections, spectral, (measured.basis_names, raw), grid, units, recipe, on_step)
     gaussians = model.gaussians(units, basis.to_raw(raw), measured.basis_names)
     error = _node_error(measured, energies, raw, gaussians)
-    return Reconstruction(gaussians, start, error, measured.transmission, stage.seconds)
+    return Reconstruction(gaussians, method.name, start, error, measured.transmission, stage.seconds)
 
 
 def _node_error(

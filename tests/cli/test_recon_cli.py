@@ -104,7 +104,7 @@ def test_the_model_holds_physical_gaussians(complete):
 
 def test_volumes_state_shape_axes_and_units(complete):
     with h5py.File(complete[0] / "volumes.h5") as file:
-        for group in ("basis", "fdk"):
+        for group in ("basis", "one-step"):
             data = file[group]["data"]
             assert (data.shape, data.dtype, data.attrs["units"]) == ((3, VOXELS, VOXELS, VOXELS), "float32", "1/mm")
             assert list(file[group].attrs["axes"]) == ["basis_name", "z", "y", "x"]
@@ -124,7 +124,7 @@ def test_metrics_have_the_documented_keys(complete):
     assert all(set(scores) == CHANNEL_SCORES for scores in metrics["channels"].values())
     assert (metrics["dataset"], metrics["seed"]) == ("tiny.h5", 0)
     assert set(metrics["seconds"]) == {
-        "check", "basis", "read", "decompose", "fdk", "initialize", "fit", "score", "write", "figures",
+        "check", "basis", "read", "one-step", "initialize", "fit", "score", "write", "figures",
     }  # fmt: skip
     documented = (Path(__file__).parents[2] / "docs" / "file_format.md").read_text(encoding="utf-8")
     sections = (metrics, metrics["seconds"], metrics["basis"]["compton"], metrics["channels"]["bin0"])
@@ -148,7 +148,7 @@ def test_a_run_prints_its_scores_and_figures_and_speaks_of_progress_on_stderr(co
     assert [line.split()[0] for line in lines[1:4]] == list(BASES)
     assert [line for line in lines if line.endswith(".png")] == sorted(str(p) for p in folder.glob("figures/*.png"))
     assert lines[-1].startswith(f"Wrote {folder}")
-    assert "decompose ..." in result.stderr.splitlines()
+    assert "one-step ..." in result.stderr.splitlines()
 
 
 def test_json_is_one_object_and_nothing_else(dataset, tmp_path):
@@ -332,7 +332,7 @@ def test_deleting_the_truth_changes_nothing_but_the_score(copy, complete, tmp_pa
     result = fit(copy, "-o", tmp_path / "without", "--sweeps", "1")
     assert result.exit_code == 0, result.output
     known, blind = metrics_of(tmp_path / "with"), metrics_of(tmp_path / "without")
-    assert set(known) - set(blind) == {"basis", "fdk", "materials", "cross_talk"}
+    assert set(known) - set(blind) == {"basis", "one-step", "materials", "cross_talk"}
     assert (known["channels"], known["gaussians"]) == (blind["channels"], blind["gaussians"])
     assert names(tmp_path / "without" / "figures") == FIGURES
     models = [(folder / "model.safetensors").read_bytes() for folder in (tmp_path / "with", tmp_path / "without")]

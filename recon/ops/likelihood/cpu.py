@@ -24,7 +24,7 @@ def _half_deviance(counted, expected, dispersion):
     return ratio - (counted + k) * log1p(change)
 
 
-@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+@njit(forceinline=True, fastmath=FLAGS, error_model="numpy")
 @no_type_check
 def _transmit(lengths, known, view, columns, weights, first, last, start, count, room):
     """Write expected counts and their slopes, for gain 1, of `count` rays from `start` on into the rows of `room`."""
