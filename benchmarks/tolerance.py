@@ -58,29 +58,32 @@ def voxel_scene(folder: Path) -> Scan:
     return load_scene(folder / "voxels.yaml")
 
 
-def worst_error(scan: Scan, plan: Plan) -> tuple[float, int]:
-    """Worst log error of edge pixels of one view and of rays, and how many pixels."""
-    view = len(scan.geometry) // 3
-    frame, panel, t = scan.geometry.ray_frames()[view], scan.geometry.panel, plan.exposure.transmission
-    arguments = frame, panel.rows, panel.columns, scan.scene.solids
-    spectrum = t.columns, t.weights, t.starts, scan.scene.background
-    counts = expected_view(scan, t, view, plan.settings)
-    classes = expose(*arguments, *spectrum, sub_rays=2).classes
-    pixels = np.argwhere(classes >= CROSSED)
-    rng = np.random.default_rng(9)
-    pixels = pixels[rng.permutation(len(pixels))[:PIXELS]]
-    fine, _ = compressed_transmission(scan, sampled_lengths(scan), 1e-7, refine=False, step=STEP / FINER)
-    rays = RAYS // 4 if (classes == VOXELS).any() else RAYS  # voxels have no silhouettes, and each ray costs more
+class Yardstick:
+    """Edge pixels of one view, their counts by many rays and fine energies, and those energies."""
 
-    def brute(some: np.ndarray) -> np.ndarray:
+    def __init__(self, scan: Scan) -> None:
+        self.scan, self.view = scan, len(scan.geometry) // 3
+        fine, _ = compressed_transmission(scan, sampled_lengths(scan), 1e-7, refine=False, step=STEP / FINER)
         spectrum = fine.columns, fine.weights, fine.starts, scan.scene.background
-        return expose_brute(frame, some, scan.scene.solids, *spectrum, n=rays)
+        frame, panel = scan.geometry.ray_frames()[self.view], scan.geometry.panel
+        classes = expose(frame, panel.rows, panel.columns, scan.scene.solids, *spectrum, sub_rays=2).classes
+        pixels = np.argwhere(classes >= CROSSED)
+        self.pixels = pixels[np.random.default_rng(9).permutation(len(pixels))[:PIXELS]]
+        rays = RAYS // 4 if (classes == VOXELS).any() else RAYS  # voxels have no silhouettes, and each ray costs more
 
-    exact = np.concatenate(list(run_parallel(brute, np.array_split(pixels, len(pixels)))))
-    found = counts[:, pixels[:, 0], pixels[:, 1]].T
-    edge = np.log(found / t.open_beam * fine.open_beam / exact)
-    ray = ray_errors(scan, t, 2000, rng)
-    return float(max(abs(edge).max(), abs(ray).max())), len(pixels)
+        def brute(some: np.ndarray) -> np.ndarray:
+            return expose_brute(frame, some, scan.scene.solids, *spectrum, n=rays)
+
+        parts = run_parallel(brute, np.array_split(self.pixels, len(self.pixels)))
+        self.exact = np.concatenate(list(parts)) / fine.open_beam
+
+    def worst_error(self, plan: Plan) -> float:
+        """Worst log error of the edge pixels and of rays."""
+        t = plan.exposure.transmission
+        counts = expected_view(plan.scan, t, self.view, plan.settings)
+        found = counts[:, self.pixels[:, 0], self.pixels[:, 1]].T / t.open_beam
+        ray = ray_errors(plan.scan, t, 2000, np.random.default_rng(9))
+        return float(max(abs(np.log(found / self.exact)).max(), abs(ray).max()))
 
 
 def milliseconds(scan: Scan, plan: Plan) -> float:
@@ -110,12 +113,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for name in names:
             scan = voxel_scene(Path(folder)) if name == "voxels" else load_scene(name)
-            curve = []
+            curve, yardstick = [], Yardstick(scan)
             for tolerance in TOLERANCES:
                 began = time.perf_counter()
                 plan = make_plan(scan, tolerance)
                 planned = time.perf_counter() - began
-                error, _ = worst_error(scan, plan)
+                error = yardstick.worst_error(plan)
                 curve.append((milliseconds(scan, plan), error))
                 how = "; ".join(choice.setting for choice in plan.choices[1:])
                 missed = " MISSED" if plan.missed else ""

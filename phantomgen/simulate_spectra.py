@@ -69,19 +69,22 @@ def fine_cuts(
     some = rng.integers(len(lengths), size=_BIN_RAYS if len(lengths) else 0)
     rays = _with_profile_lengths(scan, lengths[np.append(some, longest)])
     energies, weights = _weights(scan, STEP)
-    shares = _shares(scan, energies, weights, rays)
-    for aim in (tolerance, tolerance / 4, tolerance / 16):
+    wide = energies.widths > STEP / 4  # the narrow bins of lines stay whole
+    shares = np.where(wide, _shares(scan, energies, weights, rays), 0.0)
+    best = NO_CUTS, np.inf
+    for aim in (np.inf, tolerance, tolerance / 4, tolerance / 16):
         parts, more = 1.0, np.ones(len(energies))
         while (shares / (24 * more**2)).sum() > aim and parts < _MOST_PARTS**3 / shares.max(initial=0.0):
             parts *= 2
             more = np.clip(np.ceil(np.cbrt(parts * shares)), 1, _MOST_PARTS)
-        cuts, finer = (_cut(energies.edges, factor * more) for factor in (1, _FINER))
+        cuts, finer = (_cut(energies.edges, np.where(wide, factor * more, 1)) for factor in (1, _FINER))
         logs, exact = (fine_transmission(scan, c).log_projection(rays) for c in (cuts, finer))
         # Midpoints err by the square of the width, so those of finer bins by a part of the same error.
         error = float(np.abs(logs - exact).max(initial=0.0) / (1 - _FINER**-2))
+        best = min(best, (cuts, error), key=lambda found: found[1])
         if error <= tolerance:
             break
-    return cuts, error
+    return best
 
 
 def _shares(

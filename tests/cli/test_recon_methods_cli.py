@@ -76,15 +76,15 @@ def test_the_same_run_gives_the_same_bits_and_may_be_overwritten(circle, tmp_pat
     np.testing.assert_array_equal(*volumes)
 
 
-def test_gaussians_start_from_sart_where_filtered_back_projection_cannot(helix, tmp_path):
+def test_gaussians_start_from_one_step_voxels_on_any_orbit(helix, tmp_path):
     result = fit(helix, "-o", tmp_path / "run", "--sweeps", "1", *FAST)
     assert result.exit_code == 0, result.output
-    assert "SART" in result.stdout
+    assert "one-step" in result.stdout
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
-    assert metrics["start"] == "sart"
-    assert set(metrics["sart"]) == set(metrics["basis"])
+    assert metrics["start"] == "one-step"
+    assert set(metrics["one-step"]) == set(metrics["basis"])
     with h5py.File(tmp_path / "run" / "volumes.h5") as file:
-        assert file["sart"]["data"].shape == file["basis"]["data"].shape
+        assert file["one-step"]["data"].shape == file["basis"]["data"].shape
 
 
 @pytest.mark.parametrize(
