@@ -78,6 +78,13 @@ def choose_basis(dataset: Dataset, bases: int | None = None, edges: Sequence[flo
         When a K edge was asked for that the channels or the counts do not show.
     """
     stated = dataset.spectra.basis
+    lowest, highest = dataset.spectra.edges[[0, -1]]
+    for energy in edges or ():
+        if not lowest < energy < highest:
+            raise InputError(
+                f"a K edge at {energy:g} keV cannot be seen by {dataset.path}: photons of {lowest:g} to {highest:g} "
+                "keV are detected"
+            )
     if stated.signed:
         return BasisChoice(stated)
     known = [f for f in stated.functions if f.edge_energy is not None]

@@ -38,5 +38,5 @@ def method_named(name: str, iterations: int | None = None) -> "Method":
     if iterations is None:
         return method
     if "iterations" not in {field.name for field in fields(method)}:
-        raise InputError(f"the method {name} has no iterations: leave --sweeps out")
+        raise InputError(f"the method {name} has no number of iterations to choose: leave --sweeps out")
     return replace(method, iterations=iterations)

@@ -68,6 +68,7 @@ def test_no_edge_is_invented(plain):
         (("edge", "--edge", "x"), "--edge takes auto, or energies in keV"),
         (("fit", "--bases", "3", "-q"), "no K edge shows in"),
         (("edge", "--edge", "33,50"), "at least 5, not 4"),
+        (("edge", "--edge", "500"), "a K edge at 500 keV cannot be seen"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_sentence(plain, tmp_path, arguments, words):

@@ -91,7 +91,10 @@ def test_gaussians_start_from_one_step_voxels_on_any_orbit(helix, tmp_path):
     ("arguments", "words"),
     [
         (("--method", "fdk"), "filtered back-projection needs at least two evenly spaced views"),
-        (("--method", "fdk", "--sweeps", "3"), "the method fdk has no iterations: leave --sweeps out"),
+        (
+            ("--method", "fdk", "--sweeps", "3"),
+            "the method fdk has no number of iterations to choose: leave --sweeps out",
+        ),
     ],
 )
 def test_what_cannot_be_is_one_sentence(helix, tmp_path, arguments, words):
