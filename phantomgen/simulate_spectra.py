@@ -104,9 +104,9 @@ def _shares(
 
 
 def _cut(edges: Float[np.ndarray, " edge"], parts: Float[np.ndarray, " energy"]) -> Float[np.ndarray, " cut"]:
-    """Places inside of bins that are cut into equal parts."""
-    inside = [np.linspace(a, b, int(n) + 1)[1:-1] for (a, b), n in zip(pairwise(edges), parts, strict=True) if n > 1]
-    return np.concatenate([np.empty(0), *inside])
+    """Where bins that are cut into equal parts begin, are cut, and end; between cuts, grids are laid out anew."""
+    cuts = [np.linspace(a, b, int(n) + 1) for (a, b), n in zip(pairwise(edges), parts, strict=True) if n > 1]
+    return np.unique(np.concatenate([np.empty(0), *cuts]))
 
 
 def compressed_transmission(
