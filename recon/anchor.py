@@ -4,7 +4,8 @@ The likelihood alone lets neighbouring Gaussians trade coefficients against each
 Compton, and as ripples where few rays look along a face. Voxels with a joint total variation
 (`recon.baselines.one_step`) know better there, while Gaussians know better where edges lie. So the fit minimises half
 the deviance plus half the squared distance of its volumes from those voxels, weighted by the information that the data
-have about the coefficients, averaged over all Gaussians, times a strength.
+have about the coefficients, averaged over all Gaussians, times a strength. Along edges, which voxels blur, only a small
+part of that weight counts.
 """
 
 from dataclasses import dataclass
@@ -12,14 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.ndimage import maximum_filter
 from torch import Tensor
 
 from phantomgen.grid import Grid
 from recon.gaussians import Gaussians
 from recon.ops.voxelize import voxelize, voxelize_tensor
+from recon.structure import Structure
 
 SLABS = 4  # parts of the volume that take turns, one each step
+EDGES = 0.03  # weight on an edge over that far from all of them
 _STRIDE = 3  # so that slabs which follow each other do not touch
+_BESIDE = 3  # voxels across that an edge reaches
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +35,34 @@ class Anchor:
     ----------
     volumes : [1/mm]
     grid : their voxels
-    strength : information of the prior over that of the data
+    strength : information of the prior over that of the data, where weights are 1
+    weights : of the voxels, 1 where the volumes are to be trusted
     """
 
     volumes: Float[np.ndarray, "basis z y x"]
     grid: Grid
     strength: float
+    weights: Float[np.ndarray, "z y x"]
+
+    @classmethod
+    def off_edges(
+        cls,
+        volumes: Float[np.ndarray, "basis z y x"],
+        fisher: Float[np.ndarray, "basis basis"],
+        grid: Grid,
+        strength: float,
+    ) -> "Anchor":
+        """Volumes to be trusted where they have no edges.
+
+        Parameters
+        ----------
+        volumes : [1/mm]
+        fisher : mean Fisher matrix of the rays' line integrals, in whose noise edges are measured
+        grid : their voxels
+        strength : information of the prior over that of the data
+        """
+        edge = maximum_filter(np.clip(Structure.of(volumes, fisher).strength, 0, 1), size=_BESIDE)
+        return cls(volumes, grid, strength, np.maximum(1 - edge, EDGES).astype(np.float32))
 
     def curvature(
         self, gaussians: Gaussians, blocks: Float[Tensor, "gaussian basis basis"]
@@ -48,13 +75,14 @@ class Anchor:
         blocks : curvature of the likelihood, see `recon.curvature`; the same separable majoriser is made of the prior
         """
         parts = (gaussians.centres.detach(), gaussians.log_scales.detach(), gaussians.quaternions.detach())
-        one = torch.ones(len(gaussians), 1, requires_grad=True)
-        crowd = torch.from_numpy(voxelize(*parts, one.detach(), self.grid))
-        voxelize_tensor(*parts, one, self.grid).backward(crowd)
+        one = torch.ones(len(gaussians), 1)
+        crowd = torch.from_numpy(voxelize(*parts, one, self.grid))
+        everywhere = float(torch.sum(crowd * crowd, dtype=torch.float64))
+        weight = self.strength * blocks.sum(dim=0) / max(everywhere, 1e-30)
+        one.requires_grad_()
+        voxelize_tensor(*parts, one, self.grid).backward(crowd * torch.from_numpy(self.weights))
         assert one.grad is not None
-        share = one.grad[:, :, None]
-        weight = self.strength * blocks.sum(dim=0) / share.sum().clamp_min(1e-30)
-        return blocks + share * weight, weight
+        return blocks + one.grad[:, :, None] * weight, weight
 
     def add_gradients(self, gaussians: Gaussians, weight: Float[Tensor, "basis basis"], step: int) -> None:
         """Add the gradients of half the weighted squared distance in the slab whose turn it is, times `SLABS`.
@@ -74,4 +102,5 @@ class Anchor:
             gaussians.centres, gaussians.log_scales, gaussians.quaternions, gaussians.coefficients, slab
         )
         away = found.detach() - torch.from_numpy(self.volumes[:, first:last])
+        away *= torch.from_numpy(self.weights[first:last])
         found.backward(torch.einsum("mn,nzyx->mzyx", slabs * weight, away))

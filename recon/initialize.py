@@ -12,10 +12,8 @@ from scipy.spatial import KDTree
 from phantomgen.grid import Grid
 from recon.gaussians import Gaussians
 from recon.ops.voxelize import voxelize
+from recon.structure import SMOOTHING, Structure
 
-SMOOTHING = 0.7  # voxels; standard deviation of the Gaussian that tames noise before edges are looked for
-BACKGROUND = 0.1  # a voxel below this fraction of the typical signal is empty
-EDGE = 4.0  # a gradient this many times the median is an edge
 COARSEST = 3.5  # largest spacing over the smallest
 GROWTH = 0.3  # how fast the spacing may grow with the distance from an edge
 OVERLAP = 0.65  # standard deviation of a Gaussian over the distance to its neighbours
@@ -46,14 +44,12 @@ def initialize(
     seed : of the placement
     """
     smooth = np.stack([gaussian_filter(v, SMOOTHING) for v in volumes])
-    white = np.einsum("nm,mzyx->nzyx", np.linalg.cholesky(fisher).T, volumes)
-    occupied = _occupied(white)
-    tensor = _structure(white)
-    distance = _sizing(tensor, occupied, grid, spacing)
-    voxel = _blue_noise(occupied, distance / min(grid.spacing), seed)
+    structure = Structure.of(volumes, fisher)
+    distance = _sizing(structure, grid, spacing)
+    voxel = _blue_noise(structure.occupied, distance / min(grid.spacing), seed)
     centres = (np.array(grid.origin) + voxel * np.array(grid.spacing))[:, ::-1].copy()
     scales = _neighbour_distance(centres, default=spacing) * OVERLAP
-    normals, edge = _normals(tensor, occupied, voxel)
+    normals, edge = _normals(structure, voxel)
     thickness = FLATNESS**edge
     flat = np.stack([thickness**-0.25, thickness**-0.25, thickness**0.75], axis=1)
     parts = (
@@ -68,40 +64,9 @@ def initialize(
     return Gaussians(*parts, torch.from_numpy(coefficients).float(), basis_names)
 
 
-def _occupied(white: Float[np.ndarray, "basis z y x"]) -> Bool[np.ndarray, "z y x"]:
-    signal = np.sqrt(sum(gaussian_filter(w, SMOOTHING) ** 2 for w in white))
-    occupied = signal > BACKGROUND * np.percentile(signal, 99)
-    return occupied if occupied.any() else np.ones_like(occupied)
-
-
-def _structure(white: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "pair z y x"]:
-    """Sum over bases of the products of gradients, in the order xx, yy, zz, xy, xz, yz."""
-    out = np.zeros((6, *white.shape[1:]), np.float32)
-    for w in white:
-        z, y, x = _gradient(gaussian_filter(w, SMOOTHING))
-        for i, product in enumerate((x * x, y * y, z * z, x * y, x * z, y * z)):
-            out[i] += product
-    return out
-
-
-def _gradient(volume: Float[np.ndarray, "z y x"]) -> list[Float[np.ndarray, "z y x"]]:
-    """Change per voxel along each axis; none along an axis of one voxel."""
-    return [np.gradient(volume, axis=i) if n > 1 else np.zeros_like(volume) for i, n in enumerate(volume.shape)]
-
-
-def _strength(
-    tensor: Float[np.ndarray, "pair z y x"], occupied: Bool[np.ndarray, "z y x"]
-) -> Float[np.ndarray, "z y x"]:
-    """Length of the gradient over its median inside the object."""
-    edges = np.sqrt(tensor[:3].sum(axis=0))
-    return edges / max(np.median(edges[occupied]), 1e-30)
-
-
-def _sizing(
-    tensor: Float[np.ndarray, "pair z y x"], occupied: Bool[np.ndarray, "z y x"], grid: Grid, finest: float
-) -> Float[np.ndarray, "z y x"]:
+def _sizing(structure: Structure, grid: Grid, finest: float) -> Float[np.ndarray, "z y x"]:
     """Wanted distance between Gaussians [mm]: `finest` at edges, growing away from them."""
-    distance = finest * EDGE / np.maximum(_strength(tensor, occupied), 1e-6)
+    distance = finest / np.maximum(structure.strength, 1e-6)
     distance = np.clip(distance, finest, COARSEST * finest)
     step = GROWTH * min(grid.spacing)
     for _ in range(int(np.ceil((COARSEST - 1) * finest / step))):
@@ -110,13 +75,13 @@ def _sizing(
 
 
 def _normals(
-    tensor: Float[np.ndarray, "pair z y x"], occupied: Bool[np.ndarray, "z y x"], voxel: Float[np.ndarray, "point 3"]
+    structure: Structure, voxel: Float[np.ndarray, "point 3"]
 ) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, " point"]]:
     """Direction (x, y, z) across the edge at each point, and how much of an edge is there, 0 to 1."""
-    index = tuple(np.clip(np.round(voxel).astype(int).T, 0, np.array(occupied.shape)[:, None] - 1))
-    xx, yy, zz, xy, xz, yz = (gaussian_filter(t, SMOOTHING)[index] for t in tensor)
+    index = tuple(np.clip(np.round(voxel).astype(int).T, 0, np.array(structure.occupied.shape)[:, None] - 1))
+    xx, yy, zz, xy, xz, yz = (gaussian_filter(t, SMOOTHING)[index] for t in structure.tensor)
     matrices = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
-    edge = np.clip(_strength(tensor, occupied)[index] / EDGE, 0, 1)
+    edge = np.clip(structure.strength[index], 0, 1)
     return np.linalg.eigh(matrices)[1][:, :, 2], edge
 
 

@@ -11,6 +11,7 @@ from phantomgen.dataset import Dataset
 from phantomgen.grid import Grid
 from phantomgen.stopwatch import Stopwatch
 from recon.anchor import Anchor
+from recon.approximation import approximate
 from recon.array_store import IN_MEMORY, ArrayStore
 from recon.baselines.method import CountsMethod, Method
 from recon.baselines.one_step import OneStep
@@ -94,19 +95,20 @@ def reconstruct(
             recipe.node_tolerance
         )
         fitted, held_out = _set_apart(measured, recipe)
+        fisher = _mean_information(measured, voxel, recipe)
         kept = keeper.found(measured) if keeper is not None and processes.first else None
     if kept is not None:
         state, volumes, seconds = kept
         stage.seconds.update(seconds | {"fit": state.seconds})
     elif processes.first:
-        volumes, start = _first_guess(measured, grid, recipe, stage, store)
+        volumes, start = _first_guess(measured, grid, fisher, recipe, stage, store)
         state = FitState.begin(start)
         if keeper is not None:
             keeper.begin(volumes, stage.seconds, state)
     else:
         state, volumes = None, np.zeros((len(measured.basis_names), *grid.shape), np.float32)
     state, volumes = _shared(state, processes), processes.from_first(volumes)
-    anchor = Anchor(volumes, grid, recipe.prior) if recipe.prior else None
+    anchor = Anchor.off_edges(volumes, fisher, grid, recipe.prior) if recipe.prior else None
     with stage("fit"):
         gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, processes, anchor)
     name = _starting(measured, grid, recipe).name
@@ -118,25 +120,33 @@ def _starting(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
     return OneStep() if recipe.prior else starting_method(measured.geometry, grid)
 
 
+def _mean_information(measured: Measurements, voxel: float, recipe: Recipe) -> Float[np.ndarray, "basis basis"]:
+    """Fisher matrix of line integrals, averaged over rays of some views."""
+    some = measured[np.arange(0, len(measured), _FISHER_VIEWS)].completed()
+    return decompose_views(some.binned(matching_bin(measured.geometry, voxel)), recipe.dispersion)[1]
+
+
 def _first_guess(
-    measured: Measurements, grid: Grid, recipe: Recipe, stage: Stopwatch, store: ArrayStore
+    measured: Measurements, grid: Grid, fisher: np.ndarray, recipe: Recipe, stage: Stopwatch, store: ArrayStore
 ) -> tuple[Float[np.ndarray, "basis z y x"], Gaussians]:
     """First volumes, and Gaussians that follow them."""
     voxel, method = min(grid.spacing), _starting(measured, grid, recipe)
-    coarse = measured.completed().binned(matching_bin(measured.geometry, voxel))
     if isinstance(method, CountsMethod):
         with stage(method.name):
             volumes = method.reconstruct_counts(measured, grid)
-        fisher = decompose_views(coarse[np.arange(0, len(coarse), _FISHER_VIEWS)], recipe.dispersion)[1]
     else:
+        coarse = measured.completed().binned(matching_bin(measured.geometry, voxel))
         with stage("decompose"):
-            line_integrals, fisher = decompose_views(coarse, recipe.dispersion, store)
+            line_integrals = decompose_views(coarse, recipe.dispersion, store)[0]
             for image in line_integrals if coarse.unseen.any() else ():
                 image[:] = filled(image, coarse.unseen)
         with stage(method.name):
             volumes = start_volumes(line_integrals, coarse.unseen, coarse.geometry, grid, method)
     with stage("initialize"):
         start = initialize(volumes, fisher, grid, recipe.spacing * voxel, measured.basis_names, recipe.seed)
+    if recipe.prior:  # the volumes are worth following
+        with stage("approximate"):
+            start = approximate(start, volumes, fisher, grid, recipe.approximation)
     return volumes, start
 
 

@@ -28,6 +28,7 @@ class Recipe:
     stages : binnings and how long each lasts
     views_per_step : views whose gradients make one step
     spacing : distance between Gaussians along edges
+    approximation : evaluations that bring the first Gaussians close to the voxels they start from
     dispersion : relative model error added to the Poisson variance, so that partial volume at edges does not rule
     node_tolerance : largest error of the log counts that compressing the energy grid may cause
     centre_rate : first step of a coordinate
@@ -37,22 +38,25 @@ class Recipe:
     momentum : of the coefficients
     curvature_sweeps : sweeps between two evaluations of the coefficients' curvature
     warm_up : sweeps in which only coefficients move
+    prior : information of the prior over that of the data, see `recon.anchor`; 0 starts from decomposed rays instead,
+        further off, and wants larger rates
     seed : of the placement, of the order of views, and of which are held out
     held_out : training views that are not fitted; the fit ends when chi-square on them no longer falls; 0 for none
     """
 
-    stages: tuple[Stage, ...] = (Stage(1.0, 10.0),)
+    stages: tuple[Stage, ...] = (Stage(1.0, 5.0),)
     views_per_step: int = 2
     spacing: float = 1.2
+    approximation: int = 50
     dispersion: float = 0.01
     node_tolerance: float = 1e-3
-    centre_rate: float = 0.06
-    shape_rate: float = 0.015
+    centre_rate: float = 0.02
+    shape_rate: float = 0.005
     final_rate: float = 0.05
     coefficient_rate: float = 1.0
     momentum: float = 0.9
     curvature_sweeps: float = 2.0
-    warm_up: float = 0.5
+    warm_up: float = 0.0
     prior: float = 0.3
     seed: int = 0
     held_out: int = 0

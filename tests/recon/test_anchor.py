@@ -20,14 +20,17 @@ def model(seed):
     return small_model(seed, count=12)
 
 
+TRUST = np.random.default_rng(6).uniform(0.1, 1.0, GRID.shape).astype(np.float32)
+
+
 def anchor(strength=0.3):
-    return Anchor(model(1).volume(GRID), GRID, strength)
+    return Anchor(model(1).volume(GRID), GRID, strength, TRUST)
 
 
 def cost(gaussians, held):
     """Half the weighted squared distance, in float64."""
     away = gaussians.volume(GRID).astype(float) - held.volumes
-    return 0.5 * np.einsum("mzyx,mn,nzyx->", away, WEIGHT.double().numpy(), away)
+    return 0.5 * np.einsum("mzyx,mn,nzyx,zyx->", away, WEIGHT.double().numpy(), away, TRUST)
 
 
 def gradients(gaussians, held):
@@ -56,17 +59,27 @@ def test_the_curvature_is_a_majoriser_of_the_distance_in_the_coefficients():
     held, start = anchor(), model(2)
     blocks = torch.eye(3).repeat(len(start), 1, 1)
     both, weight = held.curvature(start, blocks)
-    assert weight == pytest.approx(
-        0.3 * blocks.sum(dim=0).numpy() / float((both - blocks)[:, 0, 0].sum() / weight[0, 0])
-    )
+    crowd = replace(start, coefficients=torch.ones(len(start), 1)).volume(GRID).astype(float)
+    assert weight.numpy() == pytest.approx(0.3 * blocks.sum(dim=0).numpy() / (crowd**2).sum(), rel=1e-5)
     rng = np.random.default_rng(4)
     for _ in range(5):
         step = torch.from_numpy(rng.normal(size=start.coefficients.shape)).float()
         moved = replace(start, coefficients=step).volume(GRID).astype(float)
-        bend = np.einsum("mzyx,mn,nzyx->", moved, weight.double().numpy(), moved)
+        bend = np.einsum("mzyx,mn,nzyx,zyx->", moved, weight.double().numpy(), moved, TRUST)
         assert bend <= float(torch.einsum("gm,gmn,gn->", step, both - blocks, step)) * (1 + 1e-5)
 
 
 def test_a_model_at_its_anchor_is_not_pulled():
     held = anchor()
     assert all(abs(pull).max() < 1e-6 for pull in gradients(model(1), held).values())
+
+
+def test_volumes_are_trusted_off_edges():
+    grid = Grid.cube(32, 32.0)
+    z, y, x = np.meshgrid(*(grid.axis(name) for name in "zyx"), indexing="ij")
+    away = np.maximum(np.maximum(abs(x), abs(y)), abs(z)) - 10  # from the faces of a block
+    noise = np.random.default_rng(3).normal(scale=2e-4, size=(1, *grid.shape))
+    held = Anchor.off_edges((0.02 * (away < 0) + noise).astype(np.float32), np.eye(1), grid, 0.3)
+    assert held.weights[away < -3].min() > 0.3
+    assert np.median(held.weights[away < -3]) > 0.6
+    assert held.weights[(abs(away) < 1) & (abs(y) < 8) & (abs(z) < 8)].max() < 0.2

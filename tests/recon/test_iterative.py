@@ -163,7 +163,9 @@ def test_the_table_makes_methods_that_know_their_name(name):
     assert isinstance(method, LinearMethod) != isinstance(method, CountsMethod)
 
 
-@pytest.mark.parametrize(("arguments", "words"), [(("tv",), "there is no method tv"), (("fdk", 3), "fdk has no number of iterations")])
+@pytest.mark.parametrize(
+    ("arguments", "words"), [(("tv",), "there is no method tv"), (("fdk", 3), "fdk has no number of iterations")]
+)
 def test_what_the_table_lacks_is_refused(arguments, words):
     with pytest.raises(InputError, match=words):
         method_named(*arguments)

@@ -1,0 +1,155 @@
+"""Gaussians that follow given volumes as closely as they can.
+
+A least-squares problem without any rays: every evaluation voxelizes the model and the gradient of its distance from the
+volumes, which costs a few per cent of a sweep over all views. It is solved by limited-memory BFGS (Nocedal & Wright,
+Numerical Optimization, 2006, algorithm 7.4) from the inverse of the diagonal that single Gaussians would have, in steps
+that each Gaussian takes in its own frame. Coefficients stay non-negative: one at 0 that would sink further is held.
+"""
+
+from collections.abc import Callable
+
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from phantomgen.grid import Grid
+from recon.gaussians import Gaussians
+from recon.local_steps import GEOMETRY, gradient_of_steps, moved
+from recon.ops.voxelize import voxelize_tensor
+from recon.quasi_newton import History
+
+CUTOFF = 3.5  # standard deviations; costs 1e-3 of a peak, and saves a third of the time
+RENEWED = 10  # evaluations after which the diagonal is computed anew
+REACH = (0.5, 0.3, 0.2)  # longest step of a coordinate [standard deviations], a log-scale and an angle [rad]
+FIRST = 0.5  # length of the first step over the one that the diagonal suggests
+WORSE = 1.0005  # times the last distance; a step that leads further away is shortened
+SHORTER = 0.3
+
+
+def approximate(
+    start: Gaussians,
+    volumes: Float[np.ndarray, "basis z y x"],
+    metric: Float[np.ndarray, "basis basis"],
+    grid: Grid,
+    evaluations: int,
+    on_evaluation: Callable[[int, float], None] = lambda count, distance: None,
+) -> Gaussians:
+    """Bring Gaussians closer to volumes.
+
+    Parameters
+    ----------
+    start : where to begin; their number stays
+    volumes : to follow [1/mm]
+    metric : weighs differences of the bases, for instance the mean Fisher matrix of the rays
+    grid : of `volumes`
+    evaluations : voxelizations to spend, each with its gradient
+    on_evaluation : told how many were spent, and half the squared distance in the metric, whose trace counts as 1
+    """
+    problem = _Distance(volumes, metric, grid, on_evaluation)
+    history, model = History(), start.detached()
+    distance, gradient = problem.evaluate(model)
+    renewed = -RENEWED
+    while problem.evaluations < evaluations:
+        if problem.evaluations >= renewed + RENEWED:
+            problem.renew_diagonal(model)
+            renewed = problem.evaluations
+        held = _held(model, gradient)
+        step = -history.solve(gradient.masked_fill(held, 0), problem.precondition, FIRST).masked_fill(held, 0)
+        step = _within_reach(step, model, grid)
+        if float((step * gradient).sum()) >= 0:
+            history = History()
+            step = _within_reach(-FIRST * problem.precondition(gradient.masked_fill(held, 0)), model, grid)
+        ahead = moved(model, step)
+        there, slope = problem.evaluate(ahead)
+        if there > WORSE * distance and problem.evaluations < evaluations:
+            step = SHORTER * step
+            ahead = moved(model, step)
+            there, slope = problem.evaluate(ahead)
+        if there > WORSE * distance:
+            history = History()
+            if problem.evaluations >= evaluations:
+                break
+        step[:, GEOMETRY:] = ahead.coefficients - model.coefficients
+        history.add(step, (slope - gradient).masked_fill(held, 0))
+        model, distance, gradient = ahead, there, slope
+    return model
+
+
+class _Distance:
+    """Half the squared distance of a model from volumes, its gradient, and the diagonal of its curvature."""
+
+    def __init__(
+        self,
+        volumes: Float[np.ndarray, "basis z y x"],
+        metric: Float[np.ndarray, "basis basis"],
+        grid: Grid,
+        on_evaluation: Callable[[int, float], None],
+    ) -> None:
+        self.volumes, self.grid = torch.from_numpy(volumes), grid
+        self.metric = torch.from_numpy(metric / np.trace(metric)).float()
+        self.inverse_metric = torch.linalg.inv(self.metric)
+        self.evaluations, self.on_evaluation = 0, on_evaluation
+
+    def evaluate(self, model: Gaussians) -> tuple[float, Float[Tensor, "gaussian step"]]:
+        parts = [p.detach().requires_grad_() for p in _parts(model)]
+        found = voxelize_tensor(parts[0], parts[1], parts[2], parts[3], self.grid, cutoff=CUTOFF)
+        away = found.detach() - self.volumes
+        pull = torch.einsum("mn,nzyx->mzyx", self.metric, away)
+        found.backward(pull)
+        self.evaluations += 1
+        distance = 0.5 * float((away * pull).sum(dtype=torch.float64))
+        self.on_evaluation(self.evaluations, distance)
+        return distance, gradient_of_steps(model, [p.grad for p in parts if p.grad is not None])
+
+    def renew_diagonal(self, model: Gaussians) -> None:
+        """Curvature along each step of a Gaussian that is alone, times how much others overlap it."""
+        geometry, one = _parts(model)[:3], torch.ones(len(model), 1, requires_grad=True)
+        crowd = voxelize_tensor(*geometry, one, self.grid, cutoff=CUTOFF)
+        crowd.backward(crowd.detach())
+        assert one.grad is not None
+        share = one.grad[:, 0]
+        power = torch.einsum("gm,mn,gn->g", model.coefficients, self.metric, model.coefficients)
+        energy = (share * (power + 0.01 * power.mean()))[:, None]
+        variance, seen = torch.exp(2 * model.log_scales), _seen_variance(model, self.grid)
+        own = variance / seen  # the rest is the voxel's
+        left, right = seen.roll(-1, dims=1), seen.roll(-2, dims=1)
+        bends = torch.cat(
+            [
+                0.5 / seen,
+                (1 - own) ** 2 + (1 - own) * own + 0.75 * own**2,
+                (left - right) ** 2 / (4 * left * right) + 0.01,
+            ],
+            dim=1,
+        )
+        self.bends = energy * bends + 1e-12
+        self.share = share.clamp_min(1e-3)[:, None]
+
+    def precondition(self, gradient: Float[Tensor, "gaussian step"]) -> Float[Tensor, "gaussian step"]:
+        geometry = gradient[:, :GEOMETRY] / self.bends
+        return torch.cat([geometry, gradient[:, GEOMETRY:] @ self.inverse_metric / self.share], dim=1)
+
+
+def _parts(model: Gaussians) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    return model.centres, model.log_scales, model.quaternions, model.coefficients
+
+
+def _seen_variance(model: Gaussians, grid: Grid) -> Float[Tensor, "gaussian 3"]:
+    """Of a Gaussian averaged over voxels, along its axes [mm^2]."""
+    return torch.exp(2 * model.log_scales) + min(grid.spacing) ** 2 / 12
+
+
+def _held(model: Gaussians, gradient: Float[Tensor, "gaussian step"]) -> Tensor:
+    """Which coefficients are 0 and would become negative."""
+    held = torch.zeros_like(gradient, dtype=torch.bool)
+    held[:, GEOMETRY:] = (model.coefficients <= 0) & (gradient[:, GEOMETRY:] > 0)
+    return held
+
+
+def _within_reach(step: Float[Tensor, "gaussian step"], model: Gaussians, grid: Grid) -> Float[Tensor, "gaussian step"]:
+    """Steps of the geometry cut where the diagonal would no longer hold."""
+    wide = REACH[0] * torch.sqrt(_seen_variance(model, grid))
+    centres, scales, angles, coefficients = step.split((3, 3, 3, step.shape[1] - GEOMETRY), dim=1)
+    scales, angles = scales.clamp(-REACH[1], REACH[1]), angles.clamp(-REACH[2], REACH[2])
+    return torch.cat([torch.clamp(centres, -wide, wide), scales, angles, coefficients], dim=1)

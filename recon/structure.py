@@ -1,0 +1,63 @@
+"""Where volumes hold something, and where their edges are.
+
+Everything is measured in units of noise, on volumes whitened by the mean Fisher matrix, so that the choice of bases
+does not matter.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import gaussian_filter
+
+SMOOTHING = 0.7  # voxels; standard deviation of the Gaussian that tames noise before edges are looked for
+BACKGROUND = 0.1  # a voxel below this fraction of the typical signal is empty
+EDGE = 4.0  # a gradient this many times the median is an edge
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Of volumes.
+
+    Parameters
+    ----------
+    occupied : voxels that hold something
+    tensor : sum over bases of the products of gradients, in the order xx, yy, zz, xy, xz, yz
+    strength : length of the gradient over that of an edge; 1 and more is an edge
+    """
+
+    occupied: Bool[np.ndarray, "z y x"]
+    tensor: Float[np.ndarray, "pair z y x"]
+    strength: Float[np.ndarray, "z y x"]
+
+    @classmethod
+    def of(cls, volumes: Float[np.ndarray, "basis z y x"], fisher: Float[np.ndarray, "basis basis"]) -> "Structure":
+        """Structure of volumes.
+
+        Parameters
+        ----------
+        volumes : of each basis [1/mm]
+        fisher : mean Fisher matrix of the rays' line integrals
+        """
+        smooth = np.einsum("nm,mzyx->nzyx", np.linalg.cholesky(fisher).T, volumes)
+        smooth = np.stack([gaussian_filter(w, SMOOTHING) for w in smooth])
+        signal = np.sqrt((smooth**2).sum(axis=0))
+        occupied = signal > BACKGROUND * np.percentile(signal, 99)
+        occupied = occupied if occupied.any() else np.ones_like(occupied)
+        tensor = _products_of_gradients(smooth)
+        gradient = np.sqrt(tensor[:3].sum(axis=0))
+        return cls(occupied, tensor, gradient / (EDGE * max(np.median(gradient[occupied]), 1e-30)))
+
+
+def _products_of_gradients(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "pair z y x"]:
+    out = np.zeros((6, *volumes.shape[1:]), np.float32)
+    for volume in volumes:
+        z, y, x = _gradient(volume)
+        for i, product in enumerate((x * x, y * y, z * z, x * y, x * z, y * z)):
+            out[i] += product
+    return out
+
+
+def _gradient(volume: Float[np.ndarray, "z y x"]) -> list[Float[np.ndarray, "z y x"]]:
+    """Change per voxel along each axis; none along an axis of one voxel."""
+    return [np.gradient(volume, axis=i) if n > 1 else np.zeros_like(volume) for i, n in enumerate(volume.shape)]

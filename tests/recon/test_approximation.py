@@ -1,0 +1,102 @@
+"""Gaussians that follow volumes: how close they come, and what they keep."""
+
+import numpy as np
+import pytest
+import torch
+from gaussian_scenes import NAMES, small_model
+from scipy.optimize import minimize
+
+from phantomgen.grid import Grid
+from recon.approximation import approximate
+from recon.initialize import initialize
+from recon.ops.voxelize import voxelize_tensor
+from recon.quasi_newton import History
+
+GRID = Grid.cube(32, 32.0)
+METRIC = np.array([[4.0, 1.0], [1.0, 9.0]]) * 1e4
+
+
+def ball_and_rod():
+    z, y, x = np.meshgrid(*(GRID.axis(name) for name in "zyx"), indexing="ij")
+    ball, rod = np.sqrt(x * x + y * y + z * z) < 12, np.sqrt((x - 2) ** 2 + y * y) + 0 * z < 3
+    noise = np.random.default_rng(5).normal(scale=2e-4, size=(2, *ball.shape))
+    return (np.stack([0.02 * ball, 0.01 * ball + 0.02 * (rod & ball)]) + noise).astype(np.float32)
+
+
+def distance(gaussians, volumes, metric=METRIC):
+    away = gaussians.volume(GRID).astype(float) - volumes
+    return 0.5 * np.einsum("mzyx,mn,nzyx->", away, metric / np.trace(metric), away)
+
+
+@pytest.fixture(scope="module")
+def followed():
+    volumes, told = ball_and_rod(), []
+    start = initialize(volumes, METRIC, GRID, 1.2, NAMES[:2], 0)
+    return volumes, start, approximate(start, volumes, METRIC, GRID, 30, lambda *what: told.append(what)), told
+
+
+def test_thirty_evaluations_bring_gaussians_much_closer(followed):
+    volumes, start, found, _ = followed
+    assert distance(found, volumes) < 0.2 * distance(start, volumes)
+    assert len(found) == len(start)
+    assert (found.coefficients >= 0).all()
+
+
+def test_what_is_told_is_the_distance_on_the_way(followed):
+    volumes, start, found, told = followed
+    assert [count for count, _ in told] == list(range(1, 31))
+    assert told[0][1] == pytest.approx(distance(start, volumes), rel=1e-2)
+    assert min(d for _, d in told) == pytest.approx(distance(found, volumes), rel=5e-2)
+
+
+def test_it_gets_there_sooner_than_without_knowing_the_curvature_of_a_gaussian(followed):
+    """The same number of evaluations spent by scipy's L-BFGS-B on the raw parameters."""
+    volumes, start, found, _ = followed
+    shape, count = start.coefficients.shape, len(start)
+    parts = [start.centres, start.log_scales, start.quaternions, start.coefficients / 0.02]
+    sizes = [p.numel() for p in parts]
+
+    def split(vector):
+        c, s, q, b = np.split(vector.astype(np.float32), np.cumsum(sizes)[:-1])
+        tensors = (torch.from_numpy(p) for p in (c, s, q, b))
+        c, s, q, b = (t.reshape(count, -1).requires_grad_() for t in tensors)
+        return c, s, q, b
+
+    def cost(vector):
+        leaves = split(vector)
+        found = voxelize_tensor(*leaves[:3], 0.02 * leaves[3], GRID)
+        away = found.double() - torch.from_numpy(volumes)
+        value = 0.5 * torch.einsum("mzyx,mn,nzyx->", away, torch.from_numpy(METRIC / np.trace(METRIC)), away)
+        value.backward()
+        return float(value.detach()), np.concatenate([leaf.grad.double().numpy().ravel() for leaf in leaves])
+
+    first = np.concatenate([p.double().numpy().ravel() for p in parts])
+    other = minimize(cost, first, jac=True, method="L-BFGS-B", options={"maxfun": 30})
+    assert shape[1] == 2
+    assert distance(found, volumes) < other.fun
+
+
+def test_gaussians_that_already_fit_stay():
+    start = small_model(1, count=12)
+    found = approximate(start, start.volume(GRID), np.eye(3), GRID, 5)
+    assert distance(found, start.volume(GRID), np.eye(3)) < 1e-4 * distance(start, 0 * start.volume(GRID), np.eye(3))
+
+
+def test_the_history_solves_a_quadratic_in_as_many_steps_as_it_has_unknowns():
+    rng = np.random.default_rng(2)
+    half = rng.normal(size=(5, 5))
+    curvature = torch.from_numpy(half @ half.T + np.eye(5))
+    history, x = History(), torch.from_numpy(rng.normal(size=5))
+    for _ in range(6):
+        gradient = curvature @ x
+        step = -history.solve(gradient, lambda v: v, 1e-2)
+        step *= -float(step @ gradient) / float(step @ curvature @ step)  # exact line search
+        history.add(step, curvature @ step)
+        x = x + step
+    assert float(abs(x).max()) < 1e-9
+
+
+def test_a_step_along_which_the_function_bends_downwards_is_forgotten():
+    history = History()
+    history.add(torch.ones(3), -torch.ones(3))
+    assert not history.pairs
