@@ -8,7 +8,6 @@ that each Gaussian takes in its own frame. Coefficients stay non-negative: one a
 
 from collections.abc import Callable
 
-
 import numpy as np
 import torch
 from jaxtyping import Float
