@@ -14,6 +14,7 @@ from typing import Any
 
 import click
 
+from phantomgen.cli_export import export
 from phantomgen.command import Commands, debug_option, json_option, version_option
 
 
@@ -29,6 +30,9 @@ def main() -> None:
     A scene (shapes, materials, source, detector, orbit) becomes one HDF5 file: photon counts per view, channel and
     pixel, all that a reconstructor may know, and the truth to judge it against.
     """
+
+
+main.add_command(export)
 
 
 @main.command(
@@ -490,7 +494,8 @@ def view(
     """
     if (source is None) == (preset is None):
         raise click.UsageError("name a scene file, a preset or a dataset: phantomgen view --preset kedge")
-    from phantomgen.view.load import load, point_of, size_of
+    from phantomgen.view.load import load
+    from phantomgen.view.options import point_of, size_of
     from phantomgen.view.output import check_outputs, show
 
     picture, page, orbit = (Path(name) if name else None for name in (screenshot, html, geometry))

@@ -9,7 +9,9 @@ import click
 
 from phantomgen.command import Commands, debug_option, json_option, version_option
 from recon.baselines import METHODS
+from recon.cli_export import export
 from recon.cli_outputs import render, volume
+from recon.cli_view import view
 
 if TYPE_CHECKING:
     from recon.baselines.method import Iteration
@@ -28,6 +30,8 @@ def main() -> None:
 
 main.add_command(volume)
 main.add_command(render)
+main.add_command(export)
+main.add_command(view)
 
 
 def _finite(_: click.Context, __: click.Parameter, value: float | None) -> float | None:

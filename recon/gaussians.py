@@ -16,6 +16,7 @@ from recon.ops.voxelize import voxelize
 from spectra.errors import DatasetError
 
 _HEADER = "gaussians"  # key of the metadata in a file
+_SCHEMA = "spectral-ct gaussians 1.0"
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,7 @@ class Gaussians:
         from safetensors.torch import save_file  # noqa: PLC0415
 
         header = {
-            "schema": "spectral-ct gaussians 1.0",
+            "schema": _SCHEMA,
             "basis": self.basis_names,
             "units": {"centres": "mm", "log_scales": "log mm", "coefficients": "1/mm"},
             "axes": {"centres": "x y z", "quaternions": "w x y z"},
@@ -87,6 +88,10 @@ class Gaussians:
             with safe_open(path, framework="pt") as file:
                 header = json.loads((file.metadata() or {})[_HEADER])
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dict
+            if header["schema"] != _SCHEMA:
+                raise DatasetError(f"{path} was written as {header['schema']!r}, this version reads {_SCHEMA!r}")
             return cls(**tensors, basis_names=tuple(header["basis"]))
+        except DatasetError:
+            raise
         except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
             raise DatasetError(f"{path}: not a Gaussian model written by recon ({error})") from error

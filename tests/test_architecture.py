@@ -53,7 +53,9 @@ def test_everything_imported_is_a_dependency(imports):
     external = {name for name in imports.modules if name.partition(".")[0] not in {*PACKAGES, *sys.stdlib_module_names}}
     needed = {known[name.partition(".")[0]][0].lower() for name in external}
     extras = PROJECT["project"]["optional-dependencies"]
-    optional = {Requirement(text).name.lower() for extra in ("cluster", "compress", "images") for text in extras[extra]}
+    optional = {
+        Requirement(text).name.lower() for extra in ("cluster", "compress", "images", "io") for text in extras[extra]
+    }
     assert needed == {Requirement(text).name for text in PROJECT["project"]["dependencies"]} | optional
 
 

@@ -119,12 +119,18 @@ def planes(volume: Float[np.ndarray, "z y x"], grid: Grid, at: Triple) -> Iterat
     """The layers of voxels that hold the point `at` (x, y, z) [mm]: across x, across y and across z."""
     low, high = (np.array(corner) for corner in limits(grid))
     for axis, position in zip("xyz", at, strict=True):
-        array_axis, i = "zyx".index(axis), "xyz".index(axis)
-        layer = int(np.clip((position - low[i]) // grid.spacing[array_axis], 0, grid.shape[array_axis] - 1))
+        array_axis, i, layer = "zyx".index(axis), "xyz".index(axis), layer_at(grid, axis, position)
         centre = float(grid.axis(axis)[layer])
         first, last = low.copy(), high.copy()
         first[i] = last[i] = centre
         yield Plane(axis, centre, np.take(volume, layer, axis=array_axis), _triple(first), _triple(last))
+
+
+def layer_at(grid: Grid, axis: str, position: float) -> int:
+    """Index of the layer across an axis that holds a position [mm], the first or last one beyond them."""
+    i = "zyx".index(axis)
+    edge = grid.origin[i] - grid.spacing[i] / 2
+    return int(np.clip((position - edge) // grid.spacing[i], 0, grid.shape[i] - 1))
 
 
 def materials(truth: Truth) -> list[Material]:
@@ -132,7 +138,7 @@ def materials(truth: Truth) -> list[Material]:
 
     The surface lies where a voxel is half full, or half as full as it gets where a material is thinner than a voxel.
     """
-    boxes = {i: _box(fraction) for i, fraction in enumerate(truth.fractions) if fraction.any()}
+    boxes = {i: box_of(fraction) for i, fraction in enumerate(truth.fractions) if fraction.any()}
     return [_material(truth, i, boxes) for i in boxes]
 
 
@@ -141,7 +147,7 @@ def object_limits(truth: Truth) -> Limits | None:
     filled = np.logical_or.reduce(truth.fractions)
     if not filled.any():
         return None
-    low, high = limits(_part(truth.grid, _box(filled)))
+    low, high = limits(part_of(truth.grid, box_of(filled)))
     return low, high
 
 
@@ -208,7 +214,7 @@ def scan_title(geometry: Geometry) -> str:
 Box = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
 
 
-def _box(filled: Shaped[np.ndarray, "z y x"]) -> Box:
+def box_of(filled: Shaped[np.ndarray, "z y x"]) -> Box:
     """First index and behind the last index of what is not zero, along z, y and x."""
     ends = []
     for axis in range(3):
@@ -217,7 +223,7 @@ def _box(filled: Shaped[np.ndarray, "z y x"]) -> Box:
     return ends[0], ends[1], ends[2]
 
 
-def _part(grid: Grid, box: Box) -> Grid:
+def part_of(grid: Grid, box: Box) -> Grid:
     """The voxels of a box."""
     shape = tuple(last - first for first, last in box)
     origin = tuple(o + first * s for o, (first, _), s in zip(grid.origin, box, grid.spacing, strict=True))
@@ -227,12 +233,12 @@ def _part(grid: Grid, box: Box) -> Grid:
 def _material(truth: Truth, index: int, boxes: dict[int, Box]) -> Material:
     """One material in its box."""
     box = boxes[index]
-    within = [i for i, other in boxes.items() if i != index and _within(other, box) and other != box]
+    within = [i for i, other in boxes.items() if i != index and lies_within(other, box) and other != box]
     fraction = _cut(truth, index, box)
     return Material(
         name=truth.material_names[index],
         index=index,
-        grid=_part(truth.grid, tuple((first - 1, last + 1) for first, last in box)),  # type: ignore[arg-type]
+        grid=part_of(truth.grid, tuple((first - 1, last + 1) for first, last in box)),  # type: ignore[arg-type]
         fraction=fraction,
         inner=sum((_cut(truth, i, box) for i in within), np.zeros_like(fraction)) if within else None,
         level=0.5 if fraction.max() > 0.5 else float(fraction.max()) / 2,
@@ -252,7 +258,7 @@ def _binned(volume: Float[np.ndarray, "z y x"], factor: int) -> Float[np.ndarray
     return padded.reshape(z, factor, y, factor, x, factor).mean(axis=(1, 3, 5))
 
 
-def _within(inner: Box, outer: Box) -> bool:
+def lies_within(inner: Box, outer: Box) -> bool:
     """Whether a box lies in another."""
     return all(b[0] <= a[0] and a[1] <= b[1] for a, b in zip(inner, outer, strict=True))
 

@@ -1,17 +1,20 @@
 """The window: slices per basis, surfaces per material, and the scan from outside."""
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pyvista
+from jaxtyping import Float, Shaped
 
 from phantomgen.dataset_truth import Truth
 from phantomgen.geometry_figure import drawn_sources
+from phantomgen.grid import Grid
 from phantomgen.view.content import (
     Content,
     Limits,
     Material,
     Plane,
+    Triple,
     limits,
     materials,
     object_limits,
@@ -22,7 +25,7 @@ from phantomgen.view.content import (
     source_path,
     usual_top,
 )
-from phantomgen.view.panes import COLOUR_MAP, FAINT, FONT, INK, Pane
+from phantomgen.view.panes import FAINT, FONT, INK, Bar, Pane
 from spectra.basis import pretty
 
 MATERIAL_COLOURS = ("#56B4E9", "#E69F00", "#D55E00", "#CC79A7", "#009E73", "#0072B2", "#F0E442", "#999999")
@@ -32,7 +35,7 @@ VIEW = 0  # the view whose panel is drawn
 SIZE = (1600, 1000)  # pixels
 _OBJECT_SEEN_FROM, _SCAN_SEEN_FROM = (0.6, -1.5, 0.95), (1.1, -1.4, 1.0)
 _OBJECT_MARGINS, _SCAN_MARGINS = (0.05, 0.2, 0.05, 0.1), (0.18, 0.04, 0.18, 0.12)
-_SOLID: Any = {"ambient": 0.25, "diffuse": 0.85, "specular": 0.2, "specular_power": 20.0}
+SOLID: Any = {"ambient": 0.25, "diffuse": 0.85, "specular": 0.2, "specular_power": 20.0}
 
 
 def draw(
@@ -74,41 +77,55 @@ def draw(
 
 def draw_basis(pane: Pane, content: Content, truth: Truth, basis: int) -> None:
     """Three slices through one basis volume, where there is anything, with its colour bar."""
-    pane.plotter.subplot(*pane.place)
-    highest, usual = float(truth.volumes[basis].max()), usual_top(truth.volumes[basis])
+    values = truth.volumes[basis]
+    highest, usual = float(values.max()), usual_top(values)
     top, ticks = round_scale(usual)
-    filled, most = np.logical_or.reduce(truth.fractions), _PAGE_VOXELS if pane.for_page else max(content.grid.shape)
-    shown = list(planes(truth.volumes[basis], content.grid, content.at))
-    for plane, part in zip(shown, planes(filled, content.grid, content.at), strict=True):
+    pane.set_bar(top, ticks)
+    draw_planes(pane, values, np.logical_or.reduce(truth.fractions), content.grid, content.at)
+    pane.words.title = pretty(truth.basis_names[basis])
+    if highest > top:
+        pane.words.note += f"; brightest colour up to {highest:.2g} 1/mm"
+    look_at_volume(pane, content.grid)
+
+
+def draw_planes(
+    pane: Pane,
+    values: Float[np.ndarray, "z y x"],
+    filled: Shaped[np.ndarray, "z y x"],
+    grid: Grid,
+    at: Triple,
+) -> None:
+    """Three slices through `at` in the colours of the panel's bar, of voxels that are not zero in `filled`."""
+    pane.plotter.subplot(*pane.place)
+    bar, most = cast("Bar", pane.words.bar), _PAGE_VOXELS if pane.for_page else max(grid.shape)
+    colours: Any = {"clim": (bar.low, bar.top), "cmap": bar.colour_map, "lighting": False, "show_scalar_bar": False}
+    shown = list(planes(values, grid, at))
+    for plane, part in zip(shown, planes(filled, grid, at), strict=True):
         pane.stroke(_frame(plane), FAINT, 1)
         if part.values.any():
             mesh = plane_mesh(plane.thinned(most)).extract_cells(np.flatnonzero(part.thinned(most).values))
-            pane.plotter.add_mesh(mesh, clim=(0.0, top), cmap=COLOUR_MAP, lighting=False, show_scalar_bar=False)
-    pane.set_bar(top, ticks)
-    pane.words.title = pretty(truth.basis_names[basis])
+            pane.plotter.add_mesh(mesh, **colours)
     pane.words.note = ", ".join(f"{plane.axis} = {plane.position:.4g}" for plane in shown) + " mm"
-    if highest > top:
-        pane.words.note += f"; brightest colour up to {highest:.2g} 1/mm"
-    _look_at_volume(pane, content)
 
 
 def draw_materials(pane: Pane, content: Content, truth: Truth) -> None:
     """Translucent surfaces, one colour per material."""
-    pane.plotter.subplot(*pane.place)
     shown = materials(truth)
-    most = _PAGE_TRIANGLES // max(len(shown), 10) if pane.for_page else None
-    for material in shown:
-        pane.plotter.add_mesh(
-            surface(material, most),
-            color=colour_of(material),
-            opacity=1.0 if material.inner is None else 0.22,
-            smooth_shading=True,
-            **_SOLID,
-        )
-    pane.stroke(_box(limits(content.grid)), FAINT, 1)
+    draw_surfaces(pane, shown, [colour_of(m) for m in shown], content.grid)
     pane.words.title = "materials"
-    pane.words.legend = [(m.name.replace("_", " "), colour_of(m)) for m in shown]
-    _look_at_volume(pane, content)
+
+
+def draw_surfaces(pane: Pane, shown: list[Material], colours: list[str], grid: Grid) -> None:
+    """Surfaces in their colours, translucent where something lies within, and their names."""
+    pane.plotter.subplot(*pane.place)
+    most = _PAGE_TRIANGLES // max(len(shown), 10) if pane.for_page else None
+    for material, colour in zip(shown, colours, strict=True):
+        mesh, opacity = surface(material, most), 1.0 if material.inner is None else 0.22
+        if mesh.n_cells:
+            pane.plotter.add_mesh(mesh, color=colour, opacity=opacity, smooth_shading=True, **SOLID)
+    pane.stroke(_box(limits(grid)), FAINT, 1)
+    pane.words.legend = [(m.name.replace("_", " "), colour) for m, colour in zip(shown, colours, strict=True)]
+    look_at_volume(pane, grid)
 
 
 def draw_scan(pane: Pane, content: Content) -> None:
@@ -122,10 +139,10 @@ def draw_scan(pane: Pane, content: Content) -> None:
     if len(path) > 1:
         pane.stroke(pyvista.MultipleLines(path), SOURCE, 2)
     pane.dots(sources, SOURCE, 5)
-    plotter.add_mesh(pyvista.Sphere(radius=size / 60, center=source), color=SOURCE, **_SOLID)
+    plotter.add_mesh(pyvista.Sphere(radius=size / 60, center=source), color=SOURCE, **SOLID)
     plotter.add_mesh(pyvista.PolyData(corners, faces=[4, 0, 1, 2, 3]), color=PANEL, opacity=0.3, lighting=False)
     pane.stroke(pyvista.MultipleLines(np.concatenate([corners, corners[:1]])), PANEL, 2)
-    plotter.add_mesh(pyvista.Sphere(radius=size / 90, center=corners[0]), color=CORNER, **_SOLID)
+    plotter.add_mesh(pyvista.Sphere(radius=size / 90, center=corners[0]), color=CORNER, **SOLID)
     for corner in corners:
         start = source + corner - geometry.panel_center[VIEW] if geometry.is_parallel else source
         pane.stroke(pyvista.Line(start, corner), FAINT, 1)
@@ -139,19 +156,20 @@ def draw_scan(pane: Pane, content: Content) -> None:
         keys.append(("bounds of the object", INK))
     pane.words.title = scan_title(geometry)
     pane.words.legend = keys
-    _mark_axes(pane, content, 0.8)
+    _mark_axes(pane, content.grid, 0.8)
     pane.look(points, _SCAN_SEEN_FROM, _SCAN_MARGINS)
 
 
-def _look_at_volume(pane: Pane, content: Content) -> None:
-    """Axes at a corner, and a camera that sees the whole volume."""
-    _mark_axes(pane, content, 0.2)
-    pane.look(_corners(limits(content.grid)), _OBJECT_SEEN_FROM, _OBJECT_MARGINS)
+def look_at_volume(pane: Pane, grid: Grid) -> None:
+    """Axes at a corner, unless a legend stands there, and a camera that sees the whole volume."""
+    if not pane.words.legend:
+        _mark_axes(pane, grid, 0.2)
+    pane.look(_corners(limits(grid)), _OBJECT_SEEN_FROM, _OBJECT_MARGINS)
 
 
-def _mark_axes(pane: Pane, content: Content, part: float) -> None:
+def _mark_axes(pane: Pane, grid: Grid, part: float) -> None:
     """Axes at the lowest corner of the volume, as long as a part of it."""
-    low, high = np.array(limits(content.grid))
+    low, high = np.array(limits(grid))
     pane.mark_axes(low, part * float((high - low).max()))
 
 

@@ -2,12 +2,21 @@
 
 import os
 import sys
+from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from phantomgen.dataset_writer import check_output
 from phantomgen.view.content import Content
 from spectra.errors import InputError
+
+if TYPE_CHECKING:
+    import pyvista
+
+    from phantomgen.view.panes import Pane
+
+    Drawn = tuple[pyvista.Plotter, list[Pane]]
 
 NO_DISPLAY = (
     "there is no display to open a window on: write a picture by --screenshot view.png, or a page by --html view.html"
@@ -27,14 +36,30 @@ def check_outputs(screenshot: Path | None, html: Path | None, overwrite: bool) -
 
 
 def show(content: Content, screenshot: Path | None, html: Path | None, size: tuple[int, int]) -> None:
-    """Write the picture and the page that are named, or open a window where neither is."""
-    import pyvista  # noqa: PLC0415
+    """Write the picture and the page of a scan that are named, or open a window where neither is."""
 
-    from phantomgen.view.drawing import draw  # noqa: PLC0415
+    def draw(for_page: bool, off_screen: bool) -> "Drawn":
+        from phantomgen.view import drawing  # noqa: PLC0415
+
+        return drawing.draw(content, drawing.SIZE if for_page else size, off_screen, for_page)
+
+    put(content.name, draw, screenshot, html)
+
+
+def put(name: str, draw: "Callable[[bool, bool], Drawn]", screenshot: Path | None, html: Path | None) -> None:
+    """Write what is drawn as a picture and a page, or open a window where neither is named.
+
+    Parameters
+    ----------
+    name : title of the page
+    draw : makes a window and its panels; told whether for a page, and whether off screen
+    screenshot, html : files to write
+    """
+    import pyvista  # noqa: PLC0415
 
     with pyvista.vtk_verbosity("off"):  # a machine without a display is nothing to warn of
         if screenshot is not None:
-            plotter, _ = draw(content, size)
+            plotter, _ = draw(False, True)
             picture = BytesIO()
             plotter.screenshot(picture)
             plotter.close()
@@ -42,16 +67,15 @@ def show(content: Content, screenshot: Path | None, html: Path | None, size: tup
         if html is not None:
             from phantomgen.view.page import page  # noqa: PLC0415
 
-            _write(html, page(content).encode())
+            plotter, panes = draw(True, True)
+            _write(html, page(name, plotter, panes).encode())
+            plotter.close()
         if screenshot is None and html is None:
-            _open_window(content, size)
+            _open_window(draw(False, False)[0])
 
 
-def _open_window(content: Content, size: tuple[int, int]) -> None:
+def _open_window(plotter: "pyvista.Plotter") -> None:
     """Open a window and wait until it is closed."""
-    from phantomgen.view.drawing import draw  # noqa: PLC0415
-
-    plotter, _ = draw(content, size, off_screen=False)
     if type(plotter.render_window).__name__ in {"vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"}:
         raise InputError(NO_DISPLAY)
     plotter.show()

@@ -10,17 +10,16 @@ import pyvista
 from trame_vtk.modules.vtk import serializers
 from trame_vtk.tools.vtksz2html import write_html
 
-from phantomgen.view.content import Content
-from phantomgen.view.drawing import SIZE, draw
 from phantomgen.view.panes import AXES, INK, MUTED, Pane
 
 _STYLE = f"""
 body {{ background: white; color: {INK}; }}
 .content {{ position: absolute; inset: 0; }}
-.words {{ position: absolute; pointer-events: none; font: 1.7vmin/1.7 "DejaVu Sans", Verdana, sans-serif; }}
+.words {{ position: absolute; pointer-events: none; font: SIZEvmin/1.7 "DejaVu Sans", Verdana, sans-serif; }}
 .words > * {{ position: absolute; margin: 0; white-space: pre; }}
 .title {{ left: 1vw; top: 0.8vmin; font-size: 1.15em; }}
 .note {{ left: 1vw; bottom: 1vmin; font-size: 0.9em; color: {MUTED}; }}
+.note.high {{ bottom: auto; top: 3.2vmin; }}
 .legend {{ left: 1vw; bottom: 1vmin; }}
 .legend span {{ display: inline-block; width: 0.8em; height: 0.8em; margin-right: 0.7em; }}
 .axes {{ right: 1vw; bottom: 1vmin; font-size: 0.9em; }}
@@ -41,19 +40,25 @@ _SCRIPT = """
 """
 
 
-def page(content: Content) -> str:
-    """The page as text."""
-    plotter, panes = draw(content, SIZE, for_page=True)
+def page(name: str, plotter: pyvista.Plotter, panes: list[Pane]) -> str:
+    """The page as text, in letters as large beside the window as those of the panels.
+
+    Parameters
+    ----------
+    name : title of the page
+    plotter : a window that was drawn for a page
+    panes : its panels
+    """
     buffer = io.StringIO()
     write_html(_scene(plotter), buffer)
     scales = [pane.camera_scale for pane in panes]
     words = "".join(map(_words, panes))
-    plotter.close()
     script = f"<script>{_SCRIPT.replace('SCALES', json.dumps(scales))}</script>"
+    style = _STYLE.replace("SIZE", f"{100 * panes[0].font / min(plotter.window_size):.3g}")
     head, body = buffer.getvalue().split("<body>", 1)
     start, _, rest = head.partition("<title>")
-    title = f"<title>{html.escape(content.name)}</title>"
-    head = f"{start}{title}{rest.partition('</title>')[2]}".replace("</head>", f"<style>{_STYLE}</style></head>")
+    title = f"<title>{html.escape(name)}</title>"
+    head = f"{start}{title}{rest.partition('</title>')[2]}".replace("</head>", f"<style>{style}</style></head>")
     body, end = body.rsplit("</body>", 1)
     return f'{head}<body><div class="content"></div>{words}{body}{script}</body>{end}'
 
@@ -79,7 +84,8 @@ def _words(pane: Pane) -> str:
     x0, y0, x1, y1 = pane.viewport
     place = f"left:{x0:.4%};top:{1 - y1:.4%};width:{x1 - x0:.4%};height:{y1 - y0:.4%}"
     words = pane.words
-    parts = [f'<p class="title">{html.escape(words.title)}</p>', f'<p class="note">{html.escape(words.note)}</p>']
+    where = "note high" if words.legend else "note"
+    parts = [f'<p class="title">{html.escape(words.title)}</p>', f'<p class="{where}">{html.escape(words.note)}</p>']
     letters = (f'<b style="color:{colour}">{axis}</b>' for axis, colour in AXES.items())
     parts.append(f'<p class="axes">{" ".join(letters)}</p>')
     if words.legend:

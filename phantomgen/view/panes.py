@@ -20,17 +20,19 @@ _FROM_FILE = 4  # VTK's code for a font that is read from a file
 
 @dataclass
 class Bar:
-    """A colour bar from 0 to `top` in `unit`, with `ticks` (part of its height, number) and some of its colours."""
+    """A colour bar from `low` to `top` in `unit`, with `ticks` (part of its height, number) and some of its colours."""
 
     unit: str
+    low: float
     top: float
     ticks: list[tuple[float, str]]
+    colour_map: str
     colours: list[str]
 
 
 @dataclass
 class Words:
-    """All that is written in a panel."""
+    """All that is written in a panel; a note stands below, or under the title where a legend stands below."""
 
     title: str = ""
     note: str = ""
@@ -90,11 +92,12 @@ class Pane:
         """Half the height that the camera sees [mm]."""
         return float(self.camera.parallel_scale)
 
-    def set_bar(self, top: float, count: int) -> None:
-        """Give the panel a colour bar from 0 to `top` with `count` ticks, in 1/mm."""
-        number = _number_format(top / (count - 1))
-        ticks = [(part, number % (part * top)) for part in np.linspace(0, 1, count).tolist()]
-        self.words.bar = Bar("1/mm", top, ticks, [to_hex(colormaps[COLOUR_MAP](i / 15)) for i in range(16)])
+    def set_bar(self, top: float, count: int, low: float = 0.0, colour_map: str = COLOUR_MAP) -> None:
+        """Give the panel a colour bar from `low` to `top` with `count` ticks, in 1/mm."""
+        number = _number_format((top - low) / (count - 1))
+        ticks = [(part, number % (low + part * (top - low))) for part in np.linspace(0, 1, count).tolist()]
+        colours = [to_hex(colormaps[colour_map](i / 15)) for i in range(16)]
+        self.words.bar = Bar("1/mm", low, top, ticks, colour_map, colours)
 
     def stroke(self, mesh: pyvista.PolyData, colour: str, width: float) -> None:
         """Draw lines, `width` pixels in a page."""
@@ -116,6 +119,15 @@ class Pane:
         """Lines of a picture are drawn wider, because its pixels are averaged over smaller ones."""
         return 1.0 if self.for_page else 1.6 * self.font / FONT
 
+    def clear(self) -> None:
+        """Take out what was drawn, words included; the camera stays."""
+        self.plotter.subplot(*self.place)
+        bars = self.plotter.scalar_bars
+        for title in [title for title, bar in bars.items() if self.renderer.HasViewProp(bar)]:
+            bars.remove_scalar_bar(title, render=False)  # its slot is not freed otherwise
+        self.renderer.clear_actors()
+        vars(self.words).update(vars(Words()))
+
     def finish(self) -> None:
         """Draw all words and the axes into the panel."""
         self.plotter.subplot(*self.place)
@@ -124,14 +136,15 @@ class Pane:
         width, height = self.size
         left, line = self.font / width, self.font / height
         self._text(self.words.title, left, 1 - 2 * line, 1.15)
-        self._text(self.words.note, left, line, 0.9, MUTED)
+        self._text(self.words.note, left, 1 - 3.8 * line if self.words.legend else line, 0.9, MUTED)
         for i, (name, colour) in enumerate(reversed(self.words.legend)):
             self._text("\N{BLACK SQUARE}", left, (1 + i * _LINE) * line, 1.0, colour)
             self._text(name, 2.4 * left, (1 + i * _LINE) * line)
         if self.words.bar:
             self._write_bar(self.words.bar)
-        colours: Any = {f"{axis}_color": colour for axis, colour in AXES.items()}
-        self.renderer.add_axes(color=INK, line_width=2, viewport=(0.86, 0.0, 1.0, 0.16), **colours)
+        if not self.renderer.axes_enabled:
+            colours: Any = {f"{axis}_color": colour for axis, colour in AXES.items()}
+            self.renderer.add_axes(color=INK, line_width=2, viewport=(0.86, 0.0, 1.0, 0.16), **colours)
 
     def _text(self, text: str, x: float, y: float, scale: float = 1.0, colour: str = INK) -> None:
         """A line that starts at (x, y), in parts of the panel."""
@@ -141,7 +154,7 @@ class Pane:
 
     def _write_bar(self, bar: Bar) -> None:
         """The colour bar, on the right."""
-        table = pyvista.LookupTable(COLOUR_MAP, scalar_range=(0.0, bar.top))
+        table = pyvista.LookupTable(bar.colour_map, scalar_range=(bar.low, bar.top))
         plotter: Any = self.plotter  # whose decorated methods confuse type checkers
         shown = plotter.add_scalar_bar(
             title=bar.unit,
@@ -149,7 +162,7 @@ class Pane:
             unique_bar=True,
             vertical=True,
             n_labels=len(bar.ticks),
-            fmt=_number_format(bar.top / (len(bar.ticks) - 1)),
+            fmt=_number_format((bar.top - bar.low) / (len(bar.ticks) - 1)),
             color=INK,
             position_x=0.84,
             position_y=0.18,

@@ -25,7 +25,8 @@ from phantomgen.view.content import (
     source_path,
     usual_top,
 )
-from phantomgen.view.load import load, point_of, size_of
+from phantomgen.view.load import load
+from phantomgen.view.options import point_of, size_of
 from phantomgen.view.output import show
 from spectra.errors import InputError
 
