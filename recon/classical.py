@@ -30,6 +30,7 @@ from recon.measurements import Measurements, matching_bin, read_measurements
 from recon.model_figures import draw_model
 from recon.recipe import Recipe
 from recon.report import write_json, write_volumes
+from recon.run_folder import write_scan
 from recon.scoring import psnr_of_bases, score_test_views, score_truth
 from recon.start import check_directions
 from recon.voxels import Voxels
@@ -117,6 +118,8 @@ def run_classical(
         metrics = _metrics(dataset, truth, model, method, pipeline) | {"node_error": node_error}
     with clock("write"):
         write_volumes(folder / "volumes.h5", volumes, model.basis_names, model.grid, {})
+        spectra = dataset.spectra
+        write_scan(folder, model.grid, spectra.basis, measured.transmission, spectra.channels)
         recipe = yaml.safe_dump(_settings(method, pipeline), sort_keys=False)
         (folder / "recipe.yaml").write_text(recipe, encoding="utf-8")
         log.write(folder / "log.jsonl", truth, model.basis_names, model.grid)

@@ -12,6 +12,7 @@ from recon.baselines import METHODS
 from recon.cli_export import export
 from recon.cli_outputs import render, volume
 from recon.cli_view import view
+from recon.cli_segment import segment
 
 if TYPE_CHECKING:
     from recon.baselines.method import Iteration
@@ -32,6 +33,7 @@ main.add_command(volume)
 main.add_command(render)
 main.add_command(export)
 main.add_command(view)
+main.add_command(segment)
 
 
 def _finite(_: click.Context, __: click.Parameter, value: float | None) -> float | None:

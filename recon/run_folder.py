@@ -18,6 +18,22 @@ MODEL, SCAN = "model.safetensors", "scan.json"
 
 
 @dataclass(frozen=True, eq=False)
+class ScanRecord:
+    """What a run folder knows of the scan.
+
+    Parameters
+    ----------
+    grid : the volume that the scan asked for
+    basis : functions of energy; those of a model are the first
+    transmission : spectral model of a pixel at the panel's centre, at exposure 1
+    """
+
+    grid: Grid
+    basis: Basis
+    transmission: Transmission
+
+
+@dataclass(frozen=True, eq=False)
 class Run:
     """A finished fit.
 
@@ -54,16 +70,33 @@ def open_run(folder: Path) -> Run:
     if not (folder / MODEL).is_file():
         raise DatasetError(f"{folder} is not a run folder: it has no {MODEL}; make one by recon fit")
     gaussians = Gaussians.load(folder / MODEL)
+    scan = open_scan(folder, len(gaussians.basis_names))
+    return Run(gaussians, scan.grid, scan.basis, scan.transmission)
+
+
+def open_scan(folder: Path, bases: int | None = None) -> ScanRecord:
+    """Read what `write_scan` wrote into a run folder.
+
+    Parameters
+    ----------
+    folder : a run folder
+    bases : columns of `transmission` to keep, default all
+
+    Raises
+    ------
+    DatasetError
+        When the file is missing, was written by another version, or is damaged.
+    """
     try:
         content = json.loads((folder / SCAN).read_text(encoding="utf-8"))
         grid = Grid(**{name: tuple(values) for name, values in content["grid"].items()})
         basis = Basis.from_table({name: _back(name, values) for name, values in content["basis"].items()})
         nodes = {name: np.array(values) for name, values in content["transmission"].items()}
-        columns = nodes["columns"][: len(gaussians.basis_names)]
+        columns = nodes["columns"][:bases]
         transmission = Transmission(columns, nodes["weights"], nodes["starts"], tuple(content["channels"]))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise DatasetError(f"{folder / SCAN} cannot be read as what recon fit writes there ({error})") from error
-    return Run(gaussians, grid, basis, transmission)
+    return ScanRecord(grid, basis, transmission)
 
 
 def _plain(value: Any) -> Any:

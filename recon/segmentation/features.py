@@ -1,0 +1,121 @@
+"""What materials are told apart by.
+
+The features of SpectralCTGaussians (section on basis material decomposition): the density rho = sum_m b_m, the ratio
+kappa = log(1 + b_PE / (b_C + eps)), and the part f_K = b_K / rho of each K-edge column. Gaussians overlap, and those at
+edges are flat: what one of them carries is no density of the material there (`kedge`: soft tissue of 20.3e-3 per mm
+consists of Gaussians of 2.4e-3 to 7.0e-3). So by default b are the local values, those of the whole model at the
+centre of each Gaussian or voxel; its own coefficients are the paper's choice.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import ndimage
+
+from phantomgen.grid import Grid
+from spectra.basis import Basis, BasisFunction
+from spectra.materials import Material
+
+MECHANISMS = Basis((BasisFunction("photoelectric"), BasisFunction("compton")))
+EPSILON = 0.005  # of the Compton coefficient of water, so that kappa stays finite where there is none
+AIR = 0.2  # of the density of water: what is less dense is empty; lungs have 0.26 and more
+FLAT = 0.12  # of a high density: more than values in the inside of a material differ from a voxel to the next
+_HIGH = 0.9  # quantile of the density that is called high
+_APART = 3  # voxels between two values whose difference is noise
+
+
+@dataclass(frozen=True, eq=False)
+class Mechanisms:
+    """How coefficients become a photoelectric, a Compton and K-edge coefficients, whatever the basis is.
+
+    Parameters
+    ----------
+    matrix : what the functions without K edge hold of photoelectric and Compton
+    plain, edges : indices of the functions without and with a K edge
+    water : photoelectric and Compton coefficient of water [1/mm]
+    """
+
+    matrix: Float[np.ndarray, "2 plain"]
+    plain: tuple[int, ...]
+    edges: tuple[int, ...]
+    water: Float[np.ndarray, "2"]
+
+    @classmethod
+    def of(cls, basis: Basis, energy: Float[np.ndarray, " node"], weights: Float[np.ndarray, " node"]) -> "Mechanisms":
+        """By least squares over the detected spectrum; exact where the basis has both functions itself."""
+        edges = tuple(i for i, f in enumerate(basis.functions) if f.edge_energy is not None)
+        plain = tuple(i for i in range(len(basis)) if i not in edges)
+        goal, values = MECHANISMS.evaluate(energy), basis.evaluate(energy)[list(plain)]
+        root = np.sqrt(weights / weights.sum())
+        matrix = np.linalg.lstsq((goal * root).T, (values * root).T, rcond=None)[0]
+        water = Material("water", composition="Water, Liquid").coefficients_in(MECHANISMS, energy, weights)
+        return cls(np.where(np.abs(matrix) < 1e-9, 0.0, matrix), plain, edges, water)
+
+    def __call__(self, values: Float[np.ndarray, "basis ..."]) -> Float[np.ndarray, "mechanism ..."]:
+        """Photoelectric, Compton, then each K edge [1/mm]."""
+        parts = np.tensordot(self.matrix, values[list(self.plain)], axes=1)
+        return np.concatenate([parts, values[list(self.edges)]])
+
+    def features(self, parts: Float[np.ndarray, "mechanism ..."]) -> Float[np.ndarray, "feature ..."]:
+        """Density rho [1/mm], kappa, and f_K of each K edge; values below 0, which some methods give, count as 0."""
+        parts = np.maximum(parts, 0.0)
+        density = parts.sum(axis=0)
+        ratio = np.log1p(parts[0] / (parts[1] + EPSILON * self.water[1]))
+        return np.concatenate([[density], [ratio], parts[2:] / np.maximum(density, 1e-12)])
+
+    @property
+    def air(self) -> float:
+        """Densities below are air [1/mm]."""
+        return AIR * float(self.water.sum())
+
+
+def flat_inside(parts: Float[np.ndarray, "mechanism z y x"], air: float) -> Bool[np.ndarray, "z y x"]:
+    """Voxels inside of a material: not air, and hardly different from their 26 neighbours.
+
+    In noisy volumes half of all voxels that are not air, the flattest ones.
+    """
+    density = parts.sum(axis=0)
+    filled = density > air
+    if not filled.any():
+        return filled
+    spans = [ndimage.maximum_filter(p, 3) - ndimage.minimum_filter(p, 3) for p in parts]
+    steps = np.sqrt(np.sum(np.square(spans), axis=0))
+    limit = max(FLAT * float(np.quantile(density[filled], _HIGH)), float(np.median(steps[filled])))
+    return filled & (steps <= limit) & (ndimage.minimum_filter(density, 3) > air)
+
+
+def noise_of(features: Float[np.ndarray, "feature z y x"], inside: Bool[np.ndarray, "z y x"]) -> np.ndarray:
+    """Robust standard deviation of each feature, from voxels three apart that both lie inside."""
+    found = []
+    for axis in range(3):
+        head, tail = (np.take(inside, range(*ends), axis) for ends in _ends(inside.shape[axis]))
+        both = head & tail
+        for feature in features:
+            first, second = (np.take(feature, range(*ends), axis) for ends in _ends(inside.shape[axis]))
+            found.append((first - second)[both])
+    return np.array([_spread(np.concatenate(found[i :: len(features)])) for i in range(len(features))])
+
+
+def at_points(
+    volumes: Float[np.ndarray, "basis z y x"], grid: Grid, points: Float[np.ndarray, "point 3"]
+) -> Float[np.ndarray, "basis point"]:
+    """Values at points (x, y, z) [mm], linear between voxels."""
+    places = voxel_places(grid, points)
+    return np.stack([ndimage.map_coordinates(v, places, order=1, mode="nearest") for v in volumes])
+
+
+def voxel_places(grid: Grid, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "3 point"]:
+    """Points (x, y, z) [mm] in voxels along (z, y, x)."""
+    origin, spacing = np.array(grid.origin), np.array(grid.spacing)
+    return ((points[:, ::-1] - origin) / spacing).T
+
+
+def _ends(length: int) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Ranges of the first and the second of two voxels along an axis."""
+    apart = min(_APART, length - 1)
+    return (0, length - apart), (apart, length)
+
+
+def _spread(differences: np.ndarray) -> float:
+    return 1.4826 / np.sqrt(2) * float(np.median(np.abs(differences))) if len(differences) else 0.0

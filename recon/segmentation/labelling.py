@@ -1,0 +1,132 @@
+"""Which cluster each place belongs to, at edges too.
+
+A voxel at an edge holds a mixture, and mixtures of two materials may look like a third one: half contrast agent and
+half tissue is a weaker contrast agent. So the inside of materials is labelled by features; a place at an edge belongs
+to one of the materials inside of which its neighbours lie, the one whose coefficients are nearest, since mixtures lie
+on straight lines there. A place that no mixture of two of them explains belongs to the nearest material of all, so
+that thin walls are kept; but thin structures that look like a mixture are taken for their surroundings.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+
+REACH = 3  # voxels from a place to neighbours that it may belong to
+NOTHING = 0  # label of air; cluster i has the label i + 1
+SIGNIFICANT = 0.02  # part of the density from which on a K edge is one
+UNMIXED = 0.1  # distance to all mixtures of neighbours, in largest coefficients, from which on a place is none of them
+RIM = 0.9  # part of a cluster's voxels that touch other clusters from which on it is a rim between them
+
+
+def rims(inner: Int[np.ndarray, "z y x"], count: int) -> Bool[np.ndarray, " cluster"]:
+    """Clusters that are no material: soft edges between two that differ little, all of whose voxels touch others.
+
+    Parameters
+    ----------
+    inner : labels inside of materials, 0 elsewhere
+    count : number of clusters
+    """
+    lowest = np.where(inner == NOTHING, np.iinfo(inner.dtype).max, inner)
+    touching = (ndimage.maximum_filter(inner, 3) != inner) | (ndimage.minimum_filter(lowest, 3) != inner)
+    sizes = np.bincount(inner.ravel(), minlength=count + 1)[1:]
+    parts = np.bincount(inner[touching], minlength=count + 1)[1:] / np.maximum(sizes, 1)
+    found = parts > RIM
+    found[sizes.argmax()] = False
+    return found
+
+
+def label_edges(
+    inner: Int[np.ndarray, "z y x"],
+    parts: Float[np.ndarray, "mechanism z y x"],
+    air: Bool[np.ndarray, "z y x"],
+    centres: Float[np.ndarray, "cluster mechanism"],
+) -> Int[np.ndarray, "z y x"]:
+    """Labels of all voxels.
+
+    Parameters
+    ----------
+    inner : labels inside of materials, 0 elsewhere
+    parts : coefficients of mechanisms [1/mm]
+    air : voxels of air
+    centres : coefficients of the clusters
+    """
+    labels = inner.copy()
+    open_voxels = (inner == NOTHING) & _near(~air)
+    scale = np.maximum(centres.max(axis=0), 1e-12)
+    values = parts[:, open_voxels].T / scale
+    ends = np.concatenate([np.zeros_like(centres[:1]), centres]) / scale
+    allowed = np.stack([_near(air if i == NOTHING else inner == i)[open_voxels] for i in range(len(ends))])
+    distances = np.stack([np.linalg.norm(values - end, axis=1) for end in ends])
+    free = distances.argmin(axis=0)
+    best = np.where(allowed.any(axis=0), np.where(allowed, distances, np.inf).argmin(axis=0), free)
+    doubtful = np.flatnonzero(best != free)
+    mixed = _off_mixtures(values[doubtful], ends, allowed[:, doubtful])
+    other = (mixed > UNMIXED) & (distances[free[doubtful], doubtful] < mixed / 2)
+    best[doubtful[other]] = free[doubtful[other]]
+    labels[open_voxels] = best
+    return labels
+
+
+def _off_mixtures(
+    values: Float[np.ndarray, "point mechanism"],
+    ends: Float[np.ndarray, "label mechanism"],
+    allowed: Bool[np.ndarray, "label point"],
+) -> Float[np.ndarray, " point"]:
+    """Distance of each point to the nearest mixture of two of its allowed labels."""
+    least = np.full(len(values), np.inf)
+    for i, first in enumerate(ends):
+        for j in range(i + 1, len(ends)):
+            along = ends[j] - first
+            part = np.clip((values - first) @ along / max(along @ along, 1e-24), 0.0, 1.0)
+            distance = np.linalg.norm(values - first - part[:, None] * along, axis=1)
+            least = np.where(allowed[i] & allowed[j], np.minimum(least, distance), least)
+    return least
+
+
+def label_at(
+    labels: Int[np.ndarray, "z y x"],
+    places: Float[np.ndarray, "3 point"],
+    values: Float[np.ndarray, "point mechanism"],
+    centres: Float[np.ndarray, "cluster mechanism"],
+) -> Int[np.ndarray, " point"]:
+    """Labels of points: that of their voxel, or the nearest in coefficients where that is air."""
+    found = labels[nearest_voxels(places, labels.shape)]
+    lost = found == NOTHING
+    scale = np.maximum(centres.max(axis=0), 1e-12)
+    found[lost] = 1 + _nearest(values[lost], centres, scale)
+    return found
+
+
+def nearest_voxels(
+    places: Float[np.ndarray, "3 point"], shape: tuple[int, ...]
+) -> tuple[Int[np.ndarray, " point"], ...]:
+    """Index of the voxel of each point, or of the nearest one for points outside; `places` count voxels (z, y, x)."""
+    return tuple(np.clip(np.rint(p).astype(np.intp), 0, n - 1) for p, n in zip(places, shape, strict=True))
+
+
+def ordered(features: Float[np.ndarray, "cluster feature"]) -> Int[np.ndarray, " cluster"]:
+    """Order of clusters: those without K edge by kappa and density, then those of each K edge by its part.
+
+    Parameters
+    ----------
+    features : rho, kappa, f_K of each K edge
+    """
+    parts = features[:, 2:]
+    column = np.where((parts > SIGNIFICANT).any(axis=1), parts.argmax(axis=1) if parts.shape[1] else 0, -1)
+    amount = np.where(column >= 0, parts.max(axis=1, initial=0.0), features[:, 1])
+    return np.lexsort((features[:, 0], amount, column))
+
+
+def _nearest(
+    values: Float[np.ndarray, "point mechanism"],
+    centres: Float[np.ndarray, "cluster mechanism"],
+    scale: Float[np.ndarray, " mechanism"],
+) -> Int[np.ndarray, " point"]:
+    """Index of the nearest centre of each point."""
+    distances = np.stack([np.square((values - centre) / scale).sum(axis=1) for centre in centres])
+    return distances.argmin(axis=0)
+
+
+def _near(mask: Bool[np.ndarray, "z y x"]) -> Bool[np.ndarray, "z y x"]:
+    """Voxels within reach of a mask."""
+    return ndimage.maximum_filter(mask.view(np.uint8), 2 * REACH + 1, mode="nearest").astype(bool)

@@ -1,0 +1,132 @@
+"""What coefficients mean: effective atomic number, electron density, concentrations, Hounsfield units.
+
+Everything is linear in the coefficients but the effective atomic number. That comes from the ratio of photoelectric
+absorption to Compton scattering, by the elements' own coefficients in the same basis over the same spectrum, so that
+no exponent of Z is assumed and what the basis cannot describe cancels. Contrast agents are taken away before.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from recon.segmentation.features import MECHANISMS, Mechanisms
+from spectra.attenuation import electrons_per_gram, symbol
+from spectra.basis import Basis
+from spectra.errors import InputError
+from spectra.materials import Material
+
+HEAVIEST = 40  # K edges of heavier elements begin to lie within spectra
+WATER = Material("water", composition="Water, Liquid")
+_MILLIGRAM = 1e-3  # 1 mg/ml in g/cm^3
+_LEAST_MATTER = 0.02  # of water: less has no atomic number
+
+Volume = Float[np.ndarray, "..."]
+Coefficients = Float[np.ndarray, "basis ..."]
+
+
+@dataclass(frozen=True, eq=False)
+class Readouts:
+    """Turns coefficients into physical numbers.
+
+    Parameters
+    ----------
+    basis : functions of the coefficients
+    mechanisms : see there
+    water : its coefficients [1/mm]
+    agents : by element of a K-edge function, what 1 mg/ml of it adds to the coefficients [1/mm]
+    nameless : indices of K-edge functions of no element
+    angles : of photoelectric over Compton of each atomic number from 1 on, ascending [rad]
+    per_electron : length of the two coefficients per electron density of water
+    """
+
+    basis: Basis
+    mechanisms: Mechanisms
+    water: Float[np.ndarray, " basis"]
+    agents: dict[str, Float[np.ndarray, " basis"]]
+    nameless: tuple[int, ...]
+    angles: Float[np.ndarray, " element"]
+    per_electron: Float[np.ndarray, " element"]
+
+    @classmethod
+    def of(cls, basis: Basis, energy: Float[np.ndarray, " node"], weights: Float[np.ndarray, " node"]) -> "Readouts":
+        """For a basis and a detected spectrum, energies [keV] and photons."""
+        spectrum = energy, weights
+        mechanisms = Mechanisms.of(basis, *spectrum)
+        agents, nameless = {}, []
+        for index in mechanisms.edges:
+            element = basis.functions[index].element
+            if element is None:
+                nameless.append(index)
+            else:
+                solute = Material(element, _MILLIGRAM, {element: 1.0})
+                agents[element] = solute.coefficients_in(basis, *spectrum)
+        table = _element_table(*spectrum)
+        angles = np.maximum.accumulate(np.arctan2(table[:, 0], table[:, 1]))
+        water = WATER.coefficients_in(basis, *spectrum)
+        return cls(basis, mechanisms, water, agents, tuple(nameless), angles, np.linalg.norm(table, axis=1))
+
+    def concentration(self, values: Coefficients, element: str) -> Volume:
+        """Concentration of a contrast agent [mg/ml]."""
+        index = next(i for i, f in enumerate(self.basis.functions) if f.element == element)
+        return values[index] / self.agents[element][index]
+
+    def without_contrast(self, values: Coefficients) -> Coefficients:
+        """Coefficients without contrast agents [1/mm]: all that their elements add; of a nameless edge its function."""
+        left = np.array(values, dtype=np.float64)
+        for element, added in self.agents.items():
+            amount = self.concentration(values, element)
+            left -= np.multiply.outer(added, amount)
+        left[list(self.nameless)] = 0.0
+        return left
+
+    def attenuation(self, values: Coefficients, energy: float) -> Volume:
+        """Attenuation at an energy [1/mm]."""
+        return np.tensordot(self.basis.evaluate(np.array([energy]))[:, 0], values, axes=1)
+
+    def hounsfield(self, values: Coefficients, energy: float) -> Volume:
+        """Virtual monoenergetic image [HU]; water, as the basis describes it, is 0 at every energy."""
+        water = float(self.attenuation(self.water, energy))
+        return 1000.0 * (self.attenuation(values, energy) / water - 1.0)
+
+    def electrons(self, values: Coefficients) -> tuple[Volume, Volume]:
+        """Effective atomic number, and electron density relative to water, both without contrast agents.
+
+        The number is NaN where there is hardly any matter, for a single basis function, and beyond `HEAVIEST`.
+        """
+        photo, compton = self.mechanisms(self.without_contrast(values))[:2]
+        if len(self.mechanisms.plain) < 2:
+            return np.full(np.shape(photo), np.nan), np.full(np.shape(photo), np.nan)
+        angle = np.arctan2(np.maximum(photo, 0.0), np.maximum(compton, 1e-12))
+        numbers = np.arange(1, HEAVIEST + 1, dtype=np.float64)
+        number = np.interp(angle, self.angles, numbers, right=np.nan)
+        density = np.hypot(photo, compton) / np.interp(angle, self.angles, self.per_electron)
+        return np.where(density > _LEAST_MATTER, number, np.nan), density
+
+
+def check_energies(energies: Sequence[float]) -> tuple[float, ...]:
+    """Energies of virtual monoenergetic images.
+
+    Raises
+    ------
+    InputError
+        For one where attenuation is not known.
+    """
+    for energy in energies:
+        if not 10 <= energy <= 500:
+            raise InputError(f"--energy must be between 10 and 500 keV, got {energy:g}")
+    return tuple(energies)
+
+
+def _element_table(
+    energy: Float[np.ndarray, " node"], weights: Float[np.ndarray, " node"]
+) -> Float[np.ndarray, "element 2"]:
+    """Photoelectric and Compton coefficients [1/mm] of every element at the electron density of water."""
+    electrons = float(WATER.density or 0.0) * electrons_per_gram("Water, Liquid")
+    rows = []
+    for number in range(1, HEAVIEST + 1):
+        element = {symbol(number): 1.0}
+        gram = Material(symbol(number), 1.0, element).coefficients_in(MECHANISMS, energy, weights)
+        rows.append(gram * electrons / electrons_per_gram(element))
+    return np.array(rows)

@@ -1,0 +1,146 @@
+"""What a segmentation is: its options, the clusters with their physical numbers, and the maps."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from recon.segmentation.clustering import BANDWIDTH
+from recon.segmentation.colours import colours_of, kind_of, names_of
+from recon.segmentation.labelling import NOTHING
+from recon.segmentation.readouts import Readouts, check_energies
+from recon.segmentation.rendering import slices_rgb
+from recon.segmentation.subject import Subject
+from spectra.errors import InputError
+
+DOMAINS = ("gaussians", "voxels")
+FEATURES = ("local", "own")
+ENERGY = 70.0  # of virtual monoenergetic images where none is asked for [keV]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What steers a segmentation.
+
+    Parameters
+    ----------
+    domain : ``gaussians`` or ``voxels``; None for Gaussians where a run has them
+    features : of the values at each Gaussian (``local``), or of its own coefficients (``own``), as in the paper
+    bandwidth : of the mean shift, in units of `recon.segmentation.clustering.unit_of`
+    energies : of virtual monoenergetic images [keV]
+    seed : of the choice of samples
+    """
+
+    domain: str | None = None
+    features: str = FEATURES[0]
+    bandwidth: float = BANDWIDTH
+    energies: tuple[float, ...] = (ENERGY,)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.domain not in (None, *DOMAINS):
+            raise InputError(f"the domain must be one of {', '.join(DOMAINS)}, got {self.domain!r}")
+        if self.features not in FEATURES:
+            raise InputError(f"the features must be one of {', '.join(FEATURES)}, got {self.features!r}")
+        if not 0 < self.bandwidth < np.inf:
+            raise InputError(f"the bandwidth must be positive, got {self.bandwidth}")
+        object.__setattr__(self, "energies", check_energies(self.energies))
+
+
+@dataclass(frozen=True, eq=False)
+class Cluster:
+    """One material that was found.
+
+    Parameters
+    ----------
+    name : what it looks like
+    colour : RGB between 0 and 1
+    coefficients : medians inside of it, of each basis function [1/mm]
+    features : rho [1/mm], kappa, f_K of each K edge
+    volume_ml : of its voxels
+    atomic_number, electron_density : without contrast agents; relative to water; NaN where unknown
+    hounsfield : at each energy of the options [HU]
+    without_contrast : the same without contrast agents [HU]
+    concentrations : of each contrast agent [mg/ml]
+    """
+
+    name: str
+    colour: Float[np.ndarray, "3"]
+    coefficients: Float[np.ndarray, " basis"]
+    features: Float[np.ndarray, " feature"]
+    volume_ml: float
+    atomic_number: float
+    electron_density: float
+    hounsfield: tuple[float, ...]
+    without_contrast: tuple[float, ...]
+    concentrations: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Segmentation:
+    """Material maps of a run.
+
+    Parameters
+    ----------
+    subject : what was segmented
+    readouts : what its coefficients mean
+    options : what steered it; `domain` says which one was taken
+    clusters : those without K edge by kappa and density, then those of each K edge by their part
+    labels : of voxels, 0 air and i + 1 cluster i
+    materials : density of each cluster [1/mm]
+    gaussian_labels : cluster of each Gaussian; None in the domain of voxels
+    gaussian_densities : density that each Gaussian gives to each cluster [1/mm]; None there
+    """
+
+    subject: Subject
+    readouts: Readouts
+    options: Options
+    clusters: tuple[Cluster, ...]
+    labels: Int[np.ndarray, "z y x"]
+    materials: Float[np.ndarray, "material z y x"]
+    gaussian_labels: Int[np.ndarray, " gaussian"] | None = None
+    gaussian_densities: Float[np.ndarray, "gaussian material"] | None = None
+
+    @property
+    def colours(self) -> Float[np.ndarray, "material 3"]:
+        """RGB of each cluster."""
+        return np.array([c.colour for c in self.clusters])
+
+    @property
+    def densities(self) -> Float[np.ndarray, " material"]:
+        """Density of each cluster [1/mm]."""
+        return np.array([c.features[0] for c in self.clusters])
+
+    def rgb(self, colours: Float[np.ndarray, "material 3"] | None = None) -> Float[np.ndarray, "z y x 3"]:
+        """The volume in colours between 0 and 1."""
+        chosen = self.colours if colours is None else colours
+        return slices_rgb(self.materials, self.densities, chosen, self.labels > NOTHING)
+
+
+def describe(
+    readouts: Readouts,
+    coefficients: Float[np.ndarray, "cluster basis"],
+    energies: Sequence[float],
+    volumes_ml: Float[np.ndarray, " cluster"],
+) -> tuple[Cluster, ...]:
+    """What materials are, by their coefficients; they are in order."""
+    columns = np.asarray(coefficients, dtype=np.float64).T
+    features = readouts.mechanisms.features(readouts.mechanisms(columns)).T
+    plain = readouts.without_contrast(columns)
+    numbers, electrons = readouts.electrons(columns)
+    kinds = [
+        kind_of(row, float(number), tuple(readouts.basis.names[i] for i in readouts.mechanisms.edges))
+        for row, number in zip(features, numbers, strict=True)
+    ]
+    monoenergetic = np.array([readouts.hounsfield(columns, e) for e in energies]).reshape(len(energies), -1)
+    virtual = np.array([readouts.hounsfield(plain, e) for e in energies]).reshape(len(energies), -1)
+    agents = {element: readouts.concentration(columns, element) for element in readouts.agents}
+    return tuple(
+        Cluster(
+            name, colour, columns[:, i], features[i], float(volumes_ml[i]), float(numbers[i]), float(electrons[i]),
+            tuple(map(float, monoenergetic[:, i])), tuple(map(float, virtual[:, i])),
+            {element: float(amount[i]) for element, amount in agents.items()},
+        )
+        for i, (name, colour) in enumerate(zip(names_of(kinds), colours_of(kinds), strict=True))
+    )  # fmt: skip
