@@ -2,14 +2,14 @@
 
 Three ways lead from counts to volumes of the bases. `two-step`: every ray is decomposed by maximum likelihood, then the
 line integrals of each basis are reconstructed. `image`: each channel is reconstructed, then decomposed in every voxel.
-A method that takes counts knows a way of its own.
+A method that takes counts knows a way of its own, and one that predicts views has no volume: `recon.view_synthesis`.
 """
 
 import json
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import yaml
@@ -23,7 +23,7 @@ from phantomgen.versions import environment
 from recon.baselines.circle import circle_of
 from recon.baselines.fdk import Fdk
 from recon.baselines.image_domain import reconstruct_channels
-from recon.baselines.method import CountsMethod, Iteration, Method, OnIteration
+from recon.baselines.method import CountsMethod, Iteration, Method, OnIteration, ViewMethod
 from recon.decompose import decompose_views
 from recon.filling import filled
 from recon.measurements import Measurements, matching_bin, read_measurements
@@ -33,22 +33,13 @@ from recon.report import write_json, write_volumes
 from recon.run_folder import write_scan
 from recon.scoring import psnr_of_bases, score_test_views, score_truth
 from recon.start import check_directions
+from recon.view_synthesis import Watcher, run_views
 from recon.voxels import Voxels
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
 
 PIPELINES = ("two-step", "image")
 SNAPSHOTS = 10  # volumes kept along the way, for error against time
-
-
-class Watcher(Protocol):
-    """What is told how a run goes on."""
-
-    def stage(self, name: str) -> None:
-        """A stage begins."""
-
-    def iterated(self, iteration: Iteration) -> None:
-        """An iteration is done."""
 
 
 class _Log:
@@ -63,7 +54,9 @@ class _Log:
     def add(self, iteration: Iteration) -> None:
         seconds = time.perf_counter() - self._began
         self.entries.append({"iteration": iteration.done, "seconds": seconds, "residual": iteration.residual})
-        due = iteration.done % max(iteration.total // SNAPSHOTS, 1) == 0 or iteration.done == iteration.total
+        last = self.entries[-2]["iteration"] if len(self.entries) > 1 else 0
+        every = max(iteration.total // SNAPSHOTS, 1)
+        due = iteration.done // every > last // every or iteration.done == iteration.total
         if due and iteration.volumes.shape[1:] == self._shape:
             self.volumes[iteration.done] = iteration.volumes.copy()
 
@@ -80,7 +73,7 @@ class _Log:
 def run_classical(
     dataset: Dataset,
     folder: Path,
-    method: Method,
+    method: Method | ViewMethod,
     pipeline: str,
     bases: int | None,
     figures: bool,
@@ -103,6 +96,8 @@ def run_classical(
         check_method(method, pipeline, dataset)
         for view in dataset.splits["test"]:
             dataset.load([view])  # counts that cannot be scored are refused now
+    if isinstance(method, ViewMethod):
+        return run_views(dataset, folder, method, bases, figures, watcher, clock)
     with clock("read"):
         measured = read_measurements(dataset, dataset.splits["train"], bases)
         measured, node_error = measured.compressed(Recipe().node_tolerance)
@@ -132,7 +127,7 @@ def run_classical(
     return metrics
 
 
-def check_method(method: Method, pipeline: str, dataset: Dataset) -> None:
+def check_method(method: Method | ViewMethod, pipeline: str, dataset: Dataset) -> None:
     """Refuse what cannot be, before any work.
 
     Raises
@@ -144,6 +139,8 @@ def check_method(method: Method, pipeline: str, dataset: Dataset) -> None:
     """
     if isinstance(method, CountsMethod) and pipeline != PIPELINES[0]:
         raise InputError(f"the method {method.name} works on counts: leave --pipeline {pipeline} out")
+    if isinstance(method, ViewMethod) and pipeline != PIPELINES[0]:
+        raise InputError(f"the method {method.name} has no volume: leave --pipeline {pipeline} out")
     train = dataset.geometry[dataset.splits["train"]]
     check_directions(train)
     if isinstance(method, Fdk):

@@ -71,7 +71,7 @@ def _finite(_: click.Context, __: click.Parameter, value: float | None) -> float
     type=click.Choice(["gaussian", *METHODS]),
     default="gaussian",
     show_default=True,
-    help="Gaussians, or voxels by a classical method; `--sweeps` are then its iterations.",
+    help="Gaussians, or an opponent, classical or learned; `--sweeps` are then its iterations.",
 )
 @click.option(
     "--pipeline",
@@ -80,7 +80,7 @@ def _finite(_: click.Context, __: click.Parameter, value: float | None) -> float
     show_default=True,
     help="Of classical methods: bases from counts ray by ray before, or linearly voxel by voxel after.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the first Gaussians.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all that is random.")
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
 @click.option("--held-out", type=click.IntRange(min=0), default=0, help="Training views that only say when to stop.")
@@ -156,7 +156,7 @@ def fit(
             return
         folder = RunFolder(Path(out) if out else Path(f"{source.stem}-run"), overwrite, resume)
         if method != "gaussian":
-            chosen = method_named(method, None if sweeps is None else max(round(sweeps), 1))
+            chosen = method_named(method, None if sweeps is None else max(round(sweeps), 1), seed)
             with folder as part:
                 metrics = run_classical(opened, part, chosen, pipeline, _count(bases), figures, bar)
         else:
@@ -169,11 +169,13 @@ def fit(
     click.echo("")
     if isinstance(how, PaperRecipe):
         click.echo(how.says)
-    what = f"{metrics['gaussians']} Gaussians" if method == "gaussian" else f"{method} in voxels"
+    result = next(name for name in ("volumes.h5", "views.h5") if (folder.path / name).is_file())
+    in_what = "in voxels" if result == "volumes.h5" else "without a volume"
+    what = f"{metrics['gaussians']} Gaussians" if method == "gaussian" else f"{method} {in_what}"
     click.echo(f"{what}, {_seconds(metrics)}{_memory(metrics)}")
     for name in sorted(path.name for path in (folder.path / "figures").glob("*.png")):
         click.echo(str(folder.path / "figures" / name))
-    click.echo(f"Wrote {folder.path}; next: look at the figures, or open {folder.path / 'volumes.h5'}")
+    click.echo(f"Wrote {folder.path}; next: look at the figures, or open {folder.path / result}")
 
 
 @main.command(epilog="\b\nExamples:\n  recon edge kedge.h5\n  recon edge scan.h5 --edge 33,50 -o found")
@@ -277,7 +279,7 @@ class _Bar:
 
         if self.bar is None:
             self.bar = tqdm(total=iteration.total, desc="iterations", disable=True if self.quiet else None)
-        self.bar.update()
+        self.bar.update(max(iteration.done - self.bar.n, 0))
         if iteration.residual is not None:
             self.bar.set_postfix(residual=f"{iteration.residual:.4g}")
 

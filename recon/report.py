@@ -85,8 +85,8 @@ class RunFolder:
 
 
 def _is_run(path: Path) -> bool:
-    """Whether a folder was written by a run; one that was stopped has no volumes, a voxel method has no model."""
-    return (path / "metrics.json").is_file() and any((path / name).is_file() for name in (MODEL, "volumes.h5"))
+    """Whether a folder was written by a run; stopped ones lack volumes, voxel methods a model, some have views only."""
+    return (path / "metrics.json").is_file() and any((path / n).is_file() for n in (MODEL, "volumes.h5", "views.h5"))
 
 
 class Stopped(KeyboardInterrupt):

@@ -5,6 +5,11 @@ TOLERANCES = {
     "kernel_value": 3e-5,
     # the same cut in gradients, whose tails are heavier by the square of 5 standard deviations; measured 1.2e-4
     "kernel_gradient": 5e-4,
+    # float32 near an outline, where the slope of a chord is largest; measured 5e-6 and 1e-4
+    "chord_value": 2e-5,
+    "chord_gradient": 4e-4,
+    # 64 points per voxel tell how full it is
+    "filled_mass": 5e-3,
     # tails beyond the default 3.7 standard deviations are exp(-6.8) = 1.07e-3 of a peak
     "rasterize_truncation": 1.1e-3,
     # tails beyond the default 4.5 standard deviations are exp(-10.1) = 4e-5 of a peak

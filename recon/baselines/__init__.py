@@ -1,7 +1,7 @@
 """Classical reconstructions, one method per file, and the table that ``recon fit --method`` chooses from.
 
-A new method is a file with a frozen dataclass that is a `recon.baselines.method.LinearMethod` or `CountsMethod`, and a
-line in `METHODS`. Modules are imported when their method is asked for.
+A new method is a file with a frozen dataclass that is a `recon.baselines.method.LinearMethod`, `CountsMethod` or
+`ViewMethod`, and a line in `METHODS`. Modules are imported when their method is asked for.
 """
 
 from dataclasses import fields, replace
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from spectra.errors import InputError
 
 if TYPE_CHECKING:
-    from recon.baselines.method import Method
+    from recon.baselines.method import Method, ViewMethod
 
 METHODS = {  # name -> module and class
     "fdk": ("fdk", "Fdk"),
@@ -20,11 +20,16 @@ METHODS = {  # name -> module and class
     "cgls": ("cgls", "Cgls"),
     "pdhg-tv": ("pdhg_tv", "PdhgTv"),
     "one-step": ("one_step", "OneStep"),
+    "gaussian-mono": ("splatting.gaussian_mono", "GaussianMono"),
+    "ellipsoid": ("splatting.ellipsoid", "Ellipsoid"),
+    "x-gaussian": ("splatting.x_gaussian", "XGaussian"),
+    "neural": ("neural.field", "Neural"),
+    "sax-nerf": ("neural.sax_nerf", "SaxNerf"),
 }
 
 
-def method_named(name: str, iterations: int | None = None) -> "Method":
-    """A method with its defaults, or with a number of iterations of its own.
+def method_named(name: str, iterations: int | None = None, seed: int | None = None) -> "Method | ViewMethod":
+    """A method with its defaults, or with a number of iterations of its own; methods without chance ignore a seed.
 
     Raises
     ------
@@ -35,8 +40,11 @@ def method_named(name: str, iterations: int | None = None) -> "Method":
         raise InputError(f"there is no method {name}: choose one of {', '.join(METHODS)}")
     module, kind = METHODS[name]
     method = getattr(import_module(f"recon.baselines.{module}"), kind)()
+    known = {field.name for field in fields(method)}
+    if seed is not None and "seed" in known:
+        method = replace(method, seed=seed)
     if iterations is None:
         return method
-    if "iterations" not in {field.name for field in fields(method)}:
+    if "iterations" not in known:
         raise InputError(f"the method {name} has no number of iterations to choose: leave --sweeps out")
     return replace(method, iterations=iterations)

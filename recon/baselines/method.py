@@ -14,6 +14,7 @@ from recon.measurements import Measurements
 Volumes: TypeAlias = Float[np.ndarray, "basis z y x"]
 Images: TypeAlias = Float[np.ndarray, "basis view row column"]
 Weights: TypeAlias = Float[np.ndarray, "view row column"]
+ViewModel: TypeAlias = Callable[[Geometry], Float[np.ndarray, "channel view row column"]]  # log projections from there
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +26,9 @@ class Iteration:
     done, total : iterations so far and in all
     residual : what is left of the data, as a method measures it: norm of residuals, deviance per count, or duality gap
         over the objective; None where it was not looked at
-    volumes : the state [1/mm]; it changes in place, so copy what is to be kept
+    volumes : the state [1/mm]; it changes in place, so copy what is to be kept; empty for a method without volumes
     grid : of the volumes where it is another one than was asked for, as in coarse passes
+    views : the state of a method without volumes; it changes in place
     """
 
     done: int
@@ -34,6 +36,7 @@ class Iteration:
     residual: float | None
     volumes: Volumes
     grid: Grid | None = None
+    views: ViewModel | None = None
 
 
 OnIteration: TypeAlias = Callable[[Iteration], None]
@@ -98,6 +101,36 @@ class CountsMethod(Protocol):
         self, measurements: Measurements, grid: Grid, on_iteration: OnIteration = unwatched
     ) -> Volumes:
         """Volumes [1/mm] of the bases of `measurements`."""
+        ...
+
+
+@runtime_checkable
+class ViewMethod(Protocol):
+    """Log projections in views that were not taken; there is no volume."""
+
+    @property
+    def name(self) -> str:
+        """What ``--method`` calls it."""
+        ...
+
+    def learn_views(
+        self,
+        log_projections: Images,
+        weights: Weights | None,
+        geometry: Geometry,
+        grid: Grid,
+        on_iteration: OnIteration = unwatched,
+    ) -> ViewModel:
+        """What predicts log projections of all channels, from those of the given views.
+
+        Parameters
+        ----------
+        log_projections : one image per channel and view
+        weights : how much each ray counts, 0 for those that were not measured; all alike if None
+        geometry : poses of the views
+        grid : where the object is
+        on_iteration : called after every iteration
+        """
         ...
 
 

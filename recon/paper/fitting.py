@@ -1,7 +1,7 @@
 """The paper's optimisation: Adam, one random view per step, density control, and a K edge that wakes up late."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -17,6 +17,7 @@ from recon.paper.model import FactorisedGaussians, Units
 from recon.paper.projections import Projections
 from recon.paper.projector import detector_gradient
 from recon.paper.recipe import PaperRecipe
+from recon.paper.schedule import is_due, views_in_random_order
 from recon.paper.spectral import SpectralModel
 from spectra.threads import without_other_pools
 
@@ -54,7 +55,7 @@ def fit(
     edge = spectral.basis.edge
     edge_adam = None if edge is None or not recipe.uses("kedge-learning") else EdgeAdam(edge, recipe)
     freeze = recipe.scaled(recipe.edge_freeze) if recipe.uses("kedge-freezing") else 0
-    order, rng = _views(len(projections), recipe.seed), np.random.default_rng([recipe.seed, 3])
+    order, rng = views_in_random_order(len(projections), recipe.seed), np.random.default_rng([recipe.seed, 3])
     pull, began = PullOnPanel(len(model)), time.perf_counter()
     for step in range(1, recipe.steps + 1):
         view = next(order)
@@ -72,10 +73,10 @@ def fit(
         adam.step((step - 1) / max(recipe.steps - 1, 1))
         if edge_adam is not None and step > freeze:
             edge_adam.step()
-        if _due(step, recipe.densify_every, recipe) and step > recipe.scaled(recipe.densify_from):
+        if is_due(step, recipe.densify_every, recipe) and step > recipe.scaled(recipe.densify_from):
             densify(adam, pull, grid, units, recipe, rng)
             pull = PullOnPanel(len(model))
-        if _due(step, recipe.fraction_reset, recipe) and recipe.uses("fraction-reset"):
+        if is_due(step, recipe.fraction_reset, recipe) and recipe.uses("fraction-reset"):
             reset_fractions(adam)
         counts = torch.from_numpy(projections.counts[views])
         expected = torch.from_numpy(projections.open_beam[views]) * torch.exp(-rendered.log_projections.detach())
@@ -87,15 +88,3 @@ def fit(
         if on_step(Progress(step, recipe.steps, seconds, misfit, gaussians, squares, None, snapshot)):
             break
     return model
-
-
-def _due(step: int, interval: int, recipe: PaperRecipe) -> bool:
-    """Whether something that happens at an interval of the paper's steps, until densification ends, happens now."""
-    return step < recipe.scaled(recipe.densify_until) and step % recipe.scaled(interval) == 0
-
-
-def _views(count: int, seed: int) -> Iterator[int]:
-    """Every view once in random order, again and again."""
-    rng = np.random.default_rng([seed, 2])
-    while True:
-        yield from rng.permutation(count).tolist()

@@ -57,6 +57,39 @@ def test_every_method_writes_a_run_folder(circle, tmp_path, method, pipeline):
     assert log[-1]["psnr_compton"] == pytest.approx(metrics["basis"]["compton"]["psnr"])
 
 
+@pytest.mark.parametrize("method", ["gaussian-mono", "ellipsoid", "neural", "sax-nerf"])
+def test_learned_methods_write_a_run_folder_too(circle, tmp_path, method):
+    options = ("--method", method, "--sweeps", "5", "--seed", "3", "--threads", "1", *FAST)
+    result = fit(circle, "-o", tmp_path / "run", *options)
+    assert result.exit_code == 0, result.output
+    assert f"{method} in voxels" in result.stdout
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert (metrics["method"]["iterations"], metrics["method"]["seed"]) == (5, 3)
+    with h5py.File(tmp_path / "run" / "volumes.h5") as file:
+        assert file["basis"]["data"].shape == (3, 16, 16, 16)
+    log = [json.loads(line) for line in (tmp_path / "run" / "log.jsonl").read_text().splitlines()]
+    assert log[-1]["iteration"] == 5
+    assert log[-1]["psnr_compton"] == pytest.approx(metrics["basis"]["compton"]["psnr"])
+
+
+def test_a_method_without_a_volume_scores_views_and_shows_dashes(circle, tmp_path):
+    options = ("--method", "x-gaussian", "--sweeps", "5", "--quiet")
+    result = fit(circle, "-o", tmp_path / "run", *options)
+    assert result.exit_code == 0, result.output
+    assert "x-gaussian without a volume" in result.stdout
+    row = next(line for line in result.stdout.splitlines() if line.startswith("compton"))
+    assert row.split()[1:3] == ["-", "-"]
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert metrics["basis"]["compton"]["psnr"] is None
+    assert all(scores["psnr"] > 5 for scores in metrics["channels"].values())
+    with h5py.File(tmp_path / "run" / "views.h5") as file:
+        assert file["views"]["data"].shape == (2, 4, 32, 32)
+    assert (tmp_path / "run" / "figures" / "residuals.png").is_file()
+    assert not (tmp_path / "run" / "volumes.h5").exists()
+    again = fit(circle, "-o", tmp_path / "run", "--overwrite", "--no-figures", *options)
+    assert again.exit_code == 0, again.output
+
+
 def test_decomposition_by_rays_is_better_than_by_voxels(circle, tmp_path):
     """The linear fit suffers from beam hardening, mostly in the photoelectric basis."""
     scores = {}
@@ -95,6 +128,8 @@ def test_gaussians_start_from_one_step_voxels_on_any_orbit(helix, tmp_path):
             ("--method", "fdk", "--sweeps", "3"),
             "the method fdk has no number of iterations to choose: leave --sweeps out",
         ),
+        (("--method", "x-gaussian", "--bases", "2"), "has no basis volumes: leave --bases 2 out"),
+        (("--method", "x-gaussian", "--pipeline", "image"), "has no volume: leave --pipeline image out"),
     ],
 )
 def test_what_cannot_be_is_one_sentence(helix, tmp_path, arguments, words):

@@ -95,7 +95,7 @@ def whitening_backward(log_scales, quaternions, matrices, cotangents, first, las
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _project(centre, matrix, frame, inverse, box, affine, w):
+def look(centre, matrix, frame, inverse, box, affine, w):
     """Fill the scratch vectors `w` of one Gaussian in one view; returns False where its centre is behind the source.
 
     Rows of `w`: 0 offset, 1 u, 2 vx, 3 vy, 4 u x vx, 5 u x vy, 6 v at the centre, 7 (xc, yc, lambda),
@@ -136,6 +136,29 @@ def _project(centre, matrix, frame, inverse, box, affine, w):
     return math.isfinite(det_wide) and det > 0
 
 
+@njit(inline="always")
+@no_type_check
+def write_footprint(w, box, k2, rows, out):
+    """Write all numbers of a footprint but its rows, which are returned; nothing where there are none."""
+    p11, p12, p22 = w[9, 0], w[9, 1], w[9, 2]
+    e1, e2, e3, e4, e5 = w[11, 0], w[11, 1], w[11, 2], w[12, 0], w[12, 1]
+    q11, q12, q22 = p11 - k2 * e3, p12 - k2 * e4 / 2, p22 - k2 * e5
+    det = q11 * q22 - q12 * q12
+    low, high = 0.0, float(rows)
+    if q11 > 0 and det > 0:  # an ellipse; otherwise the bound is open and all rows are visited
+        middle = w[7, 1] + k2 / 2 * (q11 * e2 - q12 * e1) / det
+        square = k2 + k2 * k2 / 4 * (q22 * e1 * e1 - 2 * q12 * e1 * e2 + q11 * e2 * e2) / det
+        half = math.sqrt(square * q11 / det)
+        low, high = max(low, math.ceil(middle - half)), min(high, math.floor(middle + half) + 1)
+    if high > low:
+        out[XC], out[YC] = w[7, 0], w[7, 1]
+        out[L11], out[L21] = math.sqrt(p11), p12 / math.sqrt(p11)
+        out[L22] = 1 / math.sqrt(w[8, 2] + box)
+        out[E1], out[E2], out[E3], out[E4], out[E5] = e1, e2, e3, e4, e5
+        out[AMPLITUDE] = w[10, 1] * math.sqrt(2 * math.pi / w[10, 0]) * w[10, 2]
+    return low, high
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def footprints(centres, matrices, frame, inverse, box, cutoff, affine, rows, first, last, out):
@@ -152,7 +175,7 @@ def footprints(centres, matrices, frame, inverse, box, cutoff, affine, rows, fir
             kind = near.place(centres[g], matrices[g], frame, inverse, k2)
             if kind == HIDDEN:
                 continue
-        seen = _project(centres[g], matrices[g], frame, inverse, box, affine, w)
+        seen = look(centres[g], matrices[g], frame, inverse, box, affine, w)
         if kind == NEAR and (not seen or w[7, 2] < NEAR_SOURCE):  # all pixels
             for i in range(XC, AMPLITUDE):
                 out[g, i] = f4(0)
@@ -160,24 +183,9 @@ def footprints(centres, matrices, frame, inverse, box, cutoff, affine, rows, fir
             continue
         if not seen or (affine and w[7, 2] >= 1):
             continue
-        p11, p12, p22 = w[9, 0], w[9, 1], w[9, 2]
-        e1, e2, e3, e4, e5 = w[11, 0], w[11, 1], w[11, 2], w[12, 0], w[12, 1]
-        q11, q12, q22 = p11 - k2 * e3, p12 - k2 * e4 / 2, p22 - k2 * e5
-        det = q11 * q22 - q12 * q12
-        low, high = 0.0, float(rows)
-        if q11 > 0 and det > 0:  # an ellipse; otherwise the bound is open and all rows are visited
-            middle = w[7, 1] + k2 / 2 * (q11 * e2 - q12 * e1) / det
-            square = k2 + k2 * k2 / 4 * (q22 * e1 * e1 - 2 * q12 * e1 * e2 + q11 * e2 * e2) / det
-            half = math.sqrt(square * q11 / det)
-            low, high = max(low, math.ceil(middle - half)), min(high, math.floor(middle + half) + 1)
-        if high <= low:
-            continue
-        out[g, XC], out[g, YC] = w[7, 0], w[7, 1]
-        out[g, L11], out[g, L21] = math.sqrt(p11), p12 / math.sqrt(p11)
-        out[g, L22] = 1 / math.sqrt(w[8, 2] + box)
-        out[g, E1], out[g, E2], out[g, E3], out[g, E4], out[g, E5] = e1, e2, e3, e4, e5
-        out[g, AMPLITUDE] = w[10, 1] * math.sqrt(2 * math.pi / w[10, 0]) * w[10, 2]
-        out[g, ROW_0], out[g, ROW_1] = (high, low) if kind == NEAR else (low, high)
+        low, high = write_footprint(w, box, k2, rows, out[g])
+        if high > low:
+            out[g, ROW_0], out[g, ROW_1] = (high, low) if kind == NEAR else (low, high)
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
@@ -265,8 +273,8 @@ def _gather(p, coefficients, cotangent, k2, columns, sums, to_coefficients):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _chain(w, s, box, affine, matrix, frame, inverse, t, to_centre, to_matrix):
-    """Carry pixel sums `s` back to centre and whitening matrix, the steps of `_project` in reverse."""
+def chain(w, s, box, affine, matrix, frame, inverse, t, to_centre, to_matrix):
+    """Carry pixel sums `s` back to centre and whitening matrix, the steps of `look` in reverse."""
     xc, yc, depth = w[7, 0], w[7, 1], w[7, 2]
     c11, c12, c22 = w[8, 0], w[8, 1], w[8, 2]
     p11, p12, p22 = w[9, 0], w[9, 1], w[9, 2]
@@ -347,7 +355,7 @@ def backward(
             _gather(p, coefficients[g], cotangents[view], k2, columns, sums, lanes)
             for m in range(bases):
                 to_coefficients[g, m] += total(load(lanes, m * WIDTH))
-            _project(centres[g], matrices[g], frames[view], inverses[view], box, affine, w)
+            look(centres[g], matrices[g], frames[view], inverses[view], box, affine, w)
             if affine:
                 sums[6:] = 0.0
-            _chain(w, sums, box, affine, matrices[g], frames[view], inverses[view], t, to_centres[g], to_matrices[g])
+            chain(w, sums, box, affine, matrices[g], frames[view], inverses[view], t, to_centres[g], to_matrices[g])

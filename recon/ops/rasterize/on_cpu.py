@@ -29,7 +29,7 @@ class Settings(NamedTuple):
     affine: bool
 
 
-class _Views(NamedTuple):
+class Views(NamedTuple):
     """Some views: which, their footprints, and the lengths of their rays (view, row, column)."""
 
     numbers: range
@@ -52,7 +52,7 @@ class Scene:
         self.inverses = np.linalg.inv(np.stack([self.frames[:, 2], self.frames[:, 3], self.frames[:, 1]], axis=-1))
         self.matrices = np.empty((len(self.centres), 3, 3))
         self._each_chunk(lambda a, b: cpu.whitening(self.log_scales, self.quaternions, a, b, self.matrices))
-        self._kept: list[_Views] = []
+        self._kept: list[Views] = []
 
     def images(self) -> Float[np.ndarray, "view basis row column"]:
         """Line integrals."""
@@ -72,15 +72,7 @@ class Scene:
             padded = np.zeros((len(numbers), bases, s.rows, s.columns + WIDTH), np.float32)
             padded[..., : s.columns] = pulls[numbers.start : numbers.stop]
             padded[..., : s.columns] *= lengths[:, None]
-            frames, inverses = self.frames[numbers.start : numbers.stop], self.inverses[numbers.start : numbers.stop]
-
-            def gather(a: int, b: int, frames=frames, inverses=inverses, tables=tables, padded=padded) -> None:
-                cpu.backward(
-                    self.centres, self.matrices, self.coefficients, frames, inverses, tables, padded,
-                    self.box, s.cutoff, s.affine, s.columns, a, b, to_centres, to_matrices, to_coefficients,
-                )  # fmt: skip
-
-            self._each_chunk(gather)
+            self._gather(numbers, tables, padded, (to_centres, to_matrices, to_coefficients))
         to_scales, to_quaternions = np.empty((n, 3)), np.empty((n, 4))
         self._each_chunk(
             lambda a, b: cpu.whitening_backward(
@@ -89,11 +81,21 @@ class Scene:
         )
         return to_centres, to_scales, to_quaternions, to_coefficients
 
+    def _gather(self, numbers: range, tables: np.ndarray, padded: np.ndarray, sums: tuple[np.ndarray, ...]) -> None:
+        """Add what some views pull at centres, whitening matrices and coefficients."""
+        s, some = self.settings, slice(numbers.start, numbers.stop)
+        self._each_chunk(
+            lambda a, b: cpu.backward(
+                self.centres, self.matrices, self.coefficients, self.frames[some], self.inverses[some], tables, padded,
+                self.box, s.cutoff, s.affine, s.columns, a, b, *sums,
+            )
+        )  # fmt: skip
+
     def _each_chunk(self, task: Callable[[int, int], None]) -> None:
         n = len(self.centres)
-        _run(lambda a: task(a, min(a + CHUNK, n)), range(0, n, CHUNK))
+        run_all(lambda a: task(a, min(a + CHUNK, n)), range(0, n, CHUNK))
 
-    def _groups(self) -> Iterator[_Views]:
+    def _groups(self) -> Iterator[Views]:
         """All views in their order, as many at a time as TABLE_BYTES holds."""
         if self._kept:
             yield from self._kept
@@ -104,14 +106,14 @@ class Scene:
         lengths = np.empty((min(size, views), self.settings.rows, self.settings.columns), np.float32)
         for first in range(0, views, size):
             numbers = range(first, min(first + size, views))
-            group = _Views(numbers, tables[: len(numbers)], lengths[: len(numbers)])
+            group = Views(numbers, tables[: len(numbers)], lengths[: len(numbers)])
             self._measure(group)
             self._project(group)
             if len(numbers) == views:
                 self._kept = [group]
             yield group
 
-    def _project(self, views: _Views) -> None:
+    def _project(self, views: Views) -> None:
         """Fill the footprints of some views."""
         s, n = self.settings, len(self.centres)
 
@@ -123,9 +125,9 @@ class Scene:
                 a, min(a + CHUNK, n), views.tables[i],
             )  # fmt: skip
 
-        _run(project, [(i, a) for i in range(len(views.numbers)) for a in range(0, n, CHUNK)])
+        run_all(project, [(i, a) for i in range(len(views.numbers)) for a in range(0, n, CHUNK)])
 
-    def _splat(self, views: _Views, image: np.ndarray) -> None:
+    def _splat(self, views: Views, image: np.ndarray) -> None:
         """Add the footprints of some views to `image` (view, basis, row, padded column)."""
         s = self.settings
 
@@ -141,9 +143,9 @@ class Scene:
                 )  # fmt: skip
             cpu.forward(table, self.coefficients, views.lengths[i], s.cutoff, s.columns, a, b, image[number])
 
-        _run(splat, [(i, band) for i in range(len(views.numbers)) for band in range(BANDS)])
+        run_all(splat, [(i, band) for i in range(len(views.numbers)) for band in range(BANDS)])
 
-    def _measure(self, views: _Views) -> None:
+    def _measure(self, views: Views) -> None:
         """Fill the length |d| of each ray; 1 in the local-affine projection, whose footprints hold one length each."""
         x, y = np.arange(self.settings.columns)[None, :, None], np.arange(self.settings.rows)[:, None, None]
         for lengths, number in zip(views.lengths, views.numbers, strict=True):
@@ -154,6 +156,7 @@ class Scene:
                 lengths[:] = np.linalg.norm(first + x * column_step + y * row_step, axis=-1)
 
 
-def _run(task: Callable[[T], None], pieces: Iterable[T]) -> None:
+def run_all(task: Callable[[T], None], pieces: Iterable[T]) -> None:
+    """Do a task for all pieces, on all threads."""
     for _ in run_parallel(task, pieces):
         pass

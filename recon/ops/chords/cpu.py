@@ -1,0 +1,192 @@
+"""Numba kernels of the chords: those of the rasterizer, with the root of a chord in the place of its exponential.
+
+In pixels (x, y) from the projected centre, with N, E and amplitude as in `recon.ops.rasterize.cpu` and t = 1 - N / E,
+the integral is |d| amplitude 2 / sqrt(2 pi) E^-1/2 root(t) where t > 0. Pixels are sampled at their centres.
+"""
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+from recon.ops.rasterize.cpu import SCRATCH, chain, look, write_footprint
+from recon.ops.rasterize.table import (
+    AMPLITUDE,
+    E1,
+    E2,
+    E3,
+    E4,
+    E5,
+    L11,
+    L21,
+    L22,
+    ROW_0,
+    ROW_1,
+    XC,
+    YC,
+    row_span,
+)
+from recon.ops.simd import WIDTH, load, minimum, ramp, splat, square_root, store, total, where_less
+
+f4 = np.float32
+UNIT = np.float32(2 / math.sqrt(2 * math.pi))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def footprints(centres, matrices, frame, inverse, rows, first, last, out):
+    """Write the numbers of ellipsoids `first` to `last` in one view into `out`; no rows where one is not all seen."""
+    w = np.empty((SCRATCH, 3))
+    for g in range(first, last):
+        out[g, ROW_0] = out[g, ROW_1] = f4(0)
+        depth, spread = 0.0, 0.0
+        for i in range(3):
+            depth += inverse[2, i] * (centres[g, i] - frame[0, i])
+            along, norm = 0.0, 0.0
+            for j in range(3):
+                along += inverse[2, j] * matrices[g, i, j]
+                norm += matrices[g, i, j] * matrices[g, i, j]
+            spread += along * along / (norm * norm)
+        half = math.sqrt(spread)
+        if not half < depth < 1 - half or not look(centres[g], matrices[g], frame, inverse, 0.0, False, w):
+            continue
+        low, high = write_footprint(w, 0.0, 1.0, rows, out[g])
+        if high > low:
+            out[g, ROW_0], out[g, ROW_1] = low, high
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@no_type_check
+def forward(table, coefficients, lengths, smooth, columns, row_first, row_last, image):
+    """Add ellipsoids to rows `row_first` to `row_last` of `image` (basis, row, padded column), times |d|."""
+    bases, rows, stride = image.shape
+    e, corner = f4(smooth), f4(math.sqrt(smooth))
+    for g in range(table.shape[0]):
+        p = table[g]
+        for r in range(max(int(p[ROW_0]), row_first), min(int(p[ROW_1]), row_last)):
+            dy = f4(r) - p[YC]
+            low, high = row_span(p, dy, f4(1), columns)
+            shear, across = p[L21] * dy, p[L22] * dy
+            flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
+            for base in range(low, high, WIDTH):
+                x = ramp(f4(base) - p[XC])
+                inverse = f4(1) / ((x * p[E3] + tilt) * x + flat)
+                along = x * p[L11] + shear
+                q = (along * along + across * across) * inverse
+                t = f4(1) - q
+                under = minimum(t, e)
+                part = under * (f4(1) / e)
+                root = square_root(t - under + e) + (part * (f4(1.5) - part * f4(0.5)) - f4(1)) * corner
+                value = where_less(q, f4(1), square_root(inverse) * root * (p[AMPLITUDE] * UNIT))
+                for m in range(bases):
+                    at = (m * rows + r) * stride + base
+                    store(image, at, load(image, at) + value * coefficients[g, m])
+    for m in range(bases):
+        for r in range(row_first, row_last):
+            for c in range(columns):
+                image[m, r, c] *= lengths[r, c]
+
+
+@njit(forceinline=True, fastmath=True, error_model="numpy")
+@no_type_check
+def _gather(p, coefficients, cotangent, smooth, columns, sums, to_coefficients):
+    """Sums over one ellipsoid's pixels, as `recon.ops.rasterize.cpu.backward` defines them."""
+    bases, rows, stride = cotangent.shape
+    zero = splat(f4(0))
+    e, corner = f4(smooth), f4(math.sqrt(smooth))
+    w0, ax, ay, axx, axy, ayy = zero, zero, zero, zero, zero, zero
+    b0, bx, by, bxx, bxy, byy = zero, zero, zero, zero, zero, zero
+    for r in range(int(p[ROW_0]), int(p[ROW_1])):
+        dy = f4(r) - p[YC]
+        low, high = row_span(p, dy, f4(1), columns)
+        shear, across = p[L21] * dy, p[L22] * dy
+        flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
+        for base in range(low, high, WIDTH):
+            x = ramp(f4(base) - p[XC])
+            inverse = f4(1) / ((x * p[E3] + tilt) * x + flat)
+            along = x * p[L11] + shear
+            q = (along * along + across * across) * inverse
+            t = f4(1) - q
+            under = minimum(t, e)
+            part = under * (f4(1) / e)
+            long = square_root(t - under + e)
+            root = long + (part * (f4(1.5) - part * f4(0.5)) - f4(1)) * corner
+            slope = f4(0.5) / long + (f4(1) - part) * (f4(1) / corner)
+            height = square_root(inverse) * (p[AMPLITUDE] * UNIT)
+            value = where_less(q, f4(1), height * root)
+            pull = zero
+            for m in range(bases):
+                incoming = load(cotangent, (m * rows + r) * stride + base)
+                pull = pull + incoming * coefficients[m]
+                store(to_coefficients, m * WIDTH, load(to_coefficients, m * WIDTH) + incoming * value)
+            alpha = where_less(q, f4(1), pull * height * slope * inverse) * f4(-1)
+            pull = pull * value
+            beta = pull * inverse * f4(-0.5) - alpha * q
+            w0 = w0 + pull
+            step, step_y = alpha * x, alpha * dy
+            ax, ay, axx, axy, ayy = ax + step, ay + step_y, axx + step * x, axy + step * dy, ayy + step_y * dy
+            step, step_y = beta * x, beta * dy
+            b0, bx, by = b0 + beta, bx + step, by + step_y
+            bxx, bxy, byy = bxx + step * x, bxy + step * dy, byy + step_y * dy
+    sums[0], sums[1], sums[2], sums[3] = total(w0), total(ax), total(ay), total(axx)
+    sums[4], sums[5], sums[6], sums[7] = total(axy), total(ayy), total(b0), total(bx)
+    sums[8], sums[9], sums[10], sums[11] = total(by), total(bxx), total(bxy), total(byy)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def backward(
+    centres, matrices, coefficients, frames, inverses, tables, cotangents, smooth, columns, first, last,
+    to_centres, to_matrices, to_coefficients,
+):  # fmt: skip
+    """Add the gradients of ellipsoids `first` to `last` over views in order; `cotangents` come multiplied by |d|."""
+    bases = coefficients.shape[1]
+    w, t, sums = np.zeros((SCRATCH, 3)), np.empty((6, 3)), np.empty(12)
+    lanes = np.empty(bases * WIDTH, np.float32)
+    for g in range(first, last):
+        for view in range(frames.shape[0]):
+            p = tables[view, g]
+            if p[ROW_1] <= p[ROW_0]:
+                continue
+            for i in range(bases * WIDTH):
+                lanes[i] = f4(0)
+            _gather(p, coefficients[g], cotangents[view], smooth, columns, sums, lanes)
+            for m in range(bases):
+                to_coefficients[g, m] += total(load(lanes, m * WIDTH))
+            look(centres[g], matrices[g], frames[view], inverses[view], 0.0, False, w)
+            chain(w, sums, 0.0, False, matrices[g], frames[view], inverses[view], t, to_centres[g], to_matrices[g])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def fill(centres, matrices, values, origin, spacing, parts, first, last, out):
+    """Add ellipsoids to the slices `first` to `last` of `out` (z, y, x), each voxel sampled at parts^3 points."""
+    low, high, x, start = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3), np.empty(3)
+    share = 1 / parts**3
+    for g in range(len(centres)):
+        a = matrices[g]
+        for i in range(3):
+            square = 0.0
+            for j in range(3):
+                norm = a[j, 0] ** 2 + a[j, 1] ** 2 + a[j, 2] ** 2
+                square += a[j, i] ** 2 / norm**2
+            middle, half = (centres[g, i] - origin[i]) / spacing[i], math.sqrt(square) / spacing[i]
+            size = out.shape[2 - i]
+            low[i] = max(math.floor(middle - half + 0.5), 0)
+            high[i] = min(math.floor(middle + half + 0.5), size - 1)
+            start[i] = origin[i] - centres[g, i] + (0.5 / parts - 0.5) * spacing[i]
+        for iz in range(max(low[2], first), min(high[2] + 1, last)):
+            for iy in range(low[1], high[1] + 1):
+                for ix in range(low[0], high[0] + 1):
+                    count = 0
+                    for s in range(parts**3):
+                        x[0] = start[0] + (ix + (s % parts) / parts) * spacing[0]
+                        x[1] = start[1] + (iy + (s // parts % parts) / parts) * spacing[1]
+                        x[2] = start[2] + (iz + (s // parts**2) / parts) * spacing[2]
+                        square = 0.0
+                        for j in range(3):
+                            along = a[j, 0] * x[0] + a[j, 1] * x[1] + a[j, 2] * x[2]
+                            square += along * along
+                        count += square < 1
+                    out[iz, iy, ix] += values[g] * count * share
