@@ -125,8 +125,42 @@ class Dataset:
 
     def with_basis(self, basis: Basis) -> "Dataset":
         """The same open file, read in other basis functions than those it states."""
+        return self._with(spectra=in_basis(self.spectra, basis))
+
+    def with_training_views(self, count: int) -> "Dataset":
+        """The same open file with some of the training views, evenly spread.
+
+        Raises
+        ------
+        InputError
+            When there are not so many.
+        """
+        train = self.splits["train"]
+        if not 1 <= count <= len(train):
+            raise InputError(f"{self.path} has {len(train)} training views: {count} cannot be used")
+        return self._with(splits=self.splits | {"train": train[np.arange(count) * len(train) // count]})
+
+    def without_channel(self, name: str) -> "Dataset":
+        """The same open file with a channel whose pixels count as masked.
+
+        Raises
+        ------
+        InputError
+            When there is no such channel.
+        """
+        channels = self.spectra.channels
+        if name not in channels:
+            raise InputError(f"{self.path} has no channel {name!r} to leave out: it has {', '.join(channels)}")
+        return self._with(mask=self.mask | (np.array(channels) == name)[:, None, None])
+
+    def with_grid(self, grid: Grid) -> "Dataset":
+        """The same open file that asks for another volume."""
+        return self._with(grid=grid)
+
+    def _with(self, **changed: Any) -> "Dataset":
+        """The same open file with values in place of those that it states."""
         other = replace(self)
-        vars(other)["spectra"] = in_basis(self.spectra, basis)  # in place of what would be read
+        vars(other).update(vars(self) | changed)
         return other
 
     @property

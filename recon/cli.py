@@ -11,8 +11,9 @@ from phantomgen.command import Commands, debug_option, json_option, version_opti
 from recon.baselines import METHODS
 from recon.cli_export import export
 from recon.cli_outputs import render, volume
-from recon.cli_view import view
 from recon.cli_segment import segment
+from recon.cli_view import view
+from recon.comparison.cli import compare
 
 if TYPE_CHECKING:
     from recon.baselines.method import Iteration
@@ -34,6 +35,7 @@ main.add_command(render)
 main.add_command(export)
 main.add_command(view)
 main.add_command(segment)
+main.add_command(compare)
 
 
 def _finite(_: click.Context, __: click.Parameter, value: float | None) -> float | None:

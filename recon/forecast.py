@@ -65,12 +65,16 @@ def forecast(dataset: Dataset, recipe: Recipe, bases: int | None, limit: float |
     count = len(result.gaussians)
     start = sum(seconds for name, seconds in result.seconds.items() if name != "fit")
     return Forecast(
-        count, timed[-1].steps, start, _all_steps(timed, recipe), plan_memory(dataset, recipe, bases, limit, count)
+        count,
+        timed[-1].steps,
+        start,
+        seconds_of_steps(timed, recipe),
+        plan_memory(dataset, recipe, bases, limit, count),
     )
 
 
-def _all_steps(timed: list[Progress], recipe: Recipe) -> float:
-    """Seconds of all steps, from the first, which also finds the curvature, and those after it."""
+def seconds_of_steps(timed: list[Progress], recipe: Recipe) -> float:
+    """Seconds of all steps of a recipe, from those of the first, which also finds the curvature, and a few after it."""
     first, last = timed[0].seconds, timed[-1].seconds
     plain = (last - first) / (len(timed) - 1) if len(timed) > 1 else first
     renewals = sum(ceil(stage.sweeps / recipe.curvature_sweeps) for stage in recipe.stages)

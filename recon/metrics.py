@@ -141,7 +141,7 @@ class HeldOutView:
         distance: float = 2.0,
     ) -> "HeldOutView":
         """With the rays more than `distance` pixels from the edges that the model's own log projections show."""
-        logs = _log_projections(expected, open_beam)
+        logs = log_projections(expected, open_beam)
         whole = np.stack([filled(image, air <= 0) for image, air in zip(logs, open_beam, strict=True)])
         return cls(counts, expected, open_beam, edge_mask(whole, distance))
 
@@ -213,8 +213,8 @@ def _spread(values: np.ndarray, true: float) -> Scores:
     return {"true": true, "mean": mean, "bias": mean - true, "sd": float(values.std())}
 
 
-def _log_projections(expected: np.ndarray, open_beam: np.ndarray) -> np.ndarray:
-    """-log of counts over open beam; 0 for a pixel that counts nothing."""
+def log_projections(expected: np.ndarray, open_beam: np.ndarray) -> np.ndarray:
+    """-log of counts, at least half a one, over open beam; 0 for a pixel that counts nothing."""
     logged = np.maximum(expected, _FEWEST_LOGGED).astype(np.float64)
     return np.log(np.where(open_beam > 0, open_beam, logged) / logged)
 
@@ -225,7 +225,7 @@ def _sums_of_view(view: HeldOutView) -> np.ndarray:
     counts = np.asarray(view.counts, dtype=np.float64)
     expected = np.maximum(np.asarray(view.expected, dtype=np.float64), _FEWEST_EXPECTED)
     logged = np.maximum(expected, _FEWEST_LOGGED)
-    projection = _log_projections(expected, view.open_beam)
+    projection = log_projections(expected, view.open_beam)
     away = seen & view.away
     chi_square = (counts - expected) ** 2 / expected
     log_error = np.log(np.maximum(counts, _FEWEST_LOGGED) / logged)

@@ -7,7 +7,7 @@ from scipy.optimize import nnls
 from voxel_scenes import balls, noisy_images
 
 from phantomgen.grid import Grid
-from recon.baselines.pdhg_tv import PdhgTv, _gradient_noise
+from recon.baselines.pdhg_tv import GAP_EVERY, PdhgTv, _gradient_noise
 from recon.baselines.ray_weights import RayWeights, noise_information
 from recon.baselines.voxel_likelihood import forward
 from recon.ops.total_variation import total_variation
@@ -57,10 +57,27 @@ def test_weights_of_each_ray_reach_the_same_gap(small):
 
 
 def test_equal_weights_of_each_ray_are_one_matrix_for_all(small):
+    """Filtered and diagonal steps go different ways to the same minimum."""
     images, geometry, grid = small
-    few = PdhgTv(iterations=20)
-    one, each = (few.reconstruct(images, w, geometry, grid) for w in (METRIC, per_ray(METRIC, images)))
-    np.testing.assert_allclose(each, one, atol=1e-4 * one.max())
+    one, each = (PRECISE.reconstruct(images, w, geometry, grid) for w in (METRIC, per_ray(METRIC, images)))
+    np.testing.assert_allclose(each, one, atol=3e-3 * one.max())
+
+
+@pytest.mark.parametrize("each", [False, True])
+def test_rays_beside_the_volume_leave_no_gap(small, each):
+    """Half of the panel sees past a grid of a third of the width; noise there costs as much in both objectives."""
+    images, geometry, _ = small
+    grid = Grid.cube(3, 4.0)
+    assert (forward(np.ones((1, 3, 3, 3), np.float32), geometry, grid) == 0).mean() > 0.3
+    weights = per_ray(METRIC, images) if each else METRIC
+    assert gaps(PRECISE, images, weights, geometry, grid)[1][-1] < 1e-5
+
+
+def test_default_settings_reach_their_tolerance(small):
+    images, geometry, grid = small
+    _, found = gaps(PdhgTv(), images, METRIC, geometry, grid)
+    assert found[-1] < PdhgTv().tolerance
+    assert len(found) * GAP_EVERY < PdhgTv().iterations
 
 
 def test_without_total_variation_it_is_non_negative_least_squares(small):
@@ -107,7 +124,9 @@ def test_a_channel_alone_needs_no_weights():
     """One component, noise found in the images themselves."""
     truth, grid = balls(bases=1)
     images, geometry = noisy_images(truth, grid, 0.1, views=24)
-    with_prior, without = (PdhgTv(strength=s).reconstruct(images, None, geometry, grid) for s in (1.0, 0.0))
+    with_prior, without = (
+        PdhgTv(iterations=60, strength=s).reconstruct(images, None, geometry, grid) for s in (1.0, 0.0)
+    )
     errors = [np.square(v - truth).mean() for v in (with_prior, without)]
     assert errors[0] < 0.5 * errors[1]
 
@@ -155,7 +174,9 @@ def test_weights_of_another_shape_are_refused():
         PdhgTv().reconstruct(images, np.ones((2, 3, 4)), geometry, Grid.cube(4, 12.0))
 
 
-@pytest.mark.parametrize("wrong", [{"iterations": 0}, {"strength": -1.0}, {"balance": 0.0}])
+@pytest.mark.parametrize(
+    "wrong", [{"iterations": 0}, {"strength": -1.0}, {"balance": 0.0}, {"relaxation": 0.9}, {"relaxation": 2.0}]
+)
 def test_settings_that_cannot_be_are_refused(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
         PdhgTv(**wrong)

@@ -1,0 +1,186 @@
+"""A comparison as a folder of results: what is missing is run, a process per contender, and one failure stops nothing.
+
+The folder holds ``settings.json``, ``results/<contender>/<budget>s.json`` and what `recon.comparison.table` and
+`recon.comparison.figure` make of them.
+"""
+
+import hashlib
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phantomgen.dataset import Dataset, open_dataset
+from recon.baselines.fdk import Fdk
+from recon.baselines.image_domain import log_projections
+from recon.comparison.contender import Contender
+from recon.comparison.job import Job, read_result, result_file, write_result
+from recon.measurements import matching_bin, read_measurements
+from spectra.errors import Error, InputError
+from spectra.threads import set_threads, without_other_pools
+
+SETTINGS, RESULTS, PSEUDO = "settings.json", "results", "pseudo-truth.npy"
+_SAMPLE = 2**20  # bytes at either end of a file that tell it from others
+
+Tell = Callable[[str], None]
+Result = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What all results of a folder have in common.
+
+    Parameters
+    ----------
+    dataset : name of the file
+    fingerprint : of its content
+    clock : ``wall`` or ``cpu``
+    threads : of each method; None for all
+    """
+
+    dataset: str
+    fingerprint: str
+    clock: str
+    threads: int | None
+
+
+class Campaign:
+    """The folder of a comparison.
+
+    Parameters
+    ----------
+    dataset : the file
+    folder : to write in
+    clock, threads : see `Settings`
+    resume : go on in a folder that exists
+    overwrite : begin anew in a folder that exists
+
+    Raises
+    ------
+    InputError
+        When the folder exists and neither is given, when it is no comparison, or one with other settings.
+    """
+
+    def __init__(
+        self, dataset: Path, folder: Path, clock: str, threads: int | None, resume: bool, overwrite: bool
+    ) -> None:
+        with open_dataset(dataset) as opened:
+            opened.splits  # noqa: B018 - a damaged file is refused now
+        self.dataset, self.folder = dataset, folder
+        self.settings = Settings(dataset.name, fingerprint(dataset), clock, threads)
+        if folder.exists() and not (folder / SETTINGS).is_file():
+            raise InputError(f"the output {folder} is not a folder that recon compare wrote; choose another by --out")
+        if folder.exists() and not (resume or overwrite):
+            raise InputError(f"the output {folder} exists: add --resume to run what is missing, or --overwrite")
+        if folder.exists() and overwrite:
+            shutil.rmtree(folder)
+        if not folder.absolute().parent.is_dir():
+            raise InputError(f"the folder {folder.parent} for the output {folder.name} does not exist")
+        if folder.exists():
+            self._check_settings()
+        (folder / RESULTS).mkdir(parents=True, exist_ok=True)
+        (folder / SETTINGS).write_text(json.dumps(asdict(self.settings), indent=1) + "\n", encoding="utf-8")
+
+    def run(self, who: Sequence[Contender], budgets: Sequence[float], tell: Tell = lambda sentence: None) -> None:
+        """Run what has no result yet; what failed is tried again.
+
+        Parameters
+        ----------
+        who : the contenders
+        budgets : [s]
+        tell : is told how it goes on, one sentence at a time
+        """
+        for contender in who:
+            place = self.folder / RESULTS / str(contender)
+            missing = tuple(b for b in budgets if "seconds" not in (read_result(place, b) or {}))
+            if not missing:
+                tell(f"{contender}: done before")
+                continue
+            tell(f"{contender}: {', '.join(f'{b:g} s' for b in missing)} ...")
+            self._work(contender, place, missing)
+            for budget in missing:
+                tell(_outcome(read_result(place, budget) or {}))
+
+    def results(self, who: Sequence[Contender], budgets: Sequence[float]) -> list[Result]:
+        """Results in the order of contenders and budgets."""
+        pairs = ((self.folder / RESULTS / str(contender), budget) for contender in who for budget in budgets)
+        found = (read_result(place, budget) for place, budget in pairs)
+        return [result for result in found if result is not None]
+
+    def _work(self, contender: Contender, place: Path, budgets: tuple[float, ...]) -> None:
+        """A process that writes results; where it dies, its last words are the result."""
+        place.mkdir(parents=True, exist_ok=True)
+        for budget in budgets:
+            result_file(place, budget).unlink(missing_ok=True)
+        pseudo = self._pseudo_truth()
+        job = Job(
+            str(self.dataset), str(place), str(contender), budgets, self.settings.clock, self.settings.threads,
+            None if pseudo is None else str(pseudo),
+        )  # fmt: skip
+        command = [sys.executable, "-m", "recon.comparison.worker"]
+        ended = subprocess.run(command, input=job.to_json(), capture_output=True, text=True, check=False)
+        (place / "log.txt").write_text(ended.stdout + ended.stderr, encoding="utf-8")
+        for budget in budgets:
+            if read_result(place, budget) is None:
+                last = (ended.stderr.strip().splitlines() or ["no message"])[-1]
+                error = f"the process ended with status {ended.returncode}: {last}"
+                write_result(place, budget, {"contender": str(contender), "budget": budget, "error": error})
+        shutil.rmtree(place / "models", ignore_errors=True)
+
+    def _pseudo_truth(self) -> Path | None:
+        """Volumes of the channels from all views, made once; None where the orbit allows no back-projection."""
+        path = self.folder / PSEUDO
+        if not path.is_file():
+            set_threads(self.settings.threads)
+            with open_dataset(self.dataset) as opened:
+                volumes = pseudo_truth(opened)
+            if volumes is None:
+                return None
+            np.save(path, volumes)
+        return path.absolute()
+
+    def _check_settings(self) -> None:
+        other = json.loads((self.folder / SETTINGS).read_text(encoding="utf-8"))
+        changed = [name for name, value in asdict(self.settings).items() if other.get(name) != value]
+        if changed:
+            raise InputError(
+                f"{self.folder} was begun with another {' and '.join(changed)}: ask for the same, or add --overwrite"
+            )
+
+
+@without_other_pools()
+def pseudo_truth(dataset: Dataset) -> np.ndarray | None:
+    """Filtered back-projection of the log projections of each channel, from all views there are [1/mm].
+
+    None where the orbit allows none.
+    """
+    views = np.arange(len(dataset.geometry))
+    try:
+        measured = read_measurements(dataset, views, 1)
+        coarse = measured.completed().binned(matching_bin(measured.geometry, min(dataset.grid.spacing)))
+        return Fdk().reconstruct(log_projections(coarse), None, coarse.geometry, dataset.grid)
+    except Error:
+        return None
+
+
+def fingerprint(path: Path) -> str:
+    """Tells a file from others by its size and both of its ends."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        digest = hashlib.sha256(str(size).encode() + file.read(_SAMPLE))
+        file.seek(max(size - _SAMPLE, 0))
+        digest.update(file.read(_SAMPLE))
+    return digest.hexdigest()
+
+
+def _outcome(result: Result) -> str:
+    if "error" in result:
+        return f"  {result['budget']:g} s: {result['error']}"
+    end = "finished" if result["finished"] else "stopped"
+    return f"  {result['budget']:g} s: {end} at {result['seconds']:.1f} s, {result['done']} of {result['total']}"

@@ -1,0 +1,79 @@
+"""What is made of results: files, and whether requirements are met."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from recon.comparison.campaign import Campaign
+from recon.comparison.contender import GAUSSIAN, Contender
+from recon.comparison.figure import error_against_time
+from recon.comparison.perceptual import missing
+from recon.comparison.studies import Study
+from recon.comparison.table import mean_psnr, report, write_csv
+from recon.report import write_json
+from spectra.errors import InputError
+
+Result = dict[str, Any]
+
+
+def parse_budgets(text: str) -> tuple[float, ...]:
+    """Seconds in ascending order, from ``60s,240s`` or ``1m``.
+
+    Raises
+    ------
+    InputError
+        When a part is no positive time.
+    """
+    found = set()
+    for part in text.split(","):
+        digits, factor = part.strip().removesuffix("s"), 1.0
+        if part.strip().endswith("m"):
+            digits, factor = part.strip()[:-1], 60.0
+        try:
+            seconds = factor * float(digits)
+        except ValueError:
+            seconds = 0.0
+        if not 0 < seconds < float("inf"):
+            raise InputError(f"--budget takes times above 0 such as 60s,240s, got {part.strip()!r}")
+        found.add(seconds)
+    return tuple(sorted(found))
+
+
+def write_outcome(campaign: Campaign, results: Sequence[Result], protocol: str, study: Study | None) -> str:
+    """Write all files of a comparison; returns the Markdown page, in which a study has its table first."""
+    folder, settings = campaign.folder, campaign.settings
+    threads = "all threads" if settings.threads is None else f"{settings.threads} thread(s)"
+    unit = "processor time" if settings.clock == "cpu" else "wall time"
+    page = report(results, protocol, f"{settings.dataset}: methods at equal {unit}, {threads}")
+    if study is not None:
+        page = f"{study.page(results, protocol)}\n\n{page}"
+    if (absent := missing()) is not None:
+        page += f"\n{absent}.\n"
+    (folder / "compare.md").write_text(page, encoding="utf-8")
+    write_json(folder / "compare.json", {"settings": vars(settings), "protocol": protocol, "results": list(results)})
+    write_csv(folder / "compare.csv", results)
+    error_against_time(results, folder / "figures" / "error-against-time.png", settings.clock)
+    return page
+
+
+def requirements(results: Sequence[Result], required: Sequence[Contender], budget: float, protocol: str) -> list[str]:
+    """A sentence for each contender that the fit of Gaussians is not above at a budget.
+
+    Above is a larger mean PSNR of the basis volumes; where there is no truth, of the test views.
+    """
+    ours = _standing(results, GAUSSIAN, budget, protocol)
+    failed = []
+    for who in map(str, required):
+        theirs = _standing(results, who, budget, protocol)
+        if ours is None or theirs is None:
+            lacking = GAUSSIAN if ours is None else who
+            failed.append(f"{GAUSSIAN} cannot be compared with {who} at {budget:g} s: {lacking} has no score.")
+        elif not ours > theirs:
+            failed.append(f"{GAUSSIAN} is not above {who} at {budget:g} s: {ours:.2f} dB and {theirs:.2f} dB.")
+    return failed
+
+
+def _standing(results: Sequence[Result], who: str, budget: float, protocol: str) -> float | None:
+    """Mean PSNR of basis volumes, or of test views; None where there is neither."""
+    own = next((r for r in results if (r["contender"], r["budget"]) == (who, budget)), {})
+    bases = mean_psnr(own, "basis", protocol)
+    return bases if bases is not None else mean_psnr(own, "views", protocol)

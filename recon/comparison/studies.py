@@ -1,0 +1,237 @@
+"""The paper's studies: which contenders each needs, and its table with the paper's numbers beside ours."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phantomgen.dataset import open_dataset
+from recon.baselines import METHODS
+from recon.comparison.contender import GAUSSIAN, PAPER, Contender, contender
+from recon.comparison.paper_numbers import TABLE_1, TABLE_2, TABLE_4A, TABLE_4B, TABLE_4C, Printed
+from recon.comparison.table import ABSENT, markdown_table, mean_psnr, mean_score, number
+from spectra.basis import pretty
+from spectra.errors import InputError
+
+Result = dict[str, Any]
+Rows = list[list[str]]
+_CHANNEL_WISE = {  # rows of Table 1 -> methods, channel by channel as in the paper
+    "FDK": "fdk",
+    "SART": "sart",
+    "CGLS": "cgls",
+    "PDHG-TV": "pdhg-tv",
+    "IntraTomo": "neural",
+    "SAX-NeRF": "sax-nerf",
+    "X-Gaussian": "x-gaussian",
+    "R2-Gaussian": "gaussian-mono",
+    "X-Field": "ellipsoid",
+}
+_TWO_STEP = ("fdk", "sart", "cgls", "pdhg-tv", "one-step")
+
+
+@dataclass(frozen=True)
+class Scan:
+    """What studies need to know of a dataset."""
+
+    channels: tuple[str, ...]
+    bases: int
+    views: int
+
+
+@dataclass(frozen=True)
+class Study:
+    """One of the paper's tables.
+
+    Parameters
+    ----------
+    name : as ``--study`` has it
+    title : above the table
+    contenders : all that take part
+    rows : header and lines of the table, from results by contender and the protocol
+    """
+
+    name: str
+    title: str
+    contenders: tuple[Contender, ...]
+    rows: Callable[[dict[str, Result], str], Rows]
+
+    def page(self, results: Sequence[Result], protocol: str) -> str:
+        """The table as Markdown, one per budget."""
+        parts = [
+            f"# {self.title}",
+            f"`{self.name}`, metric protocol `{protocol}`; the paper's numbers are of other scans.",
+        ]
+        for budget in sorted({result["budget"] for result in results}):
+            own = {r["contender"]: r for r in results if r["budget"] == budget and "seconds" in r}
+            header, *lines = self.rows(own, protocol)
+            parts += [f"## {budget:g} s", markdown_table(header, lines)]
+        return "\n\n".join(parts)
+
+
+def study_named(name: str, dataset: Path) -> Study:
+    """A study of a dataset.
+
+    Raises
+    ------
+    InputError
+        When there is none of that name.
+    """
+    if name not in STUDIES:
+        raise InputError(f"there is no study {name!r}: choose from {', '.join(STUDIES)}")
+    with open_dataset(dataset) as opened:
+        scan = Scan(opened.spectra.channels, len(opened.spectra.basis), len(opened.splits["train"]))
+    return STUDIES[name](scan)
+
+
+def views_and_volumes(scan: Scan) -> Study:
+    """Table 1."""
+    words = {row: f"{method}+image" for row, method in _CHANNEL_WISE.items() if method in METHODS}
+    words |= _both(scan)
+
+    def rows(own: dict[str, Result], protocol: str) -> Rows:
+        header = [
+            "method",
+            "as in the paper",
+            *_pairs("views PSNR", "views SSIM", "views LPIPS", "volumes PSNR", "volumes SSIM"),
+        ]
+        lines = []
+        for row, word in words.items():
+            result, (views, volumes) = own.get(word, {}), TABLE_1.get(row, (None, None))
+            line = [word, row]
+            for key, layout in (("psnr", ".2f"), ("ssim", ".3f"), ("lpips", ".3f")):
+                line += _beside(mean_score(result, "views", protocol, key), views, key, layout)
+            for key, layout in (("psnr", ".2f"), ("ssim", ".3f")):
+                line += _beside(mean_score(result, "energies", protocol, key), volumes, key, layout)
+            lines.append(line)
+        return [header, *lines]
+
+    return _study("views-and-volumes", "Novel views and volumes of the channels, means over channels", words, rows)
+
+
+def basis(scan: Scan) -> Study:
+    """Table 2."""
+    words = {row: f"{_CHANNEL_WISE[row]}+image" for row in TABLE_2 if row in _CHANNEL_WISE} | _both(scan)
+    words |= {f"{method}, ray by ray": method for method in _TWO_STEP}
+
+    def rows(own: dict[str, Result], protocol: str) -> Rows:
+        names = next((list(r["basis"][protocol]) for r in own.values() if r["basis"].get(protocol)), [])
+        header = ["method", "as in the paper", *_pairs(*(f"{pretty(n)} {k}" for n in names for k in ("PSNR", "SSIM")))]
+        lines = []
+        for row, word in words.items():
+            scores, printed = own.get(word, {}).get("basis", {}).get(protocol, {}), TABLE_2.get(row, ())
+            line = [word, row]
+            for i, name in enumerate(names):
+                beside = printed[i] if i < len(printed) else None
+                for key, layout in (("psnr", ".2f"), ("ssim", ".3f")):
+                    line += _beside(scores.get(name, {}).get(key), beside, key, layout)
+            lines.append(line)
+        return [header, *lines]
+
+    return _study("basis", "Basis volumes", words, rows)
+
+
+def held_out_channel(scan: Scan) -> Study:
+    """Table 4a: a channel that is not fitted is predicted.
+
+    Raises
+    ------
+    InputError
+        When there are no more channels than bases.
+    """
+    counts = [m for m in (2, 3) if m <= min(scan.bases, len(scan.channels) - 1)]
+    if not counts:
+        raise InputError(f"of {len(scan.channels)} channels none can be left out: {scan.bases} bases need as many")
+    who = [f"{method}+{m}" for method in (GAUSSIAN, PAPER) for m in counts]
+    words = {f"{w}, {c}": f"{w}+blind-{c}" for w in who for c in scan.channels} | {w: w for w in who}
+
+    def rows(own: dict[str, Result], protocol: str) -> Rows:
+        header = ["method", "channel left out", "PSNR of it", "when fitted", "difference", "in the paper"]
+        lines = []
+        for w in who:
+            printed = TABLE_4A[int(w[-1])]
+            for i, channel in enumerate(scan.channels):
+                blind, fitted = (_channel_psnr(own.get(k, {}), protocol, channel) for k in (f"{w}+blind-{channel}", w))
+                place = 0 if i == 0 else 2 if i == len(scan.channels) - 1 else 1
+                loss = None if blind is None or fitted is None else blind - fitted
+                lost = printed[place][0] - printed[place][1]
+                lines.append(
+                    [w, channel, number(blind, ".2f"), number(fitted, ".2f"), number(loss, "+.2f"), f"{lost:+.2f}"]
+                )
+        return [header, *lines]
+
+    return _study("held-out-channel", "Prediction of a channel that was left out, test views", words, rows)
+
+
+def few_views(scan: Scan) -> Study:
+    """Table 4b: 75, 50, 25 and 10 views, or the same parts of fewer."""
+    most = min(scan.views, max(TABLE_4B))
+    counts = {max(round(most * n / max(TABLE_4B)), 1): n for n in TABLE_4B}
+    who = (GAUSSIAN, PAPER, "one-step", "fdk")
+    words = {f"{w}, {n}": f"{w}+views-{n}" for w in who for n in counts}
+
+    def rows(own: dict[str, Result], protocol: str) -> Rows:
+        header = ["method", "views", "views PSNR", "basis PSNR", "views in the paper", "PSNR in the paper"]
+        lines = []
+        for w in who:
+            for count, theirs in counts.items():
+                result = own.get(f"{w}+views-{count}", {})
+                scores = [number(mean_psnr(result, section, protocol), ".2f") for section in ("views", "basis")]
+                beside = [str(theirs), f"{np.mean(TABLE_4B[theirs]):.2f}"] if w in (GAUSSIAN, PAPER) else [ABSENT] * 2
+                lines.append([w, str(count), *scores, *beside])
+        return [header, *lines]
+
+    return _study("few-views", "Fewer training views, means over channels and bases", words, rows)
+
+
+def ablation(scan: Scan) -> Study:
+    """Table 4c: the paper's method without one of its components."""
+    del scan
+    words = {name: f"{PAPER}+without-{name}" if name else PAPER for name in TABLE_4C}
+
+    def rows(own: dict[str, Result], protocol: str) -> Rows:
+        header = ["without", *_pairs("views PSNR"), *_pairs("difference"), "basis PSNR"]
+        whole, printed = mean_psnr(own.get(PAPER, {}), "views", protocol), float(np.mean(TABLE_4C[""]))
+        lines = []
+        for name, word in words.items():
+            value, theirs = mean_psnr(own.get(word, {}), "views", protocol), float(np.mean(TABLE_4C[name]))
+            change = None if value is None or whole is None else value - whole
+            both = [number(value, ".2f"), f"{theirs:.2f}", number(change, "+.2f"), f"{theirs - printed:+.2f}"]
+            lines.append([name or "nothing", *both, number(mean_psnr(own.get(word, {}), "basis", protocol), ".2f")])
+        return [header, *lines]
+
+    return _study("ablation", "Components of the paper's method left out, means over channels and bases", words, rows)
+
+
+STUDIES: dict[str, Callable[[Scan], Study]] = {
+    "views-and-volumes": views_and_volumes,
+    "basis": basis,
+    "held-out-channel": held_out_channel,
+    "few-views": few_views,
+    "ablation": ablation,
+}
+
+
+def _study(name: str, title: str, words: dict[str, str], rows: Callable[[dict[str, Result], str], Rows]) -> Study:
+    return Study(name, title, tuple(contender(word) for word in words.values()), rows)
+
+
+def _both(scan: Scan) -> dict[str, str]:
+    """The paper's method, and this project's fit, with as many bases as the scan has."""
+    counts = [m for m in (2, 3) if m <= scan.bases]
+    return {f"Ours ({m})": f"{PAPER}+{m}" for m in counts} | {f"recon fit ({m})": f"{GAUSSIAN}+{m}" for m in counts}
+
+
+def _pairs(*names: str) -> list[str]:
+    """Each column, and the paper's beside it."""
+    return [column for name in names for column in (name, f"{name} in the paper")]
+
+
+def _beside(value: float | None, printed: Printed | None, key: str, layout: str) -> list[str]:
+    """Ours, and what the paper prints."""
+    return [number(value, layout), number(None if printed is None else getattr(printed, key), layout)]
+
+
+def _channel_psnr(result: Result, protocol: str, channel: str) -> float | None:
+    return result.get("views", {}).get(protocol, {}).get(channel, {}).get("psnr")

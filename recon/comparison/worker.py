@@ -1,0 +1,130 @@
+"""One contender in a process of its own: warm-up, runs by the clock, memory, and scores at the end.
+
+The reconstruction gets a dataset of which it reads ``/entry``; the truth is opened when all runs are over.
+"""
+
+import shutil
+import sys
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phantomgen.dataset import Dataset, open_dataset
+from phantomgen.dataset_truth import Truth, read_truth
+from phantomgen.stopwatch import peak_memory_mib
+from recon.baselines.grids import coarser
+from recon.comparison.clock import Clock
+from recon.comparison.contender import GAUSSIAN, PAPER, Contender, contender
+from recon.comparison.gaussian_run import run_gaussian, run_paper
+from recon.comparison.job import Job, write_result
+from recon.comparison.model import Runs
+from recon.comparison.recorder import Moment, Recorder
+from recon.comparison.scores import score
+from recon.comparison.voxel_run import run_voxels
+from recon.scoring import psnr_of_bases
+from spectra.errors import Error
+from spectra.threads import set_threads, without_other_pools
+
+WARM_VIEWS, WARM_VOXELS = 12, 16  # of the small problem on which kernels are compiled
+
+
+def work(job: Job) -> None:
+    """Run and score a contender; a method that refuses leaves its sentence in place of scores."""
+    set_threads(job.threads)
+    folder, who = Path(job.folder), contender(job.contender)
+    room = folder / "models"
+    with open_dataset(Path(job.dataset)) as dataset:
+        try:
+            seen = restricted(dataset, who)
+            with suppress(Error):
+                run(_small(seen), who, replace(job, budgets=(0.0,)), room)
+            runs = run(seen, who, job, room)
+            _write_scores(job, dataset, runs, peak_memory_mib())
+        except Error as error:
+            for budget in job.budgets:
+                write_result(folder, budget, {"contender": job.contender, "budget": budget, "error": str(error)})
+        finally:
+            shutil.rmtree(room, ignore_errors=True)
+
+
+def restricted(dataset: Dataset, who: Contender) -> Dataset:
+    """What a contender may see: some of the training views, all channels but one."""
+    if who.views is not None:
+        dataset = dataset.with_training_views(who.views)
+    return dataset if who.blind is None else dataset.without_channel(who.blind)
+
+
+@without_other_pools()
+def run(dataset: Dataset, who: Contender, job: Job, room: Path) -> Runs:
+    """All runs that the budgets of a job need, their models in `room`."""
+    shutil.rmtree(room, ignore_errors=True)
+    clock, made = Clock(job.clock), []
+
+    def new(budgets: list[float]) -> Recorder:
+        place = room / str(len(made))
+        place.mkdir(parents=True)
+        made.append(Recorder(clock, place, budgets))
+        return made[-1]
+
+    budgets = sorted(job.budgets)
+    if who.method == GAUSSIAN:
+        return run_gaussian(dataset, who, clock, new, budgets)
+    if who.method == PAPER:
+        return run_paper(dataset, who, clock, new, budgets)
+    return run_voxels(dataset, who, new(budgets))
+
+
+def _small(dataset: Dataset) -> Dataset:
+    """The same scan with few views and large voxels; evenly spaced views stay so where their number divides."""
+    views = len(dataset.splits["train"])
+    few = min((n for n in range(1, views + 1) if views % n == 0), key=lambda n: abs(n - WARM_VIEWS))
+    factor = max(max(dataset.grid.shape) // WARM_VOXELS, 1)
+    return dataset.with_training_views(few).with_grid(coarser(dataset.grid, factor))
+
+
+def _write_scores(job: Job, dataset: Dataset, runs: Runs, memory: float | None) -> None:
+    """Score what each budget holds, and the models along the way."""
+    truth = read_truth(dataset.path)
+    pseudo = None if job.pseudo is None else np.load(job.pseudo)
+    scored: dict[Path, dict[str, Any]] = {}
+    for budget in job.budgets:
+        recorder = runs.recorder(budget)
+        moment = None if recorder is None else recorder.result(budget)
+        content: dict[str, Any] = {"contender": job.contender, "budget": budget}
+        if recorder is None or moment is None:
+            lacking = f"nothing is ready within {budget:g} s: {runs.lacking}"
+            write_result(Path(job.folder), budget, content | {"error": lacking})
+            continue
+        if moment.path not in scored:
+            scored[moment.path] = score(runs.load(moment.path), dataset, truth, pseudo)
+        count, kind = runs.load(moment.path).primitives
+        content |= {
+            "seconds": moment.seconds,
+            "done": moment.done,
+            "total": moment.total,
+            "finished": recorder.is_final(moment),
+            "primitives": count,
+            "kind": kind,
+            "peak_memory_mib": memory,
+            "curve": _curve(recorder.moments, runs, truth),
+        }
+        write_result(Path(job.folder), budget, content | scored[moment.path])
+
+
+def _curve(moments: list[Moment], runs: Runs, truth: Truth | None) -> list[dict[str, float]]:
+    """PSNR of each basis along the way, as ``seconds``, ``done`` and ``psnr_<basis>``; empty without a truth."""
+    points = []
+    if truth is None:
+        return points
+    for moment in moments:
+        bases = runs.load(moment.path).bases
+        if bases is not None and bases.basis_names == truth.basis_names:
+            points.append({"seconds": moment.seconds, "done": float(moment.done)} | psnr_of_bases(truth, bases))
+    return points
+
+
+if __name__ == "__main__":
+    work(Job.from_json(sys.stdin.read()))
