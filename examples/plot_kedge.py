@@ -134,12 +134,10 @@ def kedge_scan(size: Size) -> Scan:
 def main(folder: Path = FOLDER, size: Size = Size()) -> dict:
     """Simulate, reconstruct, print the scores, draw; returns the scores."""
     folder.mkdir(parents=True, exist_ok=True)
-    summary = phantomgen.make(kedge_scan(size), folder / "scan.h5", overwrite=True)
-    print(summary.text, end="\n\n")
-
-    with phantomgen.open(summary.path) as dataset:
+    with phantomgen.make(kedge_scan(size), folder / "scan.h5", overwrite=True) as dataset:
+        print(dataset, end="\n\n")
         result = reconstruct(dataset, Recipe(stages=(Stage(pixel=1.0, sweeps=size.sweeps),)))
-        truth = read_truth(summary.path)
+        truth = read_truth(dataset.path)
         scores = {**score_truth(truth, result.gaussians), "channels": score_test_views(dataset, result.gaussians)}
         print(f"{result.gaussians}, {sum(result.seconds.values()):.0f} s")
         print(score_table(scores))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from phantomgen.panel import Panel
     from phantomgen.scene import Scan, Scene
     from phantomgen.scene import load_scene as load
-    from phantomgen.simulate import simulate as make
+    from phantomgen.session import make, plan
 
 __all__ = [
     "Dataset",
@@ -34,6 +34,7 @@ __all__ = [
     "make",
     "open",
     "open_dataset",
+    "plan",
     "read_truth",
 ]
 
@@ -46,9 +47,10 @@ _HOMES = {
     "Scene": ("scene", "Scene"),
     "Truth": ("dataset_truth", "Truth"),
     "load": ("scene", "load_scene"),
-    "make": ("simulate", "simulate"),
+    "make": ("session", "make"),
     "open": ("dataset", "open_dataset"),
     "open_dataset": ("dataset", "open_dataset"),
+    "plan": ("session", "plan"),
     "read_truth": ("dataset_truth", "read_truth"),
 }
 

@@ -15,6 +15,7 @@ from typing import Any
 import click
 
 from phantomgen.cli_export import export
+from phantomgen.cli_report import report
 from phantomgen.command import Commands, debug_option, json_option, version_option
 
 
@@ -33,6 +34,7 @@ def main() -> None:
 
 
 main.add_command(export)
+main.add_command(report)
 
 
 @main.command(

@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Float32, Int, Shaped
 
 from phantomgen.compression import check_readable
 from phantomgen.dataset_basis import in_basis
@@ -28,6 +28,11 @@ from spectra.basis import Basis
 from spectra.dead_time import DeadTime
 from spectra.errors import DatasetError, Error, InputError
 from spectra.transmission import Transmission
+
+if TYPE_CHECKING:
+    from xarray import DataArray
+
+    from phantomgen.dataset_torch import ViewSet
 
 Region = tuple[slice, slice]
 DETECTOR = "/entry/instrument/detector"
@@ -200,6 +205,41 @@ class Dataset:
             loaded[i] = self._image(self.counts, view)
             check_counts(loaded[i], f"view {view} of {self.path}", self.signed)
         return loaded
+
+    def line_integrals(self, view: int) -> Float32[np.ndarray, "channel row column"]:
+        """Log projections of one view, -log(counts / open beam), darks subtracted and dead time corrected [no unit].
+
+        Counts below half a count are taken as that; NaN where a pixel or a channel of this view does not measure.
+        """
+        if not -len(self.exposure) <= view < len(self.exposure):
+            raise InputError(f"{self.path} has views 0 to {len(self.exposure) - 1}, there is no view {view}")
+        view = view % len(self.exposure)
+        signal, air = self.load([view])[0] - self.dark, self.flat
+        if self.spectra.dead_time is not None:
+            signal, air = self.spectra.dead_time.corrected(signal), self.spectra.dead_time.corrected(air)
+        air = air * self.exposure[view][:, None, None]
+        least = 0.5 * self.spectra.quantum[:, None, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            logs = np.log(air / np.maximum(signal, least))
+        return np.where(self.mask | (air <= 0), np.nan, logs).astype(np.float32)
+
+    def to_xarray(self, views: Sequence[int] | None = None) -> "DataArray":
+        """Counts of some views (default all) in memory as an `xarray.DataArray` with named axes and coordinates."""
+        from phantomgen.dataset_arrays import to_xarray  # noqa: PLC0415 - an extra
+
+        return to_xarray(self, views)
+
+    def torch(self, split: str = "train") -> "ViewSet":
+        """The views of a split (``train``, ``test``, ``val`` or ``all``) as a `torch.utils.data.Dataset`."""
+        from phantomgen.dataset_torch import ViewSet  # noqa: PLC0415 - torch takes seconds
+
+        return ViewSet.of(self, split)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        from phantomgen.thumbnail import dataset_html  # noqa: PLC0415 - draws
+
+        return dataset_html(self)
 
     @cached_property
     def geometry(self) -> Geometry:

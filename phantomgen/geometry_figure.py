@@ -36,7 +36,9 @@ class _Side:
         return np.stack([points @ self.across, points @ self.up], axis=-1)
 
 
-def draw(geometry: Geometry, path: Path | str | None = None, grid: Grid | None = None) -> "Figure":
+def draw(
+    geometry: Geometry, path: Path | str | None = None, grid: Grid | None = None, upright: bool = False
+) -> "Figure":
     """Draw a scan: the way of source and panel, and view 0 with its fan.
 
     Parameters
@@ -44,6 +46,7 @@ def draw(geometry: Geometry, path: Path | str | None = None, grid: Grid | None =
     geometry : with at least one view
     path : PNG, PDF or SVG to write; none is written where left out
     grid : a volume to draw with it
+    upright : one below the other, for a narrow page, in place of side by side
     """
     if path is not None:
         check_picture(Path(path))
@@ -55,8 +58,11 @@ def draw(geometry: Geometry, path: Path | str | None = None, grid: Grid | None =
         _Side("from above", np.eye(3)[0], np.eye(3)[1], ("x [mm]", "y [mm]")),
         _Side("from the side of view 0", along, np.eye(3)[2], ("towards the source [mm]", "z [mm]")),
     )
-    with styled_figure((11.0, 4.3)) as figure:
-        above, beside, panel = figure.subplots(1, 3, width_ratios=(1.15, 1.15, 1.0))
+    with styled_figure((4.7, 9.0) if upright else (11.0, 4.3)) as figure:
+        if upright:
+            above, beside, panel = figure.subplots(3, 1)
+        else:
+            above, beside, panel = figure.subplots(1, 3, width_ratios=(1.15, 1.15, 1.0))
         for axes, side in zip((above, beside), sides, strict=True):
             _draw_side(axes, side, geometry, source, grid)
         turn, radius = np.linspace(0, 2 * np.pi, 181), field_of_view(geometry)
@@ -64,11 +70,13 @@ def draw(geometry: Geometry, path: Path | str | None = None, grid: Grid | None =
             label = "seen in all views"
             above.plot(radius * np.cos(turn), radius * np.sin(turn), color=BLUE, linestyle=(0, (4, 2)), label=label)
         _draw_panel(panel, geometry, grid)
-        figure.suptitle(_title(geometry), fontsize=10.5)
+        if not upright:
+            figure.suptitle(_title(geometry), fontsize=10.5)
         handles, labels = above.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8.5)
+        columns = 2 if upright else len(labels)
+        figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8.5)
         if path is not None:
-            figure.savefig(path)
+            figure.savefig(path, transparent=upright)
     return figure
 
 

@@ -4,7 +4,8 @@
 >>> recon.Recipe(spacing=2.0).stages
 (Stage(pixel=1.0, sweeps=10.0),)
 
-`recon.reconstruct(dataset, recipe)` is the whole way from an open dataset to a model. Names are imported when they are
+`recon.fit(dataset)` is the whole way from an open dataset to a fit that renders, scores and saves itself;
+`recon.reconstruct(dataset, recipe)` the bare computation. Names are imported when they are
 first used, so that importing the package costs nothing.
 """
 
@@ -16,15 +17,18 @@ if TYPE_CHECKING:
     from recon.gaussians import Gaussians
     from recon.pipeline import Reconstruction, reconstruct
     from recon.recipe import Recipe, Stage
+    from recon.session import Fit, fit
 
-__all__ = ["Gaussians", "Recipe", "Reconstruction", "Stage", "fdk", "reconstruct"]
+__all__ = ["Fit", "Gaussians", "Recipe", "Reconstruction", "Stage", "fdk", "fit", "reconstruct"]
 
 _HOMES = {
+    "Fit": "session",
     "Gaussians": "gaussians",
     "Recipe": "recipe",
     "Reconstruction": "pipeline",
     "Stage": "recipe",
     "fdk": "baselines.fdk",
+    "fit": "session",
     "reconstruct": "pipeline",
 }
 
@@ -34,3 +38,8 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'recon' has no attribute {name!r}")
     return getattr(import_module(f"recon.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    """Public names."""
+    return __all__

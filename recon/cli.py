@@ -11,6 +11,7 @@ from phantomgen.command import Commands, debug_option, json_option, version_opti
 from recon.baselines import METHODS
 from recon.cli_export import export
 from recon.cli_outputs import render, volume
+from recon.cli_report import report
 from recon.cli_segment import segment
 from recon.cli_view import view
 from recon.comparison.cli import compare
@@ -36,6 +37,7 @@ main.add_command(export)
 main.add_command(view)
 main.add_command(segment)
 main.add_command(compare)
+main.add_command(report)
 
 
 def _finite(_: click.Context, __: click.Parameter, value: float | None) -> float | None:

@@ -1,79 +1,33 @@
-"""How every picture looks and is written: one column wide, readable in print, safe for the colour-blind."""
+"""How pictures of this package look: as those of phantomgen do."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from phantomgen.figure_style import (
+    BASIS_LINES,
+    BLUE,
+    GRAY,
+    MILLI,
+    RESULT,
+    TRUTH,
+    UNIT,
+    WIDTH,
+    channel_colours,
+    few_ticks,
+    figure_file,
+    plain_minor_ticks,
+    write_csv,
+)
 
-import numpy as np
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-WIDTH = 7.0  # inches: one column
-RESULT, TRUTH = "#D55E00", "black"
-MILLI, UNIT = 1e3, "10$^{-3}$ mm$^{-1}$"  # what coefficients are drawn in
-_STYLE: Any = {
-    "font.size": 8.5,
-    "axes.titlesize": 9.0,
-    "axes.labelsize": 8.5,
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "legend.frameon": False,
-    "legend.fontsize": 8.0,
-    "lines.linewidth": 1.2,
-    "lines.solid_joinstyle": "round",
-    "axes.formatter.limits": (-3, 5),
-    "axes.formatter.use_mathtext": True,
-    "image.interpolation": "nearest",
-}
-GRAY, BLUE = "0.6", "#0072B2"
-BASIS_LINES = ((BLUE, "-"), ("#E69F00", (0, (6, 2))), ("#CC79A7", (0, (2.5, 2))), ("#009E73", (0, (1, 1))))
-
-
-@contextmanager
-def figure_file(path: Path, inches: tuple[float, float]) -> Iterator["Figure"]:
-    """A figure in the house style that is written as PNG at the end, whatever backend the process uses."""
-    from matplotlib import rc_context  # noqa: PLC0415 - half a second
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
-    from matplotlib.figure import Figure  # noqa: PLC0415
-
-    with rc_context(_STYLE):
-        figure = Figure(figsize=inches, dpi=150, layout="constrained")
-        FigureCanvasAgg(figure)
-        yield figure
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        figure.draw_without_rendering()  # the layout settles in two rounds where aspect ratios are fixed
-        figure.savefig(path, format="png", metadata={"Software": None})
-
-
-def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
-    """Equally long columns, beside the picture."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    table = np.column_stack(list(columns.values()))
-    np.savetxt(path.with_suffix(".csv"), table, fmt="%.6g", delimiter=",", header=",".join(columns), comments="")
-
-
-def few_ticks() -> Any:
-    """At most six round numbers."""
-    from matplotlib.ticker import MaxNLocator  # noqa: PLC0415
-
-    return MaxNLocator(5, steps=[1, 2, 5, 10])
-
-
-def plain_minor_ticks() -> Any:
-    """Numbers at minor ticks of a logarithmic axis that spans less than a decade."""
-    from matplotlib.ticker import LogFormatter  # noqa: PLC0415
-
-    return LogFormatter(minor_thresholds=(1, 0.5))
-
-
-def channel_colours(count: int) -> Any:
-    """Distinct colours in order of energy, dark to light."""
-    from matplotlib import colormaps  # noqa: PLC0415
-
-    return colormaps["viridis"](np.linspace(0.1, 0.95, count))
+__all__ = [
+    "BASIS_LINES",
+    "BLUE",
+    "GRAY",
+    "MILLI",
+    "RESULT",
+    "TRUTH",
+    "UNIT",
+    "WIDTH",
+    "channel_colours",
+    "few_ticks",
+    "figure_file",
+    "plain_minor_ticks",
+    "write_csv",
+]

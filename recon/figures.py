@@ -3,8 +3,7 @@
 Every function takes arrays, writes a PNG and returns its path; matplotlib is imported when the first one is drawn.
 """
 
-from collections.abc import Sequence
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Real
 from scipy import ndimage
 
+from phantomgen.channel_figure import spectrum
 from phantomgen.grid import Grid
 from recon.figure_style import (
     BASIS_LINES,
@@ -22,7 +22,6 @@ from recon.figure_style import (
     TRUTH,
     UNIT,
     WIDTH,
-    channel_colours,
     few_ticks,
     figure_file,
     plain_minor_ticks,
@@ -32,6 +31,8 @@ from spectra.basis import pretty
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+__all__ = ["basis_slices", "convergence", "profile_line", "profiles", "residuals", "spectrum"]
 
 _PLANES = {"axial": (0, "x", "y"), "coronal": (1, "x", "z"), "sagittal": (2, "y", "z")}
 
@@ -43,6 +44,7 @@ def basis_slices(
     grid: Grid,
     path: Path,
     plane: str = "axial",
+    width: float = WIDTH,
 ) -> Path:
     """Middle slice of every basis: truth, result and their difference, or the result alone.
 
@@ -51,6 +53,7 @@ def basis_slices(
     volumes, truth : coefficients [1/mm]
     names : names of the basis functions
     plane : ``axial`` (x, y), ``coronal`` (x, z) or ``sagittal`` (y, z)
+    width : of the picture where there is a truth [inch]
     """
     axis, across, up = _PLANES[plane]
     middle = grid.shape[axis] // 2
@@ -60,9 +63,9 @@ def basis_slices(
     true = None if truth is None else truth.take(middle, axis=axis + 1)
     titles = ["result"] if true is None else ["truth", "result", "result − truth"]
     ratios = [1, 0.06] if true is None else [1, 1, 0.06, 1, 0.06]
-    side = 1.85 if true is None else 1.6
+    side = 1.85 if true is None else (width - 2.2) / 3
     high = side * (extent[3] - extent[2]) / (extent[1] - extent[0])
-    with figure_file(path, (WIDTH if true is not None else 3.2, (high + 0.14) * len(names) + 0.75)) as figure:
+    with figure_file(path, (width if true is not None else 3.2, (high + 0.14) * len(names) + 0.75)) as figure:
         axes = figure.subplots(len(names), len(ratios), width_ratios=ratios, squeeze=False)
         pictures = axes[:, [0]] if true is None else axes[:, [0, 1, 3]]
         for row, name in enumerate(names):
@@ -106,6 +109,9 @@ def profiles(
     grid: Grid,
     path: Path,
     line: Float[np.ndarray, "2 3"] | None = None,
+    width: float = WIDTH,
+    others: Mapping[str, Real[np.ndarray, "basis z y x"]] | None = None,
+    label: str = "result",
 ) -> Path:
     """Every basis along one line, with a CSV.
 
@@ -113,32 +119,39 @@ def profiles(
     ----------
     volumes, truth : coefficients [1/mm]
     line : two points (x, y, z) [mm] that the line joins; `profile_line` of the last basis where left out
+    width : of the picture [inch]
+    others : more results to draw, by their names
+    label : name of the first one
     """
     line = profile_line(volumes[-1], grid) if line is None else np.asarray(line, dtype=np.float64)
     length = float(np.linalg.norm(line[1] - line[0]))
     position = np.arange(0.0, length, min(grid.spacing) / 2)
     points = line[0] + position[:, None] / length * (line[1] - line[0])
     index = ((points[:, ::-1] - grid.origin) / grid.spacing).T
-    result = np.array([ndimage.map_coordinates(v, index, order=1, mode="nearest") for v in volumes])
     columns = {"position_mm": position} | {f"{c}_mm": points[:, i] for i, c in enumerate("xyz")}
-    columns |= {f"{name}_result": row for name, row in zip(names, result, strict=True)}
+    results = {label: volumes, **(others or {})}
+    for who, result in results.items():
+        rows = [ndimage.map_coordinates(v, index, order=1, mode="nearest") for v in result]
+        columns |= {f"{name}_{who}": row for name, row in zip(names, rows, strict=True)}
     if truth is not None:
         true = [ndimage.map_coordinates(v, index, order=0, mode="nearest") for v in truth]
         columns |= {f"{name}_truth": row for name, row in zip(names, true, strict=True)}
     write_csv(path, columns)
     ends = " to ".join("({:.0f}, {:.0f}, {:.0f})".format(*point) for point in line)
-    with figure_file(path, (WIDTH, 1.45 * len(names) + 0.7)) as figure:
+    with figure_file(path, (width, 1.45 * len(names) + 0.7)) as figure:
         axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
         for ax, name in zip(axes, names, strict=True):
-            ax.plot(position, MILLI * columns[f"{name}_result"], color=RESULT, label="result")
+            for who, (colour, dashes) in zip(results, ((RESULT, "-"), *BASIS_LINES), strict=False):
+                row = MILLI * columns[f"{name}_{who}"]
+                ax.plot(position, row, color=colour, linestyle=dashes, label=who)
             if truth is not None:
                 true = MILLI * columns[f"{name}_truth"]
                 ax.step(position, true, where="mid", color=TRUTH, linewidth=0.7, label="truth")
             ax.text(0.01, 0.97, pretty(name), transform=ax.transAxes, va="top", fontsize=9)
             ax.set_ylabel(UNIT)
             ax.margins(x=0)
-        axes[0].legend(loc="upper right", ncols=2, bbox_to_anchor=(1, 1.22), borderaxespad=0)
-        axes[0].set_title(f"profile from (x, y, z) = {ends} mm", loc="left")
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+        axes[0].set_title(f"from (x, y, z) = {ends} mm", loc="left")
         axes[-1].set_xlabel("position along the line [mm]")
         figure.align_ylabels()
     return path
@@ -178,6 +191,7 @@ def residuals(
     channel_names: Sequence[str],
     path: Path,
     away: Bool[np.ndarray, "row column"] | None = None,
+    width: float = WIDTH,
 ) -> Path:
     """(y - Y) / sqrt(Y) of one held-out view, per channel, with histograms against the unit normal and their CSV.
 
@@ -185,6 +199,7 @@ def residuals(
     ----------
     counts, expected : measured y and modelled Y of one view
     away : rays away from edges, drawn as a second histogram
+    width : of the picture where there are several channels [inch]
 
     Above each histogram stands the part of the rays that lie beyond its range, in the order of the legend.
     """
@@ -194,9 +209,9 @@ def residuals(
     normal = np.exp(-(centres**2) / 2) / np.sqrt(2 * np.pi)
     groups = {"all rays": np.ones(counts.shape[1:], bool)} | ({} if away is None else {"away from edges": away})
     columns = {"sigma": centres, "unit_normal": normal}
-    side = min(5.4 / len(counts), 3.0)
+    side = min((width - 1.6) / len(counts), 3.0)
     with figure_file(
-        path, (WIDTH if len(counts) > 1 else 4.4, side * counts.shape[1] / counts.shape[2] + 3.0)
+        path, (width if len(counts) > 1 else 4.4, side * counts.shape[1] / counts.shape[2] + 3.0)
     ) as figure:
         axes = figure.subplots(
             2, len(counts), squeeze=False, sharey="row", height_ratios=[side * counts.shape[1] / counts.shape[2], 1.5]
@@ -214,72 +229,14 @@ def residuals(
                 beyond.append(f"{100 * np.mean(np.abs(image[rays]) > edges[-1]) if rays.any() else 0:.2g} %")
             bottom.plot(centres, normal, color="black", linewidth=0.8, linestyle=(0, (3, 2)), label="unit normal")
             bottom.set(yscale="log", ylim=(1e-4, 1), xlim=(-6, 6), xticks=[-5, 0, 5], xlabel="residual [σ]")
-            bottom.set_title("beyond 6σ: " + ", ".join(beyond), fontsize=7.5, color="0.25")
+            narrow = side < 1.1
+            title = ("beyond 6σ\n" if narrow else "beyond 6σ: ") + ", ".join(beyond)
+            bottom.set_title(title, fontsize=6.0 if narrow else 7.5, color="0.25")
         axes[0, 0].set_ylabel("row [pixel]")
         axes[1, 0].set_ylabel("part of the rays per σ")
         figure.colorbar(shown, ax=axes[0], extend="both", pad=0.01, aspect=14).set_label("(y − Y) / √Y  [σ]")
         figure.legend(*axes[1, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     write_csv(path, columns)
-    return path
-
-
-def spectrum(
-    energy: Float[np.ndarray, " energy"],
-    edges: Float[np.ndarray, " energy_plus_1"],
-    source: Float[np.ndarray, " energy"],
-    response: Float[np.ndarray, "channel energy"],
-    channel_names: Sequence[str],
-    basis_names: Sequence[str],
-    basis_values: Float[np.ndarray, "basis energy"],
-    path: Path,
-    k_edges: Sequence[float] = (),
-) -> Path:
-    """Source and what each channel counts of it, per keV, above the basis functions; with a CSV of all bins.
-
-    Parameters
-    ----------
-    energy, edges : mean energy and borders of the bins [keV]
-    source : incident photons per bin
-    response : counts per photon
-    basis_values : basis functions at `energy` [no unit]
-    k_edges : energies to mark [keV], `Basis.breaks`
-    """
-    counted = source * response
-    columns = {"energy_keV": energy, "bin_low_keV": edges[:-1], "bin_high_keV": edges[1:], "source": source}
-    columns |= {f"{name}_counts": row for name, row in zip(channel_names, counted, strict=True)}
-    columns |= {f"basis_{name}": row for name, row in zip(basis_names, basis_values, strict=True)}
-    write_csv(path, columns)
-    with figure_file(path, (WIDTH, 4.6)) as figure:
-        top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[1.25, 1])
-        display = _display_bins(edges, response)
-        colours = channel_colours(len(channel_names))
-        for name, row, colour in zip(channel_names, counted, colours, strict=True):
-            top.stairs(
-                _per_keV(row, edges, display), display, fill=True, color=colour, alpha=0.75, linewidth=0, label=name
-            )
-        top.stairs(_per_keV(source, edges, display), display, color="black", linewidth=0.9, label="incident")
-        top.set_ylabel("photons per pixel, view and keV")
-        top.set_ylim(bottom=0)
-        for i, (name, row) in enumerate(zip(basis_names, basis_values, strict=True)):
-            colour, dashes = BASIS_LINES[i % len(BASIS_LINES)]
-            visible = np.maximum(row, 1e-9)  # a step then falls off the logarithmic axis
-            marker = "o" if len(energy) == 1 else None
-            bottom.plot(energy, visible, color=colour, linestyle=dashes, marker=marker, label=pretty(name))
-        lowest = basis_values[basis_values > 0].min(initial=1.0)
-        scale = "log" if len(energy) > 1 else "linear"
-        bottom.set(yscale=scale, ylim=(lowest / 1.5, basis_values.max() * 1.5), xlabel="energy [keV]")
-        bottom.set_ylabel("basis functions [no unit]")
-        for edge in k_edges:
-            for ax in (top, bottom):
-                ax.axvline(edge, color="0.35", linewidth=0.7, linestyle=(0, (2, 2)), zorder=0)
-            top.annotate(
-                f"K edge {edge:g} keV", (edge, 1), xycoords=("data", "axes fraction"), ha="center", va="bottom"
-            )
-        top.set_xlim(*_shown_range(edges))
-        top.legend(loc="upper right")
-        bottom.legend(loc="upper right")
-        bottom.yaxis.set_major_formatter("{x:g}")
-        figure.align_ylabels()
     return path
 
 
@@ -311,24 +268,3 @@ def _borders(grid: Grid, axis: str) -> tuple[float, float]:
     """Outer faces of the grid along one axis [mm]."""
     centres, half = grid.axis(axis), grid.spacing["zyx".index(axis)] / 2
     return float(centres[0] - half), float(centres[-1] + half)
-
-
-def _display_bins(edges: np.ndarray, response: np.ndarray) -> np.ndarray:
-    """Borders of bins of about 1 keV, in which lines get the height of their photons; channels end on borders [keV]."""
-    low, high = _shown_range(edges)
-    ends = edges[1:-1][np.any((response[:, 1:] > 0) != (response[:, :-1] > 0), axis=0)]
-    stops = np.unique([low, *ends, high])
-    parts = [np.linspace(a, b, max(round(b - a), 1), endpoint=False) for a, b in pairwise(stops)]
-    return np.concatenate([*parts, [high]])
-
-
-def _per_keV(photons: np.ndarray, edges: np.ndarray, display: np.ndarray) -> np.ndarray:
-    """Photons per keV in the bins with borders `display`."""
-    total = np.interp(display, edges, np.concatenate([[0.0], np.cumsum(photons)]))
-    return np.diff(total) / np.diff(display)
-
-
-def _shown_range(edges: np.ndarray) -> tuple[float, float]:
-    """Energies to show [keV]: all, widened to 10 keV for a monochromatic source."""
-    middle, half = (edges[0] + edges[-1]) / 2, (edges[-1] - edges[0]) / 2
-    return (float(edges[0]), float(edges[-1])) if half >= 5 else (middle - 5.5, middle + 5.5)

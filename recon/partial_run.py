@@ -77,10 +77,7 @@ class PartialRun:
 
     def add(self, progress: Progress) -> None:
         """Keep what a step did: its line of the log, and now and then the model and the state of the fit."""
-        entry = {"step": progress.step, "seconds": progress.seconds, "deviance": progress.deviance}
-        entry |= self._per_channel("chi_square", progress.chi_square)
-        if progress.held_out is not None:
-            entry |= self._per_channel("held_out_chi_square", progress.held_out)
+        entry = log_entry(progress, self.channels)
         self.log.append(entry)
         with (self.folder / LOG).open("a", encoding="utf-8") as file:
             file.write(json.dumps(entry) + "\n")
@@ -109,11 +106,6 @@ class PartialRun:
     def _snapshot(self, step: int) -> Path:
         return self.folder / SNAPSHOTS / f"{step}.safetensors"
 
-    def _per_channel(self, name: str, values: Float[np.ndarray, " channel"]) -> dict[str, float | None]:
-        """Entries of the log; None where a channel has no value, as JSON has no NaN."""
-        pairs = zip(self.channels, values.tolist(), strict=True)
-        return {f"{name}_{channel}": value if np.isfinite(value) else None for channel, value in pairs}
-
     def _check(self, other: dict[str, str]) -> None:
         names = {*other, *self._identity}
         changed = sorted(name for name in names if other.get(name) != self._identity.get(name))
@@ -128,3 +120,20 @@ class PartialRun:
         lines = (self.folder / LOG).read_text(encoding="utf-8").splitlines()[:done]
         self.log = [json.loads(line) for line in lines]
         write_whole(self.folder / LOG, "".join(line + "\n" for line in lines).encode())
+
+
+def log_entry(progress: Progress, channels: tuple[str, ...]) -> dict[str, Any]:
+    """What the log says of a step."""
+    entry: dict[str, Any] = {"step": progress.step, "seconds": progress.seconds, "deviance": progress.deviance}
+    entry |= _per_channel("chi_square", progress.chi_square, channels)
+    if progress.held_out is not None:
+        entry |= _per_channel("held_out_chi_square", progress.held_out, channels)
+    return entry
+
+
+def _per_channel(
+    name: str, values: Float[np.ndarray, " channel"], channels: tuple[str, ...]
+) -> dict[str, float | None]:
+    """Entries of the log; None where a channel has no value, as JSON has no NaN."""
+    pairs = zip(channels, values.tolist(), strict=True)
+    return {f"{name}_{channel}": value if np.isfinite(value) else None for channel, value in pairs}

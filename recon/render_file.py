@@ -62,7 +62,11 @@ def views_of_dataset(run: Run, path: Path) -> Views:
 
 def views_of_file(run: Run, path: Path) -> Views:
     """Views of a geometry file, and ideal pixels with as many photons as those of the scan that was fitted."""
-    geometry = read_geometry_file(path)
+    return views_of_geometry(run, read_geometry_file(path))
+
+
+def views_of_geometry(run: Run, geometry: Geometry) -> Views:
+    """Any views, and ideal pixels with as many photons as those of the scan that was fitted."""
     transmission = run.transmission
     gains = np.ones((len(transmission), geometry.panel.rows, geometry.panel.columns), np.float32)
     exposure = np.ones((len(geometry), len(transmission)))
@@ -92,11 +96,17 @@ def write_render(path: Path, run: Run, views: Views, on_view: Callable[[int, int
             arrays.append(new_frames(group, "data", (total, len(labels), panel.rows, panel.columns), np.float32, units))
         write_geometry(file, views.geometry)
         for view in range(total):
-            with torch.no_grad():
-                lengths = run.gaussians.line_integrals(views.geometry[[view]])[0].numpy()
-            arrays[0][view] = lengths
-            arrays[1][view] = _expected(views, lengths) * views.exposure[view][:, None, None]
+            arrays[0][view], arrays[1][view] = rendered(run, views, view)
             on_view(view + 1, total)
+
+
+def rendered(
+    run: Run, views: Views, view: int
+) -> tuple[Float[np.ndarray, "basis row column"], Float[np.ndarray, "channel row column"]]:
+    """Line integrals of every basis in one view, and the counts expected there."""
+    with torch.no_grad():
+        lengths = run.gaussians.line_integrals(views.geometry[[view]])[0].numpy()
+    return lengths, _expected(views, lengths) * views.exposure[view][:, None, None]
 
 
 def _expected(views: Views, lengths: Float[np.ndarray, "basis row column"]) -> Float[np.ndarray, "channel row column"]:

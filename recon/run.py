@@ -109,12 +109,12 @@ def run(
                 result = reconstruct(dataset, recipe, bases, watcher.stage, on_step, keeper, processes, store)
     if folder is None or keeper is None:
         return {}
-    _write_model(dataset, recipe, result, folder)
+    write_model(dataset, recipe, result, folder)
     if interruption.asked and last and last[0].step < last[0].steps:
         raise _stopped(last[0], keeper, folder)
     with clock("score"):
         truth = read_truth(dataset.path)
-        metrics = _metrics(dataset, truth, result, recipe.seed)
+        metrics = metrics_of(dataset, truth, result, recipe.seed)
         metrics |= {} if choice is None else {"basis_choice": choice.record()}
         metrics["recipe"] = recipe.says if isinstance(recipe, PaperRecipe) else "fast"
         keeper.add_scores(_psnr_along_the_way(keeper, truth))
@@ -147,7 +147,7 @@ def _options(dataset: Dataset, recipe: Recipe | PaperRecipe) -> dict[str, Any]:
     return {"grid": dataset.grid, **{f.name: getattr(recipe, f.name) for f in fields(recipe)}}
 
 
-def _write_model(dataset: Dataset, recipe: Recipe | PaperRecipe, result: Reconstruction, folder: Path) -> None:
+def write_model(dataset: Dataset, recipe: Recipe | PaperRecipe, result: Reconstruction, folder: Path) -> None:
     """Write the model, what it was fitted by, and what is known of the scan."""
     result.gaussians.save(folder / MODEL)
     (folder / "recipe.yaml").write_text(yaml.safe_dump(_plain(recipe), sort_keys=False), encoding="utf-8")
@@ -169,7 +169,8 @@ def _check_test_views(dataset: Dataset) -> None:
         dataset.load([view])
 
 
-def _metrics(dataset: Dataset, truth: Truth | None, result: Reconstruction, seed: int) -> dict[str, Any]:
+def metrics_of(dataset: Dataset, truth: Truth | None, result: Reconstruction, seed: int) -> dict[str, Any]:
+    """Scores of a fit and where it comes from, as ``metrics.json`` has them; without truth those of test views."""
     gaussians = result.gaussians
     metrics: dict[str, Any] = {"dataset": dataset.path.name, "seed": seed, "gaussians": len(gaussians)}
     metrics["start"] = result.start

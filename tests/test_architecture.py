@@ -54,7 +54,9 @@ def test_everything_imported_is_a_dependency(imports):
     needed = {known[name.partition(".")[0]][0].lower() for name in external}
     extras = PROJECT["project"]["optional-dependencies"]
     optional = {
-        Requirement(text).name.lower() for extra in ("cluster", "compress", "images", "io") for text in extras[extra]
+        Requirement(text).name.lower()
+        for extra in ("cluster", "compress", "images", "io", "xarray")
+        for text in extras[extra]
     }
     assert needed == {Requirement(text).name for text in PROJECT["project"]["dependencies"]} | optional
 

@@ -100,3 +100,19 @@ def test_the_flat_panel_has_darks_and_a_mask(tmp_path, monkeypatch):
         assert dataset.dark[0][good].mean() == pytest.approx(5000, abs=5 * 100 / np.sqrt(50 * good.sum()))
         ratio = (dataset.load() - dataset.dark)[:, 0, :, :3][:, good[:, :3]] / dataset.flat[0, :, :3][good[:, :3]]
         assert ratio.mean() == pytest.approx(1, abs=0.05)  # air beside the object, less what is stored
+
+
+@pytest.mark.parametrize("name", ["plot_first_fit", "plot_iodine", "plot_metal"])
+def test_articles_run_from_top_to_bottom(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("phantomgen.simulate.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
+    monkeypatch.setattr(sys, "argv", [f"{name}.py", "--quick"])
+    found = runpy.run_path(str(EXAMPLES / f"{name}.py"))
+    if name == "plot_first_fit":
+        assert found["deviances"][-1] < 0.5 * found["deviances"][0]
+        assert (tmp_path / "first-fit" / "report.html").is_file()
+    elif name == "plot_iodine":
+        assert found["slope"] == pytest.approx(1, abs=0.15)
+    else:
+        assert abs(found["errors"]["one-step"]) < abs(found["errors"]["image"])
+    assert capsys.readouterr().out

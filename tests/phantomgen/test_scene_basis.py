@@ -64,7 +64,7 @@ def test_singular_vectors_of_materials_make_a_basis():
 def test_a_dataset_gives_the_basis_back(tmp_path, functions):
     scan = load_scene(scene(*functions))
     path = tmp_path / "toy.h5"
-    phantomgen.make(scan, path)
+    phantomgen.make(scan, path).close()
     assert validate(path) == []
     with open_dataset(path) as dataset:
         assert dataset.spectra.basis == scan.basis

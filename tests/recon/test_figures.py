@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from phantomgen import channel_figure
 from phantomgen.grid import Grid
 from recon import figures
 
@@ -98,10 +99,10 @@ def test_the_spectrum_keeps_its_photons(tmp_path):
     arguments = (energy, edges, source, response, ("low", "high"), ("photoelectric", "kedge_Lu"), basis)
     table = read_csv(figures.spectrum(*arguments, tmp_path / "s.png", k_edges=(63.3,)))
     np.testing.assert_allclose(table["low_counts"] + table["high_counts"], source * response.sum(axis=0))
-    display = figures._display_bins(edges, response)
+    display = channel_figure._display_bins(edges, response)
     assert 63.3 in display
     assert np.diff(display).max() < 1.5
-    np.testing.assert_allclose(figures._per_keV(source, edges, display) @ np.diff(display), source.sum())
+    np.testing.assert_allclose(channel_figure._per_keV(source, edges, display) @ np.diff(display), source.sum())
 
 
 def test_a_single_energy_is_drawn(tmp_path):

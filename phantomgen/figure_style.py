@@ -1,0 +1,90 @@
+"""How every picture looks and is written: one column wide, readable in print, safe for the colour-blind."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+WIDTH = 7.0  # inches: one column
+PAGE_WIDTH = 4.7  # inches: half a page of a report, the whole width of a phone
+RESULT, TRUTH = "#D55E00", "black"
+MILLI, UNIT = 1e3, "10$^{-3}$ mm$^{-1}$"  # what coefficients are drawn in
+_STYLE: Any = {
+    "font.size": 8.5,
+    "axes.titlesize": 9.0,
+    "axes.labelsize": 8.5,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "lines.linewidth": 1.2,
+    "lines.solid_joinstyle": "round",
+    "axes.formatter.limits": (-3, 5),
+    "axes.formatter.use_mathtext": True,
+    "image.interpolation": "nearest",
+}
+GRAY, BLUE = "0.6", "#0072B2"
+BASIS_LINES = ((BLUE, "-"), ("#E69F00", (0, (6, 2))), ("#CC79A7", (0, (2.5, 2))), ("#009E73", (0, (1, 1))))
+
+
+_SCALABLE: Any = {"image.interpolation": "none", "svg.hashsalt": "spectral-ct"}  # pixels stay pixels, ids stay ids
+
+
+@contextmanager
+def figure_file(path: Path, inches: tuple[float, float]) -> Iterator["Figure"]:
+    """A figure in the house style that is written at the end, whatever backend the process uses.
+
+    As PNG; where the name ends in ``.svg`` as SVG on no background, for pages.
+    """
+    from matplotlib import rc_context  # noqa: PLC0415 - half a second
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    scalable = Path(path).suffix == ".svg"
+    with rc_context(_STYLE | (_SCALABLE if scalable else {})):
+        figure = Figure(figsize=inches, dpi=150, layout="constrained")
+        FigureCanvasAgg(figure)
+        yield figure
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        figure.draw_without_rendering()  # the layout settles in two rounds where aspect ratios are fixed
+        if scalable:
+            figure.savefig(path, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+        else:
+            figure.savefig(path, format="png", metadata={"Software": None})
+
+
+def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
+    """Equally long columns, beside the picture."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(path.with_suffix(".csv"), table, fmt="%.6g", delimiter=",", header=",".join(columns), comments="")
+
+
+def few_ticks(steps: int = 5) -> Any:
+    """Round numbers with at most so many steps between them."""
+    from matplotlib.ticker import MaxNLocator  # noqa: PLC0415
+
+    return MaxNLocator(steps, steps=[1, 2, 5, 10])
+
+
+def plain_minor_ticks() -> Any:
+    """Numbers at minor ticks of a logarithmic axis that spans less than a decade."""
+    from matplotlib.ticker import LogFormatter  # noqa: PLC0415
+
+    return LogFormatter(minor_thresholds=(1, 0.5))
+
+
+def channel_colours(count: int) -> Any:
+    """Distinct colours in order of energy, dark to light."""
+    from matplotlib import colormaps  # noqa: PLC0415
+
+    return colormaps["viridis"](np.linspace(0.1, 0.95, count))

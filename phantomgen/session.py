@@ -1,0 +1,52 @@
+"""The short way from Python: a scene to its plan, or to an open dataset."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from phantomgen.dataset import Dataset, open_dataset
+from phantomgen.planning import TOLERANCE, Plan, make_plan
+from phantomgen.scene import Scan, load_scene
+from phantomgen.simulate import simulate
+
+
+def plan(scan: Scan | str | Path, *, tolerance: float = TOLERANCE) -> Plan:
+    """How finely a scan will be computed, and how wrong that is.
+
+    Parameters
+    ----------
+    scan : what to simulate, or a preset or scene file
+    tolerance : worst error of log projections that is wanted
+    """
+    return make_plan(_scan(scan), tolerance)
+
+
+def make(
+    scan: Scan | str | Path,
+    out: Path | str | None = None,
+    *,
+    seed: int | None = None,
+    **options: Any,
+) -> Dataset:
+    """Simulate a scan and open its dataset.
+
+    Parameters
+    ----------
+    scan : what to simulate, or a preset or scene file
+    out : name of the dataset; ``<name of the scene>.h5`` where left out
+    seed : of the noise; that of the scene where left out
+    options : of `phantomgen.simulate.simulate`, such as ``tolerance=1e-4`` or ``overwrite=True``; that function says
+        what a simulation took and how exact its counts are
+
+    Returns
+    -------
+    the dataset, to be closed or used in a ``with`` statement
+    """
+    scan = _scan(scan)
+    if seed is not None:
+        scan = replace(scan, seed=seed)
+    return open_dataset(simulate(scan, out or f"{scan.name}.h5", **options).path)
+
+
+def _scan(scan: Scan | str | Path) -> Scan:
+    return scan if isinstance(scan, Scan) else load_scene(scan)

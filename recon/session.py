@@ -1,0 +1,202 @@
+"""The short way from Python: a dataset to a fit that evaluates, renders, scores and saves itself."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.dataset import Dataset, Region, open_dataset
+from phantomgen.dataset_truth import read_truth
+from phantomgen.geometry import Geometry
+from phantomgen.grid import Grid
+from phantomgen.stopwatch import peak_memory_mib
+from phantomgen.thumbnail import thumbnails
+from recon.basis_choice import BasisChoice, choose_basis
+from recon.fitting import Progress
+from recon.gaussians import Gaussians
+from recon.paper.pipeline import reconstruct_paper
+from recon.paper.recipe import PaperRecipe
+from recon.partial_run import LOG, log_entry
+from recon.pipeline import Reconstruction, reconstruct
+from recon.recipe import Recipe
+from recon.render_file import rendered, views_of_geometry
+from recon.report import RunFolder, write_json, write_volumes
+from recon.run import metrics_of, write_model
+from recon.run_folder import Run
+from spectra.basis import Basis, pretty
+from spectra.errors import InputError
+
+RECIPES = ("default", "paper")
+
+
+@dataclass(frozen=True, eq=False)
+class Projections:
+    """What a model expects in some views.
+
+    Parameters
+    ----------
+    line_integrals : of every basis [no unit]
+    counts : expected in every channel
+    """
+
+    line_integrals: Float[np.ndarray, "view basis row column"]
+    counts: Float[np.ndarray, "view channel row column"]
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A finished fit.
+
+    Parameters
+    ----------
+    result : model, what it started from, its spectral model, seconds per stage
+    basis : functions of energy that the dataset states or that were found; those of the model are the first
+    grid : the volume that the scan asked for
+    recipe : what steered it
+    path, air : the dataset, which is opened again for scores and names of channels
+    choice : of basis functions; None for the paper's method, which takes what it is told
+    log : one entry per step
+    """
+
+    result: Reconstruction
+    basis: Basis
+    grid: Grid
+    recipe: Recipe | PaperRecipe
+    path: Path
+    air: Region | None = None
+    choice: BasisChoice | None = None
+    log: list[dict[str, Any]] = field(default_factory=list, repr=False)
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """The model."""
+        return self.result.gaussians
+
+    @property
+    def basis_names(self) -> tuple[str, ...]:
+        """Names of the model's bases."""
+        return self.gaussians.basis_names
+
+    def __repr__(self) -> str:
+        seconds = sum(self.result.seconds.values())
+        return f"Fit({self.path.name}: {len(self.gaussians)} Gaussians, {', '.join(self.basis_names)}, {seconds:.0f} s)"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        middle = self.grid.slices(self.grid.shape[0] // 2, 1)
+        images = [(pretty(n), v[0, ::-1]) for n, v in zip(self.basis_names, self.volume(middle), strict=True)]
+        return thumbnails(repr(self), images)
+
+    def volume(self, grid: Grid | None = None) -> Float[np.ndarray, "basis z y x"]:
+        """Every basis on a grid, that of the scan where left out: means over voxels [1/mm]."""
+        return self.gaussians.volume(grid or self.grid)
+
+    def render(self, geometry: Geometry) -> Projections:
+        """Line integrals and expected counts in any views, for ideal pixels that get as many photons as the scan's."""
+        transmission = self.result.transmission
+        columns = transmission.columns[: len(self.basis_names)]
+        run = Run(self.gaussians, self.grid, self.basis, replace(transmission, columns=columns))
+        views = views_of_geometry(run, geometry)
+        images = [rendered(run, views, view) for view in range(len(geometry))]
+        lengths, counts = (np.stack(parts) for parts in zip(*images, strict=True))
+        return Projections(lengths, counts.astype(np.float32))
+
+    def score(self) -> dict[str, Any]:
+        """Scores as ``metrics.json`` has them: against the truth where the dataset has one, and on its test views."""
+        with self._dataset() as dataset:
+            metrics = metrics_of(dataset, read_truth(self.path), self.result, self.recipe.seed)
+        metrics |= {} if self.choice is None else {"basis_choice": self.choice.record()}
+        metrics["recipe"] = self.recipe.says if isinstance(self.recipe, PaperRecipe) else "fast"
+        return metrics | {"seconds": self.result.seconds, "peak_memory_mib": peak_memory_mib()}
+
+    def save(self, folder: Path | str, *, overwrite: bool = False) -> Path:
+        """Write a run folder that every command of ``recon`` reads, scores included.
+
+        Raises
+        ------
+        InputError
+            When the folder exists and `overwrite` is not given.
+        """
+        target = RunFolder(Path(folder), overwrite)
+        metrics = self.score()
+        with target as part, self._dataset() as dataset:
+            write_model(dataset, self.recipe, self.result, part)
+            others = {self.result.start: self.result.start_volumes}
+            write_volumes(part / "volumes.h5", self.volume(), self.basis_names, self.grid, others)
+            (part / LOG).write_text("".join(json.dumps(entry) + "\n" for entry in self.log), encoding="utf-8")
+            write_json(part / "metrics.json", metrics)
+        return target.path
+
+    def _dataset(self) -> Dataset:
+        return open_dataset(self.path, self.air).with_basis(self.basis)
+
+
+def fit(
+    dataset: Dataset | str | Path,
+    recipe: Recipe | PaperRecipe | str = "default",
+    *,
+    bases: int | None = None,
+    edges: Sequence[float] | None = None,
+    callbacks: Sequence[Any] = (),
+) -> Fit:
+    """Fit Gaussians to the training views of a dataset; its truth is not read.
+
+    Parameters
+    ----------
+    dataset : open, or where it is
+    recipe : numbers that steer it, or ``default`` or ``paper``
+    bases : how many basis functions to fit; those that the counts warrant where left out
+    edges : where to look for K edges [keV], see `recon.basis_choice.choose_basis`; None to believe the dataset
+    callbacks : functions, or objects with a method ``on_step``, that get a `recon.fitting.Progress` after every step
+        and end the fit by returning True; objects may have a method ``on_end`` that gets the finished `Fit`
+
+    Raises
+    ------
+    InputError
+        When there is no such recipe, or the data cannot be fitted as asked.
+    """
+    if not isinstance(dataset, Dataset):
+        with open_dataset(dataset) as opened:
+            return fit(opened, recipe, bases=bases, edges=edges, callbacks=callbacks)
+    how, log = _recipe(recipe), []
+    told = [_on_step(callback) for callback in callbacks]
+
+    def on_step(progress: Progress) -> bool:
+        log.append(log_entry(progress, dataset.spectra.channels))
+        return any([bool(tell(progress)) for tell in told])  # noqa: C419 - all of them are told
+
+    if isinstance(how, PaperRecipe):
+        choice, basis = None, dataset.spectra.basis
+        result = reconstruct_paper(dataset, how, bases, on_step=on_step)
+    else:
+        choice = choose_basis(dataset, bases, edges)
+        basis = choice.basis
+        result = reconstruct(dataset.with_basis(basis), how, on_step=on_step)
+    finished = Fit(result, basis, dataset.grid, how, dataset.path.absolute(), dataset.air, choice, log)
+    for callback in callbacks:
+        if hasattr(callback, "on_end"):
+            callback.on_end(finished)
+    return finished
+
+
+def _recipe(recipe: Recipe | PaperRecipe | str) -> Recipe | PaperRecipe:
+    if not isinstance(recipe, str):
+        return recipe
+    if recipe not in RECIPES:
+        raise InputError(f"there is no recipe {recipe!r}: choose from {', '.join(RECIPES)}, or pass a recon.Recipe")
+    return PaperRecipe() if recipe == "paper" else Recipe()
+
+
+def _on_step(callback: Any) -> Callable[[Progress], Any]:
+    """What to call after a step."""
+    if hasattr(callback, "on_step"):
+        return callback.on_step
+    if hasattr(callback, "on_end"):
+        return lambda progress: None
+    if not callable(callback):
+        raise InputError(f"a callback is a function or has a method on_step or on_end, got {callback!r}")
+    return callback
