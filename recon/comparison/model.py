@@ -1,13 +1,36 @@
 """What a contender made: a model to score, and where the models along its way are."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.dataset import Dataset
 from recon.comparison.channel_voxels import ChannelVoxels
 from recon.comparison.recorder import Recorder
 from recon.gaussians import Gaussians
+from recon.metrics import HeldOutView
+from recon.view_synthesis import predicted_views
 from recon.voxels import Voxels
+
+
+@dataclass(frozen=True, eq=False)
+class StoredViews:
+    """What a method without volumes expects in the test views.
+
+    Parameters
+    ----------
+    images : log projections [no unit]
+    """
+
+    images: Float[np.ndarray, "channel view row column"]
+
+    def held_out_views(self, dataset: Dataset) -> Iterator[HeldOutView]:
+        """Test views of a dataset and what is expected there."""
+        each = iter(np.moveaxis(self.images, 1, 0))
+        yield from predicted_views(dataset, lambda _: next(each)[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,10 +41,12 @@ class Model:
     ----------
     bases : volumes of basis functions
     channels : volumes of the channels, where a method has them of its own; they then predict views and energies
+    views : test views, where a method has nothing else
     """
 
     bases: Gaussians | Voxels | None
     channels: ChannelVoxels | None = None
+    views: StoredViews | None = None
 
     @property
     def primitives(self) -> tuple[int, str]:

@@ -64,8 +64,9 @@ def _score_volumes(protocol: Protocol, pairs: Iterable[tuple[str, np.ndarray | N
 
 
 def _views(model: Model, dataset: Dataset) -> Iterator[HeldOutView]:
-    if model.channels is not None:
-        yield from model.channels.held_out_views(dataset)
+    own = model.views or model.channels
+    if own is not None:
+        yield from own.held_out_views(dataset)
     elif model.bases is not None:
         names, basis = model.bases.basis_names, dataset.spectra.basis
         used = Basis(tuple(f for f in basis.functions if f.name in names), basis.reference_energy)

@@ -18,8 +18,8 @@ from recon.baselines.method import (
     Images,
     Iteration,
     LinearMethod,
-    Method,
     OnIteration,
+    ViewMethod,
     Volumes,
     Weights,
     unwatched,
@@ -30,6 +30,7 @@ from recon.comparison.clock import Spent
 from recon.comparison.contender import Contender
 from recon.comparison.model import Model, Runs
 from recon.comparison.recorder import Recorder
+from recon.comparison.view_run import run_views
 from recon.measurements import read_measurements
 from recon.recipe import Recipe
 from recon.voxels import Voxels
@@ -44,9 +45,11 @@ def run_voxels(dataset: Dataset, contender: Contender, recorder: Recorder) -> Ru
     contender : its method is one of `recon.baselines.METHODS`
     recorder : is given every iteration
     """
-    method: Method = method_named(contender.method)
+    method = method_named(contender.method)
     pipeline = "image" if contender.image else "two-step"
     check_method(method, pipeline, dataset)
+    if isinstance(method, ViewMethod):
+        return run_views(dataset, method, recorder)
     grid, told = dataset.grid, unwatched
 
     def record(iteration: Iteration) -> None:

@@ -43,6 +43,14 @@ def worked(scan, folder, word, budgets=(LONG,), pseudo=None):
     return [read_result(folder, budget) for budget in budgets]
 
 
+def test_a_method_without_a_volume_is_scored_by_its_views(scan, tmp_path, monkeypatch):
+    monkeypatch.setitem(METHODS, "x-gaussian", partial(METHODS["x-gaussian"], iterations=4))
+    found = worked(scan, tmp_path / "run", "x-gaussian")[0]
+    assert found["basis"] == found["energies"] == {}
+    assert all(s["psnr"] > 5 for s in found["views"]["honest"].values())
+    assert found["curve"] == []
+
+
 @pytest.mark.parametrize("word", ["fdk", "sart+2", "cgls+image", "one-step"])
 def test_a_contender_leaves_its_scores(scan, tmp_path, word):
     pseudo = tmp_path / "pseudo.npy"
