@@ -8,8 +8,9 @@ import pytest
 from tiny_scans import make
 
 from phantomgen.dataset import open_dataset
+from recon.baselines import method_named
 from recon.comparison import clock as clocks
-from recon.comparison import gaussian_run
+from recon.comparison import gaussian_run, voxel_run
 from recon.comparison.campaign import fingerprint, pseudo_truth
 from recon.comparison.contender import contender
 from recon.comparison.job import Job, read_result
@@ -44,7 +45,7 @@ def worked(scan, folder, word, budgets=(LONG,), pseudo=None):
 
 
 def test_a_method_without_a_volume_is_scored_by_its_views(scan, tmp_path, monkeypatch):
-    monkeypatch.setitem(METHODS, "x-gaussian", partial(METHODS["x-gaussian"], iterations=4))
+    monkeypatch.setattr(voxel_run, "method_named", lambda name: method_named(name, 4))
     found = worked(scan, tmp_path / "run", "x-gaussian")[0]
     assert found["basis"] == found["energies"] == {}
     assert all(s["psnr"] > 5 for s in found["views"]["honest"].values())
