@@ -6,14 +6,13 @@ Numerical Optimization, 2006, algorithm 7.4) from the inverse of the diagonal th
 that each Gaussian takes in its own frame. Coefficients stay non-negative: one at 0 that would sink further is held.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from phantomgen.grid import Grid
+from recon.baselines.method import OnIteration, Report, unwatched
 from recon.gaussians import Gaussians
 from recon.local_steps import GEOMETRY, gradient_of_steps, moved
 from recon.ops.voxelize import voxelize_tensor
@@ -33,7 +32,7 @@ def approximate(
     metric: Float[np.ndarray, "basis basis"],
     grid: Grid,
     evaluations: int,
-    on_evaluation: Callable[[int, float], None] = lambda count, distance: None,
+    on_evaluation: OnIteration = unwatched,
 ) -> Gaussians:
     """Bring Gaussians closer to volumes.
 
@@ -44,9 +43,9 @@ def approximate(
     metric : weighs differences of the bases, for instance the mean Fisher matrix of the rays
     grid : of `volumes`
     evaluations : voxelizations to spend, each with its gradient
-    on_evaluation : told how many were spent, and half the squared distance in the metric, whose trace counts as 1
+    on_evaluation : called after each; its residual is half the squared distance in the metric, whose trace counts as 1
     """
-    problem = _Distance(volumes, metric, grid, on_evaluation)
+    problem = _Distance(volumes, metric, grid, Report(on_evaluation, evaluations))
     history, model = History(), start.detached()
     distance, gradient = problem.evaluate(model)
     renewed = -RENEWED
@@ -84,12 +83,12 @@ class _Distance:
         volumes: Float[np.ndarray, "basis z y x"],
         metric: Float[np.ndarray, "basis basis"],
         grid: Grid,
-        on_evaluation: Callable[[int, float], None],
+        report: Report,
     ) -> None:
         self.volumes, self.grid = torch.from_numpy(volumes), grid
         self.metric = torch.from_numpy(metric / np.trace(metric)).float()
         self.inverse_metric = torch.linalg.inv(self.metric)
-        self.evaluations, self.on_evaluation = 0, on_evaluation
+        self.evaluations, self.report = 0, report
 
     def evaluate(self, model: Gaussians) -> tuple[float, Float[Tensor, "gaussian step"]]:
         parts = [p.detach().requires_grad_() for p in _parts(model)]
@@ -99,7 +98,7 @@ class _Distance:
         found.backward(pull)
         self.evaluations += 1
         distance = 0.5 * float((away * pull).sum(dtype=torch.float64))
-        self.on_evaluation(self.evaluations, distance)
+        self.report(found.detach().numpy(), distance)
         return distance, gradient_of_steps(model, [p.grad for p in parts if p.grad is not None])
 
     def renew_diagonal(self, model: Gaussians) -> None:

@@ -63,10 +63,10 @@ def _finite(_: click.Context, __: click.Parameter, value: float | None) -> float
 )
 @click.option(
     "--recipe",
-    type=click.Choice(["fast", "paper"]),
+    type=click.Choice(["fast", "best", "paper"]),
     default="fast",
     show_default=True,
-    help="This project's fit, or the method of SpectralCTGaussians.",
+    help="This project's fit, short or long, or the method of SpectralCTGaussians.",
 )
 @click.option("--steps", type=click.IntRange(min=1), help="Steps of --recipe paper; schedules scale [default: 30000].")
 @click.option("--without", metavar="NAME", multiple=True, help="Leave out a component of --recipe paper; repeatable.")
@@ -138,13 +138,13 @@ def fit(
 
     special = {"resume": resume, "dry-run": dry_run, "memory": memory, "held-out": held_out, "edge": edge}
     if method != "gaussian":
-        _refuse(f"--method {method}", special | {"steps": steps, "without": without, "recipe": recipe == "paper"})
+        _refuse(f"--method {method}", special | {"steps": steps, "without": without, "recipe": recipe != "fast"})
     if recipe == "paper":
         _refuse("--recipe paper, whose length is --steps", special | {"sweeps": sweeps})
         how = PaperRecipe(steps=steps or PAPER_STEPS, without=without, seed=seed)
     else:
-        _refuse("--recipe fast, whose length is --sweeps", {"steps": steps, "without": without})
-        how = chosen_recipe(sweeps, seed, held_out)
+        _refuse(f"--recipe {recipe}, whose length is --sweeps", {"steps": steps, "without": without})
+        how = chosen_recipe(recipe, sweeps, seed, held_out)
     source, edges = Path(dataset), parse_edges(edge)
     set_threads(threads)
     if dry_run and not isinstance(how, PaperRecipe):

@@ -13,7 +13,7 @@ from phantomgen.stopwatch import Stopwatch
 from recon.anchor import Anchor
 from recon.approximation import approximate
 from recon.array_store import IN_MEMORY, ArrayStore
-from recon.baselines.method import CountsMethod, Method
+from recon.baselines.method import CountsMethod, Method, OnIteration, unwatched
 from recon.baselines.one_step import OneStep
 from recon.decompose import decompose_views
 from recon.filling import filled
@@ -74,6 +74,7 @@ def reconstruct(
     keeper: Keeper | None = None,
     processes: Processes = ALONE,
     store: ArrayStore = IN_MEMORY,
+    on_iteration: OnIteration = unwatched,
 ) -> Reconstruction:
     """Fit Gaussians to the training views of a dataset.
 
@@ -86,6 +87,7 @@ def reconstruct(
     keeper : knows where an interrupted fit stands, and is told where a new one starts
     processes : that share the fit; the first one makes the start
     store : where counts and line integrals live
+    on_iteration : called along the start, after every pass of voxels and every evaluation of Gaussians that follow them
     """
     grid, voxel = dataset.grid, min(dataset.grid.spacing)
     starting_method(dataset.geometry[dataset.splits["train"]], grid)  # refuses scans that show no depth
@@ -101,7 +103,7 @@ def reconstruct(
         state, volumes, seconds = kept
         stage.seconds.update(seconds | {"fit": state.seconds})
     elif processes.first:
-        volumes, start = _first_guess(measured, grid, fisher, recipe, stage, store)
+        volumes, start = _first_guess(measured, grid, fisher, recipe, stage, store, on_iteration)
         state = FitState.begin(start)
         if keeper is not None:
             keeper.begin(volumes, stage.seconds, state)
@@ -117,7 +119,10 @@ def reconstruct(
 
 def _starting(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
     """What makes the first volumes: the voxels that the prior wants, or decomposed rays without one."""
-    return OneStep() if recipe.prior else starting_method(measured.geometry, grid)
+    if not recipe.prior:
+        return starting_method(measured.geometry, grid)
+    coarse = OneStep().levels[:-1]
+    return OneStep(levels=(*coarse, (1, recipe.voxel_passes)))
 
 
 def _mean_information(measured: Measurements, voxel: float, recipe: Recipe) -> Float[np.ndarray, "basis basis"]:
@@ -127,13 +132,19 @@ def _mean_information(measured: Measurements, voxel: float, recipe: Recipe) -> F
 
 
 def _first_guess(
-    measured: Measurements, grid: Grid, fisher: np.ndarray, recipe: Recipe, stage: Stopwatch, store: ArrayStore
+    measured: Measurements,
+    grid: Grid,
+    fisher: Float[np.ndarray, "basis basis"],
+    recipe: Recipe,
+    stage: Stopwatch,
+    store: ArrayStore,
+    on_iteration: OnIteration,
 ) -> tuple[Float[np.ndarray, "basis z y x"], Gaussians]:
     """First volumes, and Gaussians that follow them."""
     voxel, method = min(grid.spacing), _starting(measured, grid, recipe)
     if isinstance(method, CountsMethod):
         with stage(method.name):
-            volumes = method.reconstruct_counts(measured, grid)
+            volumes = method.reconstruct_counts(measured, grid, on_iteration)
     else:
         coarse = measured.completed().binned(matching_bin(measured.geometry, voxel))
         with stage("decompose"):
@@ -146,7 +157,7 @@ def _first_guess(
         start = initialize(volumes, fisher, grid, recipe.spacing * voxel, measured.basis_names, recipe.seed)
     if recipe.prior:  # the volumes are worth following
         with stage("approximate"):
-            start = approximate(start, volumes, fisher, grid, recipe.approximation)
+            start = approximate(start, volumes, fisher, grid, recipe.approximation, on_iteration)
     return volumes, start
 
 

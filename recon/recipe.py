@@ -25,9 +25,11 @@ class Recipe:
 
     Parameters
     ----------
+    name : what ``--recipe`` calls it
     stages : binnings and how long each lasts
     views_per_step : views whose gradients make one step
     spacing : distance between Gaussians along edges
+    voxel_passes : over the views at full resolution, for the voxels that a fit with a prior starts from
     approximation : evaluations that bring the first Gaussians close to the voxels they start from
     dispersion : relative model error added to the Poisson variance, so that partial volume at edges does not rule
     node_tolerance : largest error of the log counts that compressing the energy grid may cause
@@ -44,10 +46,12 @@ class Recipe:
     held_out : training views that are not fitted; the fit ends when chi-square on them no longer falls; 0 for none
     """
 
-    stages: tuple[Stage, ...] = (Stage(1.0, 5.0),)
+    name: str = "fast"
+    stages: tuple[Stage, ...] = (Stage(1.0, 2.0),)
     views_per_step: int = 2
     spacing: float = 1.2
-    approximation: int = 50
+    voxel_passes: int = 8
+    approximation: int = 20
     dispersion: float = 0.01
     node_tolerance: float = 1e-3
     centre_rate: float = 0.02
@@ -65,7 +69,7 @@ class Recipe:
         for field in fields(self):
             value = getattr(self, field.name)
             if (
-                field.name not in ("stages", "seed", "warm_up", "momentum", "dispersion", "prior", "held_out")
+                field.name not in ("name", "stages", "seed", "warm_up", "momentum", "dispersion", "prior", "held_out")
                 and value <= 0
             ):
                 raise InputError(f"recipe {field.name} must be positive, got {value}")
@@ -73,3 +77,8 @@ class Recipe:
             raise InputError(f"recipe held_out must be a number of views, 0 or more, got {self.held_out}")
         if not self.stages:
             raise InputError("a recipe needs at least one stage")
+
+
+FAST = Recipe()
+BEST = Recipe(name="best", stages=(Stage(1.0, 5.0),), voxel_passes=16, approximation=50)
+RECIPES = {recipe.name: recipe for recipe in (FAST, BEST)}

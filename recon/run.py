@@ -14,6 +14,7 @@ from phantomgen.stopwatch import Stopwatch, peak_memory_mib
 from phantomgen.versions import environment
 from recon import figures
 from recon.array_store import array_store
+from recon.baselines.method import Iteration
 from recon.basis_choice import choose_basis
 from recon.edge_report import draw_choice
 from recon.fitting import Progress
@@ -26,7 +27,7 @@ from recon.paper.recipe import PaperRecipe
 from recon.partial_run import PartialRun
 from recon.pipeline import Reconstruction, reconstruct
 from recon.processes import ALONE, Processes
-from recon.recipe import Recipe
+from recon.recipe import RECIPES, Recipe
 from recon.report import Stopped, write_json, write_volumes
 from recon.run_folder import MODEL, write_scan
 from recon.scoring import psnr_of_bases, score_start, score_test_views, score_truth
@@ -42,6 +43,9 @@ class Watcher(Protocol):
 
     def step(self, progress: Progress) -> None:
         """A step of the fit is done."""
+
+    def iterated(self, iteration: Iteration) -> None:
+        """A part of the start is done."""
 
     def say(self, sentence: str) -> None:
         """Something was decided."""
@@ -106,7 +110,9 @@ def run(
         else:
             plan = plan_memory(dataset, recipe, bases, memory)
             with array_store(folder or Path(), plan.on_disk) as store:
-                result = reconstruct(dataset, recipe, bases, watcher.stage, on_step, keeper, processes, store)
+                result = reconstruct(
+                    dataset, recipe, bases, watcher.stage, on_step, keeper, processes, store, watcher.iterated
+                )
     if folder is None or keeper is None:
         return {}
     write_model(dataset, recipe, result, folder)
@@ -116,7 +122,7 @@ def run(
         truth = read_truth(dataset.path)
         metrics = metrics_of(dataset, truth, result, recipe.seed)
         metrics |= {} if choice is None else {"basis_choice": choice.record()}
-        metrics["recipe"] = recipe.says if isinstance(recipe, PaperRecipe) else "fast"
+        metrics["recipe"] = recipe.says if isinstance(recipe, PaperRecipe) else recipe.name
         keeper.add_scores(_psnr_along_the_way(keeper, truth))
     with clock("write"):
         volumes = result.gaussians.volume(dataset.grid)
@@ -134,9 +140,9 @@ def run(
     return metrics
 
 
-def chosen_recipe(sweeps: float | None, seed: int, held_out: int) -> Recipe:
+def chosen_recipe(name: str, sweeps: float | None, seed: int, held_out: int) -> Recipe:
     """The recipe with what a user chose; `sweeps` overrides the length of all stages."""
-    recipe = Recipe(seed=seed, held_out=held_out)
+    recipe = replace(RECIPES[name], seed=seed, held_out=held_out)
     if sweeps is None:
         return recipe
     return replace(recipe, stages=tuple(replace(stage, sweeps=sweeps) for stage in recipe.stages))

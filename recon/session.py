@@ -22,15 +22,13 @@ from recon.paper.pipeline import reconstruct_paper
 from recon.paper.recipe import PaperRecipe
 from recon.partial_run import LOG, log_entry
 from recon.pipeline import Reconstruction, reconstruct
-from recon.recipe import Recipe
+from recon.recipe import RECIPES, Recipe
 from recon.render_file import rendered, views_of_geometry
 from recon.report import RunFolder, write_json, write_volumes
 from recon.run import metrics_of, write_model
 from recon.run_folder import Run
 from spectra.basis import Basis, pretty
 from spectra.errors import InputError
-
-RECIPES = ("default", "paper")
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +108,7 @@ class Fit:
         with self._dataset() as dataset:
             metrics = metrics_of(dataset, read_truth(self.path), self.result, self.recipe.seed)
         metrics |= {} if self.choice is None else {"basis_choice": self.choice.record()}
-        metrics["recipe"] = self.recipe.says if isinstance(self.recipe, PaperRecipe) else "fast"
+        metrics["recipe"] = self.recipe.says if isinstance(self.recipe, PaperRecipe) else self.recipe.name
         return metrics | {"seconds": self.result.seconds, "peak_memory_mib": peak_memory_mib()}
 
     def save(self, folder: Path | str, *, overwrite: bool = False) -> Path:
@@ -137,7 +135,7 @@ class Fit:
 
 def fit(
     dataset: Dataset | str | Path,
-    recipe: Recipe | PaperRecipe | str = "default",
+    recipe: Recipe | PaperRecipe | str = "fast",
     *,
     bases: int | None = None,
     edges: Sequence[float] | None = None,
@@ -148,7 +146,7 @@ def fit(
     Parameters
     ----------
     dataset : open, or where it is
-    recipe : numbers that steer it, or ``default`` or ``paper``
+    recipe : numbers that steer it, or ``fast``, ``best`` or ``paper``
     bases : how many basis functions to fit; those that the counts warrant where left out
     edges : where to look for K edges [keV], see `recon.basis_choice.choose_basis`; None to believe the dataset
     callbacks : functions, or objects with a method ``on_step``, that get a `recon.fitting.Progress` after every step
@@ -186,9 +184,12 @@ def fit(
 def _recipe(recipe: Recipe | PaperRecipe | str) -> Recipe | PaperRecipe:
     if not isinstance(recipe, str):
         return recipe
+    if recipe == "paper":
+        return PaperRecipe()
     if recipe not in RECIPES:
-        raise InputError(f"there is no recipe {recipe!r}: choose from {', '.join(RECIPES)}, or pass a recon.Recipe")
-    return PaperRecipe() if recipe == "paper" else Recipe()
+        known = ", ".join([*RECIPES, "paper"])
+        raise InputError(f"there is no recipe {recipe!r}: choose from {known}, or pass a recon.Recipe")
+    return RECIPES[recipe]
 
 
 def _on_step(callback: Any) -> Callable[[Progress], Any]:

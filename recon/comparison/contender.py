@@ -1,7 +1,8 @@
 """What takes part in a comparison: a method and what is changed about it, as one word.
 
-``sart``, ``sart+image``, ``gaussian+2``, ``paper+without-tv``, ``gaussian+views-25``, ``gaussian+blind-bin1``: the
-method first, and after each plus sign a change. The word names the contender in tables, options and folders.
+``sart``, ``sart+image``, ``gaussian+best``, ``gaussian+2``, ``paper+without-tv``, ``gaussian+views-25``,
+``gaussian+blind-bin1``: the method first, and after each plus sign a change. The word names the contender in tables,
+options and folders.
 """
 
 import re
@@ -13,7 +14,7 @@ from recon.paper.components import checked
 from spectra.errors import InputError
 
 GAUSSIAN, PAPER = "gaussian", "paper"
-_CHANGES = "image, 2, 3, views-N, blind-CHANNEL, without-COMPONENT"
+_CHANGES = "best, image, 2, 3, views-N, blind-CHANNEL, without-COMPONENT"
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,7 @@ class Contender:
     Parameters
     ----------
     method : ``gaussian``, ``paper``, or a name in `recon.baselines.METHODS`
+    best : whether the fit takes its longer recipe
     image : whether channels are reconstructed one by one, and decomposed in the voxels afterwards
     bases : how many basis functions; None for all, and for ``gaussian`` those that the counts warrant
     views : how many of the training views, evenly spread; None for all
@@ -31,6 +33,7 @@ class Contender:
     """
 
     method: str
+    best: bool = False
     image: bool = False
     bases: int | None = None
     views: int | None = None
@@ -45,6 +48,7 @@ class Contender:
     def __str__(self) -> str:
         parts = [
             self.method,
+            "best" if self.best else "",
             "image" if self.image else "",
             str(self.bases or ""),
             f"views-{self.views}" if self.views is not None else "",
@@ -74,6 +78,8 @@ def contender(word: str) -> Contender:
     for change in changes:
         if change == "image" and method not in (GAUSSIAN, PAPER):
             found["image"] = True
+        elif change == "best" and method == GAUSSIAN:
+            found["best"] = True
         elif change in ("2", "3"):
             found["bases"] = int(change)
         elif re.fullmatch(r"views-[1-9]\d*", change):

@@ -32,7 +32,7 @@ def distance(gaussians, volumes, metric=METRIC):
 def followed():
     volumes, told = ball_and_rod(), []
     start = initialize(volumes, METRIC, GRID, 1.2, NAMES[:2], 0)
-    return volumes, start, approximate(start, volumes, METRIC, GRID, 30, lambda *what: told.append(what)), told
+    return volumes, start, approximate(start, volumes, METRIC, GRID, 30, told.append), told
 
 
 def test_thirty_evaluations_bring_gaussians_much_closer(followed):
@@ -44,9 +44,9 @@ def test_thirty_evaluations_bring_gaussians_much_closer(followed):
 
 def test_what_is_told_is_the_distance_on_the_way(followed):
     volumes, start, found, told = followed
-    assert [count for count, _ in told] == list(range(1, 31))
-    assert told[0][1] == pytest.approx(distance(start, volumes), rel=1e-2)
-    assert min(d for _, d in told) == pytest.approx(distance(found, volumes), rel=5e-2)
+    assert [told_of.done for told_of in told] == list(range(1, 31))
+    assert told[0].residual == pytest.approx(distance(start, volumes), rel=1e-2)
+    assert min(told_of.residual for told_of in told) == pytest.approx(distance(found, volumes), rel=5e-2)
 
 
 def test_it_gets_there_sooner_than_without_knowing_the_curvature_of_a_gaussian(followed):

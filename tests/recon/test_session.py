@@ -83,7 +83,7 @@ def test_notebooks_show_a_slice_of_every_basis(fit):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"recipe": "best"}, "no recipe 'best': choose from default, paper"),
+        ({"recipe": "slow"}, "no recipe 'slow': choose from fast, best, paper"),
         ({"callbacks": [3]}, "a callback is a function"),
     ],
 )

@@ -43,7 +43,7 @@ def test_contenders_come_once_each_in_their_order():
     ("word", "sentence"),
     [
         ("tv", "there is no method 'tv' to compare: choose from gaussian, paper, fdk"),
-        ("fdk+4", "fdk+4: '4' is no change of the method fdk: choose from image, 2, 3, views-N"),
+        ("fdk+4", "fdk+4: '4' is no change of the method fdk: choose from best, image, 2, 3, views-N"),
         ("gaussian+image", "'image' is no change of the method gaussian"),
         ("gaussian+without-tv", "'without-tv' is no change of the method gaussian"),
         ("paper+without-colour", "--without colour: there is no such component"),

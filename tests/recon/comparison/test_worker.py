@@ -146,7 +146,7 @@ def test_a_contender_sees_only_what_it_may(scan):
 @pytest.fixture
 def quick(monkeypatch):
     """Recipes that take seconds."""
-    monkeypatch.setattr(gaussian_run, "Recipe", lambda: Recipe(stages=(Stage(1.0, 3.0),), views_per_step=4))
+    monkeypatch.setattr(gaussian_run, "FAST", Recipe(stages=(Stage(1.0, 3.0),), views_per_step=4))
     small = PaperRecipe(steps=12, gaussians=200, most=300)
     monkeypatch.setattr(gaussian_run, "PaperRecipe", lambda without: replace(small, without=without))
 
