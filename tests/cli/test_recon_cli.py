@@ -124,7 +124,7 @@ def test_metrics_have_the_documented_keys(complete):
     assert all(set(scores) == CHANNEL_SCORES for scores in metrics["channels"].values())
     assert (metrics["dataset"], metrics["seed"]) == ("tiny.h5", 0)
     assert set(metrics["seconds"]) == {
-        "check", "basis", "read", "one-step", "initialize", "fit", "score", "write", "figures",
+        "check", "basis", "read", "one-step", "initialize", "approximate", "fit", "score", "write", "figures",
     }  # fmt: skip
     documented = (Path(__file__).parents[2] / "docs" / "file_format.md").read_text(encoding="utf-8")
     sections = (metrics, metrics["seconds"], metrics["basis"]["compton"], metrics["channels"]["bin0"])
@@ -282,7 +282,7 @@ def test_a_region_of_air_takes_the_place_of_flats(copy, complete, tmp_path):
     assert fit(copy, "-o", tmp_path / "run", "--air", f"0:2,0:{PIXELS}", *FAST).exit_code == 0
     with_air, with_flats = metrics_of(tmp_path / "run"), metrics_of(complete[0])
     for name in BASES:
-        assert with_air["basis"][name]["psnr"] == pytest.approx(with_flats["basis"][name]["psnr"], abs=0.5)
+        assert with_air["basis"][name]["psnr"] > with_flats["basis"][name]["psnr"] - 0.5
 
 
 def test_without_an_edge_in_the_scene_file_and_fit_have_two_bases(without_edge, tmp_path):
