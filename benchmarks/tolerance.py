@@ -1,11 +1,14 @@
 """Error against time: what a tolerance costs, and whether it is met by an independent yardstick.
 
-    python benchmarks/tolerance.py [kedge multi-energy aorta voxels]
+    python benchmarks/tolerance.py [kedge multi-energy=1e-5 aorta=1e-4,1e-5 voxels ...]
+    python benchmarks/tolerance.py --draw
 
 For each scene and each tolerance from 1e-1 to 1e-5: the plan, milliseconds per view (all threads, minimum of three
 runs, or one run where it is long), and the worst log error of 24 edge pixels against 512 x 512 rays each and ten times
 finer energies, and of 2000 rays against these energies alone. The yardstick's own error at silhouettes is some 2e-5.
 Scenes with many materials or voxels take long, because the yardstick does: a minute for `kedge`, many for the others.
+Rows take the place of those in `results/tolerance.txt` of the same scene and tolerance; the figure is drawn from that
+file, by `--draw` alone where nothing is to be measured.
 """
 
 import os
@@ -34,6 +37,8 @@ import matplotlib.pyplot as plt
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
 RAYS, PIXELS, LONG = 512, 24, 2.0
 RESULTS = Path(__file__).parent / "results"
+TABLE = RESULTS / "tolerance.txt"
+HEADER = "scene         tolerance  planned  measured  ms/view  plan [s]  nodes  pixels"
 VOXELS_SCENE = """
 version: 1
 name: voxels
@@ -104,35 +109,60 @@ def milliseconds(scan: Scan, plan: Plan) -> float:
     return 1e3 * min(took) / count
 
 
-def main() -> None:
-    names = sys.argv[1:] or ["kedge", "multi-energy", "aorta", "voxels"]
+def row_of(scan: Scan, yardstick: Yardstick, name: str, tolerance: float) -> str:
+    """One line of the results."""
+    began = time.perf_counter()
+    plan = make_plan(scan, tolerance)
+    planned = time.perf_counter() - began
+    how = "; ".join(choice.setting for choice in plan.choices[1:]) + (" MISSED" if plan.missed else "")
+    return (
+        f"{name:<14}{tolerance:9.0e}  {plan.error:.1e}   {yardstick.worst_error(plan):.1e}  "
+        f"{milliseconds(scan, plan):7.1f}  {planned:8.1f}  {sum(plan.nodes):5d}  {how}"
+    )
+
+
+def store(row: str) -> None:
+    """Put a line in the place of that of the same scene and tolerance, or at the end."""
+    lines = TABLE.read_text(encoding="utf-8").splitlines() if TABLE.exists() else [machine(), HEADER]
+    same = [i for i, line in enumerate(lines) if line.split()[:2] == row.split()[:2]]
+    if same:
+        lines[same[0]] = row
+    else:
+        lines.append(row)
+    TABLE.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def machine() -> str:
+    """Where the times come from."""
     busy = f", {os.getloadavg()[0]:.1f} processes busy before the start" if hasattr(os, "getloadavg") else ""
-    lines = [f"{platform.machine()}, {thread_count()} threads{busy}"]
-    lines.append("scene         tolerance  planned  measured  ms/view  plan [s]  nodes  pixels")
+    return f"{platform.machine()}, {thread_count()} threads{busy}"
+
+
+def draw() -> None:
+    """Error against time, a line per scene, from the table."""
+    curves: dict[str, list[tuple[float, float]]] = {}
+    for line in TABLE.read_text(encoding="utf-8").splitlines():
+        cells = line.split()
+        if len(cells) > len(HEADER.split()) and cells[1].startswith("1e-"):
+            curves.setdefault(cells[0], []).append((float(cells[4]), float(cells[3])))
     figure, axes = plt.subplots(figsize=(5.2, 3.6), layout="constrained")
-    with tempfile.TemporaryDirectory() as folder:
-        for name in names:
-            scan = voxel_scene(Path(folder)) if name == "voxels" else load_scene(name)
-            curve, yardstick = [], Yardstick(scan)
-            for tolerance in TOLERANCES:
-                began = time.perf_counter()
-                plan = make_plan(scan, tolerance)
-                planned = time.perf_counter() - began
-                error = yardstick.worst_error(plan)
-                curve.append((milliseconds(scan, plan), error))
-                how = "; ".join(choice.setting for choice in plan.choices[1:])
-                missed = " MISSED" if plan.missed else ""
-                lines.append(
-                    f"{name:<14}{tolerance:9.0e}  {plan.error:.1e}   {error:.1e}  {curve[-1][0]:7.1f}  {planned:8.1f}"
-                    f"  {sum(plan.nodes):5d}  {how}{missed}"
-                )
-                print(lines[-1], flush=True)
-            axes.loglog(*np.array(curve).T, "o-", label=name)
-            (RESULTS / "tolerance.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    for (name, curve), marker in zip(curves.items(), "os^Dv<>", strict=False):
+        axes.loglog(*np.array(curve).T, f"{marker}-", label=name)
     axes.set(xlabel="time per view [ms]", ylabel="worst error of log projections")
     axes.grid(alpha=0.3)
     axes.legend()
     figure.savefig(RESULTS / "tolerance.png", dpi=150)
+
+
+def main() -> None:
+    wanted = sys.argv[1:] or ["kedge", "multi-energy", "aorta", "voxels"]
+    with tempfile.TemporaryDirectory() as folder:
+        for name, _, values in (word.partition("=") for word in wanted if word != "--draw"):
+            scan = voxel_scene(Path(folder)) if name == "voxels" else load_scene(name)
+            yardstick = Yardstick(scan)
+            for tolerance in map(float, values.split(",")) if values else TOLERANCES:
+                store(row_of(scan, yardstick, name, tolerance))
+    draw()
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from phantomgen.ops.expose import CROSSED, EMPTY, KINKED, RULES, VOXELS, Exposed, expose, expose_brute
+from phantomgen.plan_yardstick import RayGrid, split_grid, worst_error
 from phantomgen.scene import Scan
 from phantomgen.settings import Settings
 from phantomgen.simulate_views import aperture_of
@@ -30,6 +31,8 @@ RULE_LADDER = (
     ((4, 3), (6, 4), (9, 6), (12, 8), (18, 12)),
     ((8, 6), (10, 8), (14, 10), (18, 12), (24, 16)),
     ((12, 9), (15, 12), (20, 14), (25, 17), (32, 22)),
+    ((18, 14), (22, 18), (28, 20), (34, 24), (42, 30)),
+    ((26, 20), (30, 25), (38, 28), (46, 33), (56, 40)),
 )
 _FINER = 2
 VOXEL_LADDER = (1.0, 2.0, 4.0, 8.0, 16.0)
@@ -41,8 +44,6 @@ _MOST_WINDOWS = 4
 # Crossed pixels per view, and pixels per view and kind that are compared with a grid of rays.
 _MOST_CROSSED = 800
 _BRUTE_PIXELS = 12
-_BRUTE_RAYS = 256
-_LEAST = 1e-12
 _SEED = 5
 
 Image = Float[np.ndarray, "channel row column"]
@@ -121,15 +122,14 @@ class PixelSample:
     ----------
     scan, transmission : what is computed
     windows : parts of views that hold edges
-    pixels, brute : some such pixels, and their counts, per window
+    grids : some such pixels, and grids of rays through them, per window
     known : what was computed of all windows before, by its settings
     """
 
     scan: Scan
     transmission: Transmission
     windows: tuple[Window, ...]
-    pixels: tuple[Int[np.ndarray, "pixel 2"], ...]
-    brute: tuple[Float[np.ndarray, "pixel channel"], ...]
+    grids: tuple[RayGrid, ...]
     known: dict[Settings, list[Exposed]] = field(default_factory=dict)
 
     @classmethod
@@ -137,9 +137,10 @@ class PixelSample:
         """Draw windows, always by the same seed."""
         rng = np.random.default_rng(_SEED)
         windows = windows_of(scan, transmission, rng)
-        pixels = tuple(_hard_pixels(window, rng) for window in windows)
-        brute = run_parallel(lambda job: _brute(scan, transmission, *job), list(zip(windows, pixels, strict=True)))
-        return cls(scan, transmission, windows, pixels, tuple(brute))
+        grids = tuple(
+            RayGrid(_hard_pixels(window, rng), partial(_brute, scan, transmission, window)) for window in windows
+        )
+        return cls(scan, transmission, windows, grids)
 
     def has(self, kind: int) -> bool:
         """Whether some sampled pixel is of a kind."""
@@ -158,16 +159,12 @@ class PixelSample:
             worst = max(worst, worst_error(found.counts[:, easy], fine.counts[:, easy], level))
         return worst
 
-    def hard_error(self, settings: Settings, kinds: tuple[int, ...]) -> float:
-        """Worst difference to grids of rays, of pixels of some kinds."""
+    def hard_error(self, settings: Settings, kinds: tuple[int, ...], share: float) -> float:
+        """Worst difference to grids of rays, of pixels of some kinds; finer grids where it exceeds `share`."""
         worst = 0.0
-        for window, found, pixels, brute in zip(
-            self.windows, self._found(settings), self.pixels, self.brute, strict=True
-        ):
-            chosen = np.isin(window.classes[pixels[:, 0], pixels[:, 1]], kinds)
-            at = pixels[chosen]
-            level = found.counts.max(axis=(1, 2))
-            worst = max(worst, worst_error(found.counts[:, at[:, 0], at[:, 1]].T, brute[chosen], level))
+        for window, found, grid in zip(self.windows, self._found(settings), self.grids, strict=True):
+            chosen = np.isin(window.classes[grid.pixels[:, 0], grid.pixels[:, 1]], kinds)
+            worst = max(worst, grid.worst(found.counts, chosen, found.counts.max(axis=(1, 2)), share))
         return worst
 
     def _found(self, settings: Settings) -> list[Exposed]:
@@ -193,12 +190,12 @@ def choose_pixels(
     sample = PixelSample.of(scan, transmission)
     settings = replace(settings, kinks=KINK_LADDER[0] * share)
     if scan.sub_rays is not None:
-        trial = _plain(sample, settings, scan.sub_rays)
+        trial = _plain(sample, settings, scan.sub_rays, share)
         choice = Choice("pixels", f"{trial.setting}, as the scene says", trial.error, share, (trial,))
         return replace(settings, sub_rays=scan.sub_rays), [choice]
     tried: list[Trial] = []
     for n in GRIDS:
-        tried.append(_plain(sample, settings, n))
+        tried.append(_plain(sample, settings, n, share))
         if tried[-1].error <= share:
             choice = Choice("pixels", tried[-1].setting, tried[-1].error, share, tuple(tried))
             return replace(settings, sub_rays=n), [choice]
@@ -207,10 +204,10 @@ def choose_pixels(
     return _split(sample, settings, share, tuple(tried))
 
 
-def _plain(sample: PixelSample, settings: Settings, n: int) -> Trial:
+def _plain(sample: PixelSample, settings: Settings, n: int, share: float) -> Trial:
     """Error of a plain grid of rays in all kinds of pixels."""
     grid = replace(settings, sub_rays=n)
-    error = max(sample.easy_error(grid, settings), sample.hard_error(grid, (KINKED, VOXELS)))
+    error = max(sample.easy_error(grid, settings), sample.hard_error(grid, (KINKED, VOXELS), share))
     name = "one ray through each pixel's centre" if n == 1 else f"{n} x {n} rays where edges pass"
     return Trial(name, error, sample.rays(grid))
 
@@ -224,7 +221,7 @@ def _split(
         parts = [replace(settings, kinks=part * share) for part in KINK_LADDER]
         steps = [(f"rectangles halved until they err by {s.kinks:.1e}", s) for s in parts]
         settings, choice = _climb(
-            "meeting surfaces", steps, share, sample, lambda i: sample.hard_error(parts[i], (KINKED,))
+            "meeting surfaces", steps, share, sample, lambda i: sample.hard_error(parts[i], (KINKED,), share)
         )
         choices.append(choice)
     levels = [replace(settings, rules=rules) for rules in RULE_LADDER]
@@ -236,7 +233,9 @@ def _split(
     if sample.has(VOXELS):
         rays = [replace(settings, rays_per_voxel=n) for n in VOXEL_LADDER]
         steps = [(f"{s.rays_per_voxel:g} rays per voxel and side", s) for s in rays]
-        settings, choice = _climb("voxel maps", steps, share, sample, lambda i: sample.hard_error(rays[i], (VOXELS,)))
+        settings, choice = _climb(
+            "voxel maps", steps, share, sample, lambda i: sample.hard_error(rays[i], (VOXELS,), share)
+        )
         choices.append(choice)
     return settings, choices
 
@@ -327,31 +326,24 @@ def _hard_pixels(window: Window, rng: np.random.Generator) -> Int[np.ndarray, "p
 
 
 def _brute(
-    scan: Scan, transmission: Transmission, window: Window, pixels: Int[np.ndarray, "pixel 2"]
+    scan: Scan, transmission: Transmission, window: Window, pixels: Int[np.ndarray, "pixel 2"], rays: int
 ) -> Float[np.ndarray, "pixel channel"]:
     """Counts of pixels from a grid of rays."""
-    if not len(pixels):
-        return np.empty((0, len(transmission)))
-    return expose_brute(
-        window.frame,
-        pixels,
-        scan.scene.solids,
-        transmission.columns,
-        transmission.weights,
-        transmission.starts,
-        scan.scene.background,
-        n=_BRUTE_RAYS,
-        profile=window.profile,
-        aperture=aperture_of(scan),
-    )
+    spectrum = transmission.columns, transmission.weights, transmission.starts
 
+    def expose_part(frame: Frame, aperture: tuple[float, float], n: int) -> Float[np.ndarray, "pixel channel"]:
+        return expose_brute(
+            frame,
+            pixels,
+            scan.scene.solids,
+            *spectrum,
+            scan.scene.background,
+            n=n,
+            profile=window.profile,
+            aperture=aperture,
+        )
 
-def worst_error(counts: Counts, exact: Counts, level: Counts) -> float:
-    """Worst difference of log counts where anything is left to measure."""
-    seen = (counts > _LEAST * level) & (exact > _LEAST * level)
-    if not seen.any():
-        return 0.0
-    return float(np.abs(np.log(counts[seen] / exact[seen])).max())
+    return split_grid(expose_part, window.frame, aperture_of(scan), rays)
 
 
 def worst_difference(images: Sequence[Image], exact: Sequence[Image]) -> float:

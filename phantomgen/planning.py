@@ -6,9 +6,12 @@ seeds of their own, and no choice depends on how fast a machine is: the same sce
 everywhere, whatever the seed of the noise.
 """
 
+import logging
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
+
+import numpy as np
 
 from phantomgen.plan_pixels import Choice, Trial, choose_pixels
 from phantomgen.plan_spot import choose_spot
@@ -20,14 +23,21 @@ from phantomgen.simulate_noise import Exposure
 from phantomgen.simulate_spectra import fine_cuts
 from spectra.errors import InputError
 
+_log = logging.getLogger(__name__)
+
 TOLERANCE = 1e-3
 _LEAST, _MOST = 1e-9, 1.0
 # Shares of the tolerance; the average over pixels gets what is left, so that they sum to 1, as errors may add up.
 ENERGY, _TESSELLATION, _SPOT = 0.25, 0.25, 0.4
 # Share of bins in that of energies.
 BINS = 0.3
-# How much finer energy nodes are sought where their share is missed.
-_FINER = (1.0, 3.0, 10.0)
+# How much finer energy nodes are sought where their share is missed, and whether they may be of no single energy: those
+# that may are fewer, the others all but exact.
+_ATTEMPTS = ((1.0, True), (3.0, True), (10.0, True), (10.0, False))
+# So many nodes of a channel are its bins: wherever fewer were found, they are some dozens at most.
+_ALL_BINS = 200
+# Nodes per channel of most plans.
+_USUAL = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +135,8 @@ def make_plan(scan: Scan, tolerance: float = TOLERANCE) -> Plan:
     """
     check_tolerance(tolerance)
     exposure, energies = _energies(scan, ENERGY * tolerance)
+    if slow := _slow(exposure, tolerance):
+        _log.warning(slow)
     choices, left, settings = [energies], 1 - ENERGY, Settings()
     if scan.file is not None:
         scan, tessellation = choose_tessellation(scan, exposure.transmission, _TESSELLATION * tolerance)
@@ -138,15 +150,29 @@ def make_plan(scan: Scan, tolerance: float = TOLERANCE) -> Plan:
 
 def _energies(scan: Scan, share: float) -> tuple[Exposure, Choice]:
     """Few energy nodes whose worst error of log counts, together with that of their bins, stays within `share`."""
-    lengths, trials = sampled_lengths(scan), []
+    lengths, trials, found = sampled_lengths(scan), [], []
     cuts, bins = fine_cuts(scan, lengths, BINS * share)
-    for finer in _FINER:
-        exposure, error = Exposure.of(scan, lengths, (share - min(bins, BINS * share)) / finer, cuts=cuts)
+    for finer, refine in _ATTEMPTS:
+        exposure, error = Exposure.of(scan, lengths, (share - min(bins, BINS * share)) / finer, refine, cuts)
         nodes = [b - a for a, b in pairwise(exposure.transmission.starts.tolist())]
         trials.append(Trial(f"{' + '.join(map(str, nodes))} nodes", bins + error, sum(nodes)))
+        found.append(exposure)
         if bins + error <= share:
             break
-    return exposure, Choice("energies", trials[-1].setting, trials[-1].error, share, tuple(trials))
+    best = min(range(len(trials)), key=lambda i: (trials[i].error > share, trials[i].error))
+    return found[best], Choice("energies", trials[best].setting, trials[best].error, share, tuple(trials))
+
+
+def _slow(exposure: Exposure, tolerance: float) -> str | None:
+    """A sentence where a channel keeps all of its bins."""
+    counts = np.diff(exposure.groups.starts)
+    if counts.max() <= _ALL_BINS:
+        return None
+    times = counts.sum() / (_USUAL * len(counts))
+    return (
+        f"no fewer energy nodes than all {counts.max()} bins of a channel were found for the tolerance {tolerance:g}: "
+        f"views will take some {times:.0f} times longer than usual; a larger --tol takes less"
+    )
 
 
 def check_tolerance(tolerance: float) -> None:

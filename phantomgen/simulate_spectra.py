@@ -32,9 +32,9 @@ FIT_WEIGHTS = "open-beam counts of all channels together, in bins of at most 1 k
 # Worse fits [relative rms] are said aloud; those of tissues, plastics and metals up to iron stay below 2 %.
 _POOR_FIT = 0.05
 # Above so many columns the search for nodes samples its box too thinly: then it goes by way of fewer columns, as most
-# materials are combinations of a few, and keeps all bins where even these are too many.
+# materials are combinations of a few; where even these are too many, bins are chosen along the rays of the scan.
 _MOST_COLUMNS = 6
-_MOST_SPANNING = 8
+_MOST_SPANNING = 10
 _SPANNING_RAYS = 2000
 # Sampled rays may miss the longest path of all.
 _MARGIN = 1.1
@@ -306,11 +306,11 @@ def _compress(
 def _compress_many(
     fine: Transmission, integrals: Float[np.ndarray, "ray column"], tolerance: float, refine: bool
 ) -> tuple[Transmission, float]:
-    """The same by way of a few columns that the others are combinations of, where there are such."""
+    """The same by way of a few columns that the others are combinations of, else a choice of bins."""
     sample = integrals[:: max(1, len(integrals) // _SPANNING_RAYS)]
     picked, mixture, _ = spanning_columns(fine.columns, sample, tolerance / 3)
     if len(picked) > _MOST_SPANNING:
-        return fine, 0.0
+        return fine.choose(np.concatenate([sample, _MARGIN * sample]), tolerance)
     few = Transmission(fine.columns[picked], fine.weights, fine.starts, fine.channel_names)
     along = integrals @ mixture
     low, high = (_MARGIN * bound for bound in (along.min(axis=0, initial=0.0), along.max(axis=0, initial=0.0)))

@@ -79,6 +79,36 @@ def compress_channel(
     return found
 
 
+def choose_nodes(
+    weights: Float[np.ndarray, " node"],
+    columns: Float[np.ndarray, "basis node"],
+    rays: Float[np.ndarray, "ray basis"],
+    tolerance: float,
+) -> tuple[Float[np.ndarray, " few"], Float[np.ndarray, "basis few"], float]:
+    """Some of the given nodes, with weights of their own, whose log counts err by at most `tolerance` on given rays.
+
+    Parameters
+    ----------
+    weights, columns : nodes of one channel
+    rays : line integrals; every second one is fitted, with the open beam, the others are the judge
+    tolerance : largest error of log counts
+
+    Returns
+    -------
+    weights and columns of the nodes, and their worst log error on rays that were not fitted; the nodes handed in, and
+    error 0, where no fewer would do
+    """
+    full = Nodes(weights, columns.T)
+    if len(weights) < 2:
+        return weights, columns, 0.0
+    fitted, fresh = np.concatenate([np.zeros((1, len(columns))), rays[::2]]), rays[1::2]
+    few = _sparse(full, fitted, log_counts(full, fitted))
+    error = float(np.abs(log_counts(few, fresh) - log_counts(full, fresh)).max(initial=0.0))
+    if error > tolerance or len(few.weights) == len(weights):
+        return weights, columns, 0.0
+    return few.weights, few.columns.T, error
+
+
 def sample_box(
     box: Float[np.ndarray, "2 basis"], count: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "ray basis"]:

@@ -6,6 +6,7 @@ energy: dimensionless basis functions, then L is a line integral of coefficients
 is a path length in mm per material.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -13,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 
 from spectra.bounds import least_covariance
-from spectra.compression import compress_channel
+from spectra.compression import choose_nodes, compress_channel
 from spectra.errors import InputError
 from spectra.ops.transmit import expected_and_jacobian, expected_counts, log_counts_and_slopes
 from spectra.threads import run_parallel
@@ -176,7 +177,34 @@ class Transmission:
             rng = np.random.default_rng([seed, c])
             return compress_channel(self.weights[own], self.columns[:, own], box, tolerance, rng, refine, thorough)
 
-        weights, columns, errors = zip(*run_parallel(channel, range(len(self))), strict=True)
+        return self._with_channels(run_parallel(channel, range(len(self))))
+
+    def choose(self, lengths: Float[np.ndarray, "ray basis"], tolerance: float) -> tuple["Transmission", float]:
+        """Some of the nodes, with other weights, that give the same counts for rays like these.
+
+        For columns so many that no sample fills a box of them, where `compress` fails.
+
+        Parameters
+        ----------
+        lengths : line integrals of rays in any order; rays without material are added
+        tolerance : largest error of log counts that is wanted
+
+        Returns
+        -------
+        the smaller transmission, with all nodes in channels where no choice errs by less, and the worst error of its
+        log counts on every second ray, which were not used to find it
+        """
+        rays, _ = self._rays(lengths)
+
+        def channel(c: int) -> tuple[np.ndarray, np.ndarray, float]:
+            own = slice(self.starts[c], self.starts[c + 1])
+            return choose_nodes(self.weights[own], self.columns[:, own], rays, tolerance)
+
+        return self._with_channels(run_parallel(channel, range(len(self))))
+
+    def _with_channels(self, channels: Iterable[tuple[np.ndarray, np.ndarray, float]]) -> tuple["Transmission", float]:
+        """The same channels with other weights and columns, and the worst of their errors."""
+        weights, columns, errors = zip(*channels, strict=True)
         starts = np.concatenate([[0], np.cumsum([len(w) for w in weights])])
         small = Transmission(np.concatenate(columns, axis=1), np.concatenate(weights), starts, self.channel_names)
         return small, max(errors)

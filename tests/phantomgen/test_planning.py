@@ -6,13 +6,16 @@ import h5py
 import numpy as np
 import pytest
 
+from phantomgen import planning
 from phantomgen.ops.expose import CROSSED, expose, expose_brute
 from phantomgen.plan_cost import expected_cost
 from phantomgen.planning import make_plan
 from phantomgen.scene import load_scene
 from phantomgen.scene_yaml import SceneFile
 from phantomgen.simulate import simulate
-from phantomgen.simulate_spectra import fine_transmission
+from phantomgen.simulate_coverage import sampled_lengths
+from phantomgen.simulate_noise import Exposure
+from phantomgen.simulate_spectra import fine_cuts, fine_transmission
 from phantomgen.simulate_views import Views
 from spectra.errors import InputError
 from spectra.threads import set_threads
@@ -132,3 +135,26 @@ def test_smooth_surfaces_become_as_fine_as_the_tolerance_needs():
         triangles.append(len(plan.scan.scene.solids.surfaces.triangles))
         assert f"tessellation: {[1, 2, 4, 8][len(plan.choices[1].trials) - 1]}" in plan.scan.text
     assert triangles[1] > triangles[0]
+
+
+def test_solutions_of_many_agents_take_some_dozens_of_nodes_at_tight_tolerances():
+    scan = load_scene("multi-energy", ["geometry.views=4", "geometry.test_views=1"])
+    exposure, energies = planning._energies(scan, planning.ENERGY * 1e-5)
+    assert energies.met
+    assert len(exposure.transmission.weights) < 120
+    rays = sampled_lengths(scan)[::23]
+    fine = fine_transmission(scan, fine_cuts(scan, sampled_lengths(scan), 1e-7)[0])
+    assert abs(exposure.transmission.log_projection(rays) - fine.log_projection(rays)).max() < energies.share
+
+
+def test_it_is_said_before_views_are_computed_where_all_bins_are_kept(scan, monkeypatch, caplog):
+    def kept(scan, lengths, tolerance, refine, cuts):
+        return Exposure(fine_transmission(scan, cuts), scan.detector.names, np.arange(4), None), 0.0
+
+    make_plan(scan, 1e-1)
+    assert not caplog.records
+    monkeypatch.setattr(Exposure, "of", kept)
+    make_plan(scan, 1e-1)
+    [record] = caplog.records
+    assert "no fewer energy nodes than all" in record.message
+    assert "times longer" in record.message

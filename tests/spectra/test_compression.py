@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from spectra.errors import InputError
+from spectra.materials import Material
 from spectra.transmission import Transmission
 
 HIGH = np.array([0.5, 3.5, 0.7])
@@ -71,3 +72,31 @@ def test_a_column_that_the_box_never_reaches_does_no_harm(transmission_on):
 def test_impossible_requests_are_refused(transmission_on, low, high, tolerance, words):
     with pytest.raises(InputError, match=words):
         transmission_on(64).compress(low, high, tolerance)
+
+
+def many_elements(count):
+    """Elements with K edges of their own in the spectrum, on 0.25 keV bins: no curve is a combination of the others."""
+    names = ["I", "Ba", "La", "Ce", "Nd", "Sm", "Gd", "Dy", "Er", "Yb", "Ta", "W", "Au", "Bi"][:count]
+    energy = np.arange(25.0, 140.0, 0.25)
+    curves = np.stack([Material(name, composition=name, density=0.02).attenuation(energy) for name in names])
+    weights = np.exp(-(((energy - 70) / 35) ** 2))[None] * 1e4
+    return Transmission.from_spectrum(weights, curves)
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-7])
+def test_nodes_are_chosen_along_rays_where_columns_are_many(tolerance):
+    full = many_elements(14)
+    rays = np.random.default_rng(0).uniform(0, 20, (1500, 14)) * (np.random.default_rng(1).random((1500, 14)) < 0.3)
+    few, error = full.choose(rays, tolerance)
+    assert error <= tolerance
+    assert len(few.weights) < 150
+    other = np.random.default_rng(2).uniform(0, 20, (500, 14)) * (np.random.default_rng(3).random((500, 14)) < 0.3)
+    assert np.abs(few.log_projection(other) - full.log_projection(other)).max() < 3 * tolerance
+    assert {tuple(c) for c in few.columns.T} <= {tuple(c) for c in full.columns.T}
+
+
+def test_all_nodes_are_kept_where_no_choice_is_good_enough():
+    full = many_elements(14)
+    kept, error = full.choose(np.eye(14)[:4], 1e-15)
+    assert error == 0.0
+    assert len(kept.weights) == len(full.weights)

@@ -1,0 +1,113 @@
+"""Counts of pixels from regular grids of rays, with more rays in pixels where their own error would decide.
+
+A grid of n x n rays errs across an edge by about 1 / n^1.5 of its jump, and by up to 1 / n where the edge runs along
+the rows. So a few pixels of a sample may differ from a setting because the grid is too coarse, not the setting.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from spectra.threads import run_parallel
+
+RAYS = 256
+# A grid has at most so many rays per side, in parts of at most `_PART`, to spare memory.
+_MOST_RAYS, _PART = 2048, 1024
+# Parts of the rays per side must change the counts by no more than this part of a difference that counts; both have
+# other places across, as edges along the rows may err alike on grids of which one halves the other.
+_DOUBT = 0.25
+_COARSER = (0.755, 0.88)
+_LEAST = 1e-12
+
+Frame = Float[np.ndarray, "4 3"]
+Counts = Float[np.ndarray, "..."]
+
+
+@dataclass(frozen=True, eq=False)
+class RayGrid:
+    """Grids of rays in some pixels of a view.
+
+    Parameters
+    ----------
+    pixels : row and column
+    counts_of : counts (1, channel) of pixels (1, 2) by so many rays per side
+    known : counts that were computed before, by pixel and rays per side
+    """
+
+    pixels: Int[np.ndarray, "pixel 2"]
+    counts_of: Callable[[Int[np.ndarray, "1 2"], int], Float[np.ndarray, "1 channel"]]
+    known: dict[tuple[int, int], Float[np.ndarray, " channel"]] = field(default_factory=dict)
+
+    def worst(
+        self,
+        found: Float[np.ndarray, "channel row column"],
+        chosen: Bool[np.ndarray, " pixel"],
+        level: Float[np.ndarray, " channel"],
+        share: float,
+    ) -> float:
+        """Worst difference of log counts in chosen pixels; differences below `share` need no more rays.
+
+        Parameters
+        ----------
+        found : counts to be judged, of the whole view
+        chosen : pixels to judge them by
+        level : highest counts, below 1e-12 of which there is nothing to measure
+        share : error that is allowed
+        """
+
+        def error(i: int) -> float:
+            row, column = self.pixels[i]
+            return self._error(i, found[:, row, column], level, share)
+
+        return max(run_parallel(error, np.flatnonzero(chosen).tolist()), default=0.0)
+
+    def _error(self, i: int, found: Counts, level: Counts, share: float) -> float:
+        """Of one pixel: rays are doubled while both the difference and its doubt are too large."""
+        rays = RAYS
+        while True:
+            exact = self._counts(i, rays)
+            error = worst_error(found, exact, level)
+            if error <= share or rays == _MOST_RAYS:
+                return error
+            coarser = (self._counts(i, int(part * rays)) for part in _COARSER)
+            if max(worst_error(counts, exact, level) for counts in coarser) <= _DOUBT * error:
+                return error
+            rays *= 2
+
+    def _counts(self, i: int, rays: int) -> Float[np.ndarray, " channel"]:
+        """Of one pixel."""
+        if (i, rays) not in self.known:
+            self.known[i, rays] = self.counts_of(self.pixels[i : i + 1], rays)[0]
+        return self.known[i, rays]
+
+
+def split_grid(
+    expose: Callable[[Frame, tuple[float, float], int], Counts], frame: Frame, aperture: tuple[float, float], rays: int
+) -> Counts:
+    """Mean over `rays` x `rays` rays of each pixel, in parts of a pixel where they are many.
+
+    Parameters
+    ----------
+    expose : counts by frame, part of a pixel's width and height that rays cover around its centre, and rays per side
+    frame : source, vector from there to the centre of pixel (0, 0), column step, row step [mm]
+    aperture : part of a pixel's width and height that is sensitive
+    rays : per side
+    """
+    parts = -(-rays // _PART)
+    places = (np.arange(parts) + 0.5) / parts - 0.5
+    counts = []
+    for across, down in np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2):
+        shifted = frame.copy()
+        shifted[1] += across * aperture[0] * frame[2] + down * aperture[1] * frame[3]
+        counts.append(expose(shifted, (aperture[0] / parts, aperture[1] / parts), rays // parts))
+    return np.mean(counts, axis=0)
+
+
+def worst_error(counts: Counts, exact: Counts, level: Counts) -> float:
+    """Worst difference of log counts where anything is left to measure."""
+    seen = (counts > _LEAST * level) & (exact > _LEAST * level)
+    if not seen.any():
+        return 0.0
+    return float(np.abs(np.log(counts[seen] / exact[seen])).max())
