@@ -5,15 +5,26 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from phantomgen.dataset import Dataset
-from recon.edge_profile import EdgeLikelihood, EdgeProfile, Functions, moved_edge
-from recon.edge_rays import Rays, rays_away_from_edges
-from recon.edge_search import WARRANTED, Judgement, judge, next_edge, refine_together
+from recon.edge_agreement import between_channels
+from recon.edge_elements import plain_alternatives, settle_elements
+from recon.edge_profile import EdgeLikelihood, EdgeProfile, Functions
+from recon.edge_rays import rays_away_from_edges
+from recon.edge_search import (
+    ROUNDS,
+    WARRANTED,
+    Judgement,
+    judge,
+    judge_weak,
+    likeliest_edge,
+    refine_together,
+)
 from recon.recipe import Recipe
 from spectra.basis import Basis, BasisFunction
 from spectra.errors import InputError
 
 DISPERSION = Recipe().dispersion  # relative model error that a fit concedes, so that a misfit of that size is no K edge
 SAME = 2.0  # an edge so close to one that the file states is that one [keV]
+THINNED = 4  # one ray of so many chooses elements anew, while edges are still missing
 SURE = 3.0  # standard deviations within which an element's edge may lie from where it was found
 
 
@@ -40,21 +51,24 @@ class BasisChoice:
             f"(deviance per ray {j.deviance_before:.3g} without it, {j.deviance_after:.3g} with it, {j.rays} rays)"
             for j in self.judgements
         ]
+        elements = {f.name: f" ({f.element})" for f in self.basis.functions if f.kind == "element"}
         found = [
-            f"K edge at {p.best:.2f} keV, 1 sigma from {p.low:.2f} to {p.high:.2f} keV, Cramer-Rao {p.bound:.2g} keV"
-            for _, p in self.profiles
+            f"K edge at {p.best:.2f} keV{elements.get(name, '')}, 1 sigma from {p.low:.2f} to {p.high:.2f} keV, "
+            f"Cramer-Rao {p.bound:.2g} keV"
+            for name, p in self.profiles
         ]
         return judged + found
 
     def record(self) -> dict[str, Any]:
         """For ``metrics.json``."""
-        edges = {f.name: f.edge_energy for f in self.basis.functions}
+        functions = {f.name: f for f in self.basis.functions}
         return {
             "names": list(self.basis.names),
             "edges": [
                 {
-                    "name": name, "energy_keV": edges[name], "found_keV": p.best, "low_keV": p.low, "high_keV": p.high,
-                    "sigma_keV": p.sigma, "bound_keV": p.bound, "rays": p.rays,
+                    "name": name, "kind": functions[name].kind, "element": functions[name].element,
+                    "energy_keV": functions[name].edge_energy, "found_keV": p.best, "low_keV": p.low,
+                    "high_keV": p.high, "sigma_keV": p.sigma, "bound_keV": p.bound, "rays": p.rays,
                 }
                 for name, p in self.profiles
             ],
@@ -141,10 +155,10 @@ def _wanted(dataset: Dataset, bases: int | None, starts: Sequence[float], kept: 
     return wanted
 
 
-def _likelihood(dataset: Dataset, plain: Functions) -> EdgeLikelihood:
+def _likelihood(dataset: Dataset, plain: Functions, binned: bool = True) -> EdgeLikelihood:
     """Of all rays that may be judged."""
     reference = dataset.spectra.basis.reference_energy
-    rays = rays_away_from_edges(dataset.with_basis(Basis(plain, reference)))
+    rays = rays_away_from_edges(dataset.with_basis(Basis(plain, reference)), binned)
     floor = dataset.dark_variance / dataset.spectra.quantum**2
     return EdgeLikelihood(rays, dataset.spectra, floor, DISPERSION)
 
@@ -157,10 +171,14 @@ def _warranted(dataset: Dataset, plain: Functions, known: Sequence[BasisFunction
     likelihood = _likelihood(dataset, plain)
     if likelihood.rays.channels <= len(plain):
         return BasisChoice(stated)
+    pixels: EdgeLikelihood | None = None
     taken, left, judgements = plain, list(known), []
     while left and likelihood.rays.channels > len(taken):
         judged = [judge(likelihood, taken, f) for f in left]
-        best = max(range(len(left)), key=lambda i: judged[i].score)
+        if not any(one.warranted for one in judged):
+            pixels = pixels or _likelihood(dataset, plain, binned=False)
+            judged = [_weak(pixels, taken, f, one) for f, one in zip(left, judged, strict=True)]
+        best = max(range(len(left)), key=lambda i: (judged[i].warranted, judged[i].score))
         if not judged[best].warranted:
             judgements += judged
             break
@@ -170,6 +188,12 @@ def _warranted(dataset: Dataset, plain: Functions, known: Sequence[BasisFunction
     return BasisChoice(Basis(tuple(order), stated.reference_energy), tuple(judgements))
 
 
+def _weak(pixels: EdgeLikelihood, taken: Functions, function: BasisFunction, judged: Judgement) -> Judgement:
+    """The judgement after neighbouring rays were asked, where the counts can show the jump of an edge."""
+    shown = between_channels(pixels.spectra, float(function.edge_energy or 0.0))
+    return judge_weak(pixels, taken, function, judged) if shown else judged
+
+
 def _searched(
     dataset: Dataset, kept: Functions, known: Sequence[BasisFunction], wanted: int | None, starts: Sequence[float]
 ) -> BasisChoice:
@@ -177,25 +201,29 @@ def _searched(
     reference = dataset.spectra.basis.reference_energy
     likelihood = _likelihood(dataset, kept)
     like = next((f for f in known if f.kind in ("step", "sigmoid")), BasisFunction("step", edge_energy=reference))
+    choices = plain_alternatives(kept)
     found: list[BasisFunction] = []
     profiles: list[EdgeProfile] = []
     judgements: list[Judgement] = []
-    rays: Rays | None = None
+    seen = likelihood
     while wanted is None or len(found) < wanted:
         if likelihood.rays.channels < len(kept) + len(found) + 2:
             break
-        chosen, profile, judgement = next_edge(likelihood, (*kept, *found), like, starts)
-        judgements.append(judgement)
-        if not judgement.warranted:
+        edge = likeliest_edge(likelihood, choices, found, like, starts)
+        judgements.append(edge.judgement)
+        if not edge.judgement.warranted:
             break
-        rays = chosen.rays if rays is None else rays.joined(chosen.rays)
-        found.append(moved_edge(like, profile.best))
-        profiles.append(profile)
+        choices = (edge.plain,)
+        seen = likelihood.with_rays(seen.rays.joined(edge.rays) if found else edge.rays)
+        found.append(edge.function)
+        profiles.append(edge.profile)
+        if len(found) > 1:
+            found = settle_elements(seen.with_rays(seen.rays[::THINNED]), edge.plain, found, ROUNDS)
     if wanted is not None and len(found) < wanted:
         raise InputError(_not_found(dataset, judgements))
-    if len(found) > 1 and rays is not None:
-        profiles = refine_together(likelihood.with_rays(rays), kept, found)
-    functions = [_settled(moved_edge(like, p.best), p, known) for p in profiles]
+    if len(found) > 1:
+        found, profiles = map(list, zip(*refine_together(seen, choices[0], found), strict=True))
+    functions = [_settled(f, p, known) for f, p in zip(found, profiles, strict=True)]
     names = tuple((f.name, p) for f, p in zip(functions, profiles, strict=True))
     return BasisChoice(Basis((*kept, *functions), reference), tuple(judgements), names)
 
@@ -221,9 +249,12 @@ def _settled(found: BasisFunction, profile: EdgeProfile, known: Sequence[BasisFu
     Within `SAME` of an edge that the file states the name stays, so that volumes and scores go by one name.
     """
     near = min(known, key=lambda f: abs(float(f.edge_energy or 0.0) - profile.best), default=None)
+    named = found if found.kind == "element" else replace(found, name=f"kedge_{profile.best:.1f}")
     if near is None or abs(float(near.edge_energy or 0.0) - profile.best) > SAME:
-        return replace(found, name=f"kedge_{profile.best:.1f}")
+        return named
+    if found.kind == "element":
+        return near if near.element == found.element else replace(found, name=near.name)
     if near.kind == "element":
         off = abs(float(near.edge_energy or 0.0) - profile.best)
-        return near if off <= max(SURE * profile.sigma, SAME / 2) else replace(found, name=f"kedge_{profile.best:.1f}")
+        return near if off <= max(SURE * profile.sigma, SAME / 2) else named
     return replace(near, edge_energy=profile.best)

@@ -23,6 +23,7 @@ from phantomgen.dataset_basis import in_basis
 from recon.edge_rays import Rays
 from recon.electronics import with_floor
 from recon.measurements import in_quanta
+from spectra.attenuation import atomic_number, symbol
 from spectra.basis import Basis, BasisFunction
 from spectra.bounds import least_covariance
 from spectra.transmission import Transmission
@@ -116,6 +117,11 @@ class EdgeLikelihood:
 
         return saved
 
+    def last_length(self, functions: Functions) -> tuple[Float[np.ndarray, " ray"], Float[np.ndarray, " ray"]]:
+        """Line integral of the last function on every ray, and its information with all others unknown."""
+        lengths, fisher = self.rays.decomposed(self.transmission(functions), self.dispersion)
+        return lengths[:, -1], 1 / least_covariance(fisher)[:, -1, -1]
+
     def edge_information(self, functions: Functions) -> Float[np.ndarray, "edge edge"]:
         """Fisher information of the energies of all K edges among the functions [1/keV^2].
 
@@ -142,17 +148,27 @@ class EdgeLikelihood:
         self, functions: Functions, index: int, lengths: Float[np.ndarray, "ray basis"]
     ) -> Float[np.ndarray, "ray channel"]:
         """Derivative of expected counts in the energy of one edge, by differences [counts/keV]."""
-        edge = float(functions[index].edge_energy or 0.0)
+        sides = _beside(functions[index])
         counts = []
-        for shift in (DIFFERENCE, -DIFFERENCE):
-            moved = (*functions[:index], moved_edge(functions[index], edge + shift), *functions[index + 1 :])
+        for side in sides:
+            moved = (*functions[:index], replace(side, name="moved"), *functions[index + 1 :])
             counts.append(self.transmission(moved).expected(lengths) * self.rays.gains)
-        return (counts[0] - counts[1]) / (2 * DIFFERENCE)
+        return (counts[1] - counts[0]) / (float(sides[1].edge_energy or 0.0) - float(sides[0].edge_energy or 0.0))
 
 
 def moved_edge(like: BasisFunction, energy: float) -> BasisFunction:
     """The same kind of K edge at another energy [keV]."""
     return replace(like, edge_energy=float(energy), element=None, name="")
+
+
+def _beside(function: BasisFunction) -> tuple[BasisFunction, BasisFunction]:
+    """Functions whose edges lie just below and above: of an element those of its neighbours."""
+    if function.kind == "element":
+        number = atomic_number(str(function.element))
+        low, high = (BasisFunction("element", element=symbol(number + shift)) for shift in (-1, 1))
+        return low, high
+    edge = float(function.edge_energy or 0.0)
+    return moved_edge(function, edge - DIFFERENCE), moved_edge(function, edge + DIFFERENCE)
 
 
 def scanned_energies(spectra: Spectra, starts: Iterable[float] = ()) -> Float[np.ndarray, " energy"]:
@@ -200,8 +216,11 @@ def scan_edge(
     wider = max(_spread(each, like, best, low, high) / ((high - low) / 2), 1.0) if high > low else 1.0
     tried |= {low: saved(low), high: saved(high)}
     order = np.array(sorted(tried))
-    bound = _bound(likelihood.edge_information((*functions, moved_edge(like, best))))
-    low, high = (float(np.clip(best + wider * (end - best), energies[0], energies[-1])) for end in (low, high))
+    bound = edge_bound(likelihood, (*functions, moved_edge(like, best)))
+    low, high = (
+        float(np.clip(best + wider * (end - best), energies[0], energies[-1])) if end != best else best
+        for end in (low, high)
+    )
     return EdgeProfile(order, np.array([tried[e] for e in order]), best, low, high, bound, len(likelihood.rays))
 
 
@@ -219,14 +238,18 @@ def _spread(
     sqrt(sum d_r^2) / H (Huber 1967; White 1982, doi:10.2307/1912526).
     """
     half = (high - low) / 2
+    if half >= best:
+        return np.inf
     below, middle, above = (each(moved_edge(like, best + shift))[0] for shift in (-half, 0.0, half))
     bend = float((2 * middle - below - above).sum()) / half**2
     return float(np.sqrt((((above - below) / (2 * half)) ** 2).sum())) / bend if bend > 0 else np.inf
 
 
-def _bound(information: Float[np.ndarray, "edge edge"]) -> float:
-    """Cramer-Rao bound of the last edge's energy [keV]."""
-    return float(np.sqrt(least_covariance(information)[-1, -1]))
+def edge_bound(likelihood: EdgeLikelihood, functions: Functions) -> float:
+    """Cramer-Rao bound of the last function's edge [keV]; an element's counts go over into its neighbours'."""
+    if not len(likelihood.rays):
+        return np.inf
+    return float(np.sqrt(least_covariance(likelihood.edge_information(functions))[-1, -1]))
 
 
 def _peaks(values: Float[np.ndarray, " energy"]) -> list[int]:

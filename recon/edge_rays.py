@@ -46,7 +46,7 @@ class Rays:
     def __len__(self) -> int:
         return len(self.counts)
 
-    def __getitem__(self, chosen: Int[np.ndarray, " few"] | Bool[np.ndarray, " ray"]) -> "Rays":
+    def __getitem__(self, chosen: Int[np.ndarray, " few"] | Bool[np.ndarray, " ray"] | slice) -> "Rays":
         """Some of the rays."""
         known = None if self.known is None else self.known[chosen]
         return Rays(self.counts[chosen], self.gains[chosen], known, self.places[:, chosen])
@@ -67,11 +67,17 @@ class Rays:
         """Channels that measured, on the rays with most of them."""
         return int((self.gains > 0).sum(axis=1).max(initial=0))
 
+    def decomposed(
+        self, transmission: Transmission, dispersion: float
+    ) -> tuple[Float[np.ndarray, "ray basis"], Float[np.ndarray, "ray basis basis"]]:
+        """Line integrals of every ray that explain its counts best, and their Fisher information."""
+        return decompose(self.counts, self.gains, transmission, dispersion, ITERATIONS, known=self.known)
+
     def explained(
         self, transmission: Transmission, dispersion: float
     ) -> tuple[Float[np.ndarray, " ray"], Float[np.ndarray, "ray basis"]]:
         """Deviance of every ray from its own best line integrals, and those."""
-        lengths, _ = decompose(self.counts, self.gains, transmission, dispersion, ITERATIONS, known=self.known)
+        lengths, _ = self.decomposed(transmission, dispersion)
         whole = lengths if self.known is None else np.hstack([lengths, self.known])
         expected = transmission.expected(whole) * self.gains
         each = deviance(torch.from_numpy(self.counts), torch.from_numpy(expected), dispersion).numpy()
@@ -93,13 +99,18 @@ class Rays:
         return self[order[np.isfinite(mean[order])]]
 
 
-def rays_away_from_edges(dataset: Dataset) -> Rays:
+def rays_away_from_edges(dataset: Dataset, binned: bool = True) -> Rays:
     """Rays of some training views that pass through the object, more than two pixels from its edges.
 
     Edges are looked for in the smoothed log projections of each channel; nothing else is known about the object.
+
+    Parameters
+    ----------
+    dataset : an open dataset
+    binned : whether pixels are joined to the size of a voxel
     """
     train = dataset.splits["train"]
-    binning = matching_bin(dataset.geometry, min(dataset.grid.spacing))
+    binning = matching_bin(dataset.geometry, min(dataset.grid.spacing)) if binned else 1
     rows, columns = (n // binning for n in dataset.counts.shape[2:])
     count = int(np.clip(MOST_PIXELS // (rows * columns), 1, min(VIEWS, len(train))))
     spread = train[np.linspace(0, len(train), count, endpoint=False).astype(int)]

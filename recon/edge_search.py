@@ -6,7 +6,10 @@ from itertools import count
 
 import numpy as np
 
+from recon.edge_agreement import agreement
+from recon.edge_elements import elements_within, neighbours, scan_elements
 from recon.edge_profile import EdgeLikelihood, EdgeProfile, Functions, moved_edge, scan_edge, scanned_energies
+from recon.edge_rays import Rays
 from spectra.basis import BasisFunction
 
 RAYS = 2000  # that are judged, those that the smaller basis explains worst
@@ -15,6 +18,7 @@ WIDEST = 5.0  # an edge whose energy is less certain than this is not located [k
 NEARBY = 2.0  # half the range in which an edge is refined while the others move [keV]
 SETTLED = 0.005  # edges that move less are refined [keV]
 ROUNDS = 10  # of refining one edge after the other
+BESIDE = 4  # elements on either side that are tried while the other edges move
 
 
 @dataclass(frozen=True)
@@ -29,7 +33,7 @@ class Judgement:
     rays : how many were judged
     deviance_before, deviance_after : mean per ray, without it and with it
     saved : mean drop in deviance per ray; noise alone gives 1/2
-    score : what that is in standard deviations of noise
+    score : what that is in standard deviations of noise; where neighbouring rays were asked, how well they agree
     warranted : whether it is taken
     reason : why, in words
     """
@@ -62,6 +66,76 @@ def judge(likelihood: EdgeLikelihood, functions: Functions, further: BasisFuncti
     return _judged(chosen, functions, further, "")
 
 
+def judge_weak(
+    likelihood: EdgeLikelihood, functions: Functions, further: BasisFunction, before: Judgement
+) -> Judgement:
+    """Judge a function again that no single ray shows, by whether neighbouring rays agree.
+
+    Parameters
+    ----------
+    likelihood : of rays that are not binned
+    functions, further : as in `judge`
+    before : what `judge` said
+    """
+    score = agreement(likelihood, functions, further)
+    many = f"neighbours among {len(likelihood.rays)} rays agree on it by {score:.1f} standard deviations of noise"
+    if score < WARRANTED:
+        return replace(before, reason=f"{before.reason}; {many}")
+    return replace(before, score=score, warranted=True, reason=many)
+
+
+@dataclass(frozen=True, eq=False)
+class FoundEdge:
+    """The likeliest further K edge.
+
+    Parameters
+    ----------
+    plain : functions without the edges that explain the counts best together with it
+    function : a step, or an element
+    rays : on which it was found
+    profile : over the energies, or over the elements
+    judgement : whether it is warranted
+    """
+
+    plain: Functions
+    function: BasisFunction
+    rays: Rays
+    profile: EdgeProfile
+    judgement: Judgement
+
+    @property
+    def deviance(self) -> float:
+        """Of all the rays, with the edge."""
+        return self.judgement.deviance_before * self.judgement.rays - self.profile.peak
+
+
+def likeliest_edge(
+    likelihood: EdgeLikelihood,
+    choices: Sequence[Functions],
+    found: Sequence[BasisFunction],
+    like: BasisFunction,
+    starts: Sequence[float],
+) -> FoundEdge:
+    """The step or the element that explains best what these functions fail to explain.
+
+    Parameters
+    ----------
+    likelihood : of all rays
+    choices : functions without the edges that are looked for; a step is tried beside the first, elements beside each
+    found : edges that were found before
+    like, starts : as in `next_edge`
+    """
+    chosen, profile, judgement = next_edge(likelihood, (*choices[0], *found), like, starts)
+    tried = [FoundEdge(choices[0], moved_edge(like, profile.best), chosen.rays, profile, judgement)]
+    candidates = [f for f in elements_within(likelihood.spectra) if f not in found]
+    for plain in choices if candidates else ():
+        others = (*plain, *found)
+        function, profile, vague = scan_elements(chosen, others, candidates)
+        judgement = _judged(chosen, others, function, vague)
+        tried.append(FoundEdge(plain, function, chosen.rays, profile, judgement))
+    return min(tried, key=lambda one: one.deviance)
+
+
 def next_edge(
     likelihood: EdgeLikelihood, functions: Functions, like: BasisFunction, starts: Sequence[float]
 ) -> tuple[EdgeLikelihood, EdgeProfile, Judgement]:
@@ -86,7 +160,9 @@ def next_edge(
     return chosen, profile, _judged(chosen, functions, moved_edge(like, profile.best), vague)
 
 
-def refine_together(likelihood: EdgeLikelihood, plain: Functions, edges: Sequence[BasisFunction]) -> list[EdgeProfile]:
+def refine_together(
+    likelihood: EdgeLikelihood, plain: Functions, edges: Sequence[BasisFunction]
+) -> list[tuple[BasisFunction, EdgeProfile]]:
     """Refine several edges in turn until none moves; the width of each allows for the others.
 
     Parameters
@@ -100,16 +176,22 @@ def refine_together(likelihood: EdgeLikelihood, plain: Functions, edges: Sequenc
     for turn in count():
         moved = 0.0
         for i, edge in enumerate(now):
-            others = (*plain, *now[:i], *now[i + 1 :])
-            near = float(edge.edge_energy or 0.0) + np.linspace(-NEARBY, NEARBY, 9)
-            profiles[i] = scan_edge(likelihood, others, edge, near)
+            now[i], profiles[i] = _refined(likelihood, (*plain, *now[:i], *now[i + 1 :]), edge)
             moved = max(moved, abs(profiles[i].best - float(edge.edge_energy or 0.0)))
-            now[i] = moved_edge(edge, profiles[i].best)
         if moved < SETTLED or turn + 1 == ROUNDS:
             break
     information = likelihood.edge_information((*plain, *now))[-len(now) :, -len(now) :]
     wider = np.sqrt(np.diagonal(np.linalg.inv(information)) * np.diagonal(information))
-    return [_widened(profiles[i], factor) for i, factor in enumerate(wider)]
+    return [(edge, _widened(profiles[i], float(wider[i]))) for i, edge in enumerate(now)]
+
+
+def _refined(likelihood: EdgeLikelihood, others: Functions, edge: BasisFunction) -> tuple[BasisFunction, EdgeProfile]:
+    """The edge at the best energy, or the best element, near where it was."""
+    if edge.kind == "element":
+        near = neighbours(edge, elements_within(likelihood.spectra), BESIDE)
+        return scan_elements(likelihood, others, near)[:2]
+    profile = scan_edge(likelihood, others, edge, float(edge.edge_energy or 0.0) + np.linspace(-NEARBY, NEARBY, 9))
+    return moved_edge(edge, profile.best), profile
 
 
 def _widened(profile: EdgeProfile, factor: float) -> EdgeProfile:

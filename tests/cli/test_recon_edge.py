@@ -10,6 +10,7 @@ from tiny_scans import make, one_sentence
 from phantomgen.dataset import open_dataset
 from recon.basis_choice import choose_basis, find_edges
 from recon.cli import main as recon
+from spectra.basis import Basis, BasisFunction
 
 LAID = "panel={rows: 48, columns: 48, pitch: 4.2}"
 PLAIN = "objects=[{type: cylinder, material: soft_tissue, radius: 50, length: 100}]"
@@ -19,6 +20,28 @@ PLAIN = "objects=[{type: cylinder, material: soft_tissue, radius: 50, length: 10
 def scan(tmp_path_factory):
     path = tmp_path_factory.mktemp("edge") / "scan.h5"
     return make(path, "--views", "4", "--test-views", "1", "--set", LAID)
+
+
+@pytest.fixture(scope="module")
+def gadolinium(tmp_path_factory):
+    """Gadolinium in blood, by its composition; the file knows no K edge."""
+    path = tmp_path_factory.mktemp("edge") / "gadolinium.h5"
+    settings = (
+        "basis=[{type: photoelectric}, {type: compton}]",
+        "materials={tissue: {composition: muscle}, vessel: {solution: {solvent: blood, solutes: {Gd: 5}}}}",
+        "objects=[{type: cylinder, material: tissue, radius: 50, length: 100}, "
+        "{type: cylinder, material: vessel, radius: 35, length: 100}]",
+        "detector.thresholds=[20, 35, 50.3, 65, 80]",
+    )
+    return make(path, "--views", "8", "--test-views", "1", "--set", LAID, *(a for s in settings for a in ("--set", s)))
+
+
+@pytest.fixture(scope="module")
+def weak(tmp_path_factory):
+    """A K edge in all of the object, 1/250 of the strongest one of the preset."""
+    path = tmp_path_factory.mktemp("edge") / "weak.h5"
+    faint = "materials.soft_tissue.coefficients={photoelectric: 0.0015, compton: 0.0188, kedge_63.3: 0.0001}"
+    return make(path, "--views", "12", "--test-views", "1", "--set", LAID, "--set", PLAIN, "--set", faint)
 
 
 @pytest.fixture(scope="module")
@@ -83,3 +106,28 @@ def test_an_edge_where_there_is_one_is_found_by_asking_for_three_bases(scan, tmp
         two = dataset.with_basis(type(dataset.spectra.basis)(dataset.spectra.basis.functions[:2]))
         assert choose_basis(two, 3).basis.functions[2].edge_energy == pytest.approx(63.3, abs=1.0)
         assert find_edges(two).basis == find_edges(dataset.with_basis(two.spectra.basis)).basis
+
+
+def test_gadolinium_is_named_where_the_file_knows_no_edge(gadolinium):
+    with open_dataset(gadolinium) as dataset:
+        choice = find_edges(dataset)
+    assert choice.basis.names == ("photoelectric", "compton", "kedge_Gd")
+    assert choice.record()["edges"][0]["element"] == "Gd"
+    assert choice.record()["edges"][0]["found_keV"] == pytest.approx(50.24, abs=0.01)
+    assert "K edge at 50.24 keV (Gd)" in choice.sentences[-1]
+
+
+def test_a_weak_edge_is_kept_where_neighbouring_rays_agree_on_it(weak):
+    with open_dataset(weak) as dataset:
+        choice = choose_basis(dataset)
+        assert choice.basis == dataset.spectra.basis
+    assert "agree on it by" in choice.judgements[0].reason
+
+
+def test_an_edge_that_is_not_there_is_not_agreed_on(plain):
+    with open_dataset(plain) as dataset:
+        stated = dataset.spectra.basis
+        functions = (*stated.functions[:2], BasisFunction("step", edge_energy=63.3))
+        choice = choose_basis(dataset.with_basis(Basis(functions, stated.reference_energy)))
+    assert choice.basis.names == ("photoelectric", "compton")
+    assert "neighbours among" in choice.judgements[0].reason
