@@ -47,10 +47,10 @@ class Recipe:
     """
 
     name: str = "fast"
-    stages: tuple[Stage, ...] = (Stage(1.0, 2.0),)
+    stages: tuple[Stage, ...] = (Stage(1.0, 1.0),)
     views_per_step: int = 2
     spacing: float = 1.2
-    voxel_passes: int = 8
+    voxel_passes: int = 7
     approximation: int = 20
     dispersion: float = 0.01
     node_tolerance: float = 1e-3
@@ -80,5 +80,5 @@ class Recipe:
 
 
 FAST = Recipe()
-BEST = Recipe(name="best", stages=(Stage(1.0, 5.0),), voxel_passes=16, approximation=50)
+BEST = Recipe(name="best", stages=(Stage(1.0, 8.0),), voxel_passes=16, approximation=50)
 RECIPES = {recipe.name: recipe for recipe in (FAST, BEST)}
