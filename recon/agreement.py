@@ -1,7 +1,8 @@
 """How well a model explains views, and which way it should move.
 
 Views are taken one at a time where images of all channels are held, so that memory does not grow with the views of a
-step; each ray is computed the same way in any company, so that this changes no bit of the gradients.
+step; each ray is computed the same way in any company, so that this changes no bit of the gradients. All is computed
+on the device of the model; only sums come back.
 """
 
 from dataclasses import dataclass
@@ -36,7 +37,7 @@ class Agreement:
 
 def agreement(gaussians: Gaussians, data: Measurements, dispersion: float, processes: Processes = ALONE) -> Agreement:
     """Agreement with all views of `data`, whose work `processes` share."""
-    sums = torch.zeros(2 * data.counts.shape[1] + 1, dtype=torch.float64)
+    sums = torch.zeros(2 * data.counts.shape[1] + 1, dtype=torch.float64, device="cpu")
     with torch.no_grad():
         for view in processes.share(np.arange(len(data))):
             one = data[[int(view)]]
@@ -62,7 +63,7 @@ def agreement_and_gradients(
     """
     parts = [getattr(gaussians, name) for name in PARTS]
     values = len(views) * int(np.prod(data.counts.shape[1:]))
-    sums = torch.zeros(2 * data.counts.shape[1] + 1, dtype=torch.float64)
+    sums = torch.zeros(2 * data.counts.shape[1] + 1, dtype=torch.float64, device="cpu")
     mine = data[processes.share(views)]
     for part in parts:
         part.grad = None
@@ -96,13 +97,13 @@ def _view_sums(
 
 def _expected(images: Float[Tensor, "view basis row column"], data: Measurements) -> tuple[Tensor, Tensor, Tensor]:
     """Measured counts, expected ones, and which pixels measure."""
-    gains = torch.from_numpy(data.gains * data.exposure[:, :, None, None].astype(np.float32))
+    gains = torch.from_numpy(data.gains * data.exposure[:, :, None, None].astype(np.float32)).to(images.device)
     lengths = images.movedim(1, -1).contiguous()
     if data.profile is not None:
         known = torch.from_numpy(data.profile).to(lengths).movedim(0, -1)
         lengths = torch.cat([lengths, known.expand(len(lengths), *known.shape)], dim=-1)
     expected = transmit(lengths, data.transmission).movedim(-1, 1) * gains
-    return torch.from_numpy(data.counts), expected, gains > 0
+    return torch.from_numpy(data.counts).to(images.device), expected, gains > 0
 
 
 def _summed(sums: Float[Tensor, " sum"], values: int, processes: Processes) -> Agreement:

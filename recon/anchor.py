@@ -18,7 +18,7 @@ from torch import Tensor
 
 from phantomgen.grid import Grid
 from recon.gaussians import Gaussians
-from recon.ops.voxelize import voxelize, voxelize_tensor
+from recon.ops.voxelize import voxelize_tensor
 from recon.structure import Structure
 
 SLABS = 4  # parts of the volume that take turns, one each step
@@ -75,12 +75,12 @@ class Anchor:
         blocks : curvature of the likelihood, see `recon.curvature`; the same separable majoriser is made of the prior
         """
         parts = (gaussians.centres.detach(), gaussians.log_scales.detach(), gaussians.quaternions.detach())
-        one = torch.ones(len(gaussians), 1)
-        crowd = torch.from_numpy(voxelize(*parts, one, self.grid))
+        one = torch.ones_like(gaussians.coefficients[:, :1]).detach()
+        crowd = voxelize_tensor(*parts, one, self.grid)
         everywhere = float(torch.sum(crowd * crowd, dtype=torch.float64))
         weight = self.strength * blocks.sum(dim=0) / max(everywhere, 1e-30)
         one.requires_grad_()
-        voxelize_tensor(*parts, one, self.grid).backward(crowd * torch.from_numpy(self.weights))
+        voxelize_tensor(*parts, one, self.grid).backward(crowd * torch.from_numpy(self.weights).to(crowd))
         assert one.grad is not None
         return blocks + one.grad[:, :, None] * weight, weight
 
@@ -101,6 +101,6 @@ class Anchor:
         found = voxelize_tensor(
             gaussians.centres, gaussians.log_scales, gaussians.quaternions, gaussians.coefficients, slab
         )
-        away = found.detach() - torch.from_numpy(self.volumes[:, first:last])
-        away *= torch.from_numpy(self.weights[first:last])
+        away = found.detach() - torch.from_numpy(self.volumes[:, first:last]).to(found)
+        away *= torch.from_numpy(self.weights[first:last]).to(found)
         found.backward(torch.einsum("mn,nzyx->mzyx", slabs * weight, away))

@@ -45,7 +45,7 @@ def approximate(
     evaluations : voxelizations to spend, each with its gradient
     on_evaluation : called after each; its residual is half the squared distance in the metric, whose trace counts as 1
     """
-    problem = _Distance(volumes, metric, grid, Report(on_evaluation, evaluations))
+    problem = _Distance(torch.from_numpy(volumes).to(start.centres), metric, grid, Report(on_evaluation, evaluations))
     history, model = History(), start.detached()
     distance, gradient = problem.evaluate(model)
     renewed = -RENEWED
@@ -80,13 +80,13 @@ class _Distance:
 
     def __init__(
         self,
-        volumes: Float[np.ndarray, "basis z y x"],
+        volumes: Float[Tensor, "basis z y x"],
         metric: Float[np.ndarray, "basis basis"],
         grid: Grid,
         report: Report,
     ) -> None:
-        self.volumes, self.grid = torch.from_numpy(volumes), grid
-        self.metric = torch.from_numpy(metric / np.trace(metric)).float()
+        self.volumes, self.grid = volumes, grid
+        self.metric = torch.from_numpy(metric / np.trace(metric)).to(volumes)
         self.inverse_metric = torch.linalg.inv(self.metric)
         self.evaluations, self.report = 0, report
 
@@ -98,12 +98,12 @@ class _Distance:
         found.backward(pull)
         self.evaluations += 1
         distance = 0.5 * float((away * pull).sum(dtype=torch.float64))
-        self.report(found.detach().numpy(), distance)
+        self.report(found.detach().cpu().numpy(), distance)
         return distance, gradient_of_steps(model, [p.grad for p in parts if p.grad is not None])
 
     def renew_diagonal(self, model: Gaussians) -> None:
         """Curvature along each step of a Gaussian that is alone, times how much others overlap it."""
-        geometry, one = _parts(model)[:3], torch.ones(len(model), 1, requires_grad=True)
+        geometry, one = _parts(model)[:3], torch.ones_like(model.coefficients[:, :1]).requires_grad_()
         crowd = voxelize_tensor(*geometry, one, self.grid, cutoff=CUTOFF)
         crowd.backward(crowd.detach())
         assert one.grad is not None

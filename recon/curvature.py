@@ -27,10 +27,10 @@ def coefficient_curvature(
     """
     bases = gaussians.coefficients.shape[1]
     upper = np.triu_indices(bases)
-    ones = torch.ones(len(gaussians), 1)
+    ones = torch.ones_like(gaussians.coefficients[:, :1])
     parts = (gaussians.centres.detach(), gaussians.log_scales.detach(), gaussians.quaternions.detach())
     values = torch.cat([gaussians.coefficients.detach(), ones], dim=1)
-    probe = torch.zeros(len(gaussians), len(upper[0]), requires_grad=True)
+    probe = ones.new_zeros(len(gaussians), len(upper[0]), requires_grad=True)
     sums = torch.zeros_like(probe)
     panel = measurements.geometry.panel
     for first in range(0, len(measurements), VIEWS_AT_ONCE):
@@ -39,11 +39,13 @@ def coefficient_curvature(
         images = rasterize(*parts, values, frames, panel.rows, panel.columns)
         pulls = images[:, bases:].repeat(1, len(upper[0]), 1, 1)
         for view in range(len(some)):  # matrices of one view at a time, in float64
-            information = ray_information(some[[view]], images[[view], :bases].numpy(), dispersion)[0][:, :, *upper]
-            pulls[view] *= torch.from_numpy(information).movedim(-1, 0).float()
+            information = ray_information(some[[view]], images[[view], :bases].cpu().numpy(), dispersion)[0][
+                :, :, *upper
+            ]
+            pulls[view] *= torch.from_numpy(information).movedim(-1, 0).to(pulls)
         probed = rasterize(*parts, probe, frames, panel.rows, panel.columns)
         sums += torch.autograd.grad(probed, probe, pulls)[0]
-    blocks = torch.empty(len(gaussians), bases, bases)
+    blocks = sums.new_empty(len(gaussians), bases, bases)
     blocks[:, upper[0], upper[1]] = sums
     blocks[:, upper[1], upper[0]] = sums
     return blocks

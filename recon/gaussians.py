@@ -54,6 +54,11 @@ class Gaussians:
         parts = (self.centres, self.log_scales, self.quaternions, self.coefficients)
         return rasterize(*parts, frames, geometry.panel.rows, geometry.panel.columns)
 
+    def to(self, device: torch.device | str) -> "Gaussians":
+        """The same values on a device, which then computes whatever is asked of them."""
+        parts = ("centres", "log_scales", "quaternions", "coefficients")
+        return replace(self, **{name: getattr(self, name).to(device) for name in parts})
+
     def detached(self) -> "Gaussians":
         """The same values without a graph."""
         parts = ("centres", "log_scales", "quaternions", "coefficients")

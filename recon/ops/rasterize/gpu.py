@@ -11,8 +11,10 @@ from typing import NamedTuple, no_type_check
 import torch
 import triton
 import triton.language as tl
-from jaxtyping import Float32, Int32, Int64
+from jaxtyping import Float32, Int32
 from torch import Tensor
+
+from recon.ops.tile_lists import tile_lists
 
 NUMBERS = 11  # xc, yc, l11, l21, l22, e1 to e5, amplitude
 SUMS = 12  # w, alpha (x, y, x^2, x y, y^2), beta (1, x, y, x^2, x y, y^2), as in `cpu.backward`
@@ -115,7 +117,7 @@ def forward(
     bases = coefficients.shape[1]
     down, across = triton.cdiv(rows, _TILE), triton.cdiv(columns, _TILE)
     out = coefficients.new_empty((bases, rows, columns))
-    members, starts = _tile_lists(footprints.bounds.long(), down, across)
+    members, starts = tile_lists(footprints.bounds.long(), (_TILE, _TILE), (down, across))
     if down * across and bases:
         _forward[(down * across,)](
             footprints.numbers, coefficients, members, starts, out, rows, columns, across, bases, cutoff**2,
@@ -139,19 +141,3 @@ def backward(
             rows, columns, bases, cutoff**2, _BLOCK, triton.next_power_of_2(bases),
         )  # fmt: skip
     return sums, to_coefficients
-
-
-def _tile_lists(
-    bounds: Int64[Tensor, "gaussian 4"], down: int, across: int
-) -> tuple[Int64[Tensor, " member"], Int64[Tensor, " tile_plus_1"]]:
-    """Gaussians of each tile in their order, one tile after the other, and where each tile's list starts."""
-    row, column = bounds[:, 0] // _TILE, bounds[:, 2] // _TILE
-    height, width = (bounds[:, 1] + _TILE - 1) // _TILE - row, (bounds[:, 3] + _TILE - 1) // _TILE - column
-    counts = height.clamp(min=0) * width.clamp(min=0)
-    counts = torch.where((bounds[:, 1] > bounds[:, 0]) & (bounds[:, 3] > bounds[:, 2]), counts, 0)
-    member = torch.repeat_interleave(torch.arange(len(bounds), device=bounds.device), counts)
-    local = torch.arange(len(member), device=bounds.device) - (counts.cumsum(0) - counts)[member]
-    tile = (row[member] + local // width[member]) * across + column[member] + local % width[member]
-    tile, order = torch.sort(tile, stable=True)
-    starts = torch.searchsorted(tile, torch.arange(down * across + 1, device=bounds.device))
-    return member[order], starts

@@ -1,5 +1,7 @@
 """Voxelize: Gaussians on a grid of voxels, each voxel holding its mean."""
 
+from importlib.util import find_spec
+
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -31,7 +33,13 @@ def voxelize(
     grid : where to evaluate; any part of a grid gives the same values as the whole
     footprint : edge of the box a voxel averages over, in voxels; 0 samples the voxel centre
     cutoff : where a Gaussian ends, in standard deviations
+
+    Gaussians on a GPU are voxelized there.
     """
+    if _on_gpu(centres):
+        with torch.no_grad():
+            volume = voxelize_tensor(centres, log_scales, quaternions, coefficients, grid, footprint, cutoff)
+        return volume.float().cpu().numpy()
     return Scene(centres, log_scales, quaternions, coefficients, grid, footprint, cutoff).volume()
 
 
@@ -44,19 +52,27 @@ def voxelize_tensor(
     footprint: float = 1.0,
     cutoff: float = CUTOFF,
 ) -> Float[Tensor, "basis z y x"]:
-    """`voxelize` as a tensor, differentiable once in the first four arguments."""
+    """`voxelize` as a tensor on the device of the Gaussians, differentiable once in the first four arguments."""
+    if _on_gpu(centres):
+        from recon.ops.voxelize.on_gpu import voxelize_on_gpu  # noqa: PLC0415 - Triton only where there is a GPU
+
+        return voxelize_on_gpu(centres, log_scales, quaternions, coefficients, grid, footprint, cutoff)
     return _Voxelize.apply(centres, log_scales, quaternions, coefficients, grid, footprint, cutoff)  # type: ignore[return-value]
+
+
+def _on_gpu(centres: Tensor) -> bool:
+    return centres.device.type == "cuda" and find_spec("triton") is not None
 
 
 class _Voxelize(torch.autograd.Function):
     @staticmethod
     def forward(ctx, centres, log_scales, quaternions, coefficients, grid, footprint, cutoff):
         scene = Scene(centres, log_scales, quaternions, coefficients, grid, footprint, cutoff)
-        ctx.scene, ctx.dtype = scene, centres.dtype
-        return torch.from_numpy(scene.volume()).to(coefficients.dtype)
+        ctx.scene, ctx.dtype, ctx.device = scene, centres.dtype, centres.device
+        return torch.from_numpy(scene.volume()).to(device=ctx.device, dtype=coefficients.dtype)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx, *cotangents):
         gradients = ctx.scene.gradients(cotangents[0])
-        return *(torch.from_numpy(g).to(ctx.dtype) for g in gradients), None, None, None
+        return *(torch.from_numpy(g).to(device=ctx.device, dtype=ctx.dtype) for g in gradients), None, None, None
