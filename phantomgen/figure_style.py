@@ -66,7 +66,8 @@ def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     table = np.column_stack(list(columns.values()))
-    np.savetxt(path.with_suffix(".csv"), table, fmt="%.6g", delimiter=",", header=",".join(columns), comments="")
+    options = {"fmt": "%.6g", "delimiter": ",", "header": ",".join(columns), "comments": "", "encoding": "utf-8"}
+    np.savetxt(path.with_suffix(".csv"), table, **options)
 
 
 def few_ticks(steps: int = 5) -> Any:

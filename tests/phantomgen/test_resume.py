@@ -135,7 +135,7 @@ def forked(task):
 
 
 def test_the_command_survives_a_kill_and_an_interrupt(tmp_path):
-    (tmp_path / "toy.yaml").write_text(SCENE.replace("views: 20", "views: 2000"))
+    (tmp_path / "toy.yaml").write_text(SCENE.replace("views: 20", "views: 20000"))
     path, journal = tmp_path / "toy.h5", tmp_path / "toy.h5.frames"
     command = [sys.executable, "-m", "phantomgen.cli", "make", "toy.yaml"]
     sizes = []
