@@ -204,6 +204,13 @@ class Geometry:
         )
         return replace(self, column_step=self.column_step * factor, row_step=self.row_step * factor, panel=coarse)
 
+    def subdivided(self, factor: int) -> "Geometry":
+        """Geometry of the same panel with each pixel cut into `factor` x `factor`."""
+        panel = self.panel
+        pitch = (panel.row_pitch / factor, panel.column_pitch / factor)
+        fine = Panel(panel.rows * factor, panel.columns * factor, pitch)
+        return replace(self, column_step=self.column_step / factor, row_step=self.row_step / factor, panel=fine)
+
     def draw(self, path: Path | str | None = None, grid: Grid | None = None) -> "Figure":
         """A figure of the scan: from above, from the side, and the panel as the source sees it.
 

@@ -56,13 +56,15 @@ class Gaussians:
 
     def to(self, device: torch.device | str) -> "Gaussians":
         """The same values on a device, which then computes whatever is asked of them."""
-        parts = ("centres", "log_scales", "quaternions", "coefficients")
-        return replace(self, **{name: getattr(self, name).to(device) for name in parts})
+        return replace(self, **{name: value.to(device) for name, value in self.tensors().items()})
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All arrays by name."""
+        return {name: getattr(self, name) for name in ("centres", "log_scales", "quaternions", "coefficients")}
 
     def detached(self) -> "Gaussians":
         """The same values without a graph."""
-        parts = ("centres", "log_scales", "quaternions", "coefficients")
-        return replace(self, **{name: getattr(self, name).detach().clone() for name in parts})
+        return replace(self, **{name: value.detach().clone() for name, value in self.tensors().items()})
 
     def save(self, path: Path) -> None:
         """Write a safetensors file; its header says axes, units and bases."""
@@ -74,7 +76,7 @@ class Gaussians:
             "units": {"centres": "mm", "log_scales": "log mm", "coefficients": "1/mm"},
             "axes": {"centres": "x y z", "quaternions": "w x y z"},
         }
-        tensors = {n: getattr(self, n).contiguous() for n in ("centres", "log_scales", "quaternions", "coefficients")}
+        tensors = {name: value.contiguous() for name, value in self.tensors().items()}
         # One entry, as safetensors writes several in random order, and the same model shall give the same bytes.
         save_file(tensors, path, metadata={_HEADER: json.dumps(header)})
 

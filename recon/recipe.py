@@ -5,6 +5,11 @@ from dataclasses import dataclass, fields
 from spectra.errors import InputError
 
 
+_ANY_SIGN = (
+    "name", "stages", "seed", "warm_up", "momentum", "dispersion", "prior", "held_out", "corrected_passes"
+)  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Stage:
     """A part of the fit at one binning of the detector.
@@ -30,7 +35,9 @@ class Recipe:
     views_per_step : views whose gradients make one step
     spacing : distance between Gaussians along edges
     voxel_passes : over the views at full resolution, for the voxels that a fit with a prior starts from
-    approximation : evaluations that bring the first Gaussians close to the voxels they start from
+    approximation : evaluations that bring the Gaussians close to voxels
+    rays : per pixel and direction, by which counts are corrected for partial volume in pixels; 1 for none
+    corrected_passes : over the views, for better voxels, once these Gaussians tell the partial volume; 0 for none
     dispersion : relative model error added to the Poisson variance, so that partial volume at edges does not rule
     node_tolerance : largest error of the log counts that compressing the energy grid may cause
     centre_rate : first step of a coordinate
@@ -50,8 +57,10 @@ class Recipe:
     stages: tuple[Stage, ...] = (Stage(1.0, 1.0),)
     views_per_step: int = 2
     spacing: float = 1.2
-    voxel_passes: int = 7
+    voxel_passes: int = 8
     approximation: int = 20
+    rays: int = 2
+    corrected_passes: int = 0
     dispersion: float = 0.01
     node_tolerance: float = 1e-3
     centre_rate: float = 0.02
@@ -68,10 +77,7 @@ class Recipe:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if (
-                field.name not in ("name", "stages", "seed", "warm_up", "momentum", "dispersion", "prior", "held_out")
-                and value <= 0
-            ):
+            if field.name not in _ANY_SIGN and value <= 0:
                 raise InputError(f"recipe {field.name} must be positive, got {value}")
         if self.held_out < 0:
             raise InputError(f"recipe held_out must be a number of views, 0 or more, got {self.held_out}")
@@ -80,5 +86,5 @@ class Recipe:
 
 
 FAST = Recipe()
-BEST = Recipe(name="best", stages=(Stage(1.0, 8.0),), voxel_passes=16, approximation=50)
+BEST = Recipe(name="best", stages=(Stage(1.0, 3.0),), voxel_passes=8, corrected_passes=10, approximation=40)
 RECIPES = {recipe.name: recipe for recipe in (FAST, BEST)}
