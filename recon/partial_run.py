@@ -17,9 +17,7 @@ from jaxtyping import Float
 from recon.checkpoint import identity, read_checkpoint, write_checkpoint, write_whole
 from recon.fit_state import FitState
 from recon.fitting import Progress
-from recon.gaussians import Gaussians
 from recon.measurements import Measurements
-from recon.pipeline import Start
 from spectra.errors import InputError
 
 START, CHECKPOINT, LOG, SNAPSHOTS = "start.safetensors", "checkpoint.safetensors", "log.jsonl", "snapshots"
@@ -53,8 +51,8 @@ class PartialRun:
         self.log: list[dict[str, Any]] = []
         self._saved = time.perf_counter()
 
-    def found(self, measured: Measurements) -> tuple[FitState, Start, dict[str, float]] | None:
-        """Where an interrupted fit stands, what it started from, and the seconds of its stages; None for none.
+    def found(self, measured: Measurements) -> tuple[FitState, Float[np.ndarray, "basis z y x"], dict] | None:
+        """Where an interrupted fit stands, the volumes it started from, and the seconds of its stages; None for none.
 
         Raises
         ------
@@ -64,19 +62,16 @@ class PartialRun:
         self._identity = identity(measured, self.options)
         if not is_partial(self.folder):
             return None
-        kept, content = read_checkpoint(self.folder / START)
+        start, content = read_checkpoint(self.folder / START)
         self._check(content["identity"])
-        volumes = kept.pop("volumes").numpy()
         state = FitState.restore(*read_checkpoint(self.folder / CHECKPOINT))
         self._read_log(state.done)
-        start = Start(volumes, Gaussians(**kept, basis_names=state.gaussians.basis_names))
-        return state, start, content["seconds"]
+        return state, start["volumes"].numpy(), content["seconds"]
 
-    def begin(self, start: Start, seconds: dict[str, float], state: FitState) -> None:
+    def begin(self, volumes: Float[np.ndarray, "basis z y x"], seconds: dict[str, float], state: FitState) -> None:
         """Keep what a fit starts from."""
         content = {"identity": self._identity, "seconds": seconds}
-        tensors = {"volumes": torch.from_numpy(start.volumes)} | start.gaussians.tensors()
-        write_checkpoint(self.folder / START, tensors, content)
+        write_checkpoint(self.folder / START, {"volumes": torch.from_numpy(volumes)}, content)
         (self.folder / LOG).write_bytes(b"")
         self.save(state)
 

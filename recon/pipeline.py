@@ -55,27 +55,13 @@ class Reconstruction:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
-    """What a fit starts from.
-
-    Parameters
-    ----------
-    volumes : voxels [1/mm]
-    gaussians : that follow them
-    """
-
-    volumes: Float[np.ndarray, "basis z y x"]
-    gaussians: Gaussians
-
-
 class Keeper(Protocol):
     """What keeps a fit that may be interrupted, as `recon.partial_run.PartialRun` does."""
 
-    def found(self, measured: Measurements) -> tuple[FitState, Start, dict[str, float]] | None:
+    def found(self, measured: Measurements) -> tuple[FitState, np.ndarray, dict[str, float]] | None:
         """Where an interrupted fit stands, what it started from, and the seconds that took."""
 
-    def begin(self, start: Start, seconds: dict[str, float], state: FitState) -> None:
+    def begin(self, volumes: np.ndarray, seconds: dict[str, float], state: FitState) -> None:
         """A fit begins."""
 
 
@@ -114,26 +100,22 @@ def reconstruct(
         fitted, held_out = _set_apart(measured, recipe)
         fisher = _mean_information(measured, voxel, recipe)
         kept = keeper.found(measured) if keeper is not None and processes.first else None
-    state, start = None, None
     if kept is not None:
-        state, start, seconds = kept
+        state, volumes, seconds = kept
         stage.seconds.update(seconds | {"fit": state.seconds})
     elif processes.first:
-        start = _first_guess(measured, grid, fisher, recipe, stage, store, on_iteration)
-        state = FitState.begin(start.gaussians)
+        volumes, start = _first_guess(measured, grid, fisher, recipe, stage, store, on_iteration)
+        state = FitState.begin(start)
         if keeper is not None:
-            keeper.begin(start, stage.seconds, state)
-    state, start = _shared(state, processes), _shared_start(start, processes)
-    anchor = Anchor.off_edges(start.volumes, fisher, grid, recipe.prior) if recipe.prior else None
-    if recipe.rays > 1:
-        with stage("partial volume"):
-            pixel = voxel * min(part.pixel for part in recipe.stages)
-            fitted = fitted.binned(matching_bin(fitted.geometry, pixel))
-            fitted = without_partial_volume(fitted, start.gaussians, recipe.rays, processes, store)
+            keeper.begin(volumes, stage.seconds, state)
+    else:
+        state, volumes = None, np.zeros((len(measured.basis_names), *grid.shape), np.float32)
+    state, volumes = _shared(state, processes), processes.from_first(volumes)
+    anchor = Anchor.off_edges(volumes, fisher, grid, recipe.prior) if recipe.prior else None
     with stage("fit"):
         gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, processes, anchor)
     name = _starting(measured, grid, recipe).name
-    return Reconstruction(gaussians, name, start.volumes, node_error, measured.transmission, stage.seconds)
+    return Reconstruction(gaussians, name, volumes, node_error, measured.transmission, stage.seconds)
 
 
 def _starting(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
@@ -158,7 +140,7 @@ def _first_guess(
     stage: Stopwatch,
     store: ArrayStore,
     on_iteration: OnIteration,
-) -> Start:
+) -> tuple[Float[np.ndarray, "basis z y x"], Gaussians]:
     """First volumes, and Gaussians that follow them."""
     voxel, method = min(grid.spacing), _starting(measured, grid, recipe)
     if isinstance(method, CountsMethod):
@@ -174,19 +156,20 @@ def _first_guess(
             volumes = start_volumes(line_integrals, coarse.unseen, coarse.geometry, grid, method)
     with stage("initialize"):
         gaussians = initialize(volumes, fisher, grid, recipe.spacing * voxel, measured.basis_names, recipe.seed)
-    if recipe.prior:  # the volumes are worth following
-        with stage("approximate"):
-            gaussians = approximate(gaussians, volumes, fisher, grid, recipe.approximation, on_iteration)
-    if recipe.prior and recipe.rays > 1 and recipe.corrected_passes:
-        with stage("partial volume"):
-            coarse = measured.binned(matching_bin(measured.geometry, voxel))
-            coarse = without_partial_volume(coarse, gaussians, recipe.rays, store=store)
-        with stage(method.name):
-            again = OneStep(levels=((1, recipe.corrected_passes),))
-            volumes = again.reconstruct_counts(coarse, grid, on_iteration, volumes)
-        with stage("approximate"):
-            gaussians = approximate(gaussians, volumes, fisher, grid, recipe.approximation, on_iteration)
-    return Start(volumes, gaussians)
+    if not recipe.prior:
+        return volumes, gaussians
+    with stage("approximate"):
+        gaussians = approximate(gaussians, volumes, fisher, grid, recipe.approximation, on_iteration)
+    if not recipe.corrected_passes:
+        return volumes, gaussians
+    with stage("partial volume"):
+        coarse = measured.binned(matching_bin(measured.geometry, voxel))
+        corrected = without_partial_volume(coarse, gaussians, store)
+    with stage(method.name):
+        again = OneStep(levels=((1, recipe.corrected_passes),))
+        volumes = again.reconstruct_counts(corrected, grid, on_iteration, volumes)
+    with stage("approximate"):
+        return volumes, approximate(gaussians, volumes, fisher, grid, recipe.approximation, on_iteration)
 
 
 def _set_apart(measured: Measurements, recipe: Recipe) -> tuple[Measurements, Measurements | None]:
@@ -203,10 +186,3 @@ def _shared(state: FitState | None, processes: Processes) -> FitState:
     """The state of the first process, in all."""
     parts = processes.from_first(None if state is None else (state.tensors(), state.numbers()))
     return state if state is not None else FitState.restore(*parts)  # type: ignore[misc]
-
-
-def _shared_start(start: Start | None, processes: Processes) -> Start:
-    """The start of the first process, in all."""
-    shared = processes.from_first(start)
-    assert shared is not None
-    return shared

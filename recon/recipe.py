@@ -4,7 +4,6 @@ from dataclasses import dataclass, fields
 
 from spectra.errors import InputError
 
-
 _ANY_SIGN = (
     "name", "stages", "seed", "warm_up", "momentum", "dispersion", "prior", "held_out", "corrected_passes"
 )  # fmt: skip
@@ -36,8 +35,7 @@ class Recipe:
     spacing : distance between Gaussians along edges
     voxel_passes : over the views at full resolution, for the voxels that a fit with a prior starts from
     approximation : evaluations that bring the Gaussians close to voxels
-    rays : per pixel and direction, by which counts are corrected for partial volume in pixels; 1 for none
-    corrected_passes : over the views, for better voxels, once these Gaussians tell the partial volume; 0 for none
+    corrected_passes : over the views, for better voxels, once Gaussians tell the partial volume in pixels; 0 for none
     dispersion : relative model error added to the Poisson variance, so that partial volume at edges does not rule
     node_tolerance : largest error of the log counts that compressing the energy grid may cause
     centre_rate : first step of a coordinate
@@ -54,14 +52,13 @@ class Recipe:
     """
 
     name: str = "fast"
-    stages: tuple[Stage, ...] = (Stage(1.0, 1.0),)
+    stages: tuple[Stage, ...] = (Stage(0.5, 1.0),)
     views_per_step: int = 2
     spacing: float = 1.2
     voxel_passes: int = 8
     approximation: int = 20
-    rays: int = 2
     corrected_passes: int = 0
-    dispersion: float = 0.01
+    dispersion: float = 0.02
     node_tolerance: float = 1e-3
     centre_rate: float = 0.02
     shape_rate: float = 0.005
@@ -86,5 +83,5 @@ class Recipe:
 
 
 FAST = Recipe()
-BEST = Recipe(name="best", stages=(Stage(1.0, 3.0),), voxel_passes=8, corrected_passes=10, approximation=40)
+BEST = Recipe(name="best", stages=(Stage(0.5, 3.0),), voxel_passes=8, corrected_passes=10, approximation=40)
 RECIPES = {recipe.name: recipe for recipe in (FAST, BEST)}

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from phantomgen.dataset import Dataset
 from recon.basis_choice import choose_basis
 from recon.comparison.clock import Clock, Spent
@@ -25,7 +27,7 @@ from recon.gaussians import Gaussians
 from recon.measurements import Measurements
 from recon.paper.pipeline import reconstruct_paper
 from recon.paper.recipe import PaperRecipe
-from recon.pipeline import Start, reconstruct
+from recon.pipeline import reconstruct
 from recon.recipe import BEST, FAST
 
 RESERVE = 0.95  # of what is left of a budget is planned for
@@ -41,7 +43,7 @@ class _Beginning:
 
     clock: Clock
     seconds: float | None = None
-    start: Start | None = None
+    volumes: np.ndarray = field(default_factory=lambda: np.empty(0))
     state: tuple[dict[str, Any], dict[str, Any]] | None = None
 
     def stage(self, name: str) -> None:
@@ -53,18 +55,16 @@ class _Beginning:
         else:
             self.clock.start(self.seconds)
 
-    def found(self, measured: Measurements) -> tuple[FitState, Start, dict[str, float]] | None:
+    def found(self, measured: Measurements) -> tuple[FitState, np.ndarray, dict[str, float]] | None:
         """See `recon.pipeline.Keeper`."""
         del measured
-        if self.start is None or self.state is None:
-            return None
-        return FitState.restore(*deepcopy(self.state)), self.start, {}
+        return None if self.state is None else (FitState.restore(*deepcopy(self.state)), self.volumes, {})
 
-    def begin(self, start: Start, seconds: dict[str, float], state: FitState) -> None:
+    def begin(self, volumes: np.ndarray, seconds: dict[str, float], state: FitState) -> None:
         """See `recon.pipeline.Keeper`."""
         del seconds
         with self.clock.standing():
-            self.start, self.state = start, deepcopy((state.tensors(), state.numbers()))
+            self.volumes, self.state = volumes, deepcopy((state.tensors(), state.numbers()))
 
 
 def run_gaussian(dataset: Dataset, contender: Contender, clock: Clock, new: NewRecorder, budgets: list[float]) -> Runs:

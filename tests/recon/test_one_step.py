@@ -2,11 +2,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gaussian_scenes import tilted
+from gaussian_scenes import circular, tilted
 from voxel_scenes import balls, voxel_scan
 
 from phantomgen.grid import Grid
-from recon.baselines.grids import coarser, resampled
+from recon.baselines.grids import coarser, resampled, sharpened
 from recon.baselines.one_step import OneStep
 from recon.metrics import score_volume
 from spectra.errors import InputError
@@ -112,6 +112,27 @@ def test_a_coarser_grid_covers_the_same_box():
     grid = Grid.cube(12, 24.0)
     assert coarser(grid, 3) == Grid.cube(4, 24.0)
     assert coarser(grid, 5).shape == (3, 3, 3)
+
+
+def test_volumes_from_coarse_voxels_come_closer_to_sharp_edges_and_never_leave_their_range():
+    truth, grid = balls(voxels=36)
+    coarse = coarser(grid, 2)
+    blurred = resampled(resampled(truth, grid, coarse), coarse, grid)
+    sharp = sharpened(blurred)
+    assert np.square(sharp - truth).mean() < 0.6 * np.square(blurred - truth).mean()
+    assert sharp.min() >= blurred.min()
+    assert sharp.max() <= blurred.max()
+    assert np.array_equal(sharpened(truth), truth)  # steeper than that they cannot be
+
+
+def test_sharper_coarse_volumes_spare_passes(monkeypatch):
+    truth, grid = balls(voxels=36)
+    scan = voxel_scan(truth, grid, views=24, pixels=48, geometry=circular(48, 48, 24, 0.5), seed=1)
+    method = OneStep(levels=((2, 8), (1, 2)))
+    sharp = method.reconstruct_counts(scan, grid)
+    monkeypatch.setattr("recon.baselines.one_step.sharpened", lambda volumes: volumes)
+    blurred = method.reconstruct_counts(scan, grid)
+    assert np.mean(decibels(sharp, truth)) > np.mean(decibels(blurred, truth)) + 0.3
 
 
 @pytest.mark.parametrize("wrong", [{"levels": ()}, {"levels": ((0, 3),)}, {"subsets": 0}, {"strength": -1.0}])
