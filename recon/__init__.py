@@ -1,12 +1,12 @@
 """From spectral-CT counts to basis volumes, by Gaussians that know the physics.
 
 >>> import recon
->>> recon.Recipe(spacing=2.0).stages
-(Stage(pixel=1.0, sweeps=10.0),)
+>>> recon.Recipe().stages
+(Stage(pixel=0.5, sweeps=1.0),)
 
-`recon.fit(dataset)` is the whole way from an open dataset to a fit that renders, scores and saves itself;
-`recon.reconstruct(dataset, recipe)` the bare computation. Names are imported when they are
-first used, so that importing the package costs nothing.
+`recon.fit(dataset)` is the whole way from an open dataset to a fit that renders, scores and saves itself,
+`recon.segment(fit)` finds its materials, and `recon.reconstruct(dataset, recipe)` is the bare computation. Names are
+imported when they are first used, so that importing the package costs nothing.
 """
 
 from importlib import import_module
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from recon.gaussians import Gaussians
     from recon.pipeline import Reconstruction, reconstruct
     from recon.recipe import Recipe, Stage
-    from recon.session import Fit, fit
+    from recon.session import Fit, fit, segment
 
-__all__ = ["Fit", "Gaussians", "Recipe", "Reconstruction", "Stage", "fdk", "fit", "reconstruct"]
+__all__ = ["Fit", "Gaussians", "Recipe", "Reconstruction", "Stage", "fdk", "fit", "reconstruct", "segment"]
 
 _HOMES = {
     "Fit": "session",
@@ -30,6 +30,7 @@ _HOMES = {
     "fdk": "baselines.fdk",
     "fit": "session",
     "reconstruct": "pipeline",
+    "segment": "session",
 }
 
 

@@ -179,7 +179,8 @@ def fit(
     click.echo(f"{what}, {_seconds(metrics)}{_memory(metrics)}")
     for name in sorted(path.name for path in (folder.path / "figures").glob("*.png")):
         click.echo(str(folder.path / "figures" / name))
-    click.echo(f"Wrote {folder.path}; next: look at the figures, or open {folder.path / result}")
+    ways = "look at the figures" if result == "views.h5" else f"recon view {folder.path}, or recon report {folder.path}"
+    click.echo(f"Wrote {folder.path}; next: {ways}")
 
 
 @main.command(epilog="\b\nExamples:\n  recon edge kedge.h5\n  recon edge scan.h5 --edge 33,50 -o found")

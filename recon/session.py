@@ -1,8 +1,8 @@
-"""The short way from Python: a dataset to a fit that evaluates, renders, scores and saves itself."""
+"""The short way from Python: a dataset to a fit that evaluates, renders, scores and saves itself, and its materials."""
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,9 @@ from recon.render_file import rendered, views_of_geometry
 from recon.report import RunFolder, write_json, write_volumes
 from recon.run import metrics_of, write_model
 from recon.run_folder import Run
+from recon.segmentation.pipeline import segment_subject
+from recon.segmentation.result import Options, Segmentation
+from recon.segmentation.subject import Subject, detected_spectrum, open_subject
 from spectra.basis import Basis, pretty
 from spectra.errors import InputError
 
@@ -179,6 +182,33 @@ def fit(
         if hasattr(callback, "on_end"):
             callback.on_end(finished)
     return finished
+
+
+def segment(run: Fit | Path | str, **options: Any) -> Segmentation:
+    """Find the materials of a finished fit, or of a run folder that ``recon fit`` wrote; their truth is not read.
+
+    Parameters
+    ----------
+    run : a fit, or a folder of any method
+    options : what `recon.segmentation.result.Options` has, such as ``energies=(50, 70)`` or ``domain="voxels"``
+
+    Raises
+    ------
+    DatasetError
+        When the folder is not a complete run of this version.
+    InputError
+        When there is no such option, it cannot be, or the run has no Gaussians to segment, or nothing but air.
+    """
+    known = [field.name for field in fields(Options)]
+    for name in options:
+        if name not in known:
+            raise InputError(f"there is no option {name!r} of a segmentation: choose from {', '.join(known)}")
+    chosen = Options(**options)
+    if not isinstance(run, Fit):
+        return segment_subject(open_subject(Path(run)), chosen)
+    basis = Basis(run.basis.functions[: len(run.basis_names)], run.basis.reference_energy)
+    spectrum = detected_spectrum(basis, run.result.transmission)
+    return segment_subject(Subject(run.volume(), run.grid, basis, *spectrum, run.gaussians, run.path.name), chosen)
 
 
 def _recipe(recipe: Recipe | PaperRecipe | str) -> Recipe | PaperRecipe:

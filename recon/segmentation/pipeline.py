@@ -1,8 +1,6 @@
 """From a run to its material maps; the truth plays no part."""
 
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -15,7 +13,7 @@ from recon.segmentation.local_values import find_materials, medians
 from recon.segmentation.readouts import Readouts
 from recon.segmentation.rendering import gaussian_materials
 from recon.segmentation.result import DOMAINS, FEATURES, Options, Segmentation, describe
-from recon.segmentation.subject import Subject, open_subject
+from recon.segmentation.subject import Subject
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
 
@@ -23,27 +21,15 @@ _HALF = 0.5  # of a voxel that materials must fill
 _CARRYING = 1e-3  # of the densest Gaussian: what has less says nothing
 
 
-def segment(run: Path | str, options: Options | None = None, **chosen: Any) -> Segmentation:
-    """Find the materials of a run.
-
-    Parameters
-    ----------
-    run : folder that ``recon fit`` wrote, of any method
-    options : or, as keywords, what `recon.segmentation.result.Options` has
+@without_other_pools()
+def segment_subject(subject: Subject, options: Options) -> Segmentation:
+    """Find the materials of what is in memory.
 
     Raises
     ------
-    DatasetError
-        When the folder is not a complete run of this version.
     InputError
-        When an option cannot be, or the run has no Gaussians to segment, or nothing but air.
+        When there are no Gaussians to segment, or nothing but air.
     """
-    return segment_subject(open_subject(Path(run)), options or Options(**chosen))
-
-
-@without_other_pools()
-def segment_subject(subject: Subject, options: Options) -> Segmentation:
-    """The same for what is in memory."""
     domain, model = options.domain or DOMAINS[subject.gaussians is None], subject.gaussians
     if domain == "gaussians" and model is None:
         raise InputError("a method on voxels has no Gaussians to segment: leave --domain out, or take voxels")

@@ -16,8 +16,8 @@ from recon.cli import main as recon
 from recon.gaussians import Gaussians
 from recon.report import write_volumes
 from recon.run_folder import MODEL, SCAN, write_scan
-from recon.segmentation import segment
 from recon.segmentation.files import POINTS, TABLE, VOLUMES
+from recon.session import segment
 from spectra.threads import set_threads
 from spectra.transmission import Transmission
 

@@ -90,3 +90,16 @@ def test_notebooks_show_a_slice_of_every_basis(fit):
 def test_mistakes_are_answered_in_a_sentence(options, words, path):
     with pytest.raises(InputError, match=words):
         recon.fit(path, **options)
+
+
+def test_materials_of_a_fit_are_those_of_its_folder(path, tmp_path):
+    fit = recon.fit(path, SHORT)
+    found, stored = recon.segment(fit, energies=(60,)), recon.segment(fit.save(tmp_path / "run"), energies=(60,))
+    assert [c.name for c in found.clusters] == [c.name for c in stored.clusters]
+    np.testing.assert_array_equal(found.labels, stored.labels)
+    assert found.options.energies == (60,)
+
+
+def test_options_that_no_segmentation_has_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"no option 'energy'.*energies"):
+        recon.segment(tmp_path, energy=70)

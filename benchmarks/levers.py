@@ -1,0 +1,138 @@
+"""What each part of a fit is worth: one change at a time, error and processor time.
+
+    python benchmarks/levers.py [WORD ...]
+
+Fits of `tuning.yaml`, the scene on which recipes were chosen; rows whose name has one of the words, or all. Scores are
+PSNR [dB] of the basis volumes; times are processor time of both threads from reading to the last step, so that they do
+not depend on what else the machine does. Rows take the place of those in `results/levers.txt`.
+"""
+
+import platform
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import phantomgen
+from phantomgen.dataset import Dataset
+from phantomgen.dataset_truth import read_truth
+from recon.pipeline import reconstruct
+from recon.recipe import BEST, FAST, Recipe, Stage
+from recon.scoring import psnr_of_bases
+from spectra.threads import thread_count
+
+SCENE = Path(__file__).parent / "tuning.yaml"
+TABLE = Path(__file__).parent / "results" / "levers.txt"
+HEADER = f"{'lever':<66}PE     Compton  K edge  CPU s  Gaussians"
+
+
+@dataclass(frozen=True)
+class Lever:
+    """A fit that differs from another in one thing.
+
+    Parameters
+    ----------
+    name : what differs
+    recipe : how it is fitted
+    patches : constants and functions that are replaced, by where they are
+    """
+
+    name: str
+    recipe: Recipe
+    patches: tuple[tuple[str, Any], ...] = ()
+
+
+def fast(name: str, *patches: tuple[str, Any], **changes: Any) -> Lever:
+    return Lever(f"fast, {name}", replace(FAST, **changes), patches)
+
+
+def best(name: str, **changes: Any) -> Lever:
+    return Lever(f"best, {name}", replace(BEST, **changes))
+
+
+HELD = {"centre_rate": 1e-9, "shape_rate": 1e-9}
+FROM_RAYS = {"prior": 0.0, "centre_rate": 0.06, "shape_rate": 0.015}
+UNSHARPENED = ("recon.baselines.one_step.sharpened", lambda volumes: volumes)
+
+LEVERS = (
+    Lever("fast", FAST),
+    fast("from decomposed rays and FDK, no prior, 3 sweeps", **FROM_RAYS, stages=(Stage(0.5, 3.0),)),
+    fast("from decomposed rays and FDK, no prior, 10 sweeps", **FROM_RAYS, stages=(Stage(0.5, 10.0),)),
+    fast("coarse voxels not sharpened", UNSHARPENED),
+    fast("Gaussians do not follow the voxels first", approximation=1),
+    fast("Gaussians follow the voxels, and are not fitted", stages=(Stage(0.5, 1e-9),)),
+    fast("no prior after the start", prior=1e-9),
+    fast("prior as strong along edges", ("recon.anchor.EDGES", 1.0)),
+    fast("twice the prior", prior=0.6),
+    fast("pixels summed to the size of voxels", stages=(Stage(1.0, 1.0),)),
+    fast("pixels summed first", stages=(Stage(1.0, 0.5), Stage(0.5, 0.5))),
+    fast("weights of pure Poisson noise", dispersion=0.0),
+    fast("model error 1 %", dispersion=0.01),
+    fast("model error 4 %", dispersion=0.04),
+    fast("coefficients alone, geometry held", **HELD),
+    fast("coefficients without momentum", momentum=0.0),
+    fast("1 view per step", views_per_step=1),
+    fast("4 views per step", views_per_step=4),
+    fast("more Gaussians, spacing 1.0", spacing=1.0),
+    fast("fewer Gaussians, spacing 1.5", spacing=1.5),
+    Lever("best", BEST),
+    best("partial volume not taken out", voxel_passes=18, corrected_passes=0),
+    best("1 sweep", stages=(Stage(0.5, 1.0),)),
+    best("6 sweeps", stages=(Stage(0.5, 6.0),)),
+    best("1 view per step", views_per_step=1),
+    best("more Gaussians, spacing 1.0", spacing=1.0),
+    best("more Gaussians, spacing 0.9", spacing=0.9),
+)
+
+
+@contextmanager
+def patched(patches: tuple[tuple[str, Any], ...]) -> Iterator[None]:
+    """With the first patch of `patches` and all others."""
+    if not patches:
+        yield
+        return
+    with patch(*patches[0]), patched(patches[1:]):
+        yield
+
+
+def row_of(lever: Lever, dataset: Dataset) -> str:
+    """One line of the results."""
+    with patched(lever.patches):
+        began = time.process_time()
+        gaussians = reconstruct(dataset, lever.recipe).gaussians
+        seconds = time.process_time() - began
+    truth = read_truth(dataset.path)
+    assert truth is not None
+    scores = "  ".join(f"{score:5.2f}" for score in psnr_of_bases(truth, gaussians).values())
+    return f"{lever.name:<66}{scores}  {seconds:6.1f}  {len(gaussians):8d}"
+
+
+def store(row: str) -> None:
+    """Put a line in the place of that of the same name, or at the end."""
+    lines = TABLE.read_text(encoding="utf-8").splitlines() if TABLE.exists() else []
+    lines = lines or [f"{platform.machine()}, {thread_count()} threads", HEADER]
+    same = [i for i, line in enumerate(lines) if line[:66] == row[:66]]
+    if same:
+        lines[same[0]] = row
+    else:
+        lines.append(row)
+    TABLE.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def main(words: list[str]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        with phantomgen.make(phantomgen.load(SCENE), out=Path(folder) / "tuning.h5") as dataset:
+            for lever in LEVERS:
+                if not words or any(word in lever.name for word in words):
+                    row = row_of(lever, dataset)
+                    store(row)
+                    print(row, flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
