@@ -125,13 +125,16 @@ def store(row: str) -> None:
 
 
 def main(words: list[str]) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        with phantomgen.make(phantomgen.load(SCENE), out=Path(folder) / "tuning.h5") as dataset:
-            for lever in LEVERS:
-                if not words or any(word in lever.name for word in words):
-                    row = row_of(lever, dataset)
-                    store(row)
-                    print(row, flush=True)
+    scan = phantomgen.load(SCENE)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        phantomgen.make(scan, out=Path(folder) / "tuning.h5") as dataset,
+    ):
+        for lever in LEVERS:
+            if not words or any(word in lever.name for word in words):
+                row = row_of(lever, dataset)
+                store(row)
+                print(row, flush=True)
 
 
 if __name__ == "__main__":
