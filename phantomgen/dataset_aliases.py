@@ -7,9 +7,10 @@ readers (nxtomo, nabu, tomopy and others) open these as they are.
 import h5py
 import numpy as np
 
-from phantomgen.dataset import DARK, DETECTOR, FLAT, Spectra
+from phantomgen.dataset import DARK, DETECTOR, FLAT
 from phantomgen.dataset_layout import array_at, new_group, put
 from phantomgen.dataset_mask import mask_of
+from phantomgen.dataset_spectra import Spectra
 
 _PROJECTION, _FLAT, _DARK = 0, 1, 2
 _NXTOMO_VERSION = 1.4

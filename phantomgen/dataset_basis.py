@@ -10,7 +10,7 @@ from spectra.basis import Basis
 from spectra.bin_split import split_bins
 
 if TYPE_CHECKING:
-    from phantomgen.dataset import Spectra
+    from phantomgen.dataset_spectra import Spectra
 
 
 def in_basis(spectra: "Spectra", basis: Basis) -> "Spectra":

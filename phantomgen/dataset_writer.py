@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Float, Int, UInt32
 
 from phantomgen.compression import Compression
-from phantomgen.dataset import Spectra
 from phantomgen.dataset_aliases import write_aliases
 from phantomgen.dataset_geometry import distances, write_geometry, write_true_geometry
 from phantomgen.dataset_layout import (
@@ -30,6 +29,7 @@ from phantomgen.dataset_layout import (
 )
 from phantomgen.dataset_mask import write_mask
 from phantomgen.dataset_profile import write_profile
+from phantomgen.dataset_spectra import Spectra
 from phantomgen.dataset_truth import StreamedTruth, Truth, truth_group, write_grid, write_truth
 from phantomgen.disk_room import is_full, one_sentence, reserve
 from phantomgen.geometry import Geometry

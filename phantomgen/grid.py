@@ -38,8 +38,14 @@ class Grid:
 
     def slices(self, first: int, count: int) -> "Grid":
         """The part of the grid that begins with slice `first`."""
-        (_, *shape), (z, *origin) = self.shape, self.origin
-        return Grid((count, *shape), self.spacing, (z + first * self.spacing[0], *origin))  # type: ignore[arg-type]
+        return self.part((slice(first, first + count), slice(None), slice(None)))
+
+    def part(self, box: tuple[slice, slice, slice]) -> "Grid":
+        """The voxels of a box of the array (z, y, x)."""
+        ranges = [range(n)[one] for n, one in zip(self.shape, box, strict=True)]
+        shape = tuple(len(r) for r in ranges)
+        origin = tuple(o + r.start * s for o, r, s in zip(self.origin, ranges, self.spacing, strict=True))
+        return Grid(shape, self.spacing, origin)  # type: ignore[arg-type]
 
     @property
     def voxel_volume(self) -> float:

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import block_diag
 
-from phantomgen.dataset import Spectra
 from phantomgen.dataset_profile import StoredProfile
+from phantomgen.dataset_spectra import Spectra
 from phantomgen.dataset_truth import CoefficientFit
 from phantomgen.scene import Scan
 from spectra.energies import Energies

@@ -48,8 +48,8 @@ class Anchor:
     def off_edges(
         cls,
         volumes: Float[np.ndarray, "basis z y x"],
-        fisher: Float[np.ndarray, "basis basis"],
         grid: Grid,
+        fisher: Float[np.ndarray, "basis basis"],
         strength: float,
     ) -> "Anchor":
         """Volumes to be trusted where they have no edges.
@@ -57,8 +57,8 @@ class Anchor:
         Parameters
         ----------
         volumes : [1/mm]
-        fisher : mean Fisher matrix of the rays' line integrals, in whose noise edges are measured
         grid : their voxels
+        fisher : mean Fisher matrix of the rays' line integrals, in whose noise edges are measured
         strength : information of the prior over that of the data
         """
         edge = maximum_filter(np.clip(Structure.of(volumes, fisher).strength, 0, 1), size=_BESIDE)

@@ -29,8 +29,8 @@ SHORTER = 0.3
 def approximate(
     start: Gaussians,
     volumes: Float[np.ndarray, "basis z y x"],
-    metric: Float[np.ndarray, "basis basis"],
     grid: Grid,
+    metric: Float[np.ndarray, "basis basis"],
     evaluations: int,
     on_evaluation: OnIteration = unwatched,
 ) -> Gaussians:
@@ -40,8 +40,8 @@ def approximate(
     ----------
     start : where to begin; their number stays
     volumes : to follow [1/mm]
-    metric : weighs differences of the bases, for instance the mean Fisher matrix of the rays
     grid : of `volumes`
+    metric : weighs differences of the bases, for instance the mean Fisher matrix of the rays
     evaluations : voxelizations to spend, each with its gradient
     on_evaluation : called after each; its residual is half the squared distance in the metric, whose trace counts as 1
     """
@@ -98,7 +98,7 @@ class _Distance:
         found.backward(pull)
         self.evaluations += 1
         distance = 0.5 * float((away * pull).sum(dtype=torch.float64))
-        self.report(found.detach().cpu().numpy(), distance)
+        self.report(found.detach().cpu().numpy(), distance, self.grid)
         return distance, gradient_of_steps(model, [p.grad for p in parts if p.grad is not None])
 
     def renew_diagonal(self, model: Gaussians) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import uniform_filter
 
-from phantomgen.dataset import Spectra
+from phantomgen.dataset_spectra import Spectra
 from recon.edge_elements import plain_alternatives
 from recon.edge_profile import EdgeLikelihood, Functions
 from spectra.basis import BasisFunction

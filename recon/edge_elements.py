@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from phantomgen.dataset import Spectra
+from phantomgen.dataset_spectra import Spectra
 from recon.edge_profile import STEP, EdgeLikelihood, EdgeProfile, Functions, edge_bound
 from spectra.attenuation import edge_energy, symbol
 from spectra.basis import BasisFunction

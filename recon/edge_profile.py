@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize_scalar, root_scalar
 
-from phantomgen.dataset import Spectra
 from phantomgen.dataset_basis import in_basis
+from phantomgen.dataset_spectra import Spectra
 from recon.edge_rays import Rays
 from recon.electronics import with_floor
 from recon.measurements import in_quanta

@@ -22,8 +22,8 @@ FLATNESS = 0.25  # thickness of a Gaussian on a full edge over its width
 
 def initialize(
     volumes: Float[np.ndarray, "basis z y x"],
-    fisher: Float[np.ndarray, "basis basis"],
     grid: Grid,
+    fisher: Float[np.ndarray, "basis basis"],
     spacing: float,
     basis_names: tuple[str, ...],
     seed: int,
@@ -37,8 +37,8 @@ def initialize(
     Parameters
     ----------
     volumes : estimate of each basis [1/mm]
-    fisher : mean Fisher matrix of the rays' line integrals
     grid : grid of `volumes`
+    fisher : mean Fisher matrix of the rays' line integrals
     spacing : distance between Gaussians along edges [mm]
     basis_names : names of the bases
     seed : of the placement

@@ -13,6 +13,7 @@ from phantomgen.stopwatch import Stopwatch
 from recon.anchor import Anchor
 from recon.approximation import approximate
 from recon.array_store import IN_MEMORY, ArrayStore
+from recon.baselines.grids import occupied
 from recon.baselines.method import CountsMethod, Method, OnIteration, unwatched
 from recon.baselines.one_step import OneStep
 from recon.decompose import decompose_views
@@ -111,7 +112,7 @@ def reconstruct(
     else:
         state, volumes = None, np.zeros((len(measured.basis_names), *grid.shape), np.float32)
     state, volumes = _shared(state, processes), processes.from_first(volumes)
-    anchor = Anchor.off_edges(volumes, fisher, grid, recipe.prior) if recipe.prior else None
+    anchor = Anchor.off_edges(*_filled_part(volumes, grid), fisher, recipe.prior) if recipe.prior else None
     with stage("fit"):
         gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, processes, anchor)
     name = _starting(measured, grid, recipe).name
@@ -155,11 +156,12 @@ def _first_guess(
         with stage(method.name):
             volumes = start_volumes(line_integrals, coarse.unseen, coarse.geometry, grid, method)
     with stage("initialize"):
-        gaussians = initialize(volumes, fisher, grid, recipe.spacing * voxel, measured.basis_names, recipe.seed)
+        seen, inner = _filled_part(volumes, grid)
+        gaussians = initialize(seen, inner, fisher, recipe.spacing * voxel, measured.basis_names, recipe.seed)
     if not recipe.prior:
         return volumes, gaussians
     with stage("approximate"):
-        gaussians = approximate(gaussians, volumes, fisher, grid, recipe.approximation, on_iteration)
+        gaussians = approximate(gaussians, seen, inner, fisher, recipe.approximation, on_iteration)
     if not recipe.corrected_passes:
         return volumes, gaussians
     with stage("partial volume"):
@@ -169,7 +171,14 @@ def _first_guess(
         again = OneStep(levels=((1, recipe.corrected_passes),))
         volumes = again.reconstruct_counts(corrected, grid, on_iteration, volumes)
     with stage("approximate"):
-        return volumes, approximate(gaussians, volumes, fisher, grid, recipe.approximation, on_iteration)
+        seen, inner = _filled_part(volumes, grid)
+        return volumes, approximate(gaussians, seen, inner, fisher, recipe.approximation, on_iteration)
+
+
+def _filled_part(volumes: Float[np.ndarray, "basis z y x"], grid: Grid) -> tuple[Float[np.ndarray, "..."], Grid]:
+    """Volumes where they hold something, and the grid of that part."""
+    box = occupied(volumes)
+    return np.ascontiguousarray(volumes[:, *box]), grid.part(box)
 
 
 def _set_apart(measured: Measurements, recipe: Recipe) -> tuple[Measurements, Measurements | None]:

@@ -8,6 +8,10 @@ from phantomgen.grid import Grid
 
 SHARPER = 2.0  # times what a blur takes away is added
 BLUR = 1.5  # its standard deviation [voxels]
+NOTHING = 1e-3  # of the largest value of a basis
+MARGIN = 3  # voxels around what is there
+
+Box = tuple[slice, slice, slice]
 
 
 def coarser(grid: Grid, factor: int) -> Grid:
@@ -41,6 +45,20 @@ def sharpened(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "b
         steeper = volume + SHARPER * (volume - gaussian_filter(volume, BLUR))
         np.clip(steeper, minimum_filter(volume, 3), maximum_filter(volume, 3), out=sharp)
     return out
+
+
+def occupied(volumes: Float[np.ndarray, "basis z y x"]) -> Box:
+    """The smallest box (z, y, x) with all that volumes hold, and a margin; all voxels where they hold nothing.
+
+    What is below a thousandth of the largest value in every basis counts as nothing.
+    """
+    something = (volumes > NOTHING * volumes.max(axis=(1, 2, 3), keepdims=True)).any(axis=0)
+    box = []
+    for axis, size in enumerate(something.shape):
+        found = np.flatnonzero(something.any(axis=tuple({0, 1, 2} - {axis})))
+        ends = (max(found[0] - MARGIN, 0), min(found[-1] + MARGIN + 1, size)) if len(found) else (0, size)
+        box.append(slice(*map(int, ends)))
+    return tuple(box)  # type: ignore[return-value]
 
 
 def _along(

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 from phantomgen.grid import Grid
-from recon.baselines.grids import coarser, resampled, sharpened
+from recon.baselines.grids import coarser, occupied, resampled, sharpened
 from recon.baselines.method import Iteration, Report, unwatched
 from recon.baselines.voxel_likelihood import curvature, deviance_and_gradient
 from recon.measurements import Measurements, matching_bin
@@ -95,7 +95,7 @@ class OneStep:
         measurements : views to use, unbinned, whatever their orbit
         grid : voxels to reconstruct
         on_iteration : called after every pass over the views
-        start : first guess on `grid`, default zeros
+        start : first guess on `grid`, default zeros; what lies outside of the box that it fills stays empty
         """
         volumes, here = np.zeros((len(measurements.basis_names), *grid.shape), np.float32), grid
         if start is not None:
@@ -115,21 +115,25 @@ class OneStep:
 def _descend(
     volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep, passes: int, report: Report
 ) -> Volumes:
-    """Improve volumes on one grid; where subsets lead astray, fewer of them go on from the best pass."""
+    """Improve volumes on one grid, where they hold something; where subsets lead astray, fewer of them go on."""
+    box = occupied(volumes)
+    inner, whole = grid.part(box), np.zeros_like(volumes)
     counts = max(int(np.count_nonzero(data.gains, axis=(1, 2)) @ np.count_nonzero(data.exposure, axis=0)), 1)
-    walk = _Walk(volumes, np.zeros((3, *volumes.shape), np.float32))
-    best, least, parts, metric = volumes, np.inf, min(settings.subsets, len(data)), None
+    first = np.ascontiguousarray(volumes[:, *box])
+    walk = _Walk(first, np.zeros((3, *first.shape), np.float32))
+    best, least, parts, metric = first, np.inf, min(settings.subsets, len(data)), None
     for i in range(passes):
         if metric is None or i in RENEWED:
-            metric = _metric(walk.volumes, data, grid, settings.dispersion)
-        deviance = _pass(walk, data, grid, settings, metric, parts)
+            metric = _metric(walk.volumes, data, inner, settings.dispersion)
+        deviance = _pass(walk, data, inner, settings, metric, parts)
         if not deviance < ASTRAY * least and parts > 1:
             walk = _Walk(best, np.zeros_like(walk.field))
             parts = parts // 2 | 1  # odd, so that of views of two voltages in turn each part has both
         elif deviance < least:
             best, least = walk.volumes, deviance
-        report(walk.volumes, deviance / counts, grid)
-    return walk.volumes
+        whole[:, *box] = walk.volumes
+        report(whole, deviance / counts, grid)
+    return whole
 
 
 @dataclass

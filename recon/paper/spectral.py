@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from phantomgen.dataset import Spectra
+from phantomgen.dataset_spectra import Spectra
 from recon.paper.edge import ConditionedBasis
 from spectra.errors import InputError
 

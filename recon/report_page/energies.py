@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from phantomgen.channel_figure import spectrum
-from phantomgen.dataset import Spectra
+from phantomgen.dataset_spectra import Spectra
 from phantomgen.figure_style import BASIS_LINES, PAGE_WIDTH, figure_file, write_csv
 from phantomgen.page import picture
 from recon.report_page.case import Case, Parts

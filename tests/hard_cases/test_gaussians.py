@@ -170,7 +170,7 @@ def test_fitting_an_opaque_object():
 @pytest.mark.parametrize("shape", [(1, 1, 1), (3, 1, 2)])
 def test_volumes_of_one_voxel(shape):
     grid = Grid(shape, (2.0, 2.0, 2.0), (0.0, 0.0, 0.0))
-    gaussians = initialize(np.full((1, *shape), 0.02, np.float32), np.eye(1), grid, 2.0, ("compton",), 0)
+    gaussians = initialize(np.full((1, *shape), 0.02, np.float32), grid, np.eye(1), 2.0, ("compton",), 0)
     volume = gaussians.volume(grid)
     assert volume.shape == (1, *shape)
     assert np.isfinite(volume).all()

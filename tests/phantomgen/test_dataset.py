@@ -4,10 +4,11 @@ import h5py
 import numpy as np
 import pytest
 
-from phantomgen.dataset import DETECTOR, Spectra, open_dataset, parse_region
+from phantomgen.dataset import DETECTOR, open_dataset, parse_region
 from phantomgen.dataset_check import validate
 from phantomgen.dataset_info import describe, describe_text
 from phantomgen.dataset_layout import new_frames, pack_image, write_image
+from phantomgen.dataset_spectra import Spectra
 from phantomgen.dataset_truth import Truth, read_truth
 from phantomgen.dataset_writer import DatasetWriter
 from phantomgen.geometry import Geometry

@@ -79,7 +79,7 @@ def test_volumes_are_trusted_off_edges():
     z, y, x = np.meshgrid(*(grid.axis(name) for name in "zyx"), indexing="ij")
     away = np.maximum(np.maximum(abs(x), abs(y)), abs(z)) - 10  # from the faces of a block
     noise = np.random.default_rng(3).normal(scale=2e-4, size=(1, *grid.shape))
-    held = Anchor.off_edges((0.02 * (away < 0) + noise).astype(np.float32), np.eye(1), grid, 0.3)
+    held = Anchor.off_edges((0.02 * (away < 0) + noise).astype(np.float32), grid, np.eye(1), 0.3)
     assert held.weights[away < -3].min() > 0.3
     assert np.median(held.weights[away < -3]) > 0.6
     assert held.weights[(abs(away) < 1) & (abs(y) < 8) & (abs(z) < 8)].max() < 0.2

@@ -31,8 +31,8 @@ def distance(gaussians, volumes, metric=METRIC):
 @pytest.fixture(scope="module")
 def followed():
     volumes, told = ball_and_rod(), []
-    start = initialize(volumes, METRIC, GRID, 1.2, NAMES[:2], 0)
-    return volumes, start, approximate(start, volumes, METRIC, GRID, 30, told.append), told
+    start = initialize(volumes, GRID, METRIC, 1.2, NAMES[:2], 0)
+    return volumes, start, approximate(start, volumes, GRID, METRIC, 30, told.append), told
 
 
 def test_thirty_evaluations_bring_gaussians_much_closer(followed):
@@ -78,7 +78,7 @@ def test_it_gets_there_sooner_than_without_knowing_the_curvature_of_a_gaussian(f
 
 def test_gaussians_that_already_fit_stay():
     start = small_model(1, count=12)
-    found = approximate(start, start.volume(GRID), np.eye(3), GRID, 5)
+    found = approximate(start, start.volume(GRID), GRID, np.eye(3), 5)
     assert distance(found, start.volume(GRID), np.eye(3)) < 1e-4 * distance(start, 0 * start.volume(GRID), np.eye(3))
 
 

@@ -72,7 +72,7 @@ def test_the_curvature(monkeypatch, scan, state):
 
 def test_the_prior(monkeypatch, scan, state):
     volumes = small_model(3).volume(GRID)
-    anchor = Anchor.off_edges(volumes, np.eye(3), GRID, 0.3)
+    anchor = Anchor.off_edges(volumes, GRID, np.eye(3), 0.3)
     blocks = coefficient_curvature(state.gaussians, scan, 0.01)
     with watched(monkeypatch):
         both, weight = anchor.curvature(state.gaussians, blocks)
@@ -83,9 +83,9 @@ def test_the_prior(monkeypatch, scan, state):
 
 def test_the_approximation(monkeypatch):
     volumes, start = small_model(3).volume(GRID), small_model(2)
-    wanted = approximate(start, volumes, np.eye(3), GRID, 6)
+    wanted = approximate(start, volumes, GRID, np.eye(3), 6)
     with watched(monkeypatch):
-        found = approximate(start, volumes, np.eye(3), GRID, 6)
+        found = approximate(start, volumes, GRID, np.eye(3), 6)
     assert torch.equal(found.centres, wanted.centres)
 
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from phantomgen.dataset import Spectra
+from phantomgen.dataset_spectra import Spectra
 from recon.edge_agreement import agreement, between_channels
 from recon.edge_elements import elements_within, plain_alternatives, scan_elements, settle_elements
 from recon.edge_profile import EdgeLikelihood

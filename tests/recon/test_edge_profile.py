@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from phantomgen.dataset import Spectra
+from phantomgen.dataset_spectra import Spectra
 from recon.edge_profile import EdgeLikelihood, moved_edge, scan_edge, scanned_energies
 from recon.edge_rays import Rays
 from recon.edge_search import WARRANTED, judge, next_edge, refine_together

@@ -28,7 +28,7 @@ def noisy():
 
 
 def start(volumes, grid=GRID, spacing=1.5, fisher=FISHER, seed=0):
-    return initialize(volumes, fisher, grid, spacing, NAMES[: len(volumes)], seed)
+    return initialize(volumes, grid, fisher, spacing, NAMES[: len(volumes)], seed)
 
 
 @pytest.mark.parametrize("spacing", [1.5, 3.0])

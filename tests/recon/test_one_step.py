@@ -6,7 +6,7 @@ from gaussian_scenes import circular, tilted
 from voxel_scenes import balls, voxel_scan
 
 from phantomgen.grid import Grid
-from recon.baselines.grids import coarser, resampled, sharpened
+from recon.baselines.grids import MARGIN, coarser, occupied, resampled, sharpened
 from recon.baselines.one_step import OneStep
 from recon.metrics import score_volume
 from spectra.errors import InputError
@@ -106,6 +106,34 @@ def test_linear_volumes_stay_linear_on_other_grids(factor):
     ramps = [np.add.outer(np.add.outer(g.axis("z"), 2 * g.axis("y")), 3 * g.axis("x"))[None] for g in (grid, other)]
     found = resampled(ramps[0], grid, other)[0][:-1, :-1, :-1]
     np.testing.assert_allclose(found, ramps[1][0][:-1, :-1, :-1])
+
+
+def test_the_occupied_box_has_all_that_volumes_hold_and_a_margin():
+    volumes = np.zeros((2, 20, 21, 22), np.float32)
+    volumes[0, 8:10, 1, 5], volumes[1, 9, 12, 6] = 0.02, 0.001
+    volumes[0, 0, 20, 21] = 1e-6  # next to nothing
+    box = occupied(volumes)
+    assert box == (slice(8 - MARGIN, 10 + MARGIN), slice(0, 13 + MARGIN), slice(5 - MARGIN, 7 + MARGIN))
+    assert Grid((20, 21, 22), (1.0, 2.0, 3.0), (0.0, 5.0, 7.0)).part(box) == Grid(
+        (8, 16, 8), (1.0, 2.0, 3.0), (5.0, 5.0, 13.0)
+    )
+
+
+def test_empty_volumes_are_occupied_everywhere():
+    assert occupied(np.zeros((1, 4, 5, 6), np.float32)) == (slice(0, 4), slice(0, 5), slice(0, 6))
+
+
+def test_nothing_is_lost_where_voxels_are_left_out(monkeypatch):
+    ball, _ = balls(voxels=12)
+    grid = Grid.cube(32, 32.0)
+    truth = np.zeros((3, *grid.shape), np.float32)
+    truth[:, 6:18, 14:26, 3:15] = ball
+    scan = voxel_scan(truth, grid, views=24, pixels=40, geometry=circular(40, 40, 24, 1.6), seed=1)
+    found = OneStep().reconstruct_counts(scan, grid)
+    monkeypatch.setattr("recon.baselines.one_step.occupied", lambda volumes: tuple(map(slice, volumes.shape[1:])))
+    whole = OneStep().reconstruct_counts(scan, grid)
+    assert not found[:, :, :3].any()
+    assert np.mean(decibels(found, truth)) > np.mean(decibels(whole, truth)) - 0.1
 
 
 def test_a_coarser_grid_covers_the_same_box():

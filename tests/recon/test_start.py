@@ -57,7 +57,7 @@ def test_a_fit_gets_better_than_its_start_and_predicts_what_it_measured(name):
     volumes = start_volumes(lengths, measured.unseen, measured.geometry, GRID, method)
     recipe = Recipe(stages=(Stage(1.0, 10.0),), centre_rate=0.06, shape_rate=0.015)  # the start is far off
     deviances = []
-    start = initialize(volumes, fisher, GRID, recipe.spacing, truth.basis_names, 0)
+    start = initialize(volumes, GRID, fisher, recipe.spacing, truth.basis_names, 0)
     found = fit(start, measured, 1.0, recipe, lambda progress: deviances.append(progress.deviance))
     expected = truth.volume(GRID)
     assert relative_error(found.volume(GRID), expected) < 0.8 * relative_error(volumes, expected)

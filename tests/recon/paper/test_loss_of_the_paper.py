@@ -6,7 +6,7 @@ import torch
 from gaussian_scenes import random_gaussians
 from skimage.metrics import structural_similarity
 
-from phantomgen.dataset import Spectra
+from phantomgen.dataset_spectra import Spectra
 from phantomgen.grid import Grid
 from recon.ops.voxelize import voxelize
 from recon.paper.edge import ConditionedBasis, KEdge
