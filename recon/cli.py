@@ -89,6 +89,13 @@ def _finite(_: click.Context, __: click.Parameter, value: float | None) -> float
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
 @click.option("--held-out", type=click.IntRange(min=0), default=0, help="Training views that only say when to stop.")
 @click.option("--memory", type=click.FloatRange(min=0, min_open=True), metavar="GIB", help="Largest memory to take.")
+@click.option(
+    "--device",
+    type=click.Choice(["cpu", "cuda"]),
+    default="cpu",
+    show_default=True,
+    help="Where Gaussians are computed.",
+)
 @click.option("--dry-run", is_flag=True, help="Say what it takes: Gaussians, time, memory; write nothing.")
 @click.option("--resume", is_flag=True, help="Go on with a run that was interrupted, if there is one.")
 @click.option("--overwrite", is_flag=True, help="Replace a run folder that exists.")
@@ -112,6 +119,7 @@ def fit(
     figures: bool,
     held_out: int,
     memory: float | None,
+    device: str,
     dry_run: bool,
     resume: bool,
     overwrite: bool,
@@ -128,6 +136,7 @@ def fit(
     from phantomgen.dataset import open_dataset
     from recon.baselines import method_named
     from recon.classical import run_classical
+    from recon.devices import device_named
     from recon.edge_report import parse_edges
     from recon.forecast import forecast
     from recon.paper.recipe import PAPER_STEPS, PaperRecipe
@@ -137,6 +146,7 @@ def fit(
     from spectra.threads import set_threads
 
     special = {"resume": resume, "dry-run": dry_run, "memory": memory, "held-out": held_out, "edge": edge}
+    special |= {"device": None if device == "cpu" else device_named(device).type}
     if method != "gaussian":
         _refuse(f"--method {method}", special | {"steps": steps, "without": without, "recipe": recipe != "fast"})
     if recipe == "paper":
@@ -149,12 +159,12 @@ def fit(
     set_threads(threads)
     if dry_run and not isinstance(how, PaperRecipe):
         with open_dataset(source, air) as opened:
-            found = forecast(opened, how, _count(bases), memory)
+            found = forecast(opened, how, _count(bases), memory, device)
         click.echo(json.dumps(found.to_dict()) if as_json else str(found))
         return
     with joined() as processes, open_dataset(source, air) as opened:
         bar = _Bar(quiet or as_json or not processes.first)
-        options = (_count(bases), how, figures, bar, edges, memory, processes)
+        options = (_count(bases), how, figures, bar, edges, memory, processes, device)
         if not processes.first:
             run(opened, None, *options)
             return

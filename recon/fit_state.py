@@ -51,6 +51,12 @@ class FitState:
         adam = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15)
         return cls(gaussians, adam, torch.zeros_like(gaussians.coefficients))
 
+    def to(self, device: torch.device) -> "FitState":
+        """The same on a device; this one where it is there."""
+        if self.velocity.device == device:
+            return self
+        return FitState.restore({name: value.to(device) for name, value in self.tensors().items()}, self.numbers())
+
     def tensors(self) -> dict[str, Tensor]:
         """All arrays by name."""
         found = {name: getattr(self.gaussians, name).detach() for name in _PARTS}

@@ -44,7 +44,7 @@ class Forecast:
         )
 
 
-def forecast(dataset: Dataset, recipe: Recipe, bases: int | None, limit: float | None) -> Forecast:
+def forecast(dataset: Dataset, recipe: Recipe, bases: int | None, limit: float | None, device: str = "cpu") -> Forecast:
     """Make the start and a few steps, and say what all of them will take.
 
     Parameters
@@ -53,6 +53,7 @@ def forecast(dataset: Dataset, recipe: Recipe, bases: int | None, limit: float |
     recipe : hyper-parameters
     bases : how many basis functions to fit, default all
     limit : largest memory to take [GiB], None for no limit
+    device : where Gaussians are computed
     """
     plan_memory(dataset, recipe, bases, limit)
     timed: list[Progress] = []
@@ -61,7 +62,7 @@ def forecast(dataset: Dataset, recipe: Recipe, bases: int | None, limit: float |
         timed.append(progress)
         return len(timed) == TIMED_STEPS
 
-    result = reconstruct(dataset, recipe, bases, on_step=on_step)
+    result = reconstruct(dataset, recipe, bases, on_step=on_step, device=device)
     count = len(result.gaussians)
     start = sum(seconds for name, seconds in result.seconds.items() if name != "fit")
     return Forecast(

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
 from phantomgen.dataset import Dataset
@@ -17,6 +18,7 @@ from recon.baselines.grids import occupied
 from recon.baselines.method import CountsMethod, Method, OnIteration, unwatched
 from recon.baselines.one_step import OneStep
 from recon.decompose import decompose_views
+from recon.devices import device_named
 from recon.filling import filled
 from recon.fit_state import FitState
 from recon.fitting import Progress, fit
@@ -77,6 +79,7 @@ def reconstruct(
     processes: Processes = ALONE,
     store: ArrayStore = IN_MEMORY,
     on_iteration: OnIteration = unwatched,
+    device: str = "cpu",
 ) -> Reconstruction:
     """Fit Gaussians to the training views of a dataset.
 
@@ -90,7 +93,9 @@ def reconstruct(
     processes : that share the fit; the first one makes the start
     store : where counts and line integrals live
     on_iteration : called along the start, after every pass of voxels and every evaluation of Gaussians that follow them
+    device : where Gaussians are computed, ``cpu`` or ``cuda``; voxels are on the processor
     """
+    place = device_named(device)
     grid, voxel = dataset.grid, min(dataset.grid.spacing)
     starting_method(dataset.geometry[dataset.splits["train"]], grid)  # refuses scans that show no depth
     stage = Stopwatch(on_stage)
@@ -105,18 +110,18 @@ def reconstruct(
         state, volumes, seconds = kept
         stage.seconds.update(seconds | {"fit": state.seconds})
     elif processes.first:
-        volumes, start = _first_guess(measured, grid, fisher, recipe, stage, store, on_iteration)
+        volumes, start = _first_guess(measured, grid, fisher, recipe, stage, store, on_iteration, place)
         state = FitState.begin(start)
         if keeper is not None:
             keeper.begin(volumes, stage.seconds, state)
     else:
         state, volumes = None, np.zeros((len(measured.basis_names), *grid.shape), np.float32)
-    state, volumes = _shared(state, processes), processes.from_first(volumes)
+    state, volumes = _shared(state, processes).to(place), processes.from_first(volumes)
     anchor = Anchor.off_edges(*_filled_part(volumes, grid), fisher, recipe.prior) if recipe.prior else None
     with stage("fit"):
         gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, processes, anchor)
     name = _starting(measured, grid, recipe).name
-    return Reconstruction(gaussians, name, volumes, node_error, measured.transmission, stage.seconds)
+    return Reconstruction(gaussians.to("cpu"), name, volumes, node_error, measured.transmission, stage.seconds)
 
 
 def _starting(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
@@ -141,6 +146,7 @@ def _first_guess(
     stage: Stopwatch,
     store: ArrayStore,
     on_iteration: OnIteration,
+    place: torch.device,
 ) -> tuple[Float[np.ndarray, "basis z y x"], Gaussians]:
     """First volumes, and Gaussians that follow them."""
     voxel, method = min(grid.spacing), _starting(measured, grid, recipe)
@@ -161,9 +167,9 @@ def _first_guess(
     if not recipe.prior:
         return volumes, gaussians
     with stage("approximate"):
-        gaussians = approximate(gaussians, seen, inner, fisher, recipe.approximation, on_iteration)
+        gaussians = approximate(gaussians.to(place), seen, inner, fisher, recipe.approximation, on_iteration)
     if not recipe.corrected_passes:
-        return volumes, gaussians
+        return volumes, gaussians.to("cpu")
     with stage("partial volume"):
         coarse = measured.binned(matching_bin(measured.geometry, voxel))
         corrected = without_partial_volume(coarse, gaussians, store)
@@ -172,7 +178,8 @@ def _first_guess(
         volumes = again.reconstruct_counts(corrected, grid, on_iteration, volumes)
     with stage("approximate"):
         seen, inner = _filled_part(volumes, grid)
-        return volumes, approximate(gaussians, seen, inner, fisher, recipe.approximation, on_iteration)
+        gaussians = approximate(gaussians, seen, inner, fisher, recipe.approximation, on_iteration)
+    return volumes, gaussians.to("cpu")
 
 
 def _filled_part(volumes: Float[np.ndarray, "basis z y x"], grid: Grid) -> tuple[Float[np.ndarray, "..."], Grid]:

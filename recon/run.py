@@ -62,6 +62,7 @@ def run(
     edges: Sequence[float] | None = None,
     memory: float | None = None,
     processes: Processes = ALONE,
+    device: str = "cpu",
 ) -> dict[str, Any]:
     """Reconstruct, score and write everything into `folder`; returns what ``metrics.json`` holds.
 
@@ -77,6 +78,7 @@ def run(
     edges : where to look for K edges, see `recon.basis_choice.choose_basis`; None to believe the dataset
     memory : largest memory to take [GiB]; see `recon.memory`
     processes : that share the fit
+    device : where Gaussians are computed, ``cpu`` or ``cuda``
 
     Raises
     ------
@@ -111,7 +113,7 @@ def run(
             plan = plan_memory(dataset, recipe, bases, memory)
             with array_store(folder or Path(), plan.on_disk) as store:
                 result = reconstruct(
-                    dataset, recipe, bases, watcher.stage, on_step, keeper, processes, store, watcher.iterated
+                    dataset, recipe, bases, watcher.stage, on_step, keeper, processes, store, watcher.iterated, device
                 )
     if folder is None or keeper is None:
         return {}

@@ -3,8 +3,11 @@
 The reconstruction gets a dataset of which it reads ``/entry``; the truth is opened when all runs are over.
 """
 
+import os
 import shutil
 import sys
+import threading
+import time
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -126,5 +129,18 @@ def _curve(moments: list[Moment], runs: Runs, truth: Truth | None) -> list[dict[
     return points
 
 
+def end_with_parent() -> None:
+    """End this process within a second after the one that started it, whatever ended that."""
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
 if __name__ == "__main__":
+    end_with_parent()
     work(Job.from_json(sys.stdin.read()))

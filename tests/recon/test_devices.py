@@ -16,7 +16,9 @@ from recon.agreement import PARTS, agreement, agreement_and_gradients
 from recon.anchor import Anchor
 from recon.approximation import approximate
 from recon.curvature import coefficient_curvature
+from recon.devices import device_named
 from recon.fit_state import FitState
+from spectra.errors import InputError
 
 GRID = Grid.cube(8, 14.0)
 SENT = (torch.Tensor.to, torch.Tensor.numpy, torch.Tensor.cpu)
@@ -87,6 +89,20 @@ def test_the_approximation(monkeypatch):
     with watched(monkeypatch):
         found = approximate(start, volumes, GRID, np.eye(3), 6)
     assert torch.equal(found.centres, wanted.centres)
+
+
+def test_a_state_takes_all_it_has_to_a_device(state):
+    there = state.to(torch.device("meta"))
+    assert {tensor.device.type for tensor in there.tensors().values()} == {"meta"}
+    assert there.numbers() == state.numbers()
+    assert state.to(torch.device("cpu")) is state
+
+
+def test_a_gpu_that_is_not_there_is_one_sentence():
+    if torch.cuda.is_available():
+        pytest.skip("there is one")
+    with pytest.raises(InputError, match="--device cuda needs a GPU"):
+        device_named("cuda")
 
 
 def test_the_watch_sees_what_is_left_behind(monkeypatch):

@@ -1,5 +1,8 @@
 """Contenders run and scored on a scan of 16^3 voxels, in this process."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from itertools import count
 
@@ -178,3 +181,17 @@ def test_a_file_is_told_from_another(scan, tmp_path):
     assert fingerprint(other) == fingerprint(scan)
     other.write_bytes(scan.read_bytes()[:-1] + b"x")
     assert fingerprint(other) != fingerprint(scan)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="elsewhere a process does not see that its parent is gone")
+def test_a_worker_ends_when_the_comparison_is_killed():
+    says = "from recon.comparison.worker import end_with_parent; end_with_parent(); print(1, flush=True)"
+    worker = f"{says}; import time; time.sleep(100)"
+    comparison = subprocess.Popen(
+        [sys.executable, "-c", f"import subprocess, sys; subprocess.run([sys.executable, '-c', {worker!r}])"],
+        stdout=subprocess.PIPE,
+    )
+    assert comparison.stdout is not None
+    comparison.stdout.read(1)  # the worker watches
+    comparison.kill()
+    comparison.communicate(timeout=50)  # waits until the worker has let go of the pipe as well
