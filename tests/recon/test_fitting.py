@@ -13,7 +13,7 @@ from spectra.threads import set_threads
 
 PARTS = ("centres", "log_scales", "quaternions", "coefficients")
 GEOMETRY = circular(16, 16, views=9)
-RECIPE = Recipe(stages=(Stage(1.0, 4.0),))
+RECIPE = Recipe(stages=(Stage(1.0, 4.0),), dispersion=0.01)
 
 
 @pytest.fixture(scope="module")
