@@ -15,7 +15,7 @@ from spectra.errors import InputError
 
 GIB = 2**30
 PROGRAM = 0.55  # GiB: torch, numba, h5py and compiled kernels; a scan of 9 views of 32 x 32 pixels takes as much
-GAUSSIANS_PER_VOXEL = 0.05  # where nobody has counted yet; the preset kedge-small has 0.046
+GAUSSIANS_PER_VOXEL = 0.07  # at a spacing of 1, where nobody has counted yet; the preset kedge-small has 0.066
 _BYTES_PER_GAUSSIAN = 1600  # parameters, moments, gradients in float64, curvature, two footprint tables
 _CURVATURE_VIEWS = 5  # as many are rasterized at once
 _FDK_VIEWS = 16
@@ -82,7 +82,7 @@ def _parts(dataset: Dataset, recipe: Recipe, bases: int | None, gaussians: int |
     m = bases or len(dataset.spectra.basis)
     factor = matching_bin(dataset.geometry, min(dataset.grid.spacing)) ** 2
     if gaussians is None:
-        gaussians = round(GAUSSIANS_PER_VOXEL * voxels)
+        gaussians = round(GAUSSIANS_PER_VOXEL * voxels / recipe.spacing**2)
     per_step = recipe.views_per_step * 4 * (3 * m + 1) + 4 * 12 * channels + 8 * (channels * (m + 2) + 2 * m)
     pairs = m * (m + 1) // 2
     curvature = _CURVATURE_VIEWS * 4 * (m + 1 + 4 * pairs) + 8 * channels * (m + 2) + 8 * m * m * 2

@@ -83,5 +83,7 @@ class Recipe:
 
 
 FAST = Recipe()
-BEST = Recipe(name="best", stages=(Stage(0.5, 3.0),), voxel_passes=8, corrected_passes=10, approximation=40)
+BEST = Recipe(
+    name="best", stages=(Stage(0.5, 3.0),), spacing=0.9, voxel_passes=8, corrected_passes=10, approximation=40
+)
 RECIPES = {recipe.name: recipe for recipe in (FAST, BEST)}
