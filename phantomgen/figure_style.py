@@ -77,11 +77,13 @@ def few_ticks(steps: int = 5) -> Any:
     return MaxNLocator(steps, steps=[1, 2, 5, 10])
 
 
-def plain_minor_ticks() -> Any:
-    """Numbers at minor ticks of a logarithmic axis that spans less than a decade."""
-    from matplotlib.ticker import LogFormatter  # noqa: PLC0415
-
-    return LogFormatter(minor_thresholds=(1, 0.5))
+def decades_or_zero(ax: Any, values: np.ndarray) -> None:
+    """Make the vertical axis logarithmic where positive values span a decade; else it begins at 0."""
+    if values.max(initial=0.0) > 10 * values.min(initial=np.inf):
+        ax.set_yscale("log")
+        ax.yaxis.set_major_formatter("{x:g}")
+    else:
+        ax.set_ylim(bottom=0)
 
 
 def channel_colours(count: int) -> Any:

@@ -10,9 +10,9 @@ from phantomgen.figure_style import (
     UNIT,
     WIDTH,
     channel_colours,
+    decades_or_zero,
     few_ticks,
     figure_file,
-    plain_minor_ticks,
     write_csv,
 )
 
@@ -26,8 +26,8 @@ __all__ = [
     "UNIT",
     "WIDTH",
     "channel_colours",
+    "decades_or_zero",
     "few_ticks",
     "figure_file",
-    "plain_minor_ticks",
     "write_csv",
 ]

@@ -22,9 +22,9 @@ from recon.figure_style import (
     TRUTH,
     UNIT,
     WIDTH,
+    decades_or_zero,
     few_ticks,
     figure_file,
-    plain_minor_ticks,
     write_csv,
 )
 from spectra.basis import pretty
@@ -246,7 +246,8 @@ def convergence(seconds: Float[np.ndarray, " step"], deviance: Float[np.ndarray,
     Parameters
     ----------
     seconds : since the fit began [s]
-    deviance : mean deviance of the views of each step, about 1 where model and noise agree
+    deviance : mean deviance of the views of each step, about 1 where model and noise agree, less where a model error is
+        allowed for
     """
     seconds, deviance = np.asarray(seconds, dtype=np.float64), np.asarray(deviance, dtype=np.float64)
     window = max(len(deviance) // 20, 1)
@@ -254,12 +255,13 @@ def convergence(seconds: Float[np.ndarray, " step"], deviance: Float[np.ndarray,
     write_csv(path, {"seconds": seconds, "deviance": deviance, "running_mean": mean})
     with figure_file(path, (WIDTH / 2, 2.4)) as figure:
         ax = figure.subplots()
-        ax.plot(seconds, deviance, color="0.75", linewidth=0.6, label="each step")
-        ax.plot(seconds, mean, color=BLUE, linewidth=1.4, label=f"mean of {window} steps")
-        ax.axhline(1, color="black", linewidth=0.7, linestyle=(0, (3, 2)))
-        ax.set(yscale="log", xlabel="time [s]", ylabel="mean deviance [no unit]")
-        ax.yaxis.set_major_formatter("{x:g}")
-        ax.yaxis.set_minor_formatter(plain_minor_ticks())
+        if window > 1:
+            ax.plot(seconds, deviance, color="0.75", linewidth=0.6, label="each step")
+        ax.plot(
+            seconds, mean, color=BLUE, linewidth=1.4, label=f"mean of {window} steps" if window > 1 else "each step"
+        )
+        ax.set(xlabel="time [s]", ylabel="mean deviance [no unit]")
+        decades_or_zero(ax, mean)
         ax.legend(loc="upper right")
     return path
 

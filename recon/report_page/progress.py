@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from phantomgen.figure_style import PAGE_WIDTH, figure_file, plain_minor_ticks
+from phantomgen.figure_style import PAGE_WIDTH, decades_or_zero, figure_file
 from phantomgen.page import picture
 from phantomgen.page.content import csv_of
 from recon.report_page.case import LINES, Case, LeftOut, Parts
@@ -24,8 +24,8 @@ def parts(case: Case) -> Parts:
     path = progress_figure(logs, rows, case.path("progress"))
     caption = (
         "Error against time and against steps or iterations: PSNR of models along the way, and their distance from the "
-        "counts of the views of each step: mean deviance for Gaussians, about 1 where model and noise agree, or the "
-        "residual of a method on voxels. Time starts with the fit, after what it starts from."
+        "counts of the views of each step: mean deviance for Gaussians, 1 and less where model and noise agree, or "
+        "the residual of a method on voxels. Time starts with the fit, after what it starts from."
     )
     return (picture(path, caption, _table(logs)),)
 
@@ -51,9 +51,7 @@ def progress_figure(logs: dict[str, tuple[dict[str, Any], ...]], names: list[str
             ax.set_ylabel("PSNR [dB]")
             ax.text(0.98, 0.06, pretty(name), transform=ax.transAxes, ha="right", fontsize=8)
         for ax in axes[-1]:
-            ax.set_yscale("log")
-            ax.yaxis.set_major_formatter("{x:g}")
-            ax.yaxis.set_minor_formatter(plain_minor_ticks())
+            decades_or_zero(ax, np.concatenate([line.get_ydata() for line in ax.get_lines()] or [np.zeros(0)]))
         axes[-1, 0].set(xlabel="time of the fit [s]", ylabel="misfit")
         axes[-1, 1].set(xlabel="step or iteration")
         if len(logs) > 1:
