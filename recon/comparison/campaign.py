@@ -88,7 +88,7 @@ class Campaign:
         (folder / SETTINGS).write_text(json.dumps(asdict(self.settings), indent=1) + "\n", encoding="utf-8")
 
     def run(self, who: Sequence[Contender], budgets: Sequence[float], tell: Tell = lambda sentence: None) -> None:
-        """Run what has no result yet; what failed is tried again.
+        """Run what has no result yet; what failed is tried again, but not what a budget was too short for.
 
         Parameters
         ----------
@@ -98,7 +98,7 @@ class Campaign:
         """
         for contender in who:
             place = self.folder / RESULTS / str(contender)
-            missing = tuple(b for b in budgets if "seconds" not in (read_result(place, b) or {}))
+            missing = tuple(b for b in budgets if not _is_known(read_result(place, b)))
             if not missing:
                 tell(f"{contender}: done before")
                 continue
@@ -152,6 +152,11 @@ class Campaign:
             raise InputError(
                 f"{self.folder} was begun with another {' and '.join(changed)}: ask for the same, or add --overwrite"
             )
+
+
+def _is_known(result: Result | None) -> bool:
+    """Whether running again would tell nothing new."""
+    return result is not None and ("seconds" in result or bool(result.get("too_short")))
 
 
 @without_other_pools()

@@ -99,7 +99,7 @@ def _write_scores(job: Job, dataset: Dataset, runs: Runs, memory: float | None) 
         content: dict[str, Any] = {"contender": job.contender, "budget": budget}
         if recorder is None or moment is None:
             lacking = f"nothing is ready within {budget:g} s: {runs.lacking}"
-            write_result(Path(job.folder), budget, content | {"error": lacking})
+            write_result(Path(job.folder), budget, content | {"error": lacking, "too_short": True})
             continue
         if moment.path not in scored:
             scored[moment.path] = score(runs.load(moment.path), dataset, truth, pseudo)

@@ -117,6 +117,7 @@ def test_a_budget_holds_the_last_iteration_within_it(scan, tmp_path, counting):
 def test_a_budget_before_the_first_iteration_is_said_to_hold_nothing(scan, tmp_path):
     found = worked(scan, tmp_path / "run", "fdk", (1e-6,))[0]
     assert found["error"] == "nothing is ready within 1e-06 s: no iteration ended"
+    assert found["too_short"]  # it will not be tried again
 
 
 @pytest.mark.parametrize(
