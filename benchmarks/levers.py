@@ -69,16 +69,17 @@ LEVERS = (
     fast("prior as strong along edges", ("recon.anchor.EDGES", 1.0)),
     fast("pixels summed to the size of voxels", stages=(Stage(1.0, 1.0),)),
     fast("pixels summed first", stages=(Stage(1.0, 0.5), Stage(0.5, 0.5))),
+    fast("four times the rates of the geometry, falling to 0.05", centre_rate=0.02, shape_rate=0.005, final_rate=0.05),
     fast("weights of pure Poisson noise", dispersion=0.0),
     fast("coefficients alone, geometry held", **HELD),
     fast("coefficients without momentum", momentum=0.0),
     fast("1 view per step", views_per_step=1),
-    fast("more Gaussians, spacing 1.0", spacing=1.0),
+    fast("fewer Gaussians, spacing 1.2", spacing=1.2),
     fast("fewer Gaussians, spacing 1.5", spacing=1.5),
     Lever("best", BEST),
     best("partial volume not taken out", voxel_passes=18, corrected_passes=0),
     best("6 sweeps", stages=(Stage(0.5, 6.0),)),
-    best("more Gaussians, spacing 1.0", spacing=1.0),
+    best("fewer Gaussians, spacing 1.2", spacing=1.2),
 )
 
 

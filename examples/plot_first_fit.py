@@ -51,7 +51,7 @@ print("counts of view 3:", dataset.counts[3].shape, "largest log projection:", d
 
 # %%
 deviances = []
-recipe = recon.Recipe(stages=(Stage(pixel=1.0, sweeps=20.0),)) if QUICK else recon.Recipe()
+recipe = recon.Recipe(stages=(Stage(pixel=1.0, sweeps=20.0),)) if QUICK else "fast"
 fit = recon.fit(dataset, recipe, callbacks=[lambda progress: deviances.append(progress.deviance)])
 print(fit)
 print(f"mean deviance {deviances[0]:.1f} at first, {deviances[-1]:.2f} at last; 1 is what noise alone would leave")

@@ -51,14 +51,14 @@ class Recipe:
     held_out : training views that are not fitted; the fit ends when chi-square on them no longer falls; 0 for none
     """
 
-    name: str = "fast"
+    name: str = "own"
     stages: tuple[Stage, ...] = (Stage(0.5, 1.0),)
     views_per_step: int = 2
     spacing: float = 1.2
     voxel_passes: int = 8
     approximation: int = 20
     corrected_passes: int = 0
-    dispersion: float = 0.02
+    dispersion: float = 0.01
     node_tolerance: float = 1e-3
     centre_rate: float = 0.02
     shape_rate: float = 0.005
@@ -82,8 +82,23 @@ class Recipe:
             raise InputError("a recipe needs at least one stage")
 
 
-FAST = Recipe()
+FAST = Recipe(
+    name="fast",
+    spacing=1.0,
+    voxel_passes=7,
+    approximation=25,
+    dispersion=0.02,
+    centre_rate=0.005,
+    shape_rate=0.00125,
+    final_rate=0.3,
+)
 BEST = Recipe(
-    name="best", stages=(Stage(0.5, 3.0),), spacing=0.9, voxel_passes=8, corrected_passes=10, approximation=40
+    name="best",
+    stages=(Stage(0.5, 3.0),),
+    spacing=0.9,
+    corrected_passes=10,
+    approximation=40,
+    dispersion=0.02,
+    warm_up=0.3,
 )
 RECIPES = {recipe.name: recipe for recipe in (FAST, BEST)}
