@@ -74,7 +74,7 @@ LEVERS = (
     fast("coefficients alone, geometry held", **HELD),
     fast("coefficients without momentum", momentum=0.0),
     fast("1 view per step", views_per_step=1),
-    fast("fewer Gaussians, spacing 1.2", spacing=1.2),
+    fast("more Gaussians, spacing 1.0", spacing=1.0),
     fast("fewer Gaussians, spacing 1.5", spacing=1.5),
     Lever("best", BEST),
     best("partial volume not taken out", voxel_passes=18, corrected_passes=0),

@@ -82,16 +82,7 @@ class Recipe:
             raise InputError("a recipe needs at least one stage")
 
 
-FAST = Recipe(
-    name="fast",
-    spacing=1.0,
-    voxel_passes=7,
-    approximation=25,
-    dispersion=0.02,
-    centre_rate=0.005,
-    shape_rate=0.00125,
-    final_rate=0.3,
-)
+FAST = Recipe(name="fast", dispersion=0.02, centre_rate=0.005, shape_rate=0.00125, final_rate=0.3)
 BEST = Recipe(
     name="best",
     stages=(Stage(0.5, 3.0),),
