@@ -150,7 +150,7 @@ def draw() -> None:
         axes.loglog(*np.array(curve).T, f"{marker}-", label=name)
     axes.set(xlabel="time per view [ms]", ylabel="worst error of log projections")
     axes.grid(alpha=0.3)
-    axes.legend()
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
     figure.savefig(RESULTS / "tolerance.png", dpi=150)
 
 

@@ -79,7 +79,8 @@ def few_ticks(steps: int = 5) -> Any:
 
 def decades_or_zero(ax: Any, values: np.ndarray) -> None:
     """Make the vertical axis logarithmic where positive values span a decade; else it begins at 0."""
-    if values.max(initial=0.0) > 10 * values.min(initial=np.inf):
+    positive = values[values > 0]
+    if positive.max(initial=0.0) > 10 * positive.min(initial=np.inf):
         ax.set_yscale("log")
         ax.yaxis.set_major_formatter("{x:g}")
     else:

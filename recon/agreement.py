@@ -18,8 +18,6 @@ from recon.measurements import Measurements
 from recon.processes import ALONE, Processes
 from spectra.ops.transmit import transmit
 
-PARTS = ("centres", "log_scales", "quaternions", "coefficients")
-
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
@@ -61,7 +59,7 @@ def agreement_and_gradients(
     dispersion : relative model error added to the Poisson variance
     processes : that share the views; all are left with the gradients of all views
     """
-    parts = [getattr(gaussians, name) for name in PARTS]
+    parts = list(gaussians.tensors().values())
     values = len(views) * int(np.prod(data.counts.shape[1:]))
     sums = torch.zeros(2 * data.counts.shape[1] + 1, dtype=torch.float64, device="cpu")
     mine = data[processes.share(views)]

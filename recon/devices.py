@@ -6,8 +6,6 @@ import torch
 
 from spectra.errors import InputError
 
-DEVICES = ("cpu", "cuda")
-
 
 def device_named(name: str) -> torch.device:
     """The device of that name; of several GPUs the current one.

@@ -255,11 +255,11 @@ def convergence(seconds: Float[np.ndarray, " step"], deviance: Float[np.ndarray,
     write_csv(path, {"seconds": seconds, "deviance": deviance, "running_mean": mean})
     with figure_file(path, (WIDTH / 2, 2.4)) as figure:
         ax = figure.subplots()
+        name = "each step"
         if window > 1:
-            ax.plot(seconds, deviance, color="0.75", linewidth=0.6, label="each step")
-        ax.plot(
-            seconds, mean, color=BLUE, linewidth=1.4, label=f"mean of {window} steps" if window > 1 else "each step"
-        )
+            ax.plot(seconds, deviance, color="0.75", linewidth=0.6, label=name)
+            name = f"mean of {window} steps"
+        ax.plot(seconds, mean, color=BLUE, linewidth=1.4, label=name)
         ax.set(xlabel="time [s]", ylabel="mean deviance [no unit]")
         decades_or_zero(ax, mean)
         ax.legend(loc="upper right")

@@ -8,10 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.gaussians import Gaussians
+from recon.gaussians import PARTS, Gaussians
 
 GEOMETRY = ("centres", "log_scales", "quaternions")
-_PARTS = (*GEOMETRY, "coefficients")
 _MOMENTS = ("exp_avg", "exp_avg_sq")  # as Adam calls its means of gradients and of their squares
 
 
@@ -59,7 +58,7 @@ class FitState:
 
     def tensors(self) -> dict[str, Tensor]:
         """All arrays by name."""
-        found = {name: getattr(self.gaussians, name).detach() for name in _PARTS}
+        found = {name: value.detach() for name, value in self.gaussians.tensors().items()}
         found |= {"velocity": self.velocity, "inverse": self.inverse, "weight": self.weight}
         for name in GEOMETRY if self.done else ():
             moments = self.adam.state[getattr(self.gaussians, name)]
@@ -77,7 +76,7 @@ class FitState:
     @classmethod
     def restore(cls, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> "FitState":
         """From what `tensors` and `numbers` gave."""
-        state = cls.begin(Gaussians(*(tensors[name] for name in _PARTS), basis_names=tuple(numbers["basis"])))
+        state = cls.begin(Gaussians(*(tensors[name] for name in PARTS), basis_names=tuple(numbers["basis"])))
         state.velocity, state.inverse, state.weight = (
             tensors[name].clone() for name in ("velocity", "inverse", "weight")
         )

@@ -15,6 +15,7 @@ from recon.ops.rasterize import rasterize
 from recon.ops.voxelize import voxelize
 from spectra.errors import DatasetError
 
+PARTS = ("centres", "log_scales", "quaternions", "coefficients")
 _HEADER = "gaussians"  # key of the metadata in a file
 _SCHEMA = "spectral-ct gaussians 1.0"
 
@@ -60,7 +61,7 @@ class Gaussians:
 
     def tensors(self) -> dict[str, Tensor]:
         """All arrays by name."""
-        return {name: getattr(self, name) for name in ("centres", "log_scales", "quaternions", "coefficients")}
+        return {name: getattr(self, name) for name in PARTS}
 
     def detached(self) -> "Gaussians":
         """The same values without a graph."""

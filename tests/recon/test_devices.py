@@ -12,12 +12,13 @@ import torch
 from gaussian_scenes import circular, small_model, small_scan, spectral_model
 
 from phantomgen.grid import Grid
-from recon.agreement import PARTS, agreement, agreement_and_gradients
+from recon.agreement import agreement, agreement_and_gradients
 from recon.anchor import Anchor
 from recon.approximation import approximate
 from recon.curvature import coefficient_curvature
 from recon.devices import device_named
 from recon.fit_state import FitState
+from recon.gaussians import PARTS
 from spectra.errors import InputError
 
 GRID = Grid.cube(8, 14.0)

@@ -39,6 +39,15 @@ def test_binning_sums_counts_and_open_beam(scan, factor):
     np.testing.assert_array_equal(binned.geometry.panel_center, scan.geometry.panel_center)
 
 
+def test_pixels_cut_into_finer_ones_and_summed_are_those_pixels(scan):
+    fine = scan.geometry.subdivided(3)
+    assert fine.panel.rows == 3 * scan.geometry.panel.rows
+    back = fine.binned(3)
+    assert back.panel.columns == scan.geometry.panel.columns
+    for name in ("source", "panel_center", "column_step", "row_step"):
+        np.testing.assert_allclose(getattr(back, name), getattr(scan.geometry, name), rtol=1e-14)
+
+
 def test_no_binning_is_the_scan_itself(scan):
     assert scan.binned(1) is scan
 

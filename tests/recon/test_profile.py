@@ -7,8 +7,9 @@ import pytest
 import torch
 from gaussian_scenes import circular, small_model, spectral_model
 
-from recon.agreement import PARTS, agreement, agreement_and_gradients
+from recon.agreement import agreement, agreement_and_gradients
 from recon.curvature import ray_information
+from recon.gaussians import PARTS
 from recon.measurements import Measurements
 from recon.ops.decompose import decompose
 from spectra.transmission import Transmission
