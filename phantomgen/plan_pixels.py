@@ -37,7 +37,7 @@ RULE_LADDER = (
 _FINER = 2
 VOXEL_LADDER = (1.0, 2.0, 4.0, 8.0, 16.0)
 # Parts of the share that rectangles of a pixel where surfaces meet may err by, as they estimate it themselves.
-KINK_LADDER = (0.3, 0.1, 0.03)
+KINK_LADDER = (1.0, 0.3, 0.1, 0.03)
 VIEWS = 3
 _WINDOW = 48
 _MOST_WINDOWS = 4

@@ -100,9 +100,9 @@ def fit(
             if step % max(round(recipe.curvature_sweeps * per_sweep), 1) == 0:
                 state.inverse, state.weight = _inverse_curvature(state.gaussians, data, recipe, processes, anchor)
             fraction = state.done / steps
-            warm = state.done < recipe.warm_up * per_sweep
+            ramp = min(1.0, (state.done + 1) / max(recipe.warm_up * per_sweep, 1.0))
             for group, rate in zip(groups, rates, strict=True):
-                group["lr"] = 0.0 if warm else rate * recipe.final_rate**fraction
+                group["lr"] = ramp * rate * recipe.final_rate**fraction
             found = agreement_and_gradients(state.gaussians, data, views, recipe.dispersion, processes)
             scale = float(np.prod(data.counts.shape)) / 2  # from a mean deviance to the likelihood of all views
             if anchor is not None:

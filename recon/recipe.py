@@ -44,7 +44,7 @@ class Recipe:
     coefficient_rate : step of the coefficients over the step that full curvature would take
     momentum : of the coefficients
     curvature_sweeps : sweeps between two evaluations of the coefficients' curvature
-    warm_up : sweeps in which only coefficients move
+    warm_up : sweeps over which steps of the geometry grow to their length
     prior : information of the prior over that of the data, see `recon.anchor`; 0 starts from decomposed rays instead,
         further off, and wants larger rates
     seed : of the placement, of the order of views, and of which are held out
@@ -90,6 +90,6 @@ BEST = Recipe(
     corrected_passes=10,
     approximation=40,
     dispersion=0.02,
-    warm_up=0.3,
+    warm_up=0.5,
 )
 RECIPES = {recipe.name: recipe for recipe in (FAST, BEST)}
