@@ -4,7 +4,8 @@
 
 PSNR [dB] and worst SSIM of the basis volumes; chi-square of test views in the worst channel, away from edges and of all
 rays; seconds up to the last step; processor time of the whole command, scores included, which does not depend on what
-else the machine does. Rows take the place of those in `results/fits.txt`. Runs of the first seed are kept in FOLDER,
+else the machine does. A row `truth` has chi-square of the true volumes: what voxels miss at edges, and what the basis
+misses of real materials. Rows take the place of those in `results/fits.txt`. Runs of the first seed are kept in FOLDER,
 for `recon segment` and `recon report`.
 """
 
@@ -21,7 +22,10 @@ from pathlib import Path
 from typing import Any
 
 import phantomgen
+from phantomgen.dataset_truth import read_truth
 from recon.recipe import RECIPES
+from recon.scoring import score_test_views
+from recon.voxels import Voxels
 from spectra.threads import thread_count
 
 PRESETS = ("kedge", "multi-energy", "bird-chest", "metal-hip")
@@ -60,12 +64,26 @@ def row_of(name: str, scores: dict[str, Any], processor: float) -> str:
     """One line of the results."""
     psnr = "  ".join(f"{basis['psnr']:5.2f}" for basis in scores["basis"].values())
     ssim = min(basis["ssim"] for basis in scores["basis"].values())
-    away, everywhere = (max(c[f"chi_square_{rays}"] for c in scores["channels"].values()) for rays in ("away", "all"))
     seconds = sum(time for stage, time in scores["seconds"].items() if stage not in AFTER)
     return (
-        f"{name}{psnr:<24}{ssim:5.3f}{away:11.3f}{everywhere:8.2f}{seconds:6.0f}{processor:7.0f}"
+        f"{name}{psnr:<24}{ssim:5.3f}{agreement(scores['channels'])}{seconds:6.0f}{processor:7.0f}"
         f"{scores['peak_memory_mib']:6.0f}{scores['gaussians']:11d}"
     )
+
+
+def agreement(channels: dict[str, Any]) -> str:
+    """Chi-square of the worst channel, away from edges and of all rays."""
+    away, everywhere = (max(c[f"chi_square_{rays}"] for c in channels.values()) for rays in ("away", "all"))
+    return f"{away:11.3f}{everywhere:8.2f}"
+
+
+def row_of_truth(name: str, dataset: Path) -> str:
+    """The same of the true volumes."""
+    truth = read_truth(dataset)
+    assert truth is not None
+    with phantomgen.open(dataset) as opened:
+        channels = score_test_views(opened, Voxels(truth.volumes, truth.grid, truth.basis_names))
+    return f"{name}{'-':<24}{'-':>5}{agreement(channels)}"
 
 
 def store(row: str) -> None:
@@ -90,6 +108,8 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         for preset, _, recipe in (word.partition("=") for word in asked.presets):
             for seed, dataset in datasets(preset, folder):
+                if seed == SEEDS[0]:
+                    store(row_of_truth(f"{preset:<14}{'truth':<8}{seed:<6d}", dataset))
                 for chosen in [recipe] if recipe else RECIPES:
                     run = folder / f"{preset}-{chosen}" if seed == SEEDS[0] else Path(scratch) / "run"
                     scores, processor = fitted(dataset, chosen, seed, run)

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from spectra.errors import InputError
 
 BANDWIDTH = 3.0  # units of `unit_of`
-FLOOR = 0.03  # least unit, of the range of a feature
+FLOOR = 0.005  # least unit, of the range of a feature
 SAMPLES = 10_000
 RAREST = 0.001  # modes with a smaller part of the samples are left out
 _TAIL = 0.005  # quantile where the range of a feature ends

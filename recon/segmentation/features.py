@@ -21,6 +21,7 @@ MECHANISMS = Basis((BasisFunction("photoelectric"), BasisFunction("compton")))
 EPSILON = 0.005  # of the Compton coefficient of water, so that kappa stays finite where there is none
 AIR = 0.2  # of the density of water: what is less dense is empty; lungs have 0.26 and more
 FLAT = 0.12  # of a high density: more than values in the inside of a material differ from a voxel to the next
+SIGNIFICANT = 0.02  # part of the density from which on a K edge is one
 _HIGH = 0.9  # quantile of the density that is called high
 _APART = 3  # voxels between two values whose difference is noise
 
@@ -86,15 +87,11 @@ def flat_inside(parts: Float[np.ndarray, "mechanism z y x"], air: float) -> Bool
 
 
 def noise_of(features: Float[np.ndarray, "feature z y x"], inside: Bool[np.ndarray, "z y x"]) -> np.ndarray:
-    """Robust standard deviation of each feature, from voxels three apart that both lie inside."""
-    found = []
-    for axis in range(3):
-        head, tail = (np.take(inside, range(*ends), axis) for ends in _ends(inside.shape[axis]))
-        both = head & tail
-        for feature in features:
-            first, second = (np.take(feature, range(*ends), axis) for ends in _ends(inside.shape[axis]))
-            found.append((first - second)[both])
-    return np.array([_spread(np.concatenate(found[i :: len(features)])) for i in range(len(features))])
+    """Robust standard deviation of each feature, from voxels three apart that both lie inside.
+
+    That of f_K where there is some of it: where there is none, coefficients that are held at 0 show no noise.
+    """
+    return np.array([noise_in(f, inside & (f > SIGNIFICANT) if k >= 2 else inside) for k, f in enumerate(features)])
 
 
 def at_points(
@@ -109,6 +106,17 @@ def voxel_places(grid: Grid, points: Float[np.ndarray, "point 3"]) -> Float[np.n
     """Points (x, y, z) [mm] in voxels along (z, y, x)."""
     origin, spacing = np.array(grid.origin), np.array(grid.spacing)
     return ((points[:, ::-1] - origin) / spacing).T
+
+
+def noise_in(feature: Float[np.ndarray, "z y x"], inside: Bool[np.ndarray, "z y x"]) -> float:
+    """Robust standard deviation of the differences of voxels inside, over the root of 2."""
+    found = []
+    for axis in range(3):
+        (head, first), (tail, second) = (
+            [np.take(a, range(*ends), axis) for a in (inside, feature)] for ends in _ends(feature.shape[axis])
+        )
+        found.append((first - second)[head & tail])
+    return _spread(np.concatenate(found))
 
 
 def _ends(length: int) -> tuple[tuple[int, int], tuple[int, int]]:

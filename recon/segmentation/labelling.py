@@ -11,10 +11,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
+from recon.segmentation.features import SIGNIFICANT
+
 REACH = 3  # voxels from a place to neighbours that it may belong to
 NOTHING = 0  # label of air; cluster i has the label i + 1
-SIGNIFICANT = 0.02  # part of the density from which on a K edge is one
 UNMIXED = 0.1  # distance to all mixtures of neighbours, in largest coefficients, from which on a place is none of them
+DENSER = 1.5  # times the density of its label from which on a point is something else
 RIM = 0.9  # part of a cluster's voxels that touch other clusters from which on it is a rim between them
 
 
@@ -60,14 +62,14 @@ def label_edges(
     free = distances.argmin(axis=0)
     best = np.where(allowed.any(axis=0), np.where(allowed, distances, np.inf).argmin(axis=0), free)
     doubtful = np.flatnonzero(best != free)
-    mixed = _off_mixtures(values[doubtful], ends, allowed[:, doubtful])
+    mixed = _off_allowed_mixtures(values[doubtful], ends, allowed[:, doubtful])
     other = (mixed > UNMIXED) & (distances[free[doubtful], doubtful] < mixed / 2)
     best[doubtful[other]] = free[doubtful[other]]
     labels[open_voxels] = best
     return labels
 
 
-def _off_mixtures(
+def _off_allowed_mixtures(
     values: Float[np.ndarray, "point mechanism"],
     ends: Float[np.ndarray, "label mechanism"],
     allowed: Bool[np.ndarray, "label point"],
@@ -76,11 +78,20 @@ def _off_mixtures(
     least = np.full(len(values), np.inf)
     for i, first in enumerate(ends):
         for j in range(i + 1, len(ends)):
-            along = ends[j] - first
-            part = np.clip((values - first) @ along / max(along @ along, 1e-24), 0.0, 1.0)
-            distance = np.linalg.norm(values - first - part[:, None] * along, axis=1)
+            distance = off_mixtures(values, first, ends[j])
             least = np.where(allowed[i] & allowed[j], np.minimum(least, distance), least)
     return least
+
+
+def off_mixtures(
+    values: Float[np.ndarray, "point mechanism"],
+    first: Float[np.ndarray, " mechanism"],
+    second: Float[np.ndarray, " mechanism"],
+) -> Float[np.ndarray, " point"]:
+    """Distance of each point to the mixtures of two materials, which lie on the line between them."""
+    along = second - first
+    part = np.clip((values - first) @ along / max(along @ along, 1e-24), 0.0, 1.0)
+    return np.linalg.norm(values - first - part[:, None] * along, axis=1)
 
 
 def label_at(
@@ -89,9 +100,10 @@ def label_at(
     values: Float[np.ndarray, "point mechanism"],
     centres: Float[np.ndarray, "cluster mechanism"],
 ) -> Int[np.ndarray, " point"]:
-    """Labels of points: that of their voxel, or the nearest in coefficients where that is air."""
+    """Labels of points: that of their voxel, or the nearest in coefficients where it is air or far less dense."""
     found = labels[nearest_voxels(places, labels.shape)]
-    lost = found == NOTHING
+    density = np.concatenate([[0.0], centres.sum(axis=1)])
+    lost = values.sum(axis=1) > DENSER * density[found]
     scale = np.maximum(centres.max(axis=0), 1e-12)
     found[lost] = 1 + _nearest(values[lost], centres, scale)
     return found

@@ -10,6 +10,7 @@ from recon.segmentation.features import Mechanisms, at_points, flat_inside, nois
 from recon.segmentation.labelling import label_edges, nearest_voxels, ordered, rims
 from recon.segmentation.result import Options
 from recon.segmentation.subject import Subject
+from recon.segmentation.thin import with_thin_materials
 from spectra.errors import InputError
 
 
@@ -59,21 +60,19 @@ def find_materials(
     inner = np.zeros(inside.shape, np.uint16)
     inner[inside] = 1 + nearest_mode(voxels, modes, unit)
     inner = _renumbered(inner, np.flatnonzero(~rims(inner, len(modes)) & _present(inner, len(modes))))
-    labelled = inner[inside] > 0
-    groups, count = inner[inside][labelled].astype(np.intp) - 1, int(inner.max())
-    centres = medians(parts[:, inside].T[labelled], groups, count)
+    air = features[0] <= mechanisms.air
+    inner = with_thin_materials(inner, parts, features, air, medians(parts, inner), options.seed)
+    centres = medians(parts, inner)
     order = ordered(mechanisms.features(centres.T).T)
-    inner, centres = _renumbered(inner, order), centres[order]
-    coefficients = medians(subject.volumes[:, inside].T[labelled], groups, count)[order]
-    labels = label_edges(inner, parts, features[0] <= mechanisms.air, centres)
-    return Found(labels, centres, coefficients)
+    inner, centres, coefficients = _renumbered(inner, order), centres[order], medians(subject.volumes, inner)[order]
+    return Found(label_edges(inner, parts, air, centres), centres, coefficients)
 
 
 def medians(
-    values: Float[np.ndarray, "sample component"], groups: Int[np.ndarray, " sample"], count: int
-) -> Float[np.ndarray, "group component"]:
-    """Median of each group."""
-    return np.array([np.median(values[groups == i], axis=0) for i in range(count)])
+    volumes: Float[np.ndarray, "component ..."], labels: Int[np.ndarray, "..."]
+) -> Float[np.ndarray, "label component"]:
+    """Median under each label but 0."""
+    return np.array([np.median(volumes[:, labels == i], axis=1) for i in range(1, int(labels.max()) + 1)])
 
 
 def _samples_at(

@@ -61,8 +61,8 @@ def _by_own_coefficients(
     carrying = features[:, 0] > _CARRYING * features[:, 0].max()
     unit = np.maximum(features[carrying].std(axis=0), 1e-12) / BANDWIDTH
     modes = find_modes(features[carrying], unit, options.bandwidth, options.seed)
-    kept, nearest = np.unique(nearest_mode(features, modes, unit), return_inverse=True)
-    coefficients = medians(values, nearest, len(kept))
+    nearest = np.unique(nearest_mode(features, modes, unit), return_inverse=True)[1]
+    coefficients = medians(values.T, nearest + 1)
     order = ordered(mechanisms.features(mechanisms(coefficients.T)).T)
     return coefficients[order], np.argsort(order)[nearest]
 

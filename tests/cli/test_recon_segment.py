@@ -1,7 +1,6 @@
 """``recon segment`` on run folders whose volumes are the truth of a tiny scan, or made by a few Gaussians."""
 
 import json
-from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -155,8 +154,8 @@ def test_one_material_is_said_to_be_one(voxels, dataset, tmp_path):
     truth = read_truth(dataset)
     lonely = tmp_path / "one-run"
     lonely.mkdir()
-    tissue = replace(truth, volumes=truth.volumes * (truth.labels == 1))
-    write_volumes(lonely / "volumes.h5", np.maximum(tissue.volumes, 0)[:2], truth.basis_names[:2], truth.grid, {})
+    tissue = (truth.coefficients[0, :2, None, None, None] * (truth.labels == 1)).astype(np.float32)
+    write_volumes(lonely / "volumes.h5", tissue, truth.basis_names[:2], truth.grid, {})
     (lonely / SCAN).write_bytes((voxels / SCAN).read_bytes())
     result = command(lonely, "--no-figures", "-q")
     assert result.exit_code == 0

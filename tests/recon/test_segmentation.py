@@ -159,6 +159,36 @@ def test_half_filled_voxels_between_two_materials_are_none_of_a_third():
     assert not (found.labels[8:-8, 6:11, 5] == 1 + names.index("K-edge 63.3 keV 1")).any()
 
 
+def test_ribs_and_wires_without_an_inside_are_materials():
+    steel = (0.6, 0.09, 0)
+    volumes, labels = boxes((TISSUE,))
+    for kind, material, filled in ((2, BONE, (0.6, 1.0, 0.6)), (3, steel, (0.3, 1.0, 0.3))):  # three voxels across
+        for row, across in ((4, 0), (12, 1), (20, 2)):
+            for i, part in enumerate(filled):
+                place = (slice(3, 25), row + i, 6 + 12 * (kind - 2) + across)
+                volumes[(slice(None), *place)] = np.outer(
+                    part * np.array(material) + (1 - part) * np.array(TISSUE), np.ones(22)
+                )
+                if part >= 0.5:
+                    labels[place] = kind
+    found = segment_subject(subject_of(volumes, KEDGE), Options())
+    assert [c.name for c in found.clusters] == ["soft tissue", "bone-like", "metal"]
+    assert dice_of(labels, found, 3).min() == 1.0
+    np.testing.assert_allclose([c.coefficients for c in found.clusters], [TISSUE, BONE, steel], rtol=1e-5)
+
+
+def test_noise_alone_is_no_thin_material():
+    volumes, _ = boxes((TISSUE,), noise=3e-3)
+    assert [c.name for c in segment_subject(subject_of(volumes, KEDGE), Options()).clusters] == ["soft tissue"]
+
+
+def test_solutions_are_told_apart_from_what_differs_little():
+    contents = [TISSUE, (0.0015, 0.0178, 0), (0.0017, 0.0188, 0.0007), (0.0173, 0.032, 0)]
+    volumes, labels = boxes(contents, noise=5e-5)
+    found = segment_subject(subject_of(np.maximum(volumes, 0), KEDGE), Options())
+    assert dice_of(labels, found, 4).min() > 0.99
+
+
 def test_one_material_is_one_cluster():
     found = segment_subject(subject_of(boxes((TISSUE,))[0], KEDGE), Options())
     assert [c.name for c in found.clusters] == ["soft tissue"]

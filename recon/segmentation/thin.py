@@ -1,0 +1,81 @@
+"""Materials that are nowhere thick: ribs, wires, walls of vessels, which have no inside to be known by.
+
+Mixtures of two materials lie on the straight line between their coefficients. A voxel that lies on no such line between
+known materials, or air, holds another one; so where such voxels hang together, their densest points are clustered.
+Partial volume makes thin things look thinner than they are: a cluster has the coefficients of its denser half.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+
+from recon.segmentation.clustering import find_modes, nearest_mode
+from recon.segmentation.features import noise_in
+from recon.segmentation.labelling import off_mixtures
+
+UNLIKE = 0.3  # distance to all mixtures, over a voxel's own coefficients, from which on it is none of them
+NOISE = 5.0  # the same, in standard deviations
+LEAST = 20  # voxels that hang together, and peaks that a material must have
+PEAK = 0.9  # density over the largest around a voxel from which on it is a peak
+# What log(rho), kappa and each f_K are measured in: partial volume spreads them far more than noise.
+_UNITS = (0.13, 0.1, 0.05)
+
+
+def with_thin_materials(
+    inner: Int[np.ndarray, "z y x"],
+    parts: Float[np.ndarray, "mechanism z y x"],
+    features: Float[np.ndarray, "feature z y x"],
+    air: Bool[np.ndarray, "z y x"],
+    centres: Float[np.ndarray, "cluster mechanism"],
+    seed: int,
+) -> Int[np.ndarray, "z y x"]:
+    """Labels inside of materials, with points of thin ones under further labels.
+
+    Parameters
+    ----------
+    inner : labels inside of materials, 0 elsewhere
+    parts : coefficients of mechanisms [1/mm]
+    features : rho, kappa and f_K
+    air : voxels of air
+    centres : coefficients of the clusters
+    seed : of the choice of samples
+    """
+    noise = NOISE * float(np.linalg.norm([noise_in(p, inner > 0) for p in parts]))
+    unlike = _unlike_mixtures(parts, (inner == 0) & ~air, centres, noise)
+    peaks = unlike & (features[0] > PEAK * ndimage.maximum_filter(features[0], 3))
+    if peaks.sum() < LEAST:
+        return inner
+    samples = features[:, peaks].T.astype(np.float64)
+    samples[:, 0] = np.log(samples[:, 0])
+    unit = np.array([*_UNITS[:2], *[_UNITS[2]] * (len(features) - 2)])
+    modes = find_modes(samples, unit, seed=seed)
+    nearest = nearest_mode(samples, modes, unit)
+    out, label, chosen = inner.copy(), int(inner.max()), np.zeros(len(samples), np.uint16)
+    for mode in range(len(modes)):
+        members = np.flatnonzero(nearest == mode)
+        if len(members) >= LEAST:
+            label += 1
+            chosen[members[samples[members, 0] >= np.median(samples[members, 0])]] = label
+    out[peaks] = chosen
+    return out
+
+
+def _unlike_mixtures(
+    parts: Float[np.ndarray, "mechanism z y x"],
+    where: Bool[np.ndarray, "z y x"],
+    centres: Float[np.ndarray, "cluster mechanism"],
+    noise: float,
+) -> Bool[np.ndarray, "z y x"]:
+    """Voxels that no mixture of two clusters, or of one and air, explains, where enough of them hang together."""
+    values = parts[:, where].T
+    ends = np.concatenate([np.zeros_like(centres[:1]), centres])
+    least = np.full(len(values), np.inf)
+    for i, first in enumerate(ends):
+        for second in ends[i + 1 :]:
+            least = np.minimum(least, off_mixtures(values, first, second))
+    unlike = np.zeros(where.shape, bool)
+    unlike[where] = least > np.maximum(UNLIKE * np.linalg.norm(values, axis=1), noise)
+    pieces, _ = ndimage.label(unlike, structure=np.ones((3, 3, 3)))
+    large = np.bincount(pieces.ravel()) >= LEAST
+    large[0] = False
+    return large[pieces]
