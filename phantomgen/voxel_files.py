@@ -1,7 +1,8 @@
 """Volumes from files: arrays with their place in space.
 
-Axes of arrays are (z, y, x). NIfTI, MetaImage, NRRD and DICOM are read by SimpleITK, whose axes, left, posterior and
-superior, are taken for our x, y and z as they are.
+Axes of arrays are (z, y, x). Our x, y and z are right, anterior and superior (RAS+), as in the NIfTI files that are
+exported. SimpleITK, which reads NIfTI, MetaImage, NRRD and DICOM, counts to the left and to the back: x and y change
+their signs.
 """
 
 import re
@@ -16,6 +17,7 @@ from spectra.errors import InputError, NotInstalledError
 
 Triple = tuple[float, float, float]
 IMAGES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr")
+_FROM_ITK = np.diag([-1.0, -1.0, 1.0])
 _KINDS = f".npy, {', '.join(IMAGES)}, a dataset such as file.h5:/path, or a folder with a DICOM series"
 
 
@@ -98,8 +100,9 @@ def _read_image(path: Path) -> Volume:
     if image.GetNumberOfComponentsPerPixel() > 1:
         values = np.moveaxis(values, -1, 0)
     dimension = image.GetDimension()
-    directions = np.array(image.GetDirection()).reshape(dimension, dimension)[:3, :3]
-    return Volume(_checked(path, values), _triple(image.GetSpacing()), directions, _triple(image.GetOrigin()))
+    directions = _FROM_ITK @ np.array(image.GetDirection()).reshape(dimension, dimension)[:3, :3]
+    origin = _FROM_ITK @ np.array(image.GetOrigin())[:3]
+    return Volume(_checked(path, values), _triple(image.GetSpacing()), directions, _triple(origin))
 
 
 def _series(itk: Any, folder: Path) -> tuple[str, ...]:

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 
 from phantomgen.dataset_truth import read_truth
+from phantomgen.grid import Grid
+from phantomgen.io.nifti import write_nifti
+from phantomgen.io.volumes import Volumes
 from phantomgen.scene import load_scene
 from phantomgen.scene_yaml import SceneFile
 from phantomgen.simulate import scan_truth, simulate
@@ -53,7 +56,8 @@ def written(folder: Path, kind: str, values: np.ndarray = LABELS) -> str:
     itk = pytest.importorskip("SimpleITK")
     image = itk.GetImageFromArray(values)
     image.SetSpacing(SPACING)
-    image.SetOrigin((3, 4, 5))
+    image.SetDirection((-1, 0, 0, 0, -1, 0, 0, 0, 1))  # ITK counts to the left and to the back
+    image.SetOrigin((-3, -4, 5))
     itk.WriteImage(image, str(folder / f"map.{kind}"))
     return f"map.{kind}"
 
@@ -83,7 +87,19 @@ def test_directions_of_a_file_are_kept(tmp_path: Path) -> None:
     itk.WriteImage(image, str(tmp_path / "turned.nii.gz"))
     ((shape, _),) = scan_of(tmp_path, "file: turned.nii.gz, labels: {1: bone, 2: soft_tissue}").scene.objects
     points = [image.TransformIndexToPhysicalPoint((x, y, z)) for z, y, x in np.ndindex(LABELS.shape)]
-    np.testing.assert_array_equal(shape.contains(np.array(points)), LABELS.ravel() > 0)
+    np.testing.assert_array_equal(shape.contains(np.array(points) * (-1, -1, 1)), LABELS.ravel() > 0)
+
+
+def test_what_is_exported_comes_back_where_it_was(tmp_path: Path) -> None:
+    for package in ("SimpleITK", "nibabel"):
+        pytest.importorskip(package)
+    grid = Grid(LABELS.shape, SPACING[::-1], (5.0, 4.0, 3.0))
+    write_nifti(tmp_path / "map.nii.gz", Volumes(grid, {"labels": LABELS}, "labels"))
+    volume = read_volume("map.nii.gz", tmp_path)
+    np.testing.assert_array_equal(volume.values, LABELS)
+    np.testing.assert_allclose(volume.directions, np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(volume.origin, (3, 4, 5), atol=1e-5)
+    np.testing.assert_allclose(volume.spacing, SPACING, atol=1e-6)
 
 
 def test_a_folder_with_a_dicom_series(tmp_path: Path) -> None:
