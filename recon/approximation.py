@@ -24,6 +24,8 @@ REACH = (0.5, 0.3, 0.2)  # longest step of a coordinate [standard deviations], a
 FIRST = 0.5  # length of the first step over the one that the diagonal suggests
 WORSE = 1.0005  # times the last distance; a step that leads further away is shortened
 SHORTER = 0.3
+PEAK = 0.999  # quantile of the positive values of a basis that its distance is measured in
+FAINTEST = 0.01  # of the basis that shows most; one that shows less counts as if it showed as much
 
 
 def approximate(
@@ -41,7 +43,7 @@ def approximate(
     start : where to begin; their number stays
     volumes : to follow [1/mm]
     grid : of `volumes`
-    metric : weighs differences of the bases, for instance the mean Fisher matrix of the rays
+    metric : weighs differences of the bases, see `metric_of`
     evaluations : voxelizations to spend, each with its gradient
     on_evaluation : called after each; its residual is half the squared distance in the metric, whose trace counts as 1
     """
@@ -73,6 +75,24 @@ def approximate(
         history.add(step, (slope - gradient).masked_fill(held, 0))
         model, distance, gradient = ahead, there, slope
     return model
+
+
+def metric_of(
+    volumes: Float[np.ndarray, "basis z y x"], fisher: Float[np.ndarray, "basis basis"]
+) -> Float[np.ndarray, "basis basis"]:
+    """A metric in which distances of every basis count relative to its large values.
+
+    That of the rays' information would let what Gaussians cannot follow in one basis be made up for by the others.
+
+    Parameters
+    ----------
+    volumes : to follow [1/mm]
+    fisher : mean Fisher matrix of the rays' line integrals, which tells what a faint basis shows
+    """
+    peaks = np.array([np.quantile(v[v > 0], PEAK) if (v > 0).any() else 0.0 for v in volumes])
+    precision = np.sqrt(np.diag(fisher))
+    shown = np.maximum(peaks * precision, FAINTEST * (peaks * precision).max())
+    return np.diag((precision / np.maximum(shown, 1e-30)) ** 2)
 
 
 class _Distance:

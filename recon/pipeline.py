@@ -12,7 +12,7 @@ from phantomgen.dataset import Dataset
 from phantomgen.grid import Grid
 from phantomgen.stopwatch import Stopwatch
 from recon.anchor import Anchor
-from recon.approximation import approximate
+from recon.approximation import approximate, metric_of
 from recon.array_store import IN_MEMORY, ArrayStore
 from recon.baselines.grids import occupied
 from recon.baselines.method import CountsMethod, Method, OnIteration, unwatched
@@ -166,8 +166,9 @@ def _first_guess(
         gaussians = initialize(seen, inner, fisher, recipe.spacing * voxel, measured.basis_names, recipe.seed)
     if not recipe.prior:
         return volumes, gaussians
+    metric = metric_of(seen, fisher)
     with stage("approximate"):
-        gaussians = approximate(gaussians.to(place), seen, inner, fisher, recipe.approximation, on_iteration)
+        gaussians = approximate(gaussians.to(place), seen, inner, metric, recipe.approximation, on_iteration)
     if not recipe.corrected_passes:
         return volumes, gaussians.to("cpu")
     with stage("partial volume"):
@@ -178,7 +179,7 @@ def _first_guess(
         volumes = again.reconstruct_counts(corrected, grid, on_iteration, volumes)
     with stage("approximate"):
         seen, inner = _filled_part(volumes, grid)
-        gaussians = approximate(gaussians, seen, inner, fisher, recipe.approximation, on_iteration)
+        gaussians = approximate(gaussians, seen, inner, metric, recipe.approximation, on_iteration)
     return volumes, gaussians.to("cpu")
 
 

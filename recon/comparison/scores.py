@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from phantomgen.dataset import Dataset
 from phantomgen.dataset_truth import Truth
+from recon.comparison.material_maps import score_maps
 from recon.comparison.model import Model
 from recon.comparison.perceptual import perceptual_distance
 from recon.comparison.protocols import PROTOCOLS, Protocol, image_ssim
@@ -32,7 +33,8 @@ def score(model: Model, dataset: Dataset, truth: Truth | None, pseudo: Volumes |
     Returns
     -------
     ``views``, ``energies`` and ``basis``: by protocol and channel or basis; ``chi_square``: by channel;
-    ``materials`` and ``cross_talk``: see `recon.metrics.score_materials`.
+    ``materials`` and ``cross_talk``: see `recon.metrics.score_materials`; ``maps``: see
+    `recon.comparison.material_maps`.
     """
     found: dict[str, Any] = {"views": {}, "chi_square": {}, "energies": {}, "basis": {}}
     channels = dataset.spectra.channels
@@ -45,6 +47,7 @@ def score(model: Model, dataset: Dataset, truth: Truth | None, pseudo: Volumes |
     if truth is not None and model.bases is not None:
         materials = score_truth(truth, model.bases)
         found |= {"materials": materials["materials"], "cross_talk": materials["cross_talk"]}
+        found["maps"] = score_maps(model.bases, dataset)
         volumes = dict(zip(model.bases.basis_names, model.bases.volume(truth.grid), strict=True))
         pairs = [(name, volumes.get(name), true) for name, true in zip(truth.basis_names, truth.volumes, strict=True)]
         found["basis"] = {name: _score_volumes(p, pairs) for name, p in PROTOCOLS.items()}

@@ -53,6 +53,7 @@ def report(results: Sequence[Result], protocol: str, title: str) -> str:
         _section("Views that no method has seen", channel_table(good, "views", protocol)),
         _section("Chi-square of the counts of those views", agreement_table(good)),
         _section("Bias and noise inside materials [1e-3/mm]", material_table(good)),
+        _section("Material maps: Dice, and colours beside the true ones", map_table(good)),
         "\n".join(["## Gaussians beside the others", "", *standing(good, protocol)])
         if standing(good, protocol)
         else "",
@@ -144,6 +145,25 @@ def material_table(results: Sequence[Result]) -> str:
     return markdown_table(header, rows)
 
 
+def map_table(results: Sequence[Result]) -> str:
+    """Dice of each material's map, and how alike views and slices in colour are."""
+    names = list(next((r["maps"]["dice"] for r in results if r.get("maps")), {}))
+    if not names:
+        return ""
+    header = ["method, budget", "mean Dice", *names, "views PSNR", "views SSIM", "slices PSNR", "slices SSIM"]
+    rows = []
+    for r in results:
+        maps = r.get("maps") or {}
+        dice = [number(maps.get("dice", {}).get(name), ".3f") for name in names]
+        pictures = [
+            number(maps.get(f"rgb_{what}", {}).get(key), layout)
+            for what in ("views", "slices")
+            for key, layout in (("psnr", ".2f"), ("ssim", ".3f"))
+        ]
+        rows.append([name_of(r), number(maps.get("mean_dice"), ".3f"), *dice, *pictures])
+    return markdown_table(header, rows)
+
+
 def standing(results: Sequence[Result], protocol: str) -> list[str]:
     """One sentence per budget and basis where another method is ahead of the fit of Gaussians, or that none is."""
     lines = []
@@ -193,6 +213,10 @@ def _lines(result: Result) -> Iterator[tuple[str, str, str, str, float | str]]:
         for basis, scores in bases.items():
             if isinstance(scores, dict):
                 yield from (("materials", "", f"{material}/{basis}", metric, _plain(v)) for metric, v in scores.items())
+    maps = result.get("maps") or {}
+    yield from (("maps", "", material, "dice", _plain(v)) for material, v in maps.get("dice", {}).items())
+    for what in ("rgb_views", "rgb_slices"):
+        yield from (("maps", "", what, metric, _plain(v)) for metric, v in maps.get(what, {}).items())
     for metric in ("peak_memory_mib", "primitives", "done", "total"):
         if metric in result:
             yield "run", "", "", metric, _plain(result[metric])

@@ -5,6 +5,8 @@ known materials, or air, holds another one; so where such voxels hang together, 
 Partial volume makes thin things look thinner than they are: a cluster has the coefficients of its denser half.
 """
 
+from itertools import combinations
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
@@ -67,15 +69,14 @@ def _unlike_mixtures(
     noise: float,
 ) -> Bool[np.ndarray, "z y x"]:
     """Voxels that no mixture of two clusters, or of one and air, explains, where enough of them hang together."""
-    values = parts[:, where].T
-    ends = np.concatenate([np.zeros_like(centres[:1]), centres])
-    least = np.full(len(values), np.inf)
-    for i, first in enumerate(ends):
-        for second in ends[i + 1 :]:
-            least = np.minimum(least, off_mixtures(values, first, second))
-    unlike = np.zeros(where.shape, bool)
-    unlike[where] = least > np.maximum(UNLIKE * np.linalg.norm(values, axis=1), noise)
-    pieces, _ = ndimage.label(unlike, structure=np.ones((3, 3, 3)))
+    unlike, values = np.flatnonzero(where), parts[:, where].T
+    limit = np.maximum(UNLIKE * np.linalg.norm(values, axis=1), noise)
+    for first, second in combinations([np.zeros_like(centres[0]), *centres], 2):
+        left = off_mixtures(values, first, second) > limit
+        unlike, values, limit = unlike[left], values[left], limit[left]
+    found = np.zeros(where.shape, bool)
+    found.ravel()[unlike] = True
+    pieces, _ = ndimage.label(found, structure=np.ones((3, 3, 3)))
     large = np.bincount(pieces.ravel()) >= LEAST
     large[0] = False
     return large[pieces]

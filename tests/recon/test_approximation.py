@@ -7,7 +7,7 @@ from gaussian_scenes import NAMES, small_model
 from scipy.optimize import minimize
 
 from phantomgen.grid import Grid
-from recon.approximation import approximate
+from recon.approximation import FAINTEST, approximate, metric_of
 from recon.initialize import initialize
 from recon.ops.voxelize import voxelize_tensor
 from recon.quasi_newton import History
@@ -100,3 +100,13 @@ def test_a_step_along_which_the_function_bends_downwards_is_forgotten():
     history = History()
     history.add(torch.ones(3), -torch.ones(3))
     assert not history.pairs
+
+
+def test_a_basis_counts_by_its_large_values_and_a_faint_one_no_more_than_it_shows():
+    volumes = np.zeros((3, 8, 8, 8), np.float32)
+    volumes[0, 2:6], volumes[1, 2:6], volumes[2, 3, 3, :4] = 0.02, 0.005, 1e-7
+    fisher = np.array([[4.0, 1.0, 0.5], [1.0, 9.0, 2.0], [0.5, 2.0, 1.0]]) * 1e4
+    found = metric_of(volumes, fisher)
+    np.testing.assert_array_equal(found, np.diag(np.diag(found)))
+    np.testing.assert_allclose(np.sqrt(1 / np.diag(found)), [0.02, 0.005, FAINTEST * 0.02 * 2 / 1], rtol=1e-5)
+    assert np.isfinite(metric_of(np.zeros_like(volumes), fisher)).all()

@@ -51,6 +51,13 @@ def test_the_report_shows_scores_dashes_and_failures():
     assert "4 of 8 (stopped)" in text
 
 
+def test_the_report_shows_material_maps():
+    maps = {"dice": {"bone": 0.91}, "mean_dice": 0.91, "rgb_views": {"psnr": 41.0, "ssim": 0.99}, "rgb_slices": {}}
+    text = report([OURS | {"maps": maps}, AHEAD], "honest", "title")
+    assert "| gaussian, 10 s |     0.910 | 0.910 |      41.00 |      0.990 |           - |           - |" in text
+    assert "Dice" not in report(ALL, "honest", "title")
+
+
 def test_the_report_says_which_methods_are_ahead_of_the_gaussians():
     assert standing(ALL, "honest") == [
         "- 10 s, photoelectric: no method is ahead.",
@@ -86,13 +93,15 @@ def test_without_a_truth_views_decide():
 
 
 def test_csv_has_every_number_on_a_line(tmp_path):
-    write_csv(tmp_path / "compare.csv", ALL)
+    maps = {"dice": {"bone": 0.91}, "mean_dice": 0.91, "rgb_views": {"psnr": 41.0, "lpips": None}, "rgb_slices": {}}
+    write_csv(tmp_path / "compare.csv", [*ALL, OURS | {"contender": "paper", "maps": maps}])
     with (tmp_path / "compare.csv").open(newline="", encoding="utf-8") as file:
         lines = list(csv.DictReader(file))
     found = {(x["contender"], x["section"], x["item"], x["metric"]): x["value"] for x in lines}
     assert found["one-step", "basis", "compton", "psnr"] == "33.5"
     assert found["gaussian", "materials", "bone/compton", "bias"] == "0.001"
     assert found["gaussian", "views", "low", "lpips"] == ""
+    assert (found["paper", "maps", "bone", "dice"], found["paper", "maps", "rgb_views", "psnr"]) == ("0.91", "41.0")
     assert not any(x["contender"] == "fdk" for x in lines)
 
 
