@@ -51,18 +51,20 @@ def fast(name: str, *patches: tuple[str, Any], **changes: Any) -> Lever:
     return Lever(f"fast, {name}", replace(FAST, **changes), patches)
 
 
-def best(name: str, **changes: Any) -> Lever:
-    return Lever(f"best, {name}", replace(BEST, **changes))
+def best(name: str, *patches: tuple[str, Any], **changes: Any) -> Lever:
+    return Lever(f"best, {name}", replace(BEST, **changes), patches)
 
 
 HELD = {"centre_rate": 1e-9, "shape_rate": 1e-9}
 FROM_RAYS = {"prior": 0.0, "centre_rate": 0.06, "shape_rate": 0.015}
+BY_INFORMATION = ("recon.pipeline.metric_of", lambda volumes, fisher: fisher)
 UNSHARPENED = ("recon.baselines.one_step.sharpened", lambda volumes: volumes)
 
 LEVERS = (
     Lever("fast", FAST),
     fast("from decomposed rays and FDK, no prior, 3 sweeps", **FROM_RAYS, stages=(Stage(0.5, 3.0),)),
     fast("coarse voxels not sharpened", UNSHARPENED),
+    fast("bases count by the rays' information as Gaussians follow", BY_INFORMATION),
     fast("Gaussians do not follow the voxels first", approximation=1),
     fast("Gaussians follow the voxels, and are not fitted", stages=(Stage(0.5, 1e-9),)),
     fast("no prior after the start", prior=1e-9),
@@ -77,7 +79,9 @@ LEVERS = (
     fast("more Gaussians, spacing 1.0", spacing=1.0),
     fast("fewer Gaussians, spacing 1.5", spacing=1.5),
     Lever("best", BEST),
+    best("bases count by the rays' information as Gaussians follow", BY_INFORMATION),
     best("partial volume not taken out", voxel_passes=18, corrected_passes=0),
+    best("steps of the geometry at full length at once", warm_up=0.0),
     best("6 sweeps", stages=(Stage(0.5, 6.0),)),
     best("fewer Gaussians, spacing 1.2", spacing=1.2),
 )

@@ -24,7 +24,7 @@ def test_the_truth_has_the_maps_of_its_materials(scan, bases):
     assert set(found["dice"]) == {"soft_tissue", "bone", "contrast_high", "contrast_low"}
     assert min(found["dice"][name] for name in ("soft_tissue", "bone")) > 0.9
     assert bases == 2 or found["mean_dice"] > 0.9  # without their edge, contrast agents of few voxels are one
-    assert found["rgb_views"]["psnr"] > 25
+    assert found["rgb_views"]["psnr"] > 20
 
 
 def test_a_volume_of_nothing_has_no_maps(scan):
