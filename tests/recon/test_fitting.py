@@ -68,6 +68,17 @@ def test_stages_follow_each_other_at_their_binning(problem):
     assert steps == [(i + 1, 6) for i in range(6)]
 
 
+@pytest.mark.parametrize("warm_up", [0.0, 1.0])
+def test_steps_of_the_geometry_grow_to_their_length(problem, warm_up):
+    recipe = replace(RECIPE, warm_up=warm_up, final_rate=1.0)
+    lengths = []
+    fit(*problem, PIXEL, recipe, lambda p: lengths.append(p.state.adam.param_groups[0]["lr"]))
+    per_sweep = len(lengths) // 4
+    growing = np.arange(1, per_sweep + 1) / per_sweep if warm_up else np.ones(per_sweep)
+    wanted = recipe.centre_rate * PIXEL * np.concatenate([growing, np.ones(len(lengths) - per_sweep)])
+    np.testing.assert_allclose(lengths, wanted)
+
+
 @pytest.mark.parametrize(("views", "per_sweep"), [(9, 3), (75, 25), (10, 3), (1, 1), (7, 2)])
 def test_a_sweep_uses_every_view_once(views, per_sweep):
     seen = np.concatenate(list(_subsets(views, per_sweep, per_sweep)))
