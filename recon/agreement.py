@@ -77,7 +77,7 @@ def agreement_and_gradients(
     else:
         for part in parts:
             part.grad = torch.zeros_like(part)
-    processes.add_up([part.grad for part in parts])
+    processes.add_up([part.grad for part in parts if part.grad is not None])
     return _summed(sums, values, processes)
 
 

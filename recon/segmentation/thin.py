@@ -76,7 +76,8 @@ def _unlike_mixtures(
         unlike, values, limit = unlike[left], values[left], limit[left]
     found = np.zeros(where.shape, bool)
     found.ravel()[unlike] = True
-    pieces, _ = ndimage.label(found, structure=np.ones((3, 3, 3)))
+    pieces = np.zeros(where.shape, np.int32)
+    ndimage.label(found, structure=np.ones((3, 3, 3)), output=pieces)
     large = np.bincount(pieces.ravel()) >= LEAST
     large[0] = False
     return large[pieces]
