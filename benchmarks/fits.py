@@ -21,6 +21,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from result_rows import store
+
 import phantomgen
 from phantomgen.dataset_truth import read_truth
 from recon.recipe import RECIPES
@@ -86,16 +88,8 @@ def row_of_truth(name: str, dataset: Path) -> str:
     return f"{name}{'-':<24}{'-':>5}{agreement(channels)}"
 
 
-def store(row: str) -> None:
-    """Put a line in the place of that of the same name, or at the end."""
-    lines = TABLE.read_text(encoding="utf-8").splitlines() if TABLE.exists() else []
-    lines = lines or [f"{platform.machine()}, {thread_count()} threads", HEADER]
-    same = [i for i, line in enumerate(lines) if line[: len(NAMES)] == row[: len(NAMES)]]
-    if same:
-        lines[same[0]] = row
-    else:
-        lines.append(row)
-    TABLE.write_text("\n".join(lines) + "\n", encoding="utf-8")
+def keep(row: str) -> None:
+    store(TABLE, [f"{platform.machine()}, {thread_count()} threads", HEADER], row, len(NAMES))
 
 
 def main() -> None:
@@ -109,12 +103,12 @@ def main() -> None:
         for preset, _, recipe in (word.partition("=") for word in asked.presets):
             for seed, dataset in datasets(preset, folder):
                 if seed == SEEDS[0]:
-                    store(row_of_truth(f"{preset:<14}{'truth':<8}{seed:<6d}", dataset))
+                    keep(row_of_truth(f"{preset:<14}{'truth':<8}{seed:<6d}", dataset))
                 for chosen in [recipe] if recipe else RECIPES:
                     run = folder / f"{preset}-{chosen}" if seed == SEEDS[0] else Path(scratch) / "run"
                     scores, processor = fitted(dataset, chosen, seed, run)
                     row = row_of(f"{preset:<14}{chosen:<8}{seed:<6d}", scores, processor)
-                    store(row)
+                    keep(row)
                     print(f"{row}  ({os.getloadavg()[0]:.1f} busy)", flush=True)
 
 

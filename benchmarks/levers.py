@@ -2,7 +2,8 @@
 
     python benchmarks/levers.py [WORD ...]
 
-Fits of `tuning.yaml`, the scene on which recipes were chosen; rows whose name has one of the words, or all. Scores are
+Fits of `tuning.yaml`, the scene on which recipes were chosen; rows whose name is one of the words, or has it after the
+recipe's name; all where there are none. Scores are
 PSNR [dB] of the basis volumes; times are processor time of both threads from reading to the last step, so that they do
 not depend on what else the machine does. Rows take the place of those in `results/levers.txt`.
 """
@@ -18,6 +19,8 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+from result_rows import store
+
 import phantomgen
 from phantomgen.dataset import Dataset
 from phantomgen.dataset_truth import read_truth
@@ -28,6 +31,7 @@ from spectra.threads import thread_count
 
 SCENE = Path(__file__).parent / "tuning.yaml"
 TABLE = Path(__file__).parent / "results" / "levers.txt"
+NAMED = 66  # characters of a row for its lever
 HEADER = f"{'lever':<66}PE     Compton  K edge  CPU s  Gaussians"
 
 
@@ -109,18 +113,6 @@ def row_of(lever: Lever, dataset: Dataset) -> str:
     return f"{lever.name:<66}{scores}  {seconds:6.1f}  {len(gaussians):8d}"
 
 
-def store(row: str) -> None:
-    """Put a line in the place of that of the same name, or at the end."""
-    lines = TABLE.read_text(encoding="utf-8").splitlines() if TABLE.exists() else []
-    lines = lines or [f"{platform.machine()}, {thread_count()} threads", HEADER]
-    same = [i for i, line in enumerate(lines) if line[:66] == row[:66]]
-    if same:
-        lines[same[0]] = row
-    else:
-        lines.append(row)
-    TABLE.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
 def main(words: list[str]) -> None:
     scan = phantomgen.load(SCENE)
     with (
@@ -128,9 +120,9 @@ def main(words: list[str]) -> None:
         phantomgen.make(scan, out=Path(folder) / "tuning.h5") as dataset,
     ):
         for lever in LEVERS:
-            if not words or any(word in lever.name for word in words):
+            if not words or lever.name in words or any(word in lever.name.partition(", ")[2] for word in words):
                 row = row_of(lever, dataset)
-                store(row)
+                store(TABLE, [f"{platform.machine()}, {thread_count()} threads", HEADER], row, NAMED)
                 print(row, flush=True)
 
 

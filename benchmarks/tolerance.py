@@ -20,6 +20,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+from result_rows import store
 
 from phantomgen.ops.expose import CROSSED, VOXELS, expose, expose_brute
 from phantomgen.planning import Plan, make_plan
@@ -38,6 +39,7 @@ TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
 RAYS, PIXELS, LONG = 512, 24, 2.0
 RESULTS = Path(__file__).parent / "results"
 TABLE = RESULTS / "tolerance.txt"
+NAMED = 23  # characters of a row for its scene and tolerance
 HEADER = "scene         tolerance  planned  measured  ms/view  plan [s]  nodes  pixels"
 VOXELS_SCENE = """
 version: 1
@@ -121,17 +123,6 @@ def row_of(scan: Scan, yardstick: Yardstick, name: str, tolerance: float) -> str
     )
 
 
-def store(row: str) -> None:
-    """Put a line in the place of that of the same scene and tolerance, or at the end."""
-    lines = TABLE.read_text(encoding="utf-8").splitlines() if TABLE.exists() else [machine(), HEADER]
-    same = [i for i, line in enumerate(lines) if line.split()[:2] == row.split()[:2]]
-    if same:
-        lines[same[0]] = row
-    else:
-        lines.append(row)
-    TABLE.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
 def machine() -> str:
     """Where the times come from."""
     busy = f", {os.getloadavg()[0]:.1f} processes busy before the start" if hasattr(os, "getloadavg") else ""
@@ -161,7 +152,7 @@ def main() -> None:
             scan = voxel_scene(Path(folder)) if name == "voxels" else load_scene(name)
             yardstick = Yardstick(scan)
             for tolerance in map(float, values.split(",")) if values else TOLERANCES:
-                store(row_of(scan, yardstick, name, tolerance))
+                store(TABLE, [machine(), HEADER], row_of(scan, yardstick, name, tolerance), NAMED)
     draw()
 
 

@@ -88,6 +88,10 @@ def metric_of(
     ----------
     volumes : to follow [1/mm]
     fisher : mean Fisher matrix of the rays' line integrals, which tells what a faint basis shows
+
+    Returns
+    -------
+    diagonal, 1 over the square of each basis' large values [mm^2]
     """
     peaks = np.array([np.quantile(v[v > 0], PEAK) if (v > 0).any() else 0.0 for v in volumes])
     precision = np.sqrt(np.diag(fisher))

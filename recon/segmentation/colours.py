@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from recon.segmentation.labelling import SIGNIFICANT
+from recon.segmentation.features import SIGNIFICANT
 from spectra.basis import pretty
 
 BONE, METAL = 9.5, 21.0  # effective atomic numbers from which on: fat 6, water 7.5, muscle 7.6, bone 11 to 14, iron 26
