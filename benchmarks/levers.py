@@ -62,6 +62,9 @@ def best(name: str, *patches: tuple[str, Any], **changes: Any) -> Lever:
 HELD = {"centre_rate": 1e-9, "shape_rate": 1e-9}
 FROM_RAYS = {"prior": 0.0, "centre_rate": 0.06, "shape_rate": 0.015}
 BY_INFORMATION = ("recon.pipeline.metric_of", lambda volumes, fisher: fisher)
+SUMMED = ("recon.measurements.excess_of_blocks", lambda counts, air, factor: 0.0)
+UNCORRECTED = ("recon.measurements.excess_of_pixels", lambda counts, air: 0.0)
+UNEVEN = ("recon.measurements.even_shares", lambda counts, air: 1.0)
 UNSHARPENED = ("recon.baselines.one_step.sharpened", lambda volumes: volumes)
 
 LEVERS = (
@@ -84,7 +87,9 @@ LEVERS = (
     fast("fewer Gaussians, spacing 1.5", spacing=1.5),
     Lever("best", BEST),
     best("bases count by the rays' information as Gaussians follow", BY_INFORMATION),
-    best("partial volume not taken out", voxel_passes=18, corrected_passes=0),
+    best("pixels summed to match voxels by their sums", SUMMED),
+    best("partial volume of single pixels left in", UNCORRECTED),
+    best("every ray with the say of its counts", UNEVEN),
     best("steps of the geometry at full length at once", warm_up=0.0),
     best("6 sweeps", stages=(Stage(0.5, 6.0),)),
     best("fewer Gaussians, spacing 1.2", spacing=1.2),

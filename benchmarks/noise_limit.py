@@ -66,7 +66,7 @@ METHODS = {
 
 
 def measured_of(dataset: Dataset) -> Measurements:
-    return read_measurements(dataset, dataset.splits["train"]).compressed(NODE_TOLERANCE)[0]
+    return read_measurements(dataset, dataset.splits["train"]).without_partial_volume().compressed(NODE_TOLERANCE)[0]
 
 
 def ball(across: int) -> Bool[np.ndarray, "z y x"]:

@@ -91,7 +91,8 @@ def compile_all(measured: Measurements, grid: Grid) -> None:
 
 def rows(dataset: Dataset, truth: Truth) -> Iterator[str]:
     """Lines of the table."""
-    measured, _ = read_measurements(dataset, dataset.splits["train"]).compressed(NODE_TOLERANCE)
+    measured = read_measurements(dataset, dataset.splits["train"]).without_partial_volume()
+    measured, _ = measured.compressed(NODE_TOLERANCE)
     compile_all(measured, dataset.grid)
     lines: list[str] = []
 

@@ -86,7 +86,8 @@ def _view_sums(
 ) -> tuple[Tensor, Float[Tensor, " sum"]]:
     """Sum of the deviance; and as numbers that sum, chi-square per channel, and measuring pixels per channel."""
     counts, expected, measuring = _expected(images, one)
-    loss = deviance(counts, expected, dispersion).sum()
+    shares = 1.0 if one.shares is None else torch.from_numpy(one.shares).to(images.device)
+    loss = (shares * deviance(counts, expected, dispersion)).sum()
     with torch.no_grad():
         found = torch.where(measuring, chi_square(counts, expected, dispersion), 0.0)
         parts = [loss.reshape(1), found.sum(dim=(0, 2, 3)), measuring.sum(dim=(0, 2, 3))]

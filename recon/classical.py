@@ -99,7 +99,7 @@ def run_classical(
     if isinstance(method, ViewMethod):
         return run_views(dataset, folder, method, bases, figures, watcher, clock)
     with clock("read"):
-        measured = read_measurements(dataset, dataset.splits["train"], bases)
+        measured = read_measurements(dataset, dataset.splits["train"], bases).without_partial_volume()
         measured, node_error = measured.compressed(Recipe().node_tolerance)
 
     def on_iteration(iteration: Iteration) -> None:

@@ -54,11 +54,13 @@ def coefficient_curvature(
 def ray_information(
     measurements: Measurements, line_integrals: Float[np.ndarray, "view basis row column"], dispersion: float
 ) -> Float[np.ndarray, "view row column basis basis"]:
-    """Fisher matrix of every ray's line integrals, J^T diag(1 / (Y + (dispersion Y)^2)) J."""
+    """Fisher matrix of every ray's line integrals, J^T diag(1 / (Y + (dispersion Y)^2)) J, times shares if any."""
     transmission = measurements.transmission
     gains = np.moveaxis(measurements.gains, 0, -1) * measurements.exposure[:, None, None, :]
     lengths = measurements.with_profile(np.moveaxis(line_integrals, 1, -1))
     expected, jacobian = transmission.expected_and_jacobian(lengths)
     expected, jacobian = expected * gains, jacobian[..., : len(measurements.basis_names)] * gains[..., None]
     precision = 1 / np.maximum(expected * (1 + dispersion**2 * expected), np.finfo(float).tiny)
+    if measurements.shares is not None:
+        precision = precision * np.moveaxis(measurements.shares, 1, -1)
     return np.einsum("...c,...cm,...cn->...mn", precision, jacobian, jacobian, optimize=True)

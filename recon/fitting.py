@@ -18,6 +18,7 @@ from torch import Tensor
 
 from recon.agreement import Agreement, agreement, agreement_and_gradients
 from recon.anchor import Anchor
+from recon.array_store import IN_MEMORY, ArrayStore
 from recon.curvature import coefficient_curvature
 from recon.fit_state import FitState
 from recon.gaussians import Gaussians
@@ -67,6 +68,7 @@ def fit(
     held_out: Measurements | None = None,
     processes: Processes = ALONE,
     anchor: Anchor | None = None,
+    store: ArrayStore = IN_MEMORY,
 ) -> Gaussians:
     """Improve Gaussians until the recipe's sweeps are used up.
 
@@ -80,6 +82,7 @@ def fit(
     held_out : views that are not fitted; the fit ends when chi-square on them no longer falls
     processes : that share the views of each step; all must be given the same arguments
     anchor : volumes to stay near; None for the likelihood alone
+    store : where large arrays live
 
     Returns
     -------
@@ -94,7 +97,7 @@ def fit(
     for stage, first, length in zip(recipe.stages, firsts, lengths, strict=False):
         if state.done >= first + length:
             continue
-        data = measurements.binned(matching_bin(measurements.geometry, stage.pixel * voxel))
+        data = measurements.binned(matching_bin(measurements.geometry, stage.pixel * voxel)).evened(store)
         per_sweep = max(len(data) // recipe.views_per_step, 1)
         for step, views in islice(enumerate(_subsets(len(data), per_sweep, length)), state.done - first, None):
             if step % max(round(recipe.curvature_sweeps * per_sweep), 1) == 0:

@@ -1,5 +1,6 @@
 """What the reconstructor sees: counts, open beam, geometry and the spectral model of some of the views."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,8 +10,10 @@ from phantomgen.dataset import Dataset
 from phantomgen.geometry import Geometry
 from recon.array_store import IN_MEMORY, ArrayStore, release, taken
 from recon.electronics import with_floor, without_floor
+from recon.partial_volume import even_shares, excess_of_blocks, excess_of_pixels
 from spectra.dead_time import DeadTime
 from spectra.errors import InputError
+from spectra.threads import run_parallel
 from spectra.transmission import Transmission
 
 HARDENING = 1.5  # a hardened beam is attenuated less per line integral than the open beam, so boxes get this much room
@@ -31,6 +34,7 @@ class Measurements:
     transmission : columns are the basis functions, and after them the parts of `profile`
     basis_names : names of the basis functions
     profile : what a bowtie filter and the heel effect add to the rays of each pixel; None where there are none
+    shares : of the deviance of each count that a fit minds; None where it minds all of all, see `evened`
     """
 
     counts: Float[np.ndarray, "view channel row column"]
@@ -40,6 +44,7 @@ class Measurements:
     transmission: Transmission
     basis_names: tuple[str, ...]
     profile: Float[np.ndarray, "part row column"] | None = None
+    shares: Float[np.ndarray, "view channel row column"] | None = None
 
     def __len__(self) -> int:
         return len(self.counts)
@@ -47,19 +52,56 @@ class Measurements:
     def __getitem__(self, views: slice | list[int] | np.ndarray) -> "Measurements":
         """Some of the views."""
         counts = taken(self.counts, views)
-        return replace(self, counts=counts, exposure=self.exposure[views], geometry=self.geometry[views])
+        shares = None if self.shares is None else taken(self.shares, views)
+        some = replace(self, counts=counts, exposure=self.exposure[views], geometry=self.geometry[views])
+        return replace(some, shares=shares)
 
     def binned(self, factor: int) -> "Measurements":
-        """The same scan with `factor` x `factor` pixels summed into one."""
+        """The same scan with `factor` x `factor` pixels as one, whose line integrals are the means of theirs.
+
+        Counts are summed, and the excess of a mean over a geometric mean is taken off (`recon.partial_volume`). Shares
+        are of pixels, and are left out.
+        """
         if factor == 1:
             return self
         geometry = self.geometry.binned(factor)  # refuses panels that do not divide
-        counts, gains = (_sum_blocks(images, factor) for images in (self.counts, self.gains))
+        counts, air = _sum_blocks(self.counts, factor), self.gains * self.open_beam
+
+        def correct(view: int) -> None:
+            image, beam = np.asarray(self.counts[view]), air * self.exposure[view, :, None, None]
+            counts[view] *= np.exp(-excess_of_blocks(image, beam, factor))
+
+        _in_parallel(correct, self.counts)
+        gains = _sum_blocks(self.gains, factor)
+        coarse = replace(self, counts=counts, gains=gains, geometry=geometry, shares=None)
         if self.profile is None:
-            return replace(self, counts=counts, gains=gains, geometry=geometry)
-        coarse = replace(self, counts=counts, geometry=geometry, profile=_sum_blocks(self.profile, factor) / factor**2)
-        open_beam = _sum_blocks(self.gains * self.open_beam, factor)
+            return coarse
+        coarse = replace(coarse, profile=_sum_blocks(self.profile, factor) / factor**2)
+        open_beam = _sum_blocks(air, factor)
         return replace(coarse, gains=_ratio(open_beam, coarse.open_beam).astype(np.float32))
+
+    def without_partial_volume(self, store: ArrayStore = IN_MEMORY) -> "Measurements":
+        """Counts as if each pixel were one ray, whose line integrals are the pixel's means; they live in `store`."""
+        counts, air = store.empty("corrected", self.counts.shape), self.gains * self.open_beam
+
+        def correct(view: int) -> None:
+            image, beam = np.asarray(self.counts[view]), air * self.exposure[view, :, None, None]
+            counts[view] = image * np.exp(-excess_of_pixels(image, beam))
+
+        _in_parallel(correct, self.counts)
+        release(counts)
+        return replace(self, counts=counts)
+
+    def evened(self, store: ArrayStore = IN_MEMORY) -> "Measurements":
+        """The same counts, with shares that give rays close to each other the same say; those live in `store`."""
+        shares, air = store.empty("shares", self.counts.shape), self.gains * self.open_beam
+
+        def fill(view: int) -> None:
+            shares[view] = even_shares(np.asarray(self.counts[view]), air * self.exposure[view, :, None, None])
+
+        _in_parallel(fill, self.counts)
+        release(shares)
+        return replace(self, shares=shares)
 
     @property
     def open_beam(self) -> Float[np.ndarray, "channel row column"]:
@@ -254,6 +296,13 @@ def _extremes(profile: Float[np.ndarray, "part row column"]) -> Float[np.ndarray
 def _ratio(images: Float[np.ndarray, "..."], others: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
     """Images over others; 0 where those are not positive."""
     return np.divide(images, others, out=np.zeros_like(images), where=others > 0)
+
+
+def _in_parallel(task: Callable[[int], None], counts: Float[np.ndarray, "view channel row column"]) -> None:
+    """Do something with the counts of every view."""
+    for _ in run_parallel(task, range(len(counts))):
+        pass
+    release(counts)
 
 
 def _sum_blocks(images: Float[np.ndarray, "... row column"], factor: int) -> Float[np.ndarray, "... row column"]:

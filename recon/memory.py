@@ -1,8 +1,8 @@
 """What the memory of a fit is made of, and how to stay within a bound.
 
-The counts of all views, and the line integrals that the start decomposes them into, are the two arrays that grow with
-the scan. Where all would not fit, they live in files beside the run, and a few views are in memory at a time. All else
-is per view, per voxel or per Gaussian. No number depends on where arrays live.
+The counts of all views with their shares, and the line integrals that the start decomposes them into, are the arrays
+that grow with the scan. Where all would not fit, they live in files beside the run, and a few views are in memory at a
+time. All else is per view, per voxel or per Gaussian. No number depends on where arrays live.
 """
 
 from dataclasses import dataclass
@@ -88,7 +88,7 @@ def _parts(dataset: Dataset, recipe: Recipe, bases: int | None, gaussians: int |
     curvature = _CURVATURE_VIEWS * 4 * (m + 1 + 4 * pairs) + 8 * channels * (m + 2) + 8 * m * m * 2
     filtering = _FDK_VIEWS * m * (3 * 4 + 2 * 8) // factor
     sizes = {
-        "counts": 4 * views * channels * pixels,
+        "counts": 2 * 4 * views * channels * pixels,  # before and after their correction, or they and their shares
         "line integrals": 4 * views * m * pixels // factor,
         "flats and gains": 8 * 5 * channels * pixels,
         "images": max(per_step, curvature, filtering) * pixels,

@@ -1,58 +1,93 @@
-"""Partial volume in pixels: they sum intensities, while a model that is fast knows one line integral of each.
+"""Partial volume: pixels and voxels average over what varies inside of them, while a model knows one value of each.
 
-Where an edge crosses a pixel, the mean of exp(-L) exceeds exp(-mean L). A fit to mean line integrals then finds too
-little of what attenuates, and in the wrong basis, as soft energies suffer more. A model that is nearly right knows how
-much: its intensities on finer rays, over that of its mean line integrals, tell what the counts are to be divided by.
+Three things follow from the counts alone, before anything is reconstructed.
+
+A pixel sums intensities, and the mean of exp(-L) exceeds exp(-mean L). Where L changes by 2h across a pixel, it does so
+by sinh(h) / h in each direction, and neighbouring pixels tell h. Pixels that are summed tell it themselves: their
+geometric mean is the intensity of the mean L. A fit to intensities that are not corrected finds too little of what
+attenuates, and in the wrong basis, as soft energies suffer more.
+
+Voxels do not resolve what neighbouring pixels tell apart, at the rim of metal above all, and counts are the less noisy
+the less their ray is attenuated. So the rays beside an edge would outvote those through it, and voxels end up with less
+than the mean of what they hold. Rays close to each other are therefore given the same say: that of the most attenuated.
 """
 
-from dataclasses import replace
-
-import torch
+import numpy as np
 from jaxtyping import Float
-from torch import Tensor
+from scipy.ndimage import gaussian_filter, minimum_filter
 
-from recon.array_store import IN_MEMORY, ArrayStore, release
-from recon.gaussians import Gaussians
-from recon.measurements import Measurements
-from spectra.ops.transmit import transmit
+DARK = 0.5  # counts; none are taken for half of one
+FEWEST = 5.0  # counts per pixel, on average, from which differences between pixels are trusted
+STEEPEST = 3.0  # change of the log intensity from the middle of a pixel to its border; what is steeper counts as that
+CERTAIN = 2.0  # standard deviations of its noise that a slope must exceed
+NEAR = 2  # pixels around one in which rays have the same say
+_SIGMA = (0, 0.5, 0.5)  # pixels; the least of noisy counts would be below all of them
 
-RAYS = 2  # per pixel and direction
+Image = Float[np.ndarray, "channel row column"]
 
 
-@torch.no_grad()
-def without_partial_volume(
-    measurements: Measurements, model: Gaussians, store: ArrayStore = IN_MEMORY, rays: int = RAYS
-) -> Measurements:
-    """Counts as if each pixel were one ray, whose line integrals are the pixel's means.
+def excess_of_pixels(counts: Image, air: Image) -> Image:
+    """Logarithm of the mean intensity in each pixel over the intensity of its mean line integral.
 
     Parameters
     ----------
-    measurements : to correct, in the pixels that a fit will use
-    model : what was scanned, as far as is known
-    store : where the corrected counts live
-    rays : finer pixels per pixel and direction
+    counts : of one view
+    air : without an object; 0 where a pixel is blind, which then tells nothing and is told nothing
     """
-    counts = store.empty("corrected", measurements.counts.shape)
-    for view, image in enumerate(counts):
-        one = measurements[[view]]
-        image[:] = one.counts[0] / _excess(one, model, rays).cpu().numpy()
-    release(counts)
-    return replace(measurements, counts=counts)
+    logs, seen, variance = _logs(counts, air), air > 0, 1 / np.maximum(counts, 1)
+    out = np.zeros(counts.shape, np.float32)
+    for axis in (-2, -1):
+        before, after = (_beside(logs, axis, step) for step in (-1, 1))
+        known = seen & _beside(seen, axis, -1) & _beside(seen, axis, 1)
+        noise = (_beside(variance, axis, -1) + _beside(variance, axis, 1)) / 4
+        square = np.where(known, np.square(after - before) / 4 - CERTAIN**2 * noise, 0)
+        half = np.clip(np.sqrt(np.maximum(square, 0)) / 2, 1e-3, STEEPEST)
+        out += np.where(square > 0, np.log(np.sinh(half) / half), 0)
+    return out
 
 
-def _excess(one: Measurements, model: Gaussians, rays: int) -> Float[Tensor, "channel row column"]:
-    """Mean of the expected counts of finer rays over those of their mean line integrals, of a view; 1 without any."""
-    fine = model.line_integrals(one.geometry.subdivided(rays))[0]
-    rows, columns = one.counts.shape[2:]
-    rays_of_pixels = fine.reshape(-1, rows, rays, columns, rays).permute(1, 3, 2, 4, 0)
-    of_rays = _expected(rays_of_pixels, one).mean(dim=(2, 3))
-    of_means = _expected(rays_of_pixels.mean(dim=(2, 3), keepdim=True), one)[:, :, 0, 0]
-    return torch.where(of_means > 0, of_rays / of_means, 1.0).movedim(-1, 0)
+def excess_of_blocks(counts: Image, air: Image, factor: int) -> Float[np.ndarray, "channel row column"]:
+    """The same for `factor` x `factor` pixels that become one, as they are themselves: mean over geometric mean.
+
+    What noise alone does to it is taken off; where there are hardly any counts, nothing is known.
+    """
+    seen = _blocks(air > 0, factor)
+    pixels = np.maximum(seen.sum(axis=(-3, -1)), 1)
+    relative = _blocks(np.divide(counts, air, out=np.zeros(counts.shape, np.float32), where=air > 0), factor)
+    logs = np.where(seen, _blocks(_logs(counts, air), factor), 0).sum(axis=(-3, -1)) / pixels
+    mean = relative.sum(axis=(-3, -1)) / pixels
+    each = _blocks(counts, factor).sum(axis=(-3, -1)) / pixels
+    known = each >= FEWEST
+    noise = (1 - 1 / pixels) / (2 * np.where(known, each, 1))
+    return np.where(known, np.log(np.where(known, mean, 1)) - logs - noise, 0).astype(np.float32)
 
 
-def _expected(lengths: Float[Tensor, "row column y x basis"], one: Measurements) -> Float[Tensor, "row column y x c"]:
-    """Expected counts at exposure and gain 1."""
-    if one.profile is not None:
-        known = torch.from_numpy(one.profile).to(lengths).movedim(0, -1)[:, :, None, None]
-        lengths = torch.cat([lengths, known.expand(*lengths.shape[:-1], -1)], dim=-1)
-    return transmit(lengths.contiguous(), one.transmission)
+def even_shares(counts: Image, air: Image) -> Image:
+    """Share of its information that gives each ray the say of the most attenuated of those within `NEAR` pixels.
+
+    Parameters
+    ----------
+    counts, air : as of `excess_of_pixels`
+    """
+    seen = air > 0
+    passed = np.where(seen, np.maximum(counts, DARK) / np.where(seen, air, 1), 0).astype(np.float32)
+    filled = gaussian_filter(seen.astype(np.float32), _SIGMA)
+    smooth = np.where(seen, gaussian_filter(passed, _SIGMA) / np.where(seen, filled, 1), np.inf)
+    least = minimum_filter(smooth, (1, 2 * NEAR + 1, 2 * NEAR + 1))
+    return np.where(seen, np.minimum(least / np.where(seen, passed, 1), 1), 0).astype(np.float32)
+
+
+def _logs(counts: Image, air: Image) -> Image:
+    """Logarithms of relative intensities; of 1 in blind pixels."""
+    return np.log(np.where(air > 0, np.maximum(counts, DARK) / np.where(air > 0, air, 1), 1)).astype(np.float32)
+
+
+def _beside(images: Float[np.ndarray, "..."], axis: int, step: int) -> Float[np.ndarray, "..."]:
+    """What the neighbours have; at the border, a pixel is its own."""
+    places = np.clip(np.arange(images.shape[axis]) + step, 0, images.shape[axis] - 1)
+    return np.take(images, places, axis=axis)
+
+
+def _blocks(images: Image, factor: int) -> Float[np.ndarray, "channel row y column x"]:
+    channels, rows, columns = images.shape
+    return images.reshape(channels, rows // factor, factor, columns // factor, factor)

@@ -25,7 +25,6 @@ from recon.fitting import Progress, fit
 from recon.gaussians import Gaussians
 from recon.initialize import initialize
 from recon.measurements import Measurements, matching_bin, read_measurements
-from recon.partial_volume import without_partial_volume
 from recon.processes import ALONE, Processes
 from recon.recipe import Recipe
 from recon.start import start_volumes, starting_method
@@ -100,9 +99,8 @@ def reconstruct(
     starting_method(dataset.geometry[dataset.splits["train"]], grid)  # refuses scans that show no depth
     stage = Stopwatch(on_stage)
     with stage("read"):
-        measured, node_error = read_measurements(dataset, dataset.splits["train"], bases, store).compressed(
-            recipe.node_tolerance
-        )
+        whole = read_measurements(dataset, dataset.splits["train"], bases, store).without_partial_volume(store)
+        measured, node_error = whole.compressed(recipe.node_tolerance)
         fitted, held_out = _set_apart(measured, recipe)
         fisher = _mean_information(measured, voxel, recipe)
         kept = keeper.found(measured) if keeper is not None and processes.first else None
@@ -119,7 +117,7 @@ def reconstruct(
     state, volumes = _shared(state, processes).to(place), processes.from_first(volumes)
     anchor = Anchor.off_edges(*_filled_part(volumes, grid), fisher, recipe.prior) if recipe.prior else None
     with stage("fit"):
-        gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, processes, anchor)
+        gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, processes, anchor, store)
     name = _starting(measured, grid, recipe).name
     return Reconstruction(gaussians.to("cpu"), name, volumes, node_error, measured.transmission, stage.seconds)
 
@@ -169,17 +167,6 @@ def _first_guess(
     metric = metric_of(seen, fisher)
     with stage("approximate"):
         gaussians = approximate(gaussians.to(place), seen, inner, metric, recipe.approximation, on_iteration)
-    if not recipe.corrected_passes:
-        return volumes, gaussians.to("cpu")
-    with stage("partial volume"):
-        coarse = measured.binned(matching_bin(measured.geometry, voxel))
-        corrected = without_partial_volume(coarse, gaussians, store)
-    with stage(method.name):
-        again = OneStep(levels=((1, recipe.corrected_passes),))
-        volumes = again.reconstruct_counts(corrected, grid, on_iteration, volumes)
-    with stage("approximate"):
-        seen, inner = _filled_part(volumes, grid)
-        gaussians = approximate(gaussians, seen, inner, metric, recipe.approximation, on_iteration)
     return volumes, gaussians.to("cpu")
 
 

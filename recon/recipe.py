@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 from spectra.errors import InputError
 
 _ANY_SIGN = (
-    "name", "stages", "seed", "warm_up", "momentum", "dispersion", "prior", "held_out", "corrected_passes"
+    "name", "stages", "seed", "warm_up", "momentum", "dispersion", "prior", "held_out"
 )  # fmt: skip
 
 
@@ -35,8 +35,8 @@ class Recipe:
     spacing : distance between Gaussians along edges
     voxel_passes : over the views at full resolution, for the voxels that a fit with a prior starts from
     approximation : evaluations that bring the Gaussians close to voxels
-    corrected_passes : over the views, for better voxels, once Gaussians tell the partial volume in pixels; 0 for none
-    dispersion : relative model error added to the Poisson variance, so that partial volume at edges does not rule
+    dispersion : relative model error added to the Poisson variance, so that what is left of partial volume at edges
+        does not rule
     node_tolerance : largest error of the log counts that compressing the energy grid may cause
     centre_rate : first step of a coordinate
     shape_rate : first step of a log-scale and of a quaternion's component [no unit]
@@ -57,7 +57,6 @@ class Recipe:
     spacing: float = 1.2
     voxel_passes: int = 8
     approximation: int = 20
-    corrected_passes: int = 0
     dispersion: float = 0.01
     node_tolerance: float = 1e-3
     centre_rate: float = 0.02
@@ -85,9 +84,9 @@ class Recipe:
 FAST = Recipe(name="fast", dispersion=0.02, centre_rate=0.005, shape_rate=0.00125, final_rate=0.3)
 BEST = Recipe(
     name="best",
-    stages=(Stage(0.5, 3.0),),
+    stages=(Stage(0.5, 4.0),),
+    views_per_step=1,
     spacing=0.9,
-    corrected_passes=10,
     approximation=40,
     dispersion=0.02,
     warm_up=0.5,

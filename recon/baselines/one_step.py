@@ -5,8 +5,9 @@ coefficients. Each step is a separable quadratic surrogate of the likelihood of 
 with blocks that mix the bases, and Nesterov's momentum, which restarts where it points backwards. The total variation
 and x >= 0 are met in the metric of the surrogate, by a few steps on the dual that begin where the last ones ended.
 Coarse voxels come first, with pixels summed to match, so that no other reconstruction is needed to start from; their
-edges are made steeper before finer voxels take over, which spares those most of their passes. Memory
-grows with voxels, not with views: some 40 volumes of 32-bit numbers for three bases.
+edges are made steeper before finer voxels take over, which spares those most of their passes. Rays close to each other
+get the same say, as voxels cannot tell them apart (`recon.partial_volume`). Memory grows with voxels, not with views:
+some 40 volumes of 32-bit numbers for three bases.
 
 References
 ----------
@@ -58,7 +59,7 @@ class OneStep:
     pixel: float = 1.0
     subsets: int = 5
     dispersion: float = 0.03
-    strength: float = 2.0
+    strength: float = 1.5
     dual_steps: int = 3
     momentum: bool = True
 
@@ -107,7 +108,7 @@ class OneStep:
             volumes, here = resampled(volumes, here, level), level
             if finer:
                 volumes = sharpened(volumes)
-            data = measurements.binned(matching_bin(measurements.geometry, self.pixel * min(level.spacing)))
+            data = measurements.binned(matching_bin(measurements.geometry, self.pixel * min(level.spacing))).evened()
             volumes = _descend(volumes, data, level, self, passes, report)
         return resampled(volumes, here, grid)
 

@@ -13,6 +13,7 @@ from recon.ops.likelihood import likelihood
 from recon.ops.positive_step import as_matrices
 
 VIEWS_AT_ONCE = 16  # bounds what is kept of projections
+_DENSE, _FILLED = 0.9, 0.3  # a voxel counts as filled from that part of this quantile on
 
 Volumes = Float[np.ndarray, "basis z y x"]
 
@@ -42,10 +43,13 @@ def curvature(
 ) -> tuple[Float[np.ndarray, "pair z y x"], Float[np.ndarray, "basis basis"]]:
     """Separable majoriser of half the deviance, and the covariance of its gradient in a voxel that attenuates.
 
-    With a_ri the length of ray r in voxel i and F_r the Fisher matrix of the ray's line integrals, the block of voxel i
-    is sum_r a_ri (sum_j a_rj) F_r: steps by its inverse descend and do not depend on the basis. Where counts are noisy,
-    the gradient of voxel i has the covariance sum_r a_ri^2 F_r; what comes back is its mean over voxels, each weighted
-    by its attenuation. Along a ray, the sum of a_ri^2 is taken to be in proportion to that of a_ri.
+    With a_ri the length of ray r in voxel i, F_r the Fisher matrix of the ray's line integrals and s_i the pace of
+    voxel i, its block is sum_r a_ri (sum_j a_rj s_j) F_r / s_i: steps by its inverse descend and do not depend on the
+    basis.
+    Voxels that are denser than most go faster, in proportion, or else small pieces of metal would be the last to
+    converge. Where counts are noisy, the gradient of voxel i has the covariance sum_r a_ri^2 F_r; what comes back is
+    its mean over voxels, each weighted by its attenuation. Along a ray, the sum of a_ri^2 is taken to be in proportion
+    to that of a_ri.
 
     Returns
     -------
@@ -53,23 +57,34 @@ def curvature(
 
     References
     ----------
-    Weidinger et al. 2016, doi:10.1155/2016/5871604; Mechlem et al. 2018, doi:10.1109/TMI.2017.2726687.
+    Weidinger et al. 2016, doi:10.1155/2016/5871604; Mechlem et al. 2018, doi:10.1109/TMI.2017.2726687. Paces: Kim et
+    al. 2013, doi:10.1109/TMI.2013.2266898.
     """
     bases = len(volumes)
     blocks = np.zeros((bases * (bases + 1) // 2, *grid.shape), np.float32)
-    probes = np.ones((2, *grid.shape), np.float32)
+    paces = _paces(volumes)
+    probes = np.ones((3, *grid.shape), np.float32)
     probes[1] -= 2 * np.random.default_rng(0).integers(0, 2, grid.shape)
+    probes[2] = paces
     whole = squares = 0.0
     weighted = np.zeros(len(blocks))
     empty = not volumes.any()
     for some in _portions(measurements):
-        lengths, (through, signs) = (forward(v, some.geometry, grid) for v in (volumes, probes))
+        lengths, (through, signs, paced) = (forward(v, some.geometry, grid) for v in (volumes, probes))
         _, _, fisher = _likelihood(lengths, some, dispersion, True)
-        blocks += transpose(fisher * through, some.geometry, grid)
+        blocks += transpose(fisher * paced, some.geometry, grid)
         weighted += np.einsum("pvrc,vrc->p", fisher, through if empty else lengths.sum(axis=0), dtype=np.float64)
         whole, squares = whole + through.sum(dtype=np.float64), squares + np.square(signs).sum(dtype=np.float64)
     attenuation = float(np.prod(grid.shape)) if empty else volumes.sum(dtype=np.float64)
-    return blocks, as_matrices(weighted * squares / (max(whole, 1e-30) * attenuation))
+    return blocks / paces, as_matrices(weighted * squares / (max(whole, 1e-30) * attenuation))
+
+
+def _paces(volumes: Volumes) -> Float[np.ndarray, "z y x"]:
+    """Attenuation of every voxel over that of a typical one, and at least 1."""
+    density = volumes.sum(axis=0)
+    filled = density[density > _FILLED * np.quantile(density, _DENSE)]
+    typical = float(np.median(filled)) if len(filled) else 0.0
+    return np.maximum(density / typical, 1) if typical > 0 else np.ones_like(density)
 
 
 def forward(volumes: Volumes, geometry: Geometry, grid: Grid) -> Float[np.ndarray, "basis view row column"]:
@@ -92,6 +107,7 @@ def _likelihood(
     lengths: Float[np.ndarray, "basis view row column"], data: Measurements, dispersion: float, information: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     deviances, gradient, fisher = likelihood(
-        lengths, data.counts, data.gains, data.exposure, data.transmission, dispersion, data.profile, information
-    )
+        lengths, data.counts, data.gains, data.exposure, data.transmission, dispersion, data.profile, information,
+        data.shares,
+    )  # fmt: skip
     return deviances, gradient, np.zeros(0) if fisher is None else fisher

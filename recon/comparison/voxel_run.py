@@ -61,7 +61,7 @@ def run_voxels(dataset: Dataset, contender: Contender, recorder: Recorder) -> Ru
     else:
         told = record
     recorder.clock.start()
-    measured = read_measurements(dataset, dataset.splits["train"], contender.bases)
+    measured = read_measurements(dataset, dataset.splits["train"], contender.bases).without_partial_volume()
     measured = measured.compressed(Recipe().node_tolerance)[0]
     with suppress(Spent):
         reconstruct_volumes(measured, grid, method, pipeline, Stopwatch(), told)

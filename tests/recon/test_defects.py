@@ -96,7 +96,7 @@ def test_a_fit_is_as_good_as_without_defects_which_would_ruin_it(scan):
         errors.append(np.sqrt(np.mean((found - TRUTH.volume(GRID)) ** 2)))
     good, left_out, ruined = errors
     assert left_out < 1.15 * good
-    assert ruined > 2 * good
+    assert ruined > 1.5 * good
 
 
 def test_scores_leave_masked_pixels_out_and_take_none_for_an_edge():

@@ -1,4 +1,4 @@
-"""Counts of pixels with an edge inside, corrected to what the mean line integral would have given."""
+"""Counts of pixels that something varies in become those of mean line integrals; rays get even shares."""
 
 from dataclasses import replace
 
@@ -8,10 +8,79 @@ from gaussian_scenes import NAMES, circular, one_gaussian, small_model, spectral
 
 from recon.gaussians import Gaussians
 from recon.measurements import Measurements
-from recon.partial_volume import without_partial_volume
+from recon.partial_volume import STEEPEST, even_shares, excess_of_blocks, excess_of_pixels
 from spectra.transmission import Transmission
 
 GEOMETRY, FINER = circular(12, 14, views=2), 16
+AIR = np.full((1, 20, 20), 1e5)
+
+
+def sloped(along, across=0.0, rays=64):
+    """Counts of pixels in which the line integral rises linearly, and those of its means."""
+    fine = (np.arange(20 * rays) + 0.5) / rays
+    rows, columns = np.exp(-across * fine), np.exp(-along * fine)
+    counts = rows.reshape(20, rays).mean(axis=1)[:, None] * columns.reshape(20, rays).mean(axis=1)
+    middle = np.arange(20) + 0.5
+    return 1e5 * counts[None], 1e5 * np.exp(-across * middle)[None, :, None] * np.exp(-along * middle)
+
+
+@pytest.mark.parametrize(("along", "across"), [(0.3, 0.0), (0.0, 0.35), (0.15, -0.2)])
+def test_the_excess_of_a_linear_slope_is_exact(along, across):
+    counts, means = sloped(along, across)
+    inner = np.s_[:, 1:-1, 1:-1]
+    found = excess_of_pixels(counts * 1e5, AIR * 1e5)[inner]  # without noise, as far as it can tell
+    np.testing.assert_allclose(found, np.log(counts / means)[inner], rtol=2e-2, atol=1e-5)
+
+
+@pytest.mark.parametrize("level", [30.0, 300.0, 1e5])
+def test_noise_alone_has_next_to_no_excess(level):
+    counts = np.random.default_rng(0).poisson(level, (1, 200, 200)).astype(np.float32)
+    air = np.full(counts.shape, 1e5)
+    assert excess_of_pixels(counts, air).mean() < 0.03 / level
+    assert abs(excess_of_blocks(counts, air, 2).mean()) < 0.15 / level + 1e-5
+    assert abs(excess_of_blocks(counts, air, 4).mean()) < 0.15 / level + 1e-5
+
+
+def test_where_there_are_hardly_any_counts_nothing_is_corrected():
+    counts = np.random.default_rng(0).poisson(1.0, (1, 20, 20)).astype(np.float32)
+    assert excess_of_blocks(counts, AIR, 2)[counts.reshape(1, 10, 2, 10, 2).sum(axis=(2, 4)) < 20].max() == 0
+    assert not excess_of_pixels(np.zeros_like(counts), AIR).any()
+
+
+def test_steeper_slopes_than_can_be_told_are_bounded():
+    counts = np.where(np.arange(20) < 10, 1e5, 0.0) * np.ones((1, 20, 1))
+    most = np.log(np.sinh(STEEPEST) / STEEPEST)
+    assert excess_of_pixels(counts, AIR).max() == pytest.approx(most, rel=1e-5)
+
+
+def test_blind_pixels_tell_nothing():
+    counts = np.random.default_rng(0).poisson(1e4, (1, 20, 20)).astype(np.float32)
+    air = AIR.copy()
+    counts[0, 7, 8] = air[0, 7, 8] = 0
+    assert excess_of_pixels(counts, air).max() < 0.01
+    assert excess_of_blocks(counts, air, 2)[0, 3, 4] == pytest.approx(0, abs=1e-3)
+    shares = even_shares(counts, air)
+    assert shares[0, 7, 8] == 0
+    assert shares[0, 5:10, 6:11].min() == 0
+    assert np.sort(shares[0, 5:10, 6:11].ravel())[1] > 0.9
+    dark = excess_of_pixels(np.zeros((1, 4, 4)), np.zeros((1, 4, 4)))
+    assert np.isfinite(dark).all()
+    assert not dark.any()
+
+
+def test_shares_of_even_rays_are_whole_and_those_beside_dark_ones_small():
+    counts = np.full((1, 20, 20), 1e4, np.float32)
+    counts[0, 9:12, 9:12] = 10
+    shares = even_shares(counts, AIR)
+    assert shares[0, 10, 10] == 1
+    assert shares[0, 8, 8] < 0.1
+    np.testing.assert_allclose(shares[0, :, :6], 1, rtol=1e-3)
+
+
+def test_rays_with_their_shares_have_as_much_say_as_the_most_attenuated_near_by():
+    counts = 1e5 * np.exp(-np.linspace(0, 3, 20)) * np.ones((1, 20, 1))
+    say = even_shares(counts, AIR) * counts
+    np.testing.assert_allclose(say[0, 5, 3:17], counts[0, 5, 5:19], rtol=0.02)
 
 
 def filtered(model):
@@ -20,62 +89,61 @@ def filtered(model):
     return Transmission(np.vstack([model.columns, (50 / energy) ** 2.5]), model.weights, model.starts)
 
 
-def fine_lengths(model):
-    """Line integrals of many rays in each pixel: (view, row, ray, column, ray, basis)."""
-    lengths = model.line_integrals(GEOMETRY.subdivided(FINER)).numpy().astype(float)
-    return np.moveaxis(lengths, 1, -1).reshape(2, 12, FINER, 14, FINER, 3)
-
-
-def scan_of(model, profile=None, gain=1.3):
-    """Counts as a detector sums them: means of the intensities of many rays in each pixel."""
+def scan_of(model, geometry, pixels, profile=None, gain=1.3):
+    """Counts as a detector sums them, means of the intensities of many rays in each pixel; and of their means."""
     transmission = spectral_model(3) if profile is None else filtered(spectral_model(3))
-    lengths = fine_lengths(model)
+    lengths = model.line_integrals(geometry.subdivided(FINER)).numpy().astype(float)
+    rows, columns = pixels
+    lengths = np.moveaxis(lengths, 1, -1).reshape(len(lengths), rows, FINER, columns, FINER, 3)
     if profile is not None:
         known = np.moveaxis(profile, 0, -1)[:, None, :, None]
         lengths = np.concatenate([lengths, np.broadcast_to(known, (*lengths.shape[:-1], len(profile)))], axis=-1)
     counts = np.moveaxis(transmission.expected(lengths).mean(axis=(2, 4)), -1, 1) * gain
-    gains = np.full((4, 12, 14), gain, np.float32)
-    exposure = np.ones((2, 4))
-    return Measurements(counts.astype(np.float32), gains, exposure, GEOMETRY, transmission, NAMES, profile)
-
-
-def of_mean_line_integrals(scan, model):
-    """Counts that one ray per pixel would give, with the means of the line integrals."""
-    lengths = scan.with_profile(fine_lengths(model).mean(axis=(2, 4)))
-    return np.moveaxis(scan.transmission.expected(lengths), -1, 1) * scan.gains
+    wanted = np.moveaxis(transmission.expected(lengths.mean(axis=(2, 4))), -1, 1) * gain
+    gains = np.full((4, rows, columns), gain, np.float32)
+    exposure = np.ones((len(counts), 4))
+    found = Measurements(counts.astype(np.float32), gains, exposure, geometry, transmission, NAMES, profile)
+    return found, replace(found, counts=wanted.astype(np.float32))
 
 
 @pytest.mark.parametrize("with_profile", [False, True])
-def test_counts_become_those_of_one_ray_per_pixel(with_profile):
-    dense = Gaussians(*(part.float() for part in one_gaussian([0.3, -0.2, 0.1], [0.5, 0.4, 2.5], 3)), NAMES)
-    dense = replace(dense, coefficients=dense.coefficients * 0.2)
-    profile = np.linspace(-0.3, 0.7, 12 * 14).reshape(1, 12, 14) if with_profile else None
-    scan = scan_of(dense, profile)
-    wanted = of_mean_line_integrals(scan, dense)
-    off, left = (abs(np.log(s.counts / wanted)).max() for s in (scan, without_partial_volume(scan, dense, rays=8)))
-    assert off > 0.05
-    assert left < 0.05 * off
-
-
-def test_a_model_that_is_nearly_right_takes_most_of_it_away():
-    truth = small_model(3, count=40, height=0.1)
-    scan = scan_of(truth)
-    nearly = replace(truth, log_scales=truth.log_scales + 0.05, coefficients=truth.coefficients * 0.9)
-    wanted = of_mean_line_integrals(scan, truth)
-    off, left = (np.log(s.counts / wanted) for s in (scan, without_partial_volume(scan, nearly)))
+def test_pixels_and_sums_of_them_become_those_of_mean_line_integrals(with_profile):
+    dense = Gaussians(*(part.float() for part in one_gaussian([0.3, -0.2, 0.1], [1.5, 1.2, 2.5], 3)), NAMES)
+    dense = replace(dense, coefficients=dense.coefficients * 0.1)
+    profile = np.linspace(-0.3, 0.7, 24 * 28).reshape(1, 24, 28) if with_profile else None
+    scan, means = scan_of(dense, GEOMETRY.subdivided(2), (24, 28), profile)
+    scan, means = (replace(s, counts=s.counts * 1e4, gains=s.gains * 1e4) for s in (scan, means))
+    off, left = (np.log(s.counts / means.counts) for s in (scan, scan.without_partial_volume()))
+    assert off.max() > 0.005
+    assert np.sqrt((left**2).mean()) < 0.3 * np.sqrt((off**2).mean())
+    lengths = dense.line_integrals(GEOMETRY.subdivided(2 * FINER)).numpy().astype(float)
+    lengths = lengths.reshape(2, 3, 12, 2 * FINER, 14, 2 * FINER).mean(axis=(3, 5))
+    coarse = scan.without_partial_volume().binned(2)
+    expected = coarse.transmission.expected(coarse.with_profile(np.moveaxis(lengths, 1, -1)))
+    summed = scan.counts.reshape(2, 4, 12, 2, 14, 2).sum(axis=(3, 5))
+    wanted = np.moveaxis(expected, -1, 1) * coarse.gains
+    off, left = (np.log(counts / wanted) for counts in (summed, coarse.counts))
+    assert off.max() > 0.05
     assert np.sqrt((left**2).mean()) < 0.35 * np.sqrt((off**2).mean())
-    assert off.min() > -1e-5  # intensities of means are the least there can be
 
 
 def test_air_and_blind_pixels_stay_as_they_are():
-    far = Gaussians(*(part.float() for part in one_gaussian([0.0, 0.0, 40.0], 0.1, 3)), NAMES)
-    scan = scan_of(far)
+    scan, _ = scan_of(small_model(3, count=1, height=0.0), GEOMETRY, (12, 14))
     scan.counts[:, :, 3, 4], scan.gains[:, 3, 4] = 0, 0
-    np.testing.assert_allclose(without_partial_volume(scan, far).counts, scan.counts, rtol=1e-6)
+    np.testing.assert_allclose(scan.without_partial_volume().counts, scan.counts, rtol=1e-5)
 
 
-def test_rays_that_nothing_passes_give_finite_counts():
-    wall = Gaussians(*(part.float() for part in one_gaussian([0.0, 0.0, 0.0], 1.0, 3)), NAMES)
-    wall = replace(wall, coefficients=wall.coefficients * 1e5)
-    corrected = without_partial_volume(scan_of(wall), wall)
-    assert np.isfinite(corrected.counts).all()
+def test_views_that_a_channel_did_not_take_stay_empty():
+    scan, _ = scan_of(small_model(3), GEOMETRY, (12, 14))
+    scan.counts[0, 1], scan.exposure[0, 1] = 0, 0
+    for changed in (scan.without_partial_volume(), scan.binned(2), scan.evened()):
+        assert np.isfinite(changed.counts).all()
+        assert not changed.counts[0, 1].any()
+    assert not scan.evened().shares[0, 1].any()
+
+
+def test_some_views_take_their_shares_along():
+    scan, _ = scan_of(small_model(3), GEOMETRY, (12, 14))
+    evened = scan.evened()
+    np.testing.assert_array_equal(evened[[1]].shares, evened.shares[[1]])
+    assert evened.binned(2).shares is None

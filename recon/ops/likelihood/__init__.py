@@ -21,27 +21,30 @@ def likelihood(
     dispersion: float,
     profile: Float[np.ndarray, "part row column"] | None = None,
     information: bool = False,
+    shares: Float[np.ndarray, "view channel row column"] | None = None,
 ) -> tuple[
     Float[np.ndarray, " view"],
     Float[np.ndarray, "basis view row column"],
     Float[np.ndarray, "pair view row column"] | None,
 ]:
-    """Deviance of each view, the gradient of half of it, and the Fisher matrices of the rays.
+    """Deviance of each view, the gradient of half of it, and curvatures of the rays, each times the rays' shares.
 
-    The variance of counts Y is Y + (dispersion Y)^2. A channel whose gain or exposure is 0 has no say.
+    The variance of counts Y is Y + (dispersion Y)^2. A channel whose gain or exposure is 0 has no say. Curvatures are
+    Fisher matrices where counts are as expected; where more arrive, as behind metal that is too thick in the model,
+    they are as sharp as those of what arrives, so that steps by their inverse stay bounded.
 
     Parameters
     ----------
     lengths : line integrals of every basis [no unit]
-    counts, gains, exposure, profile : as `recon.measurements.Measurements` keeps them
+    counts, gains, exposure, profile, shares : as `recon.measurements.Measurements` keeps them
     transmission : columns are the bases, and after them the parts of `profile`
     dispersion : relative model error; 0 for Poisson counts
-    information : whether Fisher matrices are wanted
+    information : whether curvatures are wanted
 
     Returns
     -------
-    sum of `recon.losses.deviance` over each view; derivative of half of it in the line integrals; J^T diag(1 / (Y +
-    (dispersion Y)^2)) J, the upper triangle row by row, or None
+    sum of `recon.losses.deviance` over each view; derivative of half of it in the line integrals; (J / Y)^T
+    diag(M / (1 + dispersion^2 M)) (J / Y) with M the larger of y and Y, the upper triangle row by row, or None
 
     Raises
     ------
@@ -60,6 +63,9 @@ def likelihood(
         known = np.ascontiguousarray(profile, np.float32).reshape(parts, pixels)
     gains = np.ascontiguousarray(gains, np.float32).reshape(channels, pixels)
     counts = np.ascontiguousarray(counts, np.float32).reshape(views, channels, pixels)
+    parts_of_counts = np.zeros((0, channels, pixels), np.float32)
+    if shares is not None:
+        parts_of_counts = np.ascontiguousarray(shares, np.float32).reshape(views, channels, pixels)
     exposure = np.ascontiguousarray(exposure, np.float64)
     gradient = np.empty((bases, views, pixels), np.float32)
     fisher = np.empty((bases * (bases + 1) // 2 if information else 0, views, pixels), np.float32)
@@ -68,7 +74,7 @@ def likelihood(
     def one_view(v: int) -> float:
         room = np.empty((2 + bases, BLOCK))
         return cpu.likelihood(
-            lengths, known, counts, gains, exposure, v, model.columns, model.weights, model.starts,
+            lengths, known, counts, parts_of_counts, gains, exposure, v, model.columns, model.weights, model.starts,
             float(dispersion), LEAST, room, gradient, fisher,
         )  # fmt: skip
 

@@ -57,14 +57,16 @@ def _transmit(lengths, known, view, columns, weights, first, last, start, count,
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def likelihood(
-    lengths, known, counts, gains, exposure, view, columns, weights, starts, dispersion, least, room, gradient, fisher
-):
+    lengths, known, counts, shares, gains, exposure, view,
+    columns, weights, starts, dispersion, least, room, gradient, fisher,
+):  # fmt: skip
     """Deviance of one view.
 
     Parameters
     ----------
     lengths, known : line integrals of the bases, and of further columns, (basis, view, ray), (part, ray)
-    counts, gains, exposure : (view, channel, ray), (channel, ray), (view, channel)
+    counts, shares : (view, channel, ray); no views of shares where each count has its whole say
+    gains, exposure : (channel, ray), (view, channel)
     view : which one
     columns, weights, starts : energy nodes grouped by channel
     dispersion, least : relative model error; expected counts below which a channel has no say
@@ -85,15 +87,18 @@ def likelihood(
             _transmit(lengths, known, view, columns, weights, starts[c], starts[c + 1], start, count, room)
             for i in range(count):
                 scale = gains[c, start + i] * exposure[view, c]
+                share = shares[view, c, start + i] if shares.shape[0] > 0 else 1.0
                 expected, counted = scale * room[0, i], float(counts[view, c, start + i])
                 if expected < least:
                     if counted > 0.0 and scale > 0.0:
-                        total += 2.0 * _half_deviance(counted, least, dispersion)
+                        total += 2.0 * share * _half_deviance(counted, least, dispersion)
                     continue
-                total += 2.0 * _half_deviance(counted, expected, dispersion)
-                precision = scale / (expected * (1.0 + dispersion * dispersion * expected))
+                total += 2.0 * share * _half_deviance(counted, expected, dispersion)
+                precision = share * scale / (expected * (1.0 + dispersion * dispersion * expected))
                 pull = (expected - counted) * precision
-                precision *= scale
+                most = max(expected, counted)
+                precision = share * scale * scale * most
+                precision /= expected * expected * (1.0 + dispersion * dispersion * most)
                 for m in range(bases):
                     gradient[m, view, start + i] += pull * room[1 + m, i]
                 pair = 0

@@ -64,14 +64,15 @@ def test_a_known_profile_adds_to_every_ray():
     np.testing.assert_allclose(found, gradient, atol=TOLERANCES["likelihood"] * np.abs(gradient).max())
 
 
-def test_information_is_the_expected_square_of_the_gradient():
+def test_information_is_the_expected_square_of_the_gradient_where_counts_are_as_expected():
     model = spectral_model(3)
     lengths, counts, gains, exposure = some_rays(model, 3, columns=5)
     _, _, fisher = likelihood(lengths, counts, gains, exposure, model, 0.02, information=True)
     expected, slopes = model.expected_and_jacobian(np.moveaxis(lengths, 0, -1).astype(float))
     scale = np.moveaxis(gains * exposure[:, :, None, None], 1, -1)
     y = expected * scale
-    right = np.einsum("...c,...cm,...cn->...mn", scale**2 / (y + (0.02 * y) ** 2), slopes, slopes)
+    most = np.maximum(y, np.moveaxis(counts, 1, -1))
+    right = np.einsum("...c,...cm,...cn->...mn", (scale / y) ** 2 * most / (1 + 0.02**2 * most), slopes, slopes)
     np.testing.assert_allclose(as_matrices(fisher), right, rtol=1e-5)
 
 
