@@ -5,7 +5,8 @@ Compton, and as ripples where few rays look along a face. Voxels with a joint to
 (`recon.baselines.one_step`) know better there, while Gaussians know better where edges lie. So the fit minimises half
 the deviance plus half the squared distance of its volumes from those voxels, weighted by the information that the data
 have about the coefficients, averaged over all Gaussians, times a strength. Along edges, which voxels blur, only a small
-part of that weight counts.
+part of that weight counts, and next to none at metal: voxels err in proportion to what they hold, and rays know little
+of it.
 """
 
 from dataclasses import dataclass
@@ -19,10 +20,10 @@ from torch import Tensor
 from phantomgen.grid import Grid
 from recon.gaussians import Gaussians
 from recon.ops.voxelize import voxelize_tensor
-from recon.structure import Structure
+from recon.structure import Structure, relative_density
 
 SLABS = 4  # parts of the volume that take turns, one each step
-EDGES = 0.03  # weight on an edge over that far from all of them
+EDGES = 0.03  # weight on an edge over that far from all of them; less in proportion to the square of the density there
 _STRIDE = 3  # so that slabs which follow each other do not touch
 _BESIDE = 3  # voxels across that an edge reaches
 
@@ -62,7 +63,8 @@ class Anchor:
         strength : information of the prior over that of the data
         """
         edge = maximum_filter(np.clip(Structure.of(volumes, fisher).strength, 0, 1), size=_BESIDE)
-        return cls(volumes, grid, strength, np.maximum(1 - edge, EDGES).astype(np.float32))
+        dense = maximum_filter(np.maximum(relative_density(volumes), 1), size=_BESIDE)
+        return cls(volumes, grid, strength, np.maximum(1 - edge, EDGES / dense**2).astype(np.float32))
 
     def curvature(
         self, gaussians: Gaussians, blocks: Float[Tensor, "gaussian basis basis"]

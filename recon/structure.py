@@ -1,7 +1,7 @@
-"""Where volumes hold something, and where their edges are.
+"""Where volumes hold something, where their edges are, and how dense they are.
 
-Everything is measured in units of noise, on volumes whitened by the mean Fisher matrix, so that the choice of bases
-does not matter.
+Structure is measured in units of noise, on volumes whitened by the mean Fisher matrix, so that the choice of bases does
+not matter.
 """
 
 from dataclasses import dataclass
@@ -13,6 +13,7 @@ from scipy.ndimage import gaussian_filter
 SMOOTHING = 0.7  # voxels; standard deviation of the Gaussian that tames noise before edges are looked for
 BACKGROUND = 0.1  # a voxel below this fraction of the typical signal is empty
 EDGE = 4.0  # a gradient this many times the median is an edge
+_DENSE, _FILLED = 0.9, 0.3  # for the typical density: voxels from that part of this quantile on hold something
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,3 +62,11 @@ def _products_of_gradients(volumes: Float[np.ndarray, "basis z y x"]) -> Float[n
 def _gradient(volume: Float[np.ndarray, "z y x"]) -> list[Float[np.ndarray, "z y x"]]:
     """Change per voxel along each axis; none along an axis of one voxel."""
     return [np.gradient(volume, axis=i) if n > 1 else np.zeros_like(volume) for i, n in enumerate(volume.shape)]
+
+
+def relative_density(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "z y x"]:
+    """Sum of the coefficients of each voxel over that of a typical one that holds something; 1 where none does."""
+    density = volumes.sum(axis=0)
+    filled = density[density > _FILLED * np.quantile(density, _DENSE)]
+    typical = float(np.median(filled)) if len(filled) else 0.0
+    return density / typical if typical > 0 else np.ones_like(density)

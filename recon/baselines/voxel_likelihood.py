@@ -11,9 +11,9 @@ from phantomgen.ops.project import project, project_transpose
 from recon.measurements import Measurements
 from recon.ops.likelihood import likelihood
 from recon.ops.positive_step import as_matrices
+from recon.structure import relative_density
 
 VIEWS_AT_ONCE = 16  # bounds what is kept of projections
-_DENSE, _FILLED = 0.9, 0.3  # a voxel counts as filled from that part of this quantile on
 
 Volumes = Float[np.ndarray, "basis z y x"]
 
@@ -62,7 +62,7 @@ def curvature(
     """
     bases = len(volumes)
     blocks = np.zeros((bases * (bases + 1) // 2, *grid.shape), np.float32)
-    paces = _paces(volumes)
+    paces = np.maximum(relative_density(volumes), 1)
     probes = np.ones((3, *grid.shape), np.float32)
     probes[1] -= 2 * np.random.default_rng(0).integers(0, 2, grid.shape)
     probes[2] = paces
@@ -77,14 +77,6 @@ def curvature(
         whole, squares = whole + through.sum(dtype=np.float64), squares + np.square(signs).sum(dtype=np.float64)
     attenuation = float(np.prod(grid.shape)) if empty else volumes.sum(dtype=np.float64)
     return blocks / paces, as_matrices(weighted * squares / (max(whole, 1e-30) * attenuation))
-
-
-def _paces(volumes: Volumes) -> Float[np.ndarray, "z y x"]:
-    """Attenuation of every voxel over that of a typical one, and at least 1."""
-    density = volumes.sum(axis=0)
-    filled = density[density > _FILLED * np.quantile(density, _DENSE)]
-    typical = float(np.median(filled)) if len(filled) else 0.0
-    return np.maximum(density / typical, 1) if typical > 0 else np.ones_like(density)
 
 
 def forward(volumes: Volumes, geometry: Geometry, grid: Grid) -> Float[np.ndarray, "basis view row column"]:

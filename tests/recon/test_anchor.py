@@ -8,8 +8,9 @@ import torch
 from gaussian_scenes import small_model
 
 from phantomgen.grid import Grid
-from recon.anchor import SLABS, Anchor
+from recon.anchor import EDGES, SLABS, Anchor
 from recon.fit_state import GEOMETRY
+from recon.structure import relative_density
 
 GRID = Grid((10, 9, 8), (2.0, 2.0, 2.0), (-9.0, -8.0, -7.0))
 PARTS = (*GEOMETRY, "coefficients")
@@ -83,3 +84,24 @@ def test_volumes_are_trusted_off_edges():
     assert held.weights[away < -3].min() > 0.3
     assert np.median(held.weights[away < -3]) > 0.6
     assert held.weights[(abs(away) < 1) & (abs(y) < 8) & (abs(z) < 8)].max() < 0.2
+
+
+def test_volumes_are_trusted_off_edges_little_along_them_and_hardly_at_metal():
+    volumes = np.random.default_rng(0).normal(0.02, 3e-4, (1, 24, 24, 24)).astype(np.float32)
+    volumes[:, 4:10, 4:10, 4:10] = 0.035
+    volumes[:, 16:18, 16:18, 16:18] = 0.8
+    held = Anchor.off_edges(volumes, Grid.cube(24, 24.0), np.eye(1), 0.3)
+    assert held.weights[12, 12, 4] > 0.3
+    assert EDGES / 4 < held.weights[4, 7, 7] <= EDGES
+    assert held.weights[16, 16, 16] == pytest.approx(EDGES / 40**2, rel=0.01)
+
+
+def test_density_is_relative_to_that_of_most_voxels_that_hold_something():
+    volumes = np.zeros((2, 10, 10, 10), np.float32)
+    assert (relative_density(volumes) == 1).all()
+    volumes[:, 2:8, 2:8, 2:8] = 0.01
+    volumes[:, 5, 5, 5] = 0.3
+    found = relative_density(volumes)
+    assert found[5, 5, 5] == pytest.approx(30)
+    assert found[3, 3, 3] == pytest.approx(1)
+    assert found[0, 0, 0] == 0
