@@ -1,11 +1,11 @@
 """What each part of a fit is worth: one change at a time, error and processor time.
 
-    python benchmarks/levers.py [WORD ...]
+    python benchmarks/levers.py [metal] [WORD ...]
 
-Fits of `tuning.yaml`, the scene on which recipes were chosen; rows whose name is one of the words, or has it after the
-recipe's name; all where there are none. Scores are
-PSNR [dB] of the basis volumes; times are processor time of both threads from reading to the last step, so that they do
-not depend on what else the machine does. Rows take the place of those in `results/levers.txt`.
+Fits of `tuning.yaml`, the scene on which recipes were chosen, or of `tuning_metal.yaml`; rows whose name is one of the
+words, or has it after the recipe's name; all where there are none. Scores are PSNR [dB] of the basis volumes; times are
+processor time of both threads from reading to the last step, so that they do not depend on what else the machine does.
+Rows take the place of those in `results/levers.txt` or `results/levers_metal.txt`.
 """
 
 import platform
@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import numpy as np
 from result_rows import store
 
 import phantomgen
@@ -29,8 +30,8 @@ from recon.recipe import BEST, FAST, Recipe, Stage
 from recon.scoring import psnr_of_bases
 from spectra.threads import thread_count
 
-SCENE = Path(__file__).parent / "tuning.yaml"
-TABLE = Path(__file__).parent / "results" / "levers.txt"
+FOLDER = Path(__file__).parent
+METAL = "metal"  # first word for the scene with steel
 NAMED = 66  # characters of a row for its lever
 HEADER = f"{'lever':<66}PE     Compton  K edge  CPU s  Gaussians"
 
@@ -65,6 +66,8 @@ BY_INFORMATION = ("recon.pipeline.metric_of", lambda volumes, fisher: fisher)
 SUMMED = ("recon.measurements.excess_of_blocks", lambda counts, air, factor: 0.0)
 UNCORRECTED = ("recon.measurements.excess_of_pixels", lambda counts, air: 0.0)
 UNEVEN = ("recon.measurements.even_shares", lambda counts, air: 1.0)
+EVEN_PACE = ("recon.baselines.voxel_likelihood.relative_density", lambda volumes: np.ones_like(volumes[0]))
+NO_DENSITY = ("recon.anchor.relative_density", lambda volumes: np.ones_like(volumes[0]))
 UNSHARPENED = ("recon.baselines.one_step.sharpened", lambda volumes: volumes)
 
 LEVERS = (
@@ -91,8 +94,11 @@ LEVERS = (
     best("partial volume of single pixels left in", UNCORRECTED),
     best("every ray with the say of its counts", UNEVEN),
     best("steps of the geometry at full length at once", warm_up=0.0),
-    best("6 sweeps", stages=(Stage(0.5, 6.0),)),
+    best("2 views per step", views_per_step=2),
+    best("3 sweeps", stages=(Stage(0.5, 3.0),)),
     best("fewer Gaussians, spacing 1.2", spacing=1.2),
+    best("dense voxels at the pace of others", EVEN_PACE),
+    best("prior as strong at metal as along other edges", NO_DENSITY),
 )
 
 
@@ -119,15 +125,18 @@ def row_of(lever: Lever, dataset: Dataset) -> str:
 
 
 def main(words: list[str]) -> None:
-    scan = phantomgen.load(SCENE)
+    suffix = f"_{METAL}" if words[:1] == [METAL] else ""
+    words = words[1:] if suffix else words
+    scan = phantomgen.load(FOLDER / f"tuning{suffix}.yaml")
+    table = FOLDER / "results" / f"levers{suffix}.txt"
     with (
         tempfile.TemporaryDirectory() as folder,
-        phantomgen.make(scan, out=Path(folder) / "tuning.h5") as dataset,
+        phantomgen.make(scan, out=Path(folder) / "scan.h5") as dataset,
     ):
         for lever in LEVERS:
             if not words or lever.name in words or any(word in lever.name.partition(", ")[2] for word in words):
                 row = row_of(lever, dataset)
-                store(TABLE, [f"{platform.machine()}, {thread_count()} threads", HEADER], row, NAMED)
+                store(table, [f"{platform.machine()}, {thread_count()} threads", HEADER], row, NAMED)
                 print(row, flush=True)
 
 
