@@ -23,7 +23,8 @@ from recon.ops.voxelize import voxelize_tensor
 from recon.structure import Structure, relative_density
 
 SLABS = 4  # parts of the volume that take turns, one each step
-EDGES = 0.03  # weight on an edge over that far from all of them; less in proportion to the square of the density there
+EDGES = 0.03  # weight on an edge over that far from all of them
+METAL = 3.0  # times the typical density; beyond it the weight on edges falls with the square of the density
 _STRIDE = 3  # so that slabs which follow each other do not touch
 _BESIDE = 3  # voxels across that an edge reaches
 
@@ -63,7 +64,7 @@ class Anchor:
         strength : information of the prior over that of the data
         """
         edge = maximum_filter(np.clip(Structure.of(volumes, fisher).strength, 0, 1), size=_BESIDE)
-        dense = maximum_filter(np.maximum(relative_density(volumes), 1), size=_BESIDE)
+        dense = maximum_filter(np.maximum(relative_density(volumes) / METAL, 1), size=_BESIDE)
         return cls(volumes, grid, strength, np.maximum(1 - edge, EDGES / dense**2).astype(np.float32))
 
     def curvature(

@@ -8,7 +8,7 @@ import torch
 from gaussian_scenes import small_model
 
 from phantomgen.grid import Grid
-from recon.anchor import EDGES, SLABS, Anchor
+from recon.anchor import EDGES, METAL, SLABS, Anchor
 from recon.fit_state import GEOMETRY
 from recon.structure import relative_density
 
@@ -92,8 +92,8 @@ def test_volumes_are_trusted_off_edges_little_along_them_and_hardly_at_metal():
     volumes[:, 16:18, 16:18, 16:18] = 0.8
     held = Anchor.off_edges(volumes, Grid.cube(24, 24.0), np.eye(1), 0.3)
     assert held.weights[12, 12, 4] > 0.3
-    assert EDGES / 4 < held.weights[4, 7, 7] <= EDGES
-    assert held.weights[16, 16, 16] == pytest.approx(EDGES / 40**2, rel=0.01)
+    assert held.weights[4, 7, 7] == pytest.approx(EDGES)
+    assert held.weights[16, 16, 16] == pytest.approx(EDGES / (40 / METAL) ** 2, rel=0.05)
 
 
 def test_density_is_relative_to_that_of_most_voxels_that_hold_something():
