@@ -114,7 +114,7 @@ def rays_away_from_edges(dataset: Dataset, binned: bool = True) -> Rays:
     rows, columns = (n // binning for n in dataset.counts.shape[2:])
     count = int(np.clip(MOST_PIXELS // (rows * columns), 1, min(VIEWS, len(train))))
     spread = train[np.linspace(0, len(train), count, endpoint=False).astype(int)]
-    measured = read_measurements(dataset, spread).binned(binning)
+    measured = read_measurements(dataset, spread).summed(binning)
     inside = np.stack([_inside(measured, view) for view in range(count)])
     places = np.stack(np.nonzero(inside))
     view, row, column = places

@@ -56,29 +56,37 @@ class Measurements:
         some = replace(self, counts=counts, exposure=self.exposure[views], geometry=self.geometry[views])
         return replace(some, shares=shares)
 
-    def binned(self, factor: int) -> "Measurements":
-        """The same scan with `factor` x `factor` pixels as one, whose line integrals are the means of theirs.
+    def summed(self, factor: int) -> "Measurements":
+        """The same scan with `factor` x `factor` pixels as one, whose counts are the sums of theirs, as noisy as such.
 
-        Counts are summed, and the excess of a mean over a geometric mean is taken off (`recon.partial_volume`). Shares
-        are of pixels, and are left out.
+        Shares are of pixels, and are left out.
         """
         if factor == 1:
             return self
         geometry = self.geometry.binned(factor)  # refuses panels that do not divide
-        counts, air = _sum_blocks(self.counts, factor), self.gains * self.open_beam
-
-        def correct(view: int) -> None:
-            image, beam = np.asarray(self.counts[view]), air * self.exposure[view, :, None, None]
-            counts[view] *= np.exp(-excess_of_blocks(image, beam, factor))
-
-        _in_parallel(correct, self.counts)
-        gains = _sum_blocks(self.gains, factor)
+        counts, gains = (_sum_blocks(images, factor) for images in (self.counts, self.gains))
         coarse = replace(self, counts=counts, gains=gains, geometry=geometry, shares=None)
         if self.profile is None:
             return coarse
         coarse = replace(coarse, profile=_sum_blocks(self.profile, factor) / factor**2)
-        open_beam = _sum_blocks(air, factor)
+        open_beam = _sum_blocks(self.gains * self.open_beam, factor)
         return replace(coarse, gains=_ratio(open_beam, coarse.open_beam).astype(np.float32))
+
+    def binned(self, factor: int) -> "Measurements":
+        """The same as `summed`, but with line integrals that are the means of those of the pixels.
+
+        The excess of a mean over a geometric mean is taken off (`recon.partial_volume`).
+        """
+        if factor == 1:
+            return self
+        coarse, air = self.summed(factor), self.gains * self.open_beam
+
+        def correct(view: int) -> None:
+            image, beam = np.asarray(self.counts[view]), air * self.exposure[view, :, None, None]
+            coarse.counts[view] *= np.exp(-excess_of_blocks(image, beam, factor))
+
+        _in_parallel(correct, self.counts)
+        return coarse
 
     def without_partial_volume(self, store: ArrayStore = IN_MEMORY) -> "Measurements":
         """Counts as if each pixel were one ray, whose line integrals are the pixel's means; they live in `store`."""
