@@ -45,10 +45,12 @@ def view(
     """
     from phantomgen.view.options import point_of, size_of
     from phantomgen.view.output import check_outputs
+    from recon.stored_run import check_run_folder
     from recon.view.load import load_run
     from recon.view.output import chosen_bases, show
     from recon.view.surfaces import checked_levels, parse_levels
 
+    check_run_folder(run)
     check_outputs(screenshot, html, overwrite)
     pixels, chosen = size_of(size), parse_levels(levels)
     content = load_run(run, truth, point_of(at) if at else None)

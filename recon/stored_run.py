@@ -51,6 +51,20 @@ class StoredRun:
         return model.volume(grid).astype(np.float32)
 
 
+def check_run_folder(folder: Path) -> None:
+    """Refuse what is no run folder at a glance, before anything is read.
+
+    Raises
+    ------
+    DatasetError
+        When there is no such folder, or neither volumes nor a model are in it.
+    """
+    if not folder.is_dir():
+        raise DatasetError(f"there is no run folder {folder}; make one by recon fit")
+    if not ((folder / VOLUMES).is_file() or (folder / MODEL).is_file()):
+        raise DatasetError(f"{folder} is not a run folder: it has neither {VOLUMES} nor {MODEL}; make one by recon fit")
+
+
 def read_run(folder: Path) -> StoredRun:
     """Read a run folder; that of a fit that was interrupted has a model, whose volumes are computed here.
 
@@ -59,11 +73,8 @@ def read_run(folder: Path) -> StoredRun:
     DatasetError
         When it is not one, or what is in it was damaged or written by another version.
     """
-    if not folder.is_dir():
-        raise DatasetError(f"there is no run folder {folder}; make one by recon fit")
+    check_run_folder(folder)
     volumes, model = folder / VOLUMES, folder / MODEL
-    if not (volumes.is_file() or model.is_file()):
-        raise DatasetError(f"{folder} is not a run folder: it has neither {VOLUMES} nor {MODEL}; make one by recon fit")
     gaussians = Gaussians.load(model) if model.is_file() else None
     if volumes.is_file():
         grid, names, values = _read_volumes(volumes)

@@ -244,6 +244,8 @@ def test_what_cannot_be_shown_is_one_sentence(options, words, run, tmp_path, mon
     assert not Path(tmp_path / "v.html").exists()
 
 
-def test_a_folder_that_is_no_run_is_one_sentence(tmp_path):
-    result = command(tmp_path, "--screenshot", tmp_path / "v.png")
+def test_a_folder_that_is_no_run_is_one_sentence(tmp_path, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    assert "there is no run folder" in one_sentence(command(tmp_path / "nothing"))
+    result = command(tmp_path)
     assert "is not a run folder: it has neither volumes.h5 nor model.safetensors" in one_sentence(result)
