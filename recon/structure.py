@@ -11,9 +11,10 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter
 
 SMOOTHING = 0.7  # voxels; standard deviation of the Gaussian that tames noise before edges are looked for
-BACKGROUND = 0.1  # a voxel below this fraction of the typical signal is empty
+BACKGROUND = 0.1  # a voxel below this fraction of a large signal is empty
+LARGEST = 3.0  # times the typical signal; where metal is larger, that counts as large
 EDGE = 4.0  # a gradient this many times the median is an edge
-_DENSE, _FILLED = 0.9, 0.3  # for the typical density: voxels from that part of this quantile on hold something
+_FAINT = 0.02  # for the typical value, see there
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +44,7 @@ class Structure:
         smooth = np.einsum("nm,mzyx->nzyx", np.linalg.cholesky(fisher).T, volumes)
         smooth = np.stack([gaussian_filter(w, SMOOTHING) for w in smooth])
         signal = np.sqrt((smooth**2).sum(axis=0))
-        occupied = signal > BACKGROUND * np.percentile(signal, 99)
+        occupied = signal > BACKGROUND * min(np.percentile(signal, 99), LARGEST * _typical(signal))
         occupied = occupied if occupied.any() else np.ones_like(occupied)
         tensor = _products_of_gradients(smooth)
         gradient = np.sqrt(tensor[:3].sum(axis=0))
@@ -67,6 +68,16 @@ def _gradient(volume: Float[np.ndarray, "z y x"]) -> list[Float[np.ndarray, "z y
 def relative_density(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "z y x"]:
     """Sum of the coefficients of each voxel over that of a typical one that holds something; 1 where none does."""
     density = volumes.sum(axis=0)
-    filled = density[density > _FILLED * np.quantile(density, _DENSE)]
-    typical = float(np.median(filled)) if len(filled) else 0.0
+    typical = _typical(density)
     return density / typical if typical > 0 else np.ones_like(density)
+
+
+def _typical(values: Float[np.ndarray, "z y x"]) -> float:
+    """Median of what is there, however much emptiness is around and however dense a part of it is; 0 where all is empty.
+
+    There is what exceeds a small part of the value that half of the sum of all lies below.
+    """
+    ordered = np.sort(np.maximum(values, 0), axis=None)
+    below = np.cumsum(ordered, dtype=np.float64)
+    middle = ordered[np.searchsorted(below, below[-1] / 2)]
+    return float(np.median(ordered[np.searchsorted(ordered, _FAINT * middle) :])) if middle > 0 else 0.0

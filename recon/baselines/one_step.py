@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.ndimage import minimum_filter
 
 from phantomgen.grid import Grid
 from recon.baselines.grids import coarser, occupied, resampled, sharpened
@@ -125,7 +126,7 @@ def _descend(
     best, least, parts, metric = first, np.inf, min(settings.subsets, len(data)), None
     for i in range(passes):
         if metric is None or i in RENEWED:
-            metric = _metric(walk.volumes, data, inner, settings.dispersion)
+            metric = _metric(walk.volumes, data, inner, settings)
         deviance = _pass(walk, data, inner, settings, metric, parts)
         if not deviance < ASTRAY * least and parts > 1:
             walk = _Walk(best, np.zeros_like(walk.field))
@@ -169,23 +170,41 @@ def _pass(walk: _Walk, data: Measurements, grid: Grid, settings: OneStep, metric
 
 @dataclass(frozen=True)
 class _Metric:
-    """Inverse blocks of the surrogate; W of the total variation; steps of its dual."""
+    """Inverse blocks of the surrogate; W of the total variation; steps of its dual, and its bounds."""
 
     inverse: Float[np.ndarray, "pair z y x"]
     mixing: Float[np.ndarray, "basis basis"]
     steps: Float[np.ndarray, "z y x"]
+    bounds: Float[np.ndarray, "z y x"]
 
 
-def _metric(volumes: Volumes, data: Measurements, grid: Grid, dispersion: float) -> _Metric:
+def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep) -> _Metric:
     some = data[np.arange(0, len(data), CURVATURE_STEP).astype(int)]
     share = len(data) / len(some)
-    blocks, covariance = curvature(volumes, some, grid, dispersion)
+    blocks, covariance = curvature(volumes, some, grid, settings.dispersion)
     upper = np.triu_indices(len(volumes))
-    diagonal = share * blocks[upper[0] == upper[1]].mean(axis=(1, 2, 3))
+    own = blocks[upper[0] == upper[1]]
+    diagonal = share * own.mean(axis=(1, 2, 3))
     inverse = inverse_blocks(np.float32(share) * blocks, 1e-3 * diagonal + 1e-30)  # what no ray meets stays as it is
     ridge = (1e-12 * np.trace(covariance) + 1e-30) * np.eye(len(volumes))
     mixing = np.sqrt(share) * np.linalg.cholesky(covariance + ridge).T
-    return _Metric(inverse, mixing, 1 / neighbour_sums(_largest(inverse, mixing), grid))
+    bounds = np.float32(settings.strength) * _say(own, volumes.sum(axis=0))
+    return _Metric(inverse, mixing, 1 / neighbour_sums(_largest(inverse, mixing), grid), bounds)
+
+
+def _say(
+    curvatures: Float[np.ndarray, "basis z y x"], density: Float[np.ndarray, "z y x"]
+) -> Float[np.ndarray, "z y x"]:
+    """What differences of a voxel count in the total variation: root of the curvature over the typical one, at most 1.
+
+    A total variation that counts as much where rays know little would rule there: in thick metal it would exchange
+    photoelectric absorption for Compton scattering until their edges were least. Of a voxel and its neighbours, the
+    least counts.
+    """
+    weights = density / density.sum() if density.any() else np.full_like(density, 1 / density.size)
+    typical = np.einsum("bzyx,zyx->b", curvatures, weights)
+    relative = (curvatures / np.maximum(typical, 1e-30)[:, None, None, None]).mean(axis=0)
+    return minimum_filter(np.sqrt(np.minimum(relative, 1)), 3)
 
 
 def _largest(inverse: Float[np.ndarray, "pair z y x"], mixing: Float[np.ndarray, "basis basis"]) -> np.ndarray:
@@ -210,7 +229,7 @@ def _proximal(
         return positive_step(point, metric.inverse, gradient)
     new = positive_step(point, metric.inverse, gradient + pull(field, metric.mixing, grid))
     for _ in range(settings.dual_steps):
-        ascend(field, new, metric.mixing, grid, metric.steps, settings.strength)
+        ascend(field, new, metric.mixing, grid, metric.steps, metric.bounds)
         new = positive_step(point, metric.inverse, gradient + pull(field, metric.mixing, grid))
     return new
 

@@ -147,6 +147,7 @@ class _Problem:
         rows = forward(np.ones((1, *grid.shape), np.float32), geometry, grid)[0]
         size = _gradient_noise(rows, geometry, grid)
         ones = np.ones(grid.shape, np.float32)
+        self.radii = settings.strength * ones
         if weights.ndim == 2:
             ramp = _ramp(measured.shape[-1])
             largest = NORM_MARGIN * _filtered_norm(ramp, geometry, grid)
@@ -175,7 +176,7 @@ class _Problem:
         images = forward(new, self.geometry, self.grid)
         rays = self.weights.toward(state.rays, 2 * images - state.images, self.measured)
         field = state.field.copy()
-        ascend(field, 2 * new - state.volumes, self.mixing, self.grid, self.field_steps, self.strength)
+        ascend(field, 2 * new - state.volumes, self.mixing, self.grid, self.field_steps, self.radii)
         pulls = transpose(rays, self.geometry, self.grid) + pull(field, self.mixing, self.grid)
         reached = _State(new, images, rays, field, pulls)
         state.move(reached, self.relaxation)

@@ -99,3 +99,10 @@ def test_grids_of_one_voxel_along_an_axis(shape):
 
 def test_one_basis():
     assert start(ball(GRID)[:1], fisher=FISHER[:1, :1]).coefficients.shape[1] == 1
+
+
+def test_soft_tissue_is_filled_beside_metal():
+    body, metal = ball(GRID, 10.0), ball(GRID, 5.0, (1.0, 0.2))
+    centres = start(np.maximum(body, metal)).centres.numpy()
+    soft = np.argwhere((ball(GRID, 9.0)[0] > 0) & (ball(GRID, 6.0)[0] == 0)) + np.array(GRID.origin)
+    assert cKDTree(centres).query(soft[:, ::-1])[0].max() < 5.0

@@ -47,22 +47,27 @@ def total_variation(volumes: Volumes, mixing: Mixing, grid: Grid) -> float:
 
 
 def ascend(
-    field: Field, volumes: Volumes, mixing: Mixing, grid: Grid, steps: Float[np.ndarray, "z y x"], radius: float
-):
-    """Move a field, in place, by `steps` times W D x, and back into the ball of a radius around 0 in each voxel.
+    field: Field,
+    volumes: Volumes,
+    mixing: Mixing,
+    grid: Grid,
+    steps: Float[np.ndarray, "z y x"],
+    radii: Float[np.ndarray, "z y x"],
+) -> None:
+    """Move a field, in place, by `steps` times W D x, and back into the ball of each voxel's radius around 0.
 
     Parameters
     ----------
     field : p of every voxel, float32
     volumes, mixing, grid : x, W and the voxels
     steps : length of the step of each voxel
-    radius : largest |p|
+    radii : largest |p| of each voxel, what its differences count in the total variation
     """
-    volumes, mixing, steps = _plain(volumes), _plain(mixing), _plain(steps)
+    volumes, mixing, steps, radii = _plain(volumes), _plain(mixing), _plain(steps), _plain(radii)
 
     def slab(first: int, last: int) -> None:
         room = np.empty((2, 3, *volumes.shape[::3]), np.float32)
-        cpu.ascend(field, volumes, mixing, _scales(grid), steps, np.float32(radius), first, last, room)
+        cpu.ascend(field, volumes, mixing, _scales(grid), steps, radii, first, last, room)
 
     _over_slabs(slab, field.shape[2])
 

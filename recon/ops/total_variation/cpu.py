@@ -65,7 +65,7 @@ def total_variation(volumes, mixing, scales, first, last, room, parts):
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 @no_type_check
-def ascend(field, volumes, mixing, scales, steps, radius, first, last, room):
+def ascend(field, volumes, mixing, scales, steps, radii, first, last, room):
     """Move the field of some slices and project it on balls; `room` is (2, axis, basis, x)."""
     plain, mixed = room[0], room[1]
     one = np.float32(1.0)
@@ -83,6 +83,7 @@ def ascend(field, volumes, mixing, scales, steps, radius, first, last, room):
                         mixed[axis, m, x] = moved
                         squares[x] += moved * moved
             for x in range(volumes.shape[3]):
+                radius = radii[z, y, x]
                 squares[x] = radius / max(radius, np.sqrt(squares[x])) if radius > 0.0 else np.float32(0.0)
             for axis in range(3):
                 for m in range(volumes.shape[0]):

@@ -38,7 +38,7 @@ def test_value_is_that_of_the_formula(shape, bases):
 def test_ascending_from_zero_without_bound_gives_mixed_differences(shape, bases):
     volumes, mixing, grid = some_problem(shape, bases)
     field, steps = np.zeros((3, *volumes.shape), np.float32), np.full(shape, 0.5, np.float32)
-    ascend(field, volumes, mixing, grid, steps, 1e6)
+    ascend(field, volumes, mixing, grid, steps, np.full(shape, 1e6))
     right = 0.5 * np.einsum("mn,anzyx->amzyx", mixing, differences(torch.tensor(volumes), scales_of(grid)))
     np.testing.assert_allclose(field, right, atol=1e-5)
 
@@ -58,7 +58,7 @@ def test_the_field_that_ascent_finds_attains_the_total_variation():
     """TV(x) = max <p, W D x> over |p| <= 1."""
     volumes, mixing, grid = some_problem()
     field = np.zeros((3, *volumes.shape), np.float32)
-    ascend(field, volumes, mixing, grid, np.full(grid.shape, 1e6, np.float32), 1.0)
+    ascend(field, volumes, mixing, grid, np.full(grid.shape, 1e6), np.ones(grid.shape))
     assert np.sqrt((field.astype(float) ** 2).sum(axis=(0, 1))).max() <= 1 + 1e-6
     attained = np.vdot(pull(field, mixing, grid), volumes)
     assert attained == pytest.approx(total_variation(volumes, mixing, grid), rel=1e-4)
@@ -67,8 +67,16 @@ def test_the_field_that_ascent_finds_attains_the_total_variation():
 def test_a_radius_of_zero_ends_the_field():
     volumes, mixing, grid = some_problem()
     field = np.ones((3, *volumes.shape), np.float32)
-    ascend(field, volumes, mixing, grid, np.ones(grid.shape, np.float32), 0.0)
+    ascend(field, volumes, mixing, grid, np.ones(grid.shape), np.zeros(grid.shape))
     assert not field.any()
+
+
+def test_each_voxel_has_its_own_radius():
+    volumes, mixing, grid = some_problem()
+    field, radii = np.zeros((3, *volumes.shape), np.float32), np.random.default_rng(1).uniform(0.1, 2, grid.shape)
+    ascend(field, volumes, mixing, grid, np.full(grid.shape, 1e6), radii)
+    lengths = np.sqrt((field.astype(float) ** 2).sum(axis=(0, 1)))
+    np.testing.assert_allclose(lengths[:-1, :-1, :-1], radii[:-1, :-1, :-1], rtol=1e-5)
 
 
 def test_constant_volumes_have_none():
@@ -94,7 +102,7 @@ def test_any_number_of_threads_gives_the_same_bits():
         for threads in (1, 3):
             set_threads(threads)
             field = np.zeros((3, *volumes.shape), np.float32)
-            ascend(field, volumes, mixing, grid, np.ones(grid.shape, np.float32), 1.0)
+            ascend(field, volumes, mixing, grid, np.ones(grid.shape), np.ones(grid.shape))
             results.append((field, pull(field, mixing, grid), total_variation(volumes, mixing, grid)))
     finally:
         set_threads(None)
