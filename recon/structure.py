@@ -73,7 +73,7 @@ def relative_density(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndar
 
 
 def _typical(values: Float[np.ndarray, "z y x"]) -> float:
-    """Median of what is there, however much emptiness is around and however dense a part of it is; 0 where all is empty.
+    """Median of what is there, however much is empty and however dense a part is; 0 where all is empty.
 
     There is what exceeds a small part of the value that half of the sum of all lies below.
     """

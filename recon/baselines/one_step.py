@@ -36,6 +36,7 @@ from spectra.threads import without_other_pools
 CURVATURE_STEP = 3.236  # views between two that give the curvature; it meets every period of tube voltages
 ASTRAY = 1.5  # times the least deviance of a pass
 RENEWED = (0, 3)  # passes of a level before which the curvature is computed
+UNMET = 1e-4  # of the mean curvature; voxels that no ray meets stay as they are, those in thick metal have little more
 
 Volumes = Float[np.ndarray, "basis z y x"]
 
@@ -185,7 +186,7 @@ def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep)
     upper = np.triu_indices(len(volumes))
     own = blocks[upper[0] == upper[1]]
     diagonal = share * own.mean(axis=(1, 2, 3))
-    inverse = inverse_blocks(np.float32(share) * blocks, 1e-3 * diagonal + 1e-30)  # what no ray meets stays as it is
+    inverse = inverse_blocks(np.float32(share) * blocks, UNMET * diagonal + 1e-30)
     ridge = (1e-12 * np.trace(covariance) + 1e-30) * np.eye(len(volumes))
     mixing = np.sqrt(share) * np.linalg.cholesky(covariance + ridge).T
     bounds = np.float32(settings.strength) * _say(own, volumes.sum(axis=0))
