@@ -1,11 +1,12 @@
 """What each part of a fit is worth: one change at a time, error and processor time.
 
-    python benchmarks/levers.py [metal] [WORD ...]
+    python benchmarks/levers.py [metal | implant] [WORD ...]
 
-Fits of `tuning.yaml`, the scene on which recipes were chosen, or of `tuning_metal.yaml`; rows whose name is one of the
-words, or has it after the recipe's name; all where there are none. Scores are PSNR [dB] of the basis volumes; times are
-processor time of both threads from reading to the last step, so that they do not depend on what else the machine does.
-Rows take the place of those in `results/levers.txt` or `results/levers_metal.txt`.
+Fits of `tuning.yaml`, the scene on which recipes were chosen, of `tuning_metal.yaml` or `tuning_implant.yaml`; rows
+whose name is one of the words, or has it after the recipe's name; all where there are none. Scores are PSNR [dB] of the
+basis volumes; times are processor time of both threads from reading to the last step, so that they do not depend on
+what else the machine does. Rows take the place of those in `results/levers.txt`, `results/levers_metal.txt` or
+`results/levers_implant.txt`.
 """
 
 import platform
@@ -31,7 +32,7 @@ from recon.scoring import psnr_of_bases
 from spectra.threads import thread_count
 
 FOLDER = Path(__file__).parent
-METAL = "metal"  # first word for the scene with steel
+OTHERS = ("metal", "implant")  # first word for the scenes with thin and with thick metal
 NAMED = 66  # characters of a row for its lever
 HEADER = f"{'lever':<66}PE     Compton  K edge  CPU s  Gaussians"
 
@@ -68,6 +69,10 @@ UNCORRECTED = ("recon.measurements.excess_of_pixels", lambda counts, air: 0.0)
 UNEVEN = ("recon.measurements.even_shares", lambda counts, air: 1.0)
 EVEN_PACE = ("recon.baselines.voxel_likelihood.relative_density", lambda volumes: np.ones_like(volumes[0]))
 NO_DENSITY = ("recon.anchor.relative_density", lambda volumes: np.ones_like(volumes[0]))
+EVEN_SAY = ("recon.baselines.one_step._say", lambda curvatures, density: np.ones_like(density))
+HELD_BACK = ("recon.baselines.one_step.UNMET", 1e-3)
+AT_POINTS = ("recon.baselines.voxel_likelihood.between_boxes", lambda volumes: volumes)
+UP_TO_METAL = ("recon.structure.LARGEST", np.inf)
 UNSHARPENED = ("recon.baselines.one_step.sharpened", lambda volumes: volumes)
 
 LEVERS = (
@@ -78,6 +83,10 @@ LEVERS = (
     fast("partial volume of single pixels left in", UNCORRECTED),
     fast("every ray with the say of its counts", UNEVEN),
     fast("dense voxels at the pace of others", EVEN_PACE),
+    fast("voxels are points between which is interpolated, not boxes", AT_POINTS),
+    fast("total variation with the same say everywhere", EVEN_SAY),
+    fast("steps held back where rays know less than a thousandth", HELD_BACK),
+    fast("empty is what has less than a tenth of the densest", UP_TO_METAL),
     fast("bases count by the rays' information as Gaussians follow", BY_INFORMATION),
     fast("Gaussians do not follow the voxels first", approximation=1),
     fast("Gaussians follow the voxels, and are not fitted", stages=(Stage(0.5, 1e-9),)),
@@ -125,7 +134,7 @@ def row_of(lever: Lever, dataset: Dataset) -> str:
 
 
 def main(words: list[str]) -> None:
-    suffix = f"_{METAL}" if words[:1] == [METAL] else ""
+    suffix = f"_{words[0]}" if words and words[0] in OTHERS else ""
     words = words[1:] if suffix else words
     scan = phantomgen.load(FOLDER / f"tuning{suffix}.yaml")
     table = FOLDER / "results" / f"levers{suffix}.txt"

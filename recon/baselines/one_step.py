@@ -6,7 +6,8 @@ with blocks that mix the bases, and Nesterov's momentum, which restarts where it
 and x >= 0 are met in the metric of the surrogate, by a few steps on the dual that begin where the last ones ended.
 Coarse voxels come first, with pixels summed to match, so that no other reconstruction is needed to start from; their
 edges are made steeper before finer voxels take over, which spares those most of their passes. Rays close to each other
-get the same say, as voxels cannot tell them apart (`recon.partial_volume`). Memory grows with voxels, not with views:
+get the same say, as voxels cannot tell them apart (`recon.partial_volume`), and the total variation has less of it
+where rays know little, as behind thick metal. Memory grows with voxels, not with views:
 some 40 volumes of 32-bit numbers for three bases.
 
 References
@@ -36,6 +37,7 @@ from spectra.threads import without_other_pools
 CURVATURE_STEP = 3.236  # views between two that give the curvature; it meets every period of tube voltages
 ASTRAY = 1.5  # times the least deviance of a pass
 RENEWED = (0, 3)  # passes of a level before which the curvature is computed
+LITTLE = 0.25  # of the typical curvature; below it the total variation counts less, in proportion
 UNMET = 1e-4  # of the mean curvature; voxels that no ray meets stay as they are, those in thick metal have little more
 
 Volumes = Float[np.ndarray, "basis z y x"]
@@ -196,16 +198,16 @@ def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep)
 def _say(
     curvatures: Float[np.ndarray, "basis z y x"], density: Float[np.ndarray, "z y x"]
 ) -> Float[np.ndarray, "z y x"]:
-    """What differences of a voxel count in the total variation: root of the curvature over the typical one, at most 1.
+    """What differences of a voxel count in the total variation: 1, and less where curvature is far below the typical.
 
-    A total variation that counts as much where rays know little would rule there: in thick metal it would exchange
-    photoelectric absorption for Compton scattering until their edges were least. Of a voxel and its neighbours, the
-    least counts.
+    What a total variation takes off an edge is its weight over what rays know. One that counts as much where they know
+    little would rule there: in thick metal it would exchange photoelectric absorption for Compton scattering until
+    their edges were least. Of a voxel and its neighbours, the least counts.
     """
     weights = density / density.sum() if density.any() else np.full_like(density, 1 / density.size)
     typical = np.einsum("bzyx,zyx->b", curvatures, weights)
     relative = (curvatures / np.maximum(typical, 1e-30)[:, None, None, None]).mean(axis=0)
-    return minimum_filter(np.sqrt(np.minimum(relative, 1)), 3)
+    return minimum_filter(np.minimum(relative / LITTLE, 1), 3)
 
 
 def _largest(inverse: Float[np.ndarray, "pair z y x"], mixing: Float[np.ndarray, "basis basis"]) -> np.ndarray:

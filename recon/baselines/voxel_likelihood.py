@@ -13,6 +13,7 @@ from recon.measurements import Measurements
 from recon.ops.likelihood import likelihood
 from recon.ops.positive_step import as_matrices
 from recon.structure import relative_density
+from spectra.threads import run_parallel
 
 VIEWS_AT_ONCE = 16  # bounds what is kept of projections
 _WIDER = 1 / 24  # half of the variance that a hat function has over a box [voxels^2]
@@ -88,9 +89,20 @@ def curvature(
 
 def between_boxes(volumes: Volumes) -> Volumes:
     """Values whose interpolation by hat functions has the second moment of boxes; a symmetric matrix."""
-    for axis in (1, 2, 3):
-        volumes = correlate1d(volumes, (-_WIDER, 1 + 2 * _WIDER, -_WIDER), axis=axis, mode="nearest")
-    return volumes
+    out = np.empty_like(volumes)
+
+    def sharpen(basis: int) -> None:
+        between = np.empty_like(out[basis])
+        for source, target, axis in (
+            (volumes[basis], out[basis], 0),
+            (out[basis], between, 1),
+            (between, out[basis], 2),
+        ):
+            correlate1d(source, (-_WIDER, 1 + 2 * _WIDER, -_WIDER), axis=axis, output=target, mode="nearest")
+
+    for _ in run_parallel(sharpen, range(len(volumes))):
+        pass
+    return out
 
 
 def forward(volumes: Volumes, geometry: Geometry, grid: Grid) -> Float[np.ndarray, "basis view row column"]:
