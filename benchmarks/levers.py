@@ -71,7 +71,6 @@ EVEN_PACE = ("recon.baselines.voxel_likelihood.relative_density", lambda volumes
 NO_DENSITY = ("recon.anchor.relative_density", lambda volumes: np.ones_like(volumes[0]))
 EVEN_SAY = ("recon.baselines.one_step._say", lambda curvatures, density: np.ones_like(density))
 HELD_BACK = ("recon.baselines.one_step.UNMET", 1e-3)
-AT_POINTS = ("recon.baselines.voxel_likelihood.between_boxes", lambda volumes: volumes)
 UP_TO_METAL = ("recon.structure.LARGEST", np.inf)
 UNSHARPENED = ("recon.baselines.one_step.sharpened", lambda volumes: volumes)
 
@@ -83,7 +82,6 @@ LEVERS = (
     fast("partial volume of single pixels left in", UNCORRECTED),
     fast("every ray with the say of its counts", UNEVEN),
     fast("dense voxels at the pace of others", EVEN_PACE),
-    fast("voxels are points between which is interpolated, not boxes", AT_POINTS),
     fast("total variation with the same say everywhere", EVEN_SAY),
     fast("steps held back where rays know less than a thousandth", HELD_BACK),
     fast("empty is what has less than a tenth of the densest", UP_TO_METAL),

@@ -4,7 +4,7 @@ import numpy as np
 from gaussian_scenes import NAMES, circular, spectral_model
 
 from phantomgen.grid import Grid
-from recon.baselines.voxel_likelihood import between_boxes, forward
+from recon.baselines.voxel_likelihood import forward
 from recon.measurements import Measurements
 
 SIZE = 12.0  # edge of the volume [mm]
@@ -22,7 +22,7 @@ def voxel_scan(truth, grid, views=12, pixels=16, seed=None, photons=1e5, geometr
     """Measurements of volumes: expected counts, or Poisson counts with a seed."""
     geometry = circular(pixels, pixels, views) if geometry is None else geometry
     model = spectral_model(len(truth), channels, photons)
-    lengths = np.moveaxis(forward(between_boxes(truth), geometry, grid), 0, -1).astype(float)
+    lengths = np.moveaxis(forward(truth, geometry, grid), 0, -1).astype(float)
     counts = np.moveaxis(model.expected(lengths), -1, 1)
     if seed is not None:
         counts = np.random.default_rng(seed).poisson(counts)

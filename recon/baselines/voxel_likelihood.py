@@ -4,7 +4,6 @@ from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float
-from scipy.ndimage import correlate1d
 
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
@@ -13,10 +12,8 @@ from recon.measurements import Measurements
 from recon.ops.likelihood import likelihood
 from recon.ops.positive_step import as_matrices
 from recon.structure import relative_density
-from spectra.threads import run_parallel
 
 VIEWS_AT_ONCE = 16  # bounds what is kept of projections
-_WIDER = 1 / 24  # half of the variance that a hat function has over a box [voxels^2]
 
 Volumes = Float[np.ndarray, "basis z y x"]
 
@@ -26,23 +23,19 @@ def deviance_and_gradient(
 ) -> tuple[float, Volumes]:
     """Deviance of the counts of some views, and the gradient of half of it.
 
-    Voxels are averages over boxes. The projector takes values between which it interpolates, and so would blur an edge
-    once more: voxels made up for that, thin metal by a third too much. So it gets values that are as much sharper.
-
     Parameters
     ----------
-    volumes : coefficients, means over voxels [1/mm]
+    volumes : coefficients [1/mm]
     measurements : views that count
     grid : grid of `volumes`
     dispersion : relative model error; the variance is Y + (dispersion Y)^2
     """
     total, gradient = 0.0, np.zeros_like(volumes, dtype=np.float32)
-    values = between_boxes(volumes)
     for some in _portions(measurements):
-        deviances, pulls, _ = _likelihood(forward(values, some.geometry, grid), some, dispersion, False)
+        deviances, pulls, _ = _likelihood(forward(volumes, some.geometry, grid), some, dispersion, False)
         total += float(deviances.sum())
         gradient += transpose(pulls, some.geometry, grid)
-    return total, between_boxes(gradient)
+    return total, gradient
 
 
 def curvature(
@@ -52,8 +45,7 @@ def curvature(
 
     With a_ri the length of ray r in voxel i, F_r the Fisher matrix of the ray's line integrals and s_i the pace of
     voxel i, its block is sum_r a_ri (sum_j a_rj s_j) F_r / s_i: steps by its inverse descend and do not depend on the
-    basis. It is that of the values the projector takes; what makes these sharper than voxels (`deviance_and_gradient`)
-    rays blur again.
+    basis.
     Voxels that are denser than most go faster, in proportion, or else small pieces of metal would be the last to
     converge. Where counts are noisy, the gradient of voxel i has the covariance sum_r a_ri^2 F_r; what comes back is
     its mean over voxels, each weighted by its attenuation. Along a ray, the sum of a_ri^2 is taken to be in proportion
@@ -85,24 +77,6 @@ def curvature(
         whole, squares = whole + through.sum(dtype=np.float64), squares + np.square(signs).sum(dtype=np.float64)
     attenuation = float(np.prod(grid.shape)) if empty else volumes.sum(dtype=np.float64)
     return blocks / paces, as_matrices(weighted * squares / (max(whole, 1e-30) * attenuation))
-
-
-def between_boxes(volumes: Volumes) -> Volumes:
-    """Values whose interpolation by hat functions has the second moment of boxes; a symmetric matrix."""
-    out = np.empty_like(volumes)
-
-    def sharpen(basis: int) -> None:
-        between = np.empty_like(out[basis])
-        for source, target, axis in (
-            (volumes[basis], out[basis], 0),
-            (out[basis], between, 1),
-            (between, out[basis], 2),
-        ):
-            correlate1d(source, (-_WIDER, 1 + 2 * _WIDER, -_WIDER), axis=axis, output=target, mode="nearest")
-
-    for _ in run_parallel(sharpen, range(len(volumes))):
-        pass
-    return out
 
 
 def forward(volumes: Volumes, geometry: Geometry, grid: Grid) -> Float[np.ndarray, "basis view row column"]:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from voxel_scenes import balls, voxel_scan
 
-from recon.baselines.voxel_likelihood import between_boxes, curvature, deviance_and_gradient, forward
+from recon.baselines.voxel_likelihood import curvature, deviance_and_gradient, forward
 from recon.ops.positive_step import as_matrices
 
 
@@ -24,18 +24,6 @@ def test_gradient_agrees_with_differences_of_the_deviance(dispersion):
         slope = (ends[0] - ends[1]) / (2 * float(step))
         steepest = float(np.linalg.norm(gradient) * np.linalg.norm(way))
         assert slope == pytest.approx(np.vdot(gradient.astype(float), way), rel=2e-3, abs=1e-4 * steepest)
-
-
-def test_a_box_in_voxels_is_seen_as_wide_as_it_is():
-    size, width = 31, 3
-    truth = np.zeros((1, size, size, size), np.float32)
-    middle = slice((size - width) // 2, (size + width) // 2)
-    truth[0, middle, middle, middle] = 1
-    profile = between_boxes(truth).sum(axis=(0, 1, 2), dtype=float)
-    places = np.arange(size) - size // 2
-    hat = 1 / 6
-    assert profile.sum() == pytest.approx(width**3, rel=1e-5)
-    assert profile @ places**2 / profile.sum() + hat == pytest.approx(width**2 / 12, abs=1e-4)
 
 
 def test_views_at_once_make_no_difference(monkeypatch):
