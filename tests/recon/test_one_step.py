@@ -173,7 +173,7 @@ def test_total_variation_has_little_say_where_hardly_a_photon_arrives(monkeypatc
     """An even one would exchange the bases of what is opaque to all channels but one."""
     truth, grid = balls(voxels=24, bases=2)
     truth[0, 8:16, 8:16, 8:16], truth[1, 8:16, 8:16, 8:16] = 2.0, 0.5
-    scan = voxel_scan(truth, grid, views=24, pixels=32, geometry=circular(32, 32, 24, 0.75), seed=1)
+    scan = voxel_scan(truth, grid, photons=2e4, geometry=circular(32, 32, 24, 0.75), seed=1)
     inside = np.s_[0, 10:14, 10:14, 10:14]
     assert OneStep().reconstruct_counts(scan, grid)[inside].mean() > 0.8 * 2.0
     monkeypatch.setattr("recon.baselines.one_step._say", lambda curvatures, density: np.ones_like(density))
