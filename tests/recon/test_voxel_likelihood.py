@@ -22,8 +22,7 @@ def test_gradient_agrees_with_differences_of_the_deviance(dispersion):
         step = np.float32(2e-4)
         ends = [deviance_and_gradient(volumes + s * step * way, scan, grid, dispersion)[0] / 2 for s in (1, -1)]
         slope = (ends[0] - ends[1]) / (2 * float(step))
-        steepest = float(np.linalg.norm(gradient) * np.linalg.norm(way))
-        assert slope == pytest.approx(np.vdot(gradient.astype(float), way), rel=2e-3, abs=1e-4 * steepest)
+        assert slope == pytest.approx(np.vdot(gradient.astype(float), way), rel=2e-3)
 
 
 def test_views_at_once_make_no_difference(monkeypatch):
