@@ -1,12 +1,12 @@
 """What each part of a fit is worth: one change at a time, error and processor time.
 
-    python benchmarks/levers.py [metal | implant] [WORD ...]
+    python benchmarks/levers.py [upright | metal | implant] [WORD ...]
 
-Fits of `tuning.yaml`, the scene on which recipes were chosen, of `tuning_metal.yaml` or `tuning_implant.yaml`; rows
-whose name is one of the words, or has it after the recipe's name; all where there are none. Scores are PSNR [dB] of the
-basis volumes; times are processor time of both threads from reading to the last step, so that they do not depend on
-what else the machine does. Rows take the place of those in `results/levers.txt`, `results/levers_metal.txt` or
-`results/levers_implant.txt`.
+Fits of `tuning.yaml`, the scene on which recipes were chosen, or of one of its siblings, `tuning_upright.yaml` and so
+on; rows whose name is one of the words, or has it after the recipe's name; all where there are none. Scores are PSNR
+[dB] of the basis volumes; times are processor time of both threads from reading to the last step, so that they do not
+depend on what else the machine does. Rows take the place of those in `results/levers.txt`, `results/levers_upright.txt`
+and so on.
 """
 
 import platform
@@ -32,7 +32,7 @@ from recon.scoring import psnr_of_bases
 from spectra.threads import thread_count
 
 FOLDER = Path(__file__).parent
-OTHERS = ("metal", "implant")  # first word for the scenes with thin and with thick metal
+OTHERS = ("upright", "metal", "implant")  # flat sides on faces of voxels; thin metal; thick metal
 NAMED = 66  # characters of a row for its lever
 HEADER = f"{'lever':<66}PE     Compton  K edge  CPU s  Gaussians"
 
@@ -89,14 +89,15 @@ LEVERS = (
     fast("Gaussians do not follow the voxels first", approximation=1),
     fast("Gaussians follow the voxels, and are not fitted", stages=(Stage(0.5, 1e-9),)),
     fast("no prior after the start", prior=1e-9),
-    fast("prior as strong along edges", ("recon.anchor.EDGES", 1.0)),
-    fast("pixels summed to the size of voxels", stages=(Stage(1.0, 1.0),)),
-    fast("pixels summed first", stages=(Stage(1.0, 0.5), Stage(0.5, 0.5))),
+    fast("prior as strong along edges", prior_along_edges=1.0),
+    fast("prior a tenth as strong along edges", prior_along_edges=0.03),
+    fast("pixels as small as half a voxel", stages=(Stage(0.5, 1.0),)),
     fast("four times the rates of the geometry, falling to 0.05", centre_rate=0.02, shape_rate=0.005, final_rate=0.05),
     fast("weights of pure Poisson noise", dispersion=0.0),
     fast("coefficients alone, geometry held", **HELD),
     fast("coefficients without momentum", momentum=0.0),
-    fast("1 view per step", views_per_step=1),
+    fast("half as many evaluations as Gaussians follow", approximation=20),
+    fast("2 views per step", views_per_step=2),
     fast("more Gaussians, spacing 1.0", spacing=1.0),
     fast("fewer Gaussians, spacing 1.5", spacing=1.5),
     Lever("best", BEST),
@@ -105,6 +106,7 @@ LEVERS = (
     best("2 views per step", views_per_step=2),
     best("3 sweeps", stages=(Stage(0.5, 3.0),)),
     best("fewer Gaussians, spacing 1.2", spacing=1.2),
+    best("prior three times as strong along edges", prior_along_edges=0.1),
     best("prior as strong at metal as along other edges", NO_DENSITY),
 )
 

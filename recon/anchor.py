@@ -4,9 +4,8 @@ The likelihood alone lets neighbouring Gaussians trade coefficients against each
 Compton, and as ripples where few rays look along a face. Voxels with a joint total variation
 (`recon.baselines.one_step`) know better there, while Gaussians know better where edges lie. So the fit minimises half
 the deviance plus half the squared distance of its volumes from those voxels, weighted by the information that the data
-have about the coefficients, averaged over all Gaussians, times a strength. Along edges, which voxels blur, only a small
-part of that weight counts, and next to none at metal: voxels err in proportion to what they hold, and rays know little
-of it.
+have about the coefficients, averaged over all Gaussians, times a strength. Along edges, which voxels blur, only a part of
+that weight counts, and next to none at metal: voxels err in proportion to what they hold, and rays know little of it.
 """
 
 from dataclasses import dataclass
@@ -19,11 +18,11 @@ from torch import Tensor
 
 from phantomgen.grid import Grid
 from recon.gaussians import Gaussians
-from recon.ops.voxelize import voxelize_tensor
+from recon.ops.voxelize import mass_within, voxelize_tensor
 from recon.structure import Structure, relative_density
 
-SLABS = 4  # parts of the volume that take turns, one each step
-EDGES = 0.03  # weight on an edge over that far from all of them
+CUTOFF = 3.5  # standard deviations
+SLABS = 8  # parts of the volume that take turns, one each step
 METAL = 3.0  # times the typical density; beyond it the weight on edges falls with the square of the density
 _STRIDE = 3  # so that slabs which follow each other do not touch
 _BESIDE = 3  # voxels across that an edge reaches
@@ -53,6 +52,7 @@ class Anchor:
         grid: Grid,
         fisher: Float[np.ndarray, "basis basis"],
         strength: float,
+        along: float,
     ) -> "Anchor":
         """Volumes to be trusted where they have no edges.
 
@@ -62,10 +62,11 @@ class Anchor:
         grid : their voxels
         fisher : mean Fisher matrix of the rays' line integrals, in whose noise edges are measured
         strength : information of the prior over that of the data
+        along : weight on an edge over that far from all of them
         """
         edge = maximum_filter(np.clip(Structure.of(volumes, fisher).strength, 0, 1), size=_BESIDE)
         dense = maximum_filter(np.maximum(relative_density(volumes) / METAL, 1), size=_BESIDE)
-        return cls(volumes, grid, strength, np.maximum(1 - edge, EDGES / dense**2).astype(np.float32))
+        return cls(volumes, grid, strength, np.maximum(1 - edge, along / dense**2).astype(np.float32))
 
     def curvature(
         self, gaussians: Gaussians, blocks: Float[Tensor, "gaussian basis basis"]
@@ -102,8 +103,8 @@ class Anchor:
         first, last = k * depth // slabs, (k + 1) * depth // slabs
         slab = self.grid.slices(first, last - first)
         found = voxelize_tensor(
-            gaussians.centres, gaussians.log_scales, gaussians.quaternions, gaussians.coefficients, slab
+            gaussians.centres, gaussians.log_scales, gaussians.quaternions, gaussians.coefficients, slab, cutoff=CUTOFF
         )
-        away = found.detach() - torch.from_numpy(self.volumes[:, first:last]).to(found)
+        away = found.detach() - mass_within(CUTOFF) * torch.from_numpy(self.volumes[:, first:last]).to(found)
         away *= torch.from_numpy(self.weights[first:last]).to(found)
         found.backward(torch.einsum("mn,nzyx->mzyx", slabs * weight, away))

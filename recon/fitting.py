@@ -174,7 +174,8 @@ def _project_step(
 ) -> None:
     """Heavy-ball step, in place, that ends at non-negative coefficients."""
     moved = coefficients + momentum * velocity - (1 - momentum) * rate * pull
-    moved = _nearest_non_negative(moved, inverse)
+    outside = (moved < 0).any(dim=1)
+    moved[outside] = _nearest_non_negative(moved[outside], inverse[outside])
     velocity.copy_(moved - coefficients)
     coefficients.copy_(moved)
 

@@ -115,7 +115,9 @@ def reconstruct(
     else:
         state, volumes = None, np.zeros((len(measured.basis_names), *grid.shape), np.float32)
     state, volumes = _shared(state, processes).to(place), processes.from_first(volumes)
-    anchor = Anchor.off_edges(*_filled_part(volumes, grid), fisher, recipe.prior) if recipe.prior else None
+    anchor = None
+    if recipe.prior:
+        anchor = Anchor.off_edges(*_filled_part(volumes, grid), fisher, recipe.prior, recipe.prior_along_edges)
     with stage("fit"):
         gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, processes, anchor, store)
     name = _starting(measured, grid, recipe).name

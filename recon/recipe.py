@@ -67,6 +67,7 @@ class Recipe:
     curvature_sweeps: float = 2.0
     warm_up: float = 0.0
     prior: float = 0.3
+    prior_along_edges: float = 0.03
     seed: int = 0
     held_out: int = 0
 
@@ -81,7 +82,17 @@ class Recipe:
             raise InputError("a recipe needs at least one stage")
 
 
-FAST = Recipe(name="fast", dispersion=0.02, centre_rate=0.005, shape_rate=0.00125, final_rate=0.3)
+FAST = Recipe(
+    name="fast",
+    stages=(Stage(1.0, 1.0),),
+    views_per_step=1,
+    approximation=40,
+    dispersion=0.02,
+    centre_rate=0.005,
+    shape_rate=0.00125,
+    final_rate=0.3,
+    prior_along_edges=0.3,
+)
 BEST = Recipe(
     name="best",
     stages=(Stage(0.5, 4.0),),

@@ -14,7 +14,7 @@ from safetensors.numpy import load_file
 from tiny_scans import make, one_sentence
 
 from recon.cli import main as recon
-from recon.recipe import Recipe
+from recon.recipe import RECIPES
 from spectra.threads import set_threads
 
 VOXELS, PIXELS, VIEWS = 16, 32, 9
@@ -135,7 +135,7 @@ def test_metrics_have_the_documented_keys(complete):
 
 def test_the_log_has_a_line_per_step_and_scores_along_the_way(complete):
     log = [json.loads(line) for line in (complete[0] / "log.jsonl").read_text().splitlines()]
-    assert [entry["step"] for entry in log] == list(range(1, VIEWS // Recipe().views_per_step + 1))
+    assert [entry["step"] for entry in log] == list(range(1, VIEWS // RECIPES["fast"].views_per_step + 1))
     channels = {f"chi_square_bin{c}" for c in range(4)}
     assert set(log[-1]) == {"step", "seconds", "deviance", *channels, *(f"psnr_{name}" for name in BASES)}
     assert log[-1]["psnr_compton"] == pytest.approx(metrics_of(complete[0])["basis"]["compton"]["psnr"], abs=1e-3)

@@ -8,8 +8,9 @@ import torch
 from gaussian_scenes import small_model
 
 from phantomgen.grid import Grid
-from recon.anchor import EDGES, METAL, SLABS, Anchor
+from recon.anchor import CUTOFF, METAL, SLABS, Anchor
 from recon.fit_state import GEOMETRY
+from recon.ops.voxelize import mass_within, voxelize
 from recon.structure import relative_density
 
 GRID = Grid((10, 9, 8), (2.0, 2.0, 2.0), (-9.0, -8.0, -7.0))
@@ -21,16 +22,23 @@ def model(seed):
     return small_model(seed, count=12)
 
 
+ALONG = 0.1
 TRUST = np.random.default_rng(6).uniform(0.1, 1.0, GRID.shape).astype(np.float32)
 
 
+def near(gaussians):
+    """What the anchor sees of a model, times what that lacks."""
+    parts = (gaussians.centres, gaussians.log_scales, gaussians.quaternions, gaussians.coefficients)
+    return voxelize(*parts, GRID, cutoff=CUTOFF) / mass_within(CUTOFF)
+
+
 def anchor(strength=0.3):
-    return Anchor(model(1).volume(GRID), GRID, strength, TRUST)
+    return Anchor(near(model(1)), GRID, strength, TRUST)
 
 
 def cost(gaussians, held):
     """Half the weighted squared distance, in float64."""
-    away = gaussians.volume(GRID).astype(float) - held.volumes
+    away = mass_within(CUTOFF) * (near(gaussians).astype(float) - held.volumes)
     return 0.5 * np.einsum("mzyx,mn,nzyx,zyx->", away, WEIGHT.double().numpy(), away, TRUST)
 
 
@@ -80,7 +88,7 @@ def test_volumes_are_trusted_off_edges():
     z, y, x = np.meshgrid(*(grid.axis(name) for name in "zyx"), indexing="ij")
     away = np.maximum(np.maximum(abs(x), abs(y)), abs(z)) - 10  # from the faces of a block
     noise = np.random.default_rng(3).normal(scale=2e-4, size=(1, *grid.shape))
-    held = Anchor.off_edges((0.02 * (away < 0) + noise).astype(np.float32), grid, np.eye(1), 0.3)
+    held = Anchor.off_edges((0.02 * (away < 0) + noise).astype(np.float32), grid, np.eye(1), 0.3, ALONG)
     assert held.weights[away < -3].min() > 0.3
     assert np.median(held.weights[away < -3]) > 0.6
     assert held.weights[(abs(away) < 1) & (abs(y) < 8) & (abs(z) < 8)].max() < 0.2
@@ -90,10 +98,10 @@ def test_volumes_are_trusted_off_edges_little_along_them_and_hardly_at_metal():
     volumes = np.random.default_rng(0).normal(0.02, 3e-4, (1, 24, 24, 24)).astype(np.float32)
     volumes[:, 4:10, 4:10, 4:10] = 0.035
     volumes[:, 16:18, 16:18, 16:18] = 0.8
-    held = Anchor.off_edges(volumes, Grid.cube(24, 24.0), np.eye(1), 0.3)
+    held = Anchor.off_edges(volumes, Grid.cube(24, 24.0), np.eye(1), 0.3, ALONG)
     assert held.weights[12, 12, 4] > 0.3
-    assert held.weights[4, 7, 7] == pytest.approx(EDGES)
-    assert held.weights[16, 16, 16] == pytest.approx(EDGES / (40 / METAL) ** 2, rel=0.05)
+    assert held.weights[4, 7, 7] == pytest.approx(ALONG)
+    assert held.weights[16, 16, 16] == pytest.approx(ALONG / (40 / METAL) ** 2, rel=0.05)
 
 
 def test_density_is_relative_to_that_of_most_voxels_that_hold_something():

@@ -1,5 +1,7 @@
 """Gaussians that follow volumes: how close they come, and what they keep."""
 
+from unittest.mock import patch
+
 import numpy as np
 import pytest
 import torch
@@ -14,6 +16,7 @@ from recon.quasi_newton import History
 
 GRID = Grid.cube(32, 32.0)
 METRIC = np.array([[4.0, 1.0], [1.0, 9.0]]) * 1e4
+WIDE = 4.5  # standard deviations, where next to nothing is cut off
 
 
 def ball_and_rod():
@@ -32,7 +35,8 @@ def distance(gaussians, volumes, metric=METRIC):
 def followed():
     volumes, told = ball_and_rod(), []
     start = initialize(volumes, GRID, METRIC, 1.2, NAMES[:2], 0)
-    return volumes, start, approximate(start, volumes, GRID, METRIC, 30, told.append), told
+    with patch("recon.approximation.CUTOFF", WIDE):
+        return volumes, start, approximate(start, volumes, GRID, METRIC, 30, told.append), told
 
 
 def test_thirty_evaluations_bring_gaussians_much_closer(followed):
@@ -76,7 +80,16 @@ def test_it_gets_there_sooner_than_without_knowing_the_curvature_of_a_gaussian(f
     assert distance(found, volumes) < other.fun
 
 
-def test_gaussians_that_already_fit_stay():
+def test_cutting_gaussians_off_costs_no_mass_and_little_accuracy(followed):
+    volumes, start, uncut, _ = followed
+    found = approximate(start, volumes, GRID, METRIC, 30)
+    mass = found.volume(GRID).sum(axis=(1, 2, 3))
+    assert mass == pytest.approx(uncut.volume(GRID).sum(axis=(1, 2, 3)), rel=2e-3)
+    assert distance(found, volumes) < 1.1 * distance(uncut, volumes)
+
+
+def test_gaussians_that_already_fit_stay(monkeypatch):
+    monkeypatch.setattr("recon.approximation.CUTOFF", WIDE)
     start = small_model(1, count=12)
     found = approximate(start, start.volume(GRID), GRID, np.eye(3), 5)
     assert distance(found, start.volume(GRID), np.eye(3)) < 1e-4 * distance(start, 0 * start.volume(GRID), np.eye(3))

@@ -75,7 +75,7 @@ def test_the_curvature(monkeypatch, scan, state):
 
 def test_the_prior(monkeypatch, scan, state):
     volumes = small_model(3).volume(GRID)
-    anchor = Anchor.off_edges(volumes, GRID, np.eye(3), 0.3)
+    anchor = Anchor.off_edges(volumes, GRID, np.eye(3), 0.3, 0.1)
     blocks = coefficient_curvature(state.gaussians, scan, 0.01)
     with watched(monkeypatch):
         both, weight = anchor.curvature(state.gaussians, blocks)

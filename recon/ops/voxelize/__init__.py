@@ -5,6 +5,7 @@ from importlib.util import find_spec
 import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.stats import chi2
 from torch import Tensor
 
 from phantomgen.grid import Grid
@@ -41,6 +42,11 @@ def voxelize(
             volume = voxelize_tensor(centres, log_scales, quaternions, coefficients, grid, footprint, cutoff)
         return volume.float().cpu().numpy()
     return Scene(centres, log_scales, quaternions, coefficients, grid, footprint, cutoff).volume()
+
+
+def mass_within(cutoff: float) -> float:
+    """Part of a Gaussian's mass within so many standard deviations, which is what a volume cut off there keeps."""
+    return float(chi2(3).cdf(cutoff**2))
 
 
 def voxelize_tensor(
