@@ -4,8 +4,8 @@ The likelihood alone lets neighbouring Gaussians trade coefficients against each
 Compton, and as ripples where few rays look along a face. Voxels with a joint total variation
 (`recon.baselines.one_step`) know better there, while Gaussians know better where edges lie. So the fit minimises half
 the deviance plus half the squared distance of its volumes from those voxels, weighted by the information that the data
-have about the coefficients, averaged over all Gaussians, times a strength. Along edges, which voxels blur, only a part of
-that weight counts, and next to none at metal: voxels err in proportion to what they hold, and rays know little of it.
+have about the coefficients, averaged over all Gaussians, times a strength. Along edges, which voxels blur, only a part
+of that weight counts, and next to none at metal: voxels err in proportion to what they hold, and rays know little.
 """
 
 from dataclasses import dataclass
