@@ -22,7 +22,7 @@ CUTOFF = 3.1  # standard deviations; 2 % of the mass lies beyond, and a third of
 RENEWED = 10  # evaluations after which the diagonal is computed anew
 REACH = (0.5, 0.3, 0.2)  # longest step of a coordinate [standard deviations], a log-scale and an angle [rad]
 FIRST = 0.5  # length of the first step over the one that the diagonal suggests
-WORSE = 1.0005  # times the last distance; a step that leads further away is shortened
+WORSE = 1.0005  # times the last distance; a step that leads further away is shortened, then not taken
 SHORTER = 0.3
 PEAK = 0.999  # quantile of the positive values of a basis that its distance is measured in
 FAINTEST = 0.01  # of the basis that shows most; one that shows less counts as if it showed as much
@@ -48,7 +48,7 @@ def approximate(
     on_evaluation : called after each; its residual is half the squared distance in the metric, whose trace counts as 1
     """
     problem = _Distance(torch.from_numpy(volumes).to(start.centres), metric, grid, Report(on_evaluation, evaluations))
-    history, model = History(), start.detached()
+    history, first, model = History(), FIRST, start.detached()
     distance, gradient = problem.evaluate(model)
     renewed = -RENEWED
     while problem.evaluations < evaluations:
@@ -56,11 +56,11 @@ def approximate(
             problem.renew_diagonal(model)
             renewed = problem.evaluations
         held = _held(model, gradient)
-        step = -history.solve(gradient.masked_fill(held, 0), problem.precondition, FIRST).masked_fill(held, 0)
+        step = -history.solve(gradient.masked_fill(held, 0), problem.precondition, first).masked_fill(held, 0)
         step = _within_reach(step, model, grid)
         if float((step * gradient).sum()) >= 0:
             history = History()
-            step = _within_reach(-FIRST * problem.precondition(gradient.masked_fill(held, 0)), model, grid)
+            step = _within_reach(-first * problem.precondition(gradient.masked_fill(held, 0)), model, grid)
         ahead = moved(model, step)
         there, slope = problem.evaluate(ahead)
         if there > WORSE * distance and problem.evaluations < evaluations:
@@ -68,9 +68,8 @@ def approximate(
             ahead = moved(model, step)
             there, slope = problem.evaluate(ahead)
         if there > WORSE * distance:
-            history = History()
-            if problem.evaluations >= evaluations:
-                break
+            history, first = History(), SHORTER * first
+            continue
         step[:, GEOMETRY:] = ahead.coefficients - model.coefficients
         history.add(step, (slope - gradient).masked_fill(held, 0))
         model, distance, gradient = ahead, there, slope

@@ -123,3 +123,19 @@ def test_a_basis_counts_by_its_large_values_and_a_faint_one_no_more_than_it_show
     np.testing.assert_array_equal(found, np.diag(np.diag(found)))
     np.testing.assert_allclose(np.sqrt(1 / np.diag(found)), [0.02, 0.005, FAINTEST * 0.02 * 2 / 1], rtol=1e-5)
     assert np.isfinite(metric_of(np.zeros_like(volumes), fisher)).all()
+
+
+def test_a_step_that_leads_astray_is_not_taken(monkeypatch):
+    volumes, told, solve, calls = ball_and_rod(), [], History.solve, []
+
+    def sometimes_wild(self, *arguments):
+        calls.append(1)
+        return (1e3 if len(calls) % 5 == 0 else 1) * solve(self, *arguments)
+
+    monkeypatch.setattr(History, "solve", sometimes_wild)
+    monkeypatch.setattr("recon.approximation.CUTOFF", WIDE)
+    start = initialize(volumes, GRID, METRIC, 1.2, NAMES[:2], 0)
+    found = approximate(start, volumes, GRID, METRIC, 30, told.append)
+    residuals = [told_of.residual for told_of in told]
+    assert max(residuals[1:]) > 2 * residuals[0]
+    assert distance(found, volumes) < 1.05 * min(residuals)
