@@ -36,8 +36,9 @@ from spectra.threads import without_other_pools
 
 CURVATURE_STEP = 3.236  # views between two that give the curvature; it meets every period of tube voltages
 ASTRAY = 1.5  # times the least deviance of a pass
+LITTLE = 0.4  # of the typical curvature; below it the total variation counts less
+FADING = 0.7  # power of the curvature by which it does; noise goes by 0.5, information by 1
 RENEWED = (0, 3)  # passes of a level before which the curvature is computed
-LITTLE = 0.25  # of the typical curvature; below it the total variation counts less
 UNMET = 1e-4  # of the mean curvature; voxels that no ray meets stay as they are, those in thick metal have little more
 
 Volumes = Float[np.ndarray, "basis z y x"]
@@ -202,13 +203,13 @@ def _say(
 
     What a total variation takes off an edge is its weight over what rays know. One that counts as much where they know
     little would rule there: in thick metal it would exchange photoelectric absorption for Compton scattering until
-    their edges were least. So it counts by the root of what they know there, which is in proportion to the noise of a
-    voxel's gradient. Of a voxel and its neighbours, the least counts.
+    their edges were least. In proportion to what they know, it would leave edges in metal as soft as rays see them. So
+    it counts by a power in between. Of a voxel and its neighbours, the least counts.
     """
     weights = density / density.sum() if density.any() else np.full_like(density, 1 / density.size)
     typical = np.einsum("bzyx,zyx->b", curvatures, weights)
     relative = (curvatures / np.maximum(typical, 1e-30)[:, None, None, None]).mean(axis=0)
-    return minimum_filter(np.minimum(np.sqrt(relative / LITTLE), 1), 3)
+    return minimum_filter(np.minimum((relative / LITTLE) ** FADING, 1), 3)
 
 
 def _largest(inverse: Float[np.ndarray, "pair z y x"], mixing: Float[np.ndarray, "basis basis"]) -> np.ndarray:
