@@ -237,7 +237,7 @@ def test_a_run_that_was_stopped_and_killed_ends_with_the_same_bytes(dataset, tmp
         assert (run / name).read_bytes() == (whole / name).read_bytes()
     assert sorted(p.name for p in run.iterdir()) == sorted(p.name for p in whole.iterdir())
     steps = [json.loads(line)["step"] for line in (run / "log.jsonl").read_text().splitlines()]
-    assert steps == list(range(1, 181))
+    assert steps == list(range(1, 361))
 
 
 def test_a_bound_on_memory_changes_no_byte(dataset, tmp_path, monkeypatch):
@@ -270,7 +270,7 @@ def test_a_dry_run_writes_nothing_and_counts_what_a_run_counts(dataset, tmp_path
     monkeypatch.chdir(tmp_path)
     result = command("fit", dataset, "--dry-run", "--sweeps", "4", "--json")
     found = json.loads(result.stdout)
-    assert found["steps"] == 12
+    assert found["steps"] == 24
     assert found["gaussians"] > 10
     assert found["memory"]["peak_gib"] == pytest.approx(sum(found["memory"]["parts"].values()))
     assert list(tmp_path.iterdir()) == []
