@@ -36,7 +36,7 @@ from spectra.threads import without_other_pools
 
 CURVATURE_STEP = 3.236  # views between two that give the curvature; it meets every period of tube voltages
 ASTRAY = 1.5  # times the least deviance of a pass
-LITTLE = 0.4  # of the typical curvature; below it the total variation counts less
+LITTLE = 0.5  # of the typical curvature; below it the total variation counts less
 FADING = 0.7  # power of the curvature by which it does; noise goes by 0.5, information by 1
 RENEWED = (0, 3)  # passes of a level before which the curvature is computed
 UNMET = 1e-4  # of the mean curvature; voxels that no ray meets stay as they are, those in thick metal have little more
