@@ -47,6 +47,7 @@ class Recipe:
     warm_up : sweeps over which steps of the geometry grow to their length
     prior : information of the prior over that of the data, see `recon.anchor`; 0 starts from decomposed rays instead,
         further off, and wants larger rates
+    prior_along_edges : weight of the prior along edges, which voxels blur, over its weight elsewhere
     seed : of the placement, of the order of views, and of which are held out
     held_out : training views that are not fitted; the fit ends when chi-square on them no longer falls; 0 for none
     """
