@@ -2,7 +2,8 @@
 
 The start and a few steps are timed first. The fit of `recon fit` then begins at that start for each budget, with so
 many sweeps as fit into what is left; the paper's method repeats its start while the clock stands still. Forecasts are
-from the seconds of the first steps. A fit that would still pass its budget is cut there.
+from the seconds of the first steps. A fit that would still pass its budget is cut there. Where a budget holds no start,
+Gaussians follow voxels for as long as it allows, and are not fitted.
 """
 
 from collections.abc import Callable
@@ -42,12 +43,15 @@ class _Beginning:
     """Where all fits of a contender begin; keeps the first, and hands it to the others."""
 
     clock: Clock
+    following: float | None = None
     seconds: float | None = None
     volumes: np.ndarray = field(default_factory=lambda: np.empty(0))
     state: tuple[dict[str, Any], dict[str, Any]] | None = None
 
     def stage(self, name: str) -> None:
         """The clock runs on from the end of the start when a fit begins, however long it took to get there again."""
+        if name == "approximate":
+            self.following = self.clock.seconds()
         if name != "fit":
             return
         if self.seconds is None:
@@ -93,7 +97,19 @@ def run_gaussian(dataset: Dataset, contender: Contender, clock: Clock, new: NewR
         shorter = replace(recipe, stages=stages)
         reconstruct(dataset, shorter, on_stage=beginning.stage, on_step=_Kept(recorder), keeper=beginning)
 
-    return _run_all(shares, fit, clock, new, f"the start alone takes {start:.3g} s")
+    def follow(budget: float) -> Recorder:
+        recorder, following = new([budget]), beginning.following or start
+        part = (RESERVE * budget - following) / max(start - following, 1e-9)
+        if (evaluations := int(part * recipe.approximation)) > 0:
+            clock.start(0.0)
+            with suppress(Spent):
+                reconstruct(dataset, replace(recipe, approximation=evaluations), keeper=_Unfitted(recorder))
+            clock.stop()
+        return recorder
+
+    runs = _run_all(shares, fit, clock, new, f"the start alone takes {start:.3g} s")
+    unfitted = [follow(budget) for budget, share in shares.items() if share <= 0]
+    return replace(runs, recorders=(*runs.recorders, *unfitted))
 
 
 def run_paper(dataset: Dataset, contender: Contender, clock: Clock, new: NewRecorder, budgets: list[float]) -> Runs:
@@ -155,6 +171,23 @@ class _Kept:
         late = self.recorder.clock.seconds() > LATE * self.recorder.budgets[0]
         if progress.snapshot or late:
             self.recorder.add(progress.step, progress.steps, progress.gaussians.save)
+
+
+@dataclass
+class _Unfitted:
+    """Keeper that records what a fit begins with, and ends it there."""
+
+    recorder: Recorder
+
+    def found(self, measured: Measurements) -> None:
+        """See `recon.pipeline.Keeper`."""
+        del measured
+
+    def begin(self, volumes: np.ndarray, seconds: dict[str, float], state: FitState) -> None:
+        """See `recon.pipeline.Keeper`."""
+        del volumes, seconds
+        self.recorder.add(0, 1, state.gaussians.save)
+        raise Spent
 
 
 def _load(path: Path) -> Model:

@@ -176,6 +176,14 @@ def test_a_fit_is_planned_to_end_within_its_budget(scan, tmp_path, quick, counti
     assert short["total"] < whole["total"] == 9
 
 
+def test_a_budget_that_holds_no_start_holds_gaussians_that_follow_voxels(scan, tmp_path, quick, counting):
+    del quick, counting
+    found = worked(scan, tmp_path / "run", "gaussian", (2.5,))[0]
+    assert found["seconds"] <= 2.5
+    assert (found["done"], found["finished"], found["kind"]) == (0, False, "Gaussians")
+    assert all(s["psnr"] > 10 for s in found["basis"]["honest"].values())
+
+
 def test_a_file_is_told_from_another(scan, tmp_path):
     other = tmp_path / "other.h5"
     other.write_bytes(scan.read_bytes())
