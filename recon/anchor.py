@@ -23,7 +23,7 @@ from recon.structure import Structure, relative_density
 
 CUTOFF = 3.5  # standard deviations
 SLABS = 8  # parts of the volume that take turns, one each step
-METAL = 3.0  # times the typical density; beyond it the weight on edges falls with the square of the density
+METAL = 3.0  # times the typical density; beyond it the weight on edges falls with the fourth power of the density
 _STRIDE = 3  # so that slabs which follow each other do not touch
 _BESIDE = 3  # voxels across that an edge reaches
 
@@ -66,7 +66,7 @@ class Anchor:
         """
         edge = maximum_filter(np.clip(Structure.of(volumes, fisher).strength, 0, 1), size=_BESIDE)
         dense = maximum_filter(np.maximum(relative_density(volumes) / METAL, 1), size=_BESIDE)
-        return cls(volumes, grid, strength, np.maximum(1 - edge, along / dense**2).astype(np.float32))
+        return cls(volumes, grid, strength, np.maximum(1 - edge, along / dense**4).astype(np.float32))
 
     def curvature(
         self, gaussians: Gaussians, blocks: Float[Tensor, "gaussian basis basis"]

@@ -90,8 +90,8 @@ FAST = Recipe(
     spacing=1.35,
     approximation=40,
     dispersion=0.02,
-    centre_rate=0.005,
-    shape_rate=0.00125,
+    centre_rate=0.01,
+    shape_rate=0.0025,
     final_rate=0.3,
     prior_along_edges=0.3,
 )

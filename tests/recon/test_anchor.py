@@ -101,7 +101,7 @@ def test_volumes_are_trusted_off_edges_little_along_them_and_hardly_at_metal():
     held = Anchor.off_edges(volumes, Grid.cube(24, 24.0), np.eye(1), 0.3, ALONG)
     assert held.weights[12, 12, 4] > 0.3
     assert held.weights[4, 7, 7] == pytest.approx(ALONG)
-    assert held.weights[16, 16, 16] == pytest.approx(ALONG / (40 / METAL) ** 2, rel=0.05)
+    assert held.weights[16, 16, 16] == pytest.approx(ALONG / (40 / METAL) ** 4, rel=0.05)
 
 
 def test_density_is_relative_to_that_of_most_voxels_that_hold_something():
