@@ -19,11 +19,10 @@ from torch import Tensor
 from phantomgen.grid import Grid
 from recon.gaussians import Gaussians
 from recon.ops.voxelize import mass_within, voxelize_tensor
-from recon.structure import Structure, relative_density
+from recon.structure import Structure, over_metal
 
 CUTOFF = 3.5  # standard deviations
 SLABS = 8  # parts of the volume that take turns, one each step
-METAL = 3.0  # times the typical density; beyond it the weight on edges falls with the fourth power of the density
 _STRIDE = 3  # so that slabs which follow each other do not touch
 _BESIDE = 3  # voxels across that an edge reaches
 
@@ -65,8 +64,8 @@ class Anchor:
         along : weight on an edge over that far from all of them
         """
         edge = maximum_filter(np.clip(Structure.of(volumes, fisher).strength, 0, 1), size=_BESIDE)
-        dense = maximum_filter(np.maximum(relative_density(volumes) / METAL, 1), size=_BESIDE)
-        return cls(volumes, grid, strength, np.maximum(1 - edge, along / dense**4).astype(np.float32))
+        trusted = np.maximum(1 - edge, along / over_metal(volumes) ** 4)
+        return cls(volumes, grid, strength, trusted.astype(np.float32))
 
     def curvature(
         self, gaussians: Gaussians, blocks: Float[Tensor, "gaussian basis basis"]

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, maximum_filter
 
 SMOOTHING = 0.7  # voxels; standard deviation of the Gaussian that tames noise before edges are looked for
 BACKGROUND = 0.1  # a voxel below this fraction of a large signal is empty
 LARGEST = 3.0  # times the typical signal; where metal is larger, that counts as large
+METAL = 3.0  # times the typical density; what is denser counts as metal
 EDGE = 4.0  # a gradient this many times the median is an edge
 _FAINT = 0.02  # for the typical value, see there
 
@@ -70,6 +71,11 @@ def relative_density(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndar
     density = volumes.sum(axis=0)
     typical = _typical(density)
     return density / typical if typical > 0 else np.ones_like(density)
+
+
+def over_metal(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "z y x"]:
+    """Density over that of the least dense metal, at least 1; of a voxel and its neighbours, the largest."""
+    return maximum_filter(np.maximum(relative_density(volumes) / METAL, 1), size=3)
 
 
 def _typical(values: Float[np.ndarray, "z y x"]) -> float:

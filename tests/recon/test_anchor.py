@@ -8,10 +8,10 @@ import torch
 from gaussian_scenes import small_model
 
 from phantomgen.grid import Grid
-from recon.anchor import CUTOFF, METAL, SLABS, Anchor
+from recon.anchor import CUTOFF, SLABS, Anchor
 from recon.fit_state import GEOMETRY
 from recon.ops.voxelize import mass_within, voxelize
-from recon.structure import relative_density
+from recon.structure import METAL, relative_density
 
 GRID = Grid((10, 9, 8), (2.0, 2.0, 2.0), (-9.0, -8.0, -7.0))
 PARTS = (*GEOMETRY, "coefficients")

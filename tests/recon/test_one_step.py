@@ -3,11 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gaussian_scenes import circular, tilted
+from scipy.ndimage import map_coordinates
 from voxel_scenes import balls, voxel_scan
 
 from phantomgen.grid import Grid
 from recon.baselines.grids import MARGIN, coarser, occupied, resampled, sharpened
-from recon.baselines.one_step import OneStep
+from recon.baselines.one_step import OneStep, means_in_metal
 from recon.metrics import score_volume
 from spectra.errors import InputError
 from spectra.threads import set_threads
@@ -161,6 +162,26 @@ def test_sharper_coarse_volumes_spare_passes(monkeypatch):
     monkeypatch.setattr("recon.baselines.one_step.sharpened", lambda volumes: volumes)
     blurred = method.reconstruct_counts(scan, grid)
     assert np.mean(decibels(sharp, truth)) > np.mean(decibels(blurred, truth)) + 0.3
+
+
+@pytest.mark.parametrize("size", [1, 3])
+def test_values_in_metal_become_means_of_what_is_interpolated_between_them(size):
+    """Means by 40 points along each axis."""
+    rng = np.random.default_rng(size)
+    volumes = rng.uniform(0.01, 0.02, (2, 12, 12, 12))
+    volumes[:, 5 : 5 + size, 6, 4 : 4 + size] = rng.uniform(1.4, 1.6)
+    found = means_in_metal(volumes.astype(np.float32))
+    within = np.arange(-0.5, 0.5, 1 / 40) + 1 / 80
+    for z, y, x in ((5, 6, 4), (5, 5, 4), (4, 7, 3), (6, 6, 4)):
+        points = np.meshgrid(z + within, y + within, x + within, indexing="ij")
+        means = [map_coordinates(v, points, order=1).mean() for v in volumes]
+        np.testing.assert_allclose(found[:, z, y, x], means, rtol=3e-3)
+    np.testing.assert_array_equal(found[:, :, :, 8:], volumes.astype(np.float32)[:, :, :, 8:])
+
+
+def test_volumes_without_metal_are_means_as_they_are():
+    volumes = np.random.default_rng(0).uniform(0.01, 0.025, (2, 8, 8, 8)).astype(np.float32)
+    assert means_in_metal(volumes) is volumes
 
 
 @pytest.mark.parametrize("wrong", [{"levels": ()}, {"levels": ((0, 3),)}, {"subsets": 0}, {"strength": -1.0}])
