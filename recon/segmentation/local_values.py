@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.sparse.csgraph import connected_components
 
 from recon.segmentation.clustering import find_modes, nearest_mode, unit_of
 from recon.segmentation.features import Mechanisms, at_points, flat_inside, noise_of, voxel_places
@@ -58,7 +59,7 @@ def find_materials(
     unit = unit_of(voxels, noise_of(features, inside))
     modes = find_modes(samples if len(samples) else voxels, unit, options.bandwidth, options.seed)
     inner = np.zeros(inside.shape, np.uint16)
-    inner[inside] = 1 + nearest_mode(voxels, modes, unit)
+    inner[inside] = 1 + _joined(modes, unit, features, inside, options.bandwidth)[nearest_mode(voxels, modes, unit)]
     inner = _renumbered(inner, np.flatnonzero(~rims(inner, len(modes)) & _present(inner, len(modes))))
     air = features[0] <= mechanisms.air
     inner = with_thin_materials(inner, parts, features, air, medians(parts, inner), options.seed)
@@ -81,6 +82,24 @@ def _samples_at(
     """Features at those points that lie inside of a material."""
     index = nearest_voxels(voxel_places(subject.grid, points), inside.shape)
     return at_points(features, subject.grid, points[inside[index]]).T
+
+
+def _joined(
+    modes: Float[np.ndarray, "mode feature"],
+    unit: Float[np.ndarray, " feature"],
+    features: Float[np.ndarray, "feature z y x"],
+    inside: Bool[np.ndarray, "z y x"],
+    bandwidth: float,
+) -> Int[np.ndarray, " mode"]:
+    """Number of the material of each mode: those that noise could have parted are one.
+
+    Ratios are noisier the less dense a material is, so that one noise for all finds several modes in a lung. Here that
+    of either mode counts, from places of its density.
+    """
+    near = [inside & (np.abs(features[0] - mode[0]) < bandwidth * unit[0]) for mode in modes]
+    noise = np.maximum([[unit[0], *noise_of(features, here)[1:]] for here in near], unit)
+    apart = np.abs(modes[:, None] - modes[None]) / np.maximum(noise[:, None], noise[None])
+    return connected_components(np.sqrt(np.square(apart).sum(axis=2)) < bandwidth)[1]
 
 
 def _present(inner: Int[np.ndarray, "z y x"], count: int) -> Bool[np.ndarray, " cluster"]:

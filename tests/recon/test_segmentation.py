@@ -189,6 +189,16 @@ def test_solutions_are_told_apart_from_what_differs_little():
     assert dice_of(labels, found, 4).min() > 0.99
 
 
+def test_a_lung_is_one_material_though_its_ratio_is_noisier():
+    lung = (0.0004, 0.0053)
+    volumes, labels = boxes([TISSUE[:2], lung])
+    volumes[:, labels == 1] *= np.random.default_rng(0).normal(1, 5e-4, volumes[:, labels == 1].shape)
+    volumes[0, labels == 2] *= np.random.default_rng(1).normal(1, 0.15, np.count_nonzero(labels == 2))
+    found = segment_subject(subject_of(volumes, DUAL), Options(domain="voxels"))
+    assert len(found.clusters) == 2
+    assert min(dice_of(labels, found, 2)) > 0.95
+
+
 def test_one_material_is_one_cluster():
     found = segment_subject(subject_of(boxes((TISSUE,))[0], KEDGE), Options())
     assert [c.name for c in found.clusters] == ["soft tissue"]
