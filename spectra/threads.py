@@ -7,6 +7,7 @@ long computations run inside `without_other_pools`.
 """
 
 import os
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ from typing import TypeVar
 T = TypeVar("T")
 R = TypeVar("R")
 
+_worker = threading.local()
 _state: dict[str, ThreadPoolExecutor | int | None] = {"pool": None, "count": None}
 
 
@@ -53,17 +55,25 @@ def without_other_pools() -> Iterator[None]:
 
 
 def run_parallel(task: Callable[[T], R], items: Iterable[T], ahead: int = 2) -> Iterator[R]:
-    """Yield ``task(item)`` for every item, in order, with at most `ahead` results per thread waiting to be taken."""
+    """Yield ``task(item)`` for every item, in order, with at most `ahead` results per thread waiting to be taken.
+
+    A task may call this in turn: its own pieces then run one after the other, as all threads have work already.
+    """
     threads = thread_count()
-    if threads == 1:
+    if threads == 1 or hasattr(_worker, "working"):
         yield from map(task, items)
         return
     pool = _state["pool"]
     if not isinstance(pool, ThreadPoolExecutor):
-        pool = _state["pool"] = ThreadPoolExecutor(threads, thread_name_prefix="kernel")
+        pool = _state["pool"] = ThreadPoolExecutor(threads, "kernel", initializer=_begin)
     source = iter(items)
     waiting = [pool.submit(task, item) for item in islice(source, ahead * threads)]
     while waiting:
         result = waiting.pop(0).result()
         waiting.extend(pool.submit(task, item) for item in islice(source, 1))
         yield result
+
+
+def _begin() -> None:
+    """Mark a thread of the pool."""
+    _worker.working = True
