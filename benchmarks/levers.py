@@ -71,6 +71,7 @@ EVEN_PACE = ("recon.baselines.voxel_likelihood.relative_density", lambda volumes
 NO_DENSITY = ("recon.anchor.over_metal", lambda volumes: np.ones_like(volumes[0]))
 EVEN_SAY = ("recon.baselines.one_step._say", lambda curvatures, density: np.ones_like(density))
 HELD_BACK = ("recon.baselines.one_step.UNMET", 1e-3)
+NODES = ("recon.baselines.one_step.means_in_metal", lambda volumes: volumes)
 UP_TO_METAL = ("recon.structure.LARGEST", np.inf)
 UNSHARPENED = ("recon.baselines.one_step.sharpened", lambda volumes: volumes)
 
@@ -85,6 +86,7 @@ LEVERS = (
     fast("total variation with the same say everywhere", EVEN_SAY),
     fast("steps held back where rays know less than a thousandth", HELD_BACK),
     fast("empty is what has less than a tenth of the densest", UP_TO_METAL),
+    fast("voxels in metal as they fit the rays, no means", NODES),
     fast("bases count by the rays' information as Gaussians follow", BY_INFORMATION),
     fast("Gaussians do not follow the voxels first", approximation=1),
     fast("Gaussians follow the voxels, and are not fitted", stages=(Stage(0.5, 1e-9),)),
@@ -92,7 +94,7 @@ LEVERS = (
     fast("prior as strong along edges", prior_along_edges=1.0),
     fast("prior a tenth as strong along edges", prior_along_edges=0.03),
     fast("pixels as small as half a voxel", stages=(Stage(0.5, 1.0),)),
-    fast("four times the rates of the geometry, falling to 0.05", centre_rate=0.02, shape_rate=0.005, final_rate=0.05),
+    fast("twice the rates of the geometry, falling to 0.05", centre_rate=0.02, shape_rate=0.005, final_rate=0.05),
     fast("weights of pure Poisson noise", dispersion=0.0),
     fast("coefficients alone, geometry held", **HELD),
     fast("coefficients without momentum", momentum=0.0),
@@ -107,6 +109,7 @@ LEVERS = (
     best("3 sweeps", stages=(Stage(0.5, 3.0),)),
     best("fewer Gaussians, spacing 1.2", spacing=1.2),
     best("prior three times as strong along edges", prior_along_edges=0.1),
+    best("voxels in metal as they fit the rays, no means", NODES),
     best("prior as strong at metal as along other edges", NO_DENSITY),
 )
 
