@@ -87,7 +87,6 @@ FAST = Recipe(
     name="fast",
     stages=(Stage(1.0, 1.0),),
     views_per_step=1,
-    spacing=1.35,
     approximation=40,
     dispersion=0.02,
     centre_rate=0.01,
