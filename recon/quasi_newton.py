@@ -10,7 +10,7 @@ from torch import Tensor
 MEMORY = 8  # steps that are remembered
 _FLAT = 1e-10  # cosine between a step and the change of the gradient below which it says nothing
 
-_Pair = tuple[Tensor, Tensor]
+_Pair = tuple[Tensor, Tensor, float]  # a step, the change of the gradient, and their inner product
 
 
 @dataclass
@@ -21,8 +21,9 @@ class History:
 
     def add(self, step: Tensor, change: Tensor) -> None:
         """Remember a step and the change of the gradient, unless the function bends downwards along it."""
-        if _dot(step, change) > _FLAT * (_dot(step, step) * _dot(change, change)) ** 0.5:
-            self.pairs.append((step, change))
+        bend = _dot(step, change)
+        if bend > _FLAT * (_dot(step, step) * _dot(change, change)) ** 0.5:
+            self.pairs.append((step, change, bend))
 
     def solve(self, gradient: Tensor, precondition: Callable[[Tensor], Tensor], scale: float) -> Tensor:
         """Inverse curvature times a gradient, by the two loops of Nocedal & Wright 2006, algorithm 7.4.
@@ -34,18 +35,19 @@ class History:
         scale : that factor, while nothing is remembered
         """
         rest, shares = gradient, []
-        for step, change in reversed(self.pairs):
-            share = _dot(step, rest) / _dot(step, change)
-            rest = rest - share * change
+        for step, change, bend in reversed(self.pairs):
+            share = _dot(step, rest) / bend
+            rest = torch.sub(rest, change, alpha=share)
             shares.append(share)
         if self.pairs:
-            step, change = self.pairs[-1]
-            scale = _dot(step, change) / _dot(change, precondition(change))
+            _, change, bend = self.pairs[-1]
+            scale = bend / _dot(change, precondition(change))
         out = scale * precondition(rest)
-        for (step, change), share in zip(self.pairs, reversed(shares), strict=True):
-            out = out + (share - _dot(change, out) / _dot(step, change)) * step
+        for (step, change, bend), share in zip(self.pairs, reversed(shares), strict=True):
+            out = torch.add(out, step, alpha=share - _dot(change, out) / bend)
         return out
 
 
 def _dot(a: Tensor, b: Tensor) -> float:
-    return float(torch.sum(a * b, dtype=torch.float64))
+    """Inner product; rows are summed in their own precision, which is six times as fast."""
+    return float((a * b).sum(dim=-1).sum(dtype=torch.float64))

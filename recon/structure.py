@@ -75,7 +75,8 @@ def relative_density(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndar
 
 def over_metal(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "z y x"]:
     """Density over that of the least dense metal, at least 1; of a voxel and its neighbours, the largest."""
-    return maximum_filter(np.maximum(relative_density(volumes) / METAL, 1), size=3)
+    over = np.maximum(relative_density(volumes) / METAL, 1)
+    return maximum_filter(over, size=3) if over.max(initial=1) > 1 else over
 
 
 def _typical(values: Float[np.ndarray, "z y x"]) -> float:
@@ -86,4 +87,5 @@ def _typical(values: Float[np.ndarray, "z y x"]) -> float:
     ordered = np.sort(np.maximum(values, 0), axis=None)
     below = np.cumsum(ordered, dtype=np.float64)
     middle = ordered[np.searchsorted(below, below[-1] / 2)]
-    return float(np.median(ordered[np.searchsorted(ordered, _FAINT * middle) :])) if middle > 0 else 0.0
+    there = ordered[np.searchsorted(ordered, _FAINT * middle) :]
+    return float(there[(len(there) - 1) // 2] + there[len(there) // 2]) / 2 if middle > 0 else 0.0
