@@ -101,7 +101,7 @@ LEVERS = (
     fast("half as many evaluations as Gaussians follow", approximation=20),
     fast("2 views per step", views_per_step=2),
     fast("more Gaussians, spacing 1.0", spacing=1.0),
-    fast("fewer Gaussians, spacing 1.5", spacing=1.5),
+    fast("fewer Gaussians, spacing 1.35", spacing=1.35),
     Lever("best", BEST),
     best("bases count by the rays' information as Gaussians follow", BY_INFORMATION),
     best("steps of the geometry at full length at once", warm_up=0.0),

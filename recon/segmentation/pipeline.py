@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.ndimage import maximum_filter
 
 from recon.gaussians import Gaussians
 from recon.segmentation.clustering import BANDWIDTH, find_modes, nearest_mode
 from recon.segmentation.features import at_points, voxel_places
-from recon.segmentation.labelling import label_at, ordered
+from recon.segmentation.labelling import NOTHING, label_at, label_edges, ordered
 from recon.segmentation.local_values import find_materials, medians
 from recon.segmentation.readouts import Readouts
 from recon.segmentation.rendering import gaussian_materials
@@ -75,13 +76,22 @@ def _of_gaussians(
     coefficients: Float[np.ndarray, "cluster basis"],
     own: Int[np.ndarray, " gaussian"],
 ) -> Segmentation:
-    """Labelled Gaussians make volumes of the materials; a voxel belongs to the one that fills most of it."""
+    """Labelled Gaussians make volumes of the materials; a voxel belongs to the one that fills most of it.
+
+    One that none fills, amidst others that are no air, belongs to the nearest in coefficients, as at edges: so what
+    little it holds of a dense material does not make it look empty.
+    """
     amounts, materials = gaussian_materials(model, own, len(coefficients), subject.grid)
     if options.features == FEATURES[1]:
         coefficients = _inside_of(materials, subject, readouts, coefficients)
-    density = np.maximum(readouts.mechanisms(coefficients.T), 0.0).sum(axis=0)
-    parts = materials / np.maximum(density, 1e-12)[:, None, None, None]
+    centres = np.maximum(readouts.mechanisms(coefficients.T), 0.0).T
+    parts = materials / np.maximum(centres.sum(axis=1), 1e-12)[:, None, None, None]
     labels = np.where(parts.sum(axis=0) > _HALF, parts.argmax(axis=0) + 1, 0).astype(np.uint16)
+    air = materials.sum(axis=0) <= readouts.mechanisms.air
+    unfilled = (labels == NOTHING) & ~maximum_filter(air, 3)
+    if unfilled.any():
+        values = np.maximum(readouts.mechanisms(subject.volumes), 0.0)
+        labels[unfilled] = label_edges(labels, values, air, centres)[unfilled]
     found = _described(subject, readouts, options, coefficients, labels, materials)
     return replace(found, gaussian_labels=own, gaussian_densities=amounts)
 

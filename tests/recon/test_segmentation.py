@@ -135,6 +135,23 @@ def test_gaussians_are_labelled_by_their_materials(features):
     np.testing.assert_allclose(found.materials.sum(axis=0), model.volume(GRID).sum(axis=0), atol=1e-5)
 
 
+def test_beside_a_pin_of_metal_whose_blur_replaces_tissue_there_is_no_air():
+    materials = (TISSUE, (0.6, 0.09, 0))
+    labels = boxes((TISSUE,))[1]
+    labels[4:24, 12:16, 12:16] = 2
+    blurred = maximum_filter(labels, 5) - labels == 1
+    model = lattice(np.where(blurred, 0, labels), materials, KEDGE)
+    metal = model.coefficients[:, 0] > 0.01
+    model.log_scales[metal] += np.log(2.5)
+    model.coefficients[metal] /= 2.5**3
+    volume = model.volume(GRID)
+    denser = minimum_filter(volume.sum(axis=0), 3) > sum(TISSUE)
+    assert np.count_nonzero(blurred & denser) > 100
+    found = segment_subject(subject_of(volume, KEDGE, model), Options())
+    assert [c.name for c in found.clusters] == ["soft tissue", "metal"]
+    assert (found.labels[denser] > 0).all()
+
+
 def test_flattened_gaussians_do_not_change_what_is_found():
     """Coefficients of Gaussians vary by a factor, places do not: local values see places."""
     materials = (TISSUE, BONE, LOW, HIGH)
