@@ -19,6 +19,7 @@ doi:10.1007/s10208-013-9150-3.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 from jaxtyping import Float
@@ -39,7 +40,9 @@ CURVATURE_STEP = 3.236  # views between two that give the curvature; it meets ev
 ASTRAY = 1.5  # times the least deviance of a pass
 LITTLE = 0.5  # of the typical curvature; below it the total variation counts less
 FADING = 0.7  # power of the curvature by which it does; noise goes by 0.5, information by 1
-RENEWED = (0, 3)  # passes of a level before which the curvature is computed
+RENEWED = 3  # passes of a level after which the curvature is computed anew
+MANY = 100  # views; the more there are beyond, the more subsets there are, and the fewer passes
+FEWEST = 2  # passes, however many views there are
 UNMET = 1e-4  # of the mean curvature; voxels that no ray meets stay as they are, those in thick metal have little more
 _MEAN = (1 / 8, 3 / 4, 1 / 8)  # of a piecewise linear function over a voxel, by its values in the centres
 
@@ -52,10 +55,10 @@ class OneStep:
 
     Parameters
     ----------
-    levels : voxels of each level in voxels of the grid asked for, and passes over the views; a start of one's own
-        wants the level 1 alone
+    levels : voxels of each level in voxels of the grid asked for, and passes over the views, of which more than 100
+        take fewer; a start of one's own wants the level 1 alone
     pixel : largest pixel as seen at the isocentre, in voxels of the level; finer ones are summed
-    subsets : parts of the views that take turns; more than 6 need not converge
+    subsets : parts of the views that take turns, of more than 100 views more; of fewer, more than 6 need not converge
     dispersion : relative model error added to the Poisson variance
     strength : weight of the total variation; at 1 the noise of a voxel's gradient is as large as its bound
     dual_steps : steps towards the least total variation for every step of the likelihood
@@ -108,8 +111,10 @@ class OneStep:
         volumes, here = np.zeros((len(measurements.basis_names), *grid.shape), np.float32), grid
         if start is not None:
             volumes = start.astype(np.float32)
-        report = Report(on_iteration, sum(passes for _, passes in self.levels))
-        for factor, passes in self.levels:
+        more = _more_than_many(measurements)
+        levels = [(factor, max(ceil(passes / more), min(passes, FEWEST))) for factor, passes in self.levels]
+        report = Report(on_iteration, sum(passes for _, passes in levels))
+        for factor, passes in levels:
             level = coarser(grid, factor)
             finer = min(level.spacing) < min(here.spacing)
             volumes, here = resampled(volumes, here, level), level
@@ -146,9 +151,10 @@ def _descend(
     counts = max(int(np.count_nonzero(data.gains, axis=(1, 2)) @ np.count_nonzero(data.exposure, axis=0)), 1)
     first = np.ascontiguousarray(volumes[:, *box])
     walk = _Walk(first, np.zeros((3, *first.shape), np.float32))
-    best, least, parts, metric = first, np.inf, min(settings.subsets, len(data)), None
+    more, best, least, metric = _more_than_many(data), first, np.inf, None
+    parts = min(round(more * settings.subsets), len(data))
     for i in range(passes):
-        if metric is None or i in RENEWED:
+        if metric is None or i == ceil(RENEWED / more):
             metric = _metric(walk.volumes, data, inner, settings)
         deviance = _pass(walk, data, inner, settings, metric, parts)
         if not deviance < ASTRAY * least and parts > 1:
@@ -160,6 +166,11 @@ def _descend(
         report(whole, deviance / counts, grid)
     whole[:, *box] = walk.volumes
     return whole
+
+
+def _more_than_many(data: Measurements) -> float:
+    """Views over `MANY`, at least 1: subsets are as many times more and passes fewer, so that steps are as many."""
+    return max(len(data) / MANY, 1.0)
 
 
 def _shown(volumes: Volumes, settings: OneStep) -> Volumes:

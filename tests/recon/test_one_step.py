@@ -46,6 +46,14 @@ def test_momentum_and_subsets_come_further_in_as_many_passes(noisy):
     assert fast - 0.5 < 0.5 * (slow - 0.5)
 
 
+def test_of_many_views_a_few_passes_come_as_far():
+    truth, grid = balls()
+    few, many = (voxel_scan(truth, grid, views=views, photons=1e5) for views in (75, 300))
+    (found, short), (same, long) = (deviances(OneStep(), scan, grid) for scan in (many, few))
+    assert len(short) <= (len(long) + 6) // 3
+    assert np.mean(decibels(found, truth)) > np.mean(decibels(same, truth))
+
+
 @pytest.mark.parametrize("bases", [1, 2, 3])
 def test_exact_counts_give_the_truth(bases):
     truth, grid = balls(bases=bases)
