@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.ndimage import maximum_filter
+from scipy.ndimage import minimum_filter
 
 from recon.gaussians import Gaussians
 from recon.segmentation.clustering import BANDWIDTH, find_modes, nearest_mode
@@ -88,7 +88,7 @@ def _of_gaussians(
     parts = materials / np.maximum(centres.sum(axis=1), 1e-12)[:, None, None, None]
     labels = np.where(parts.sum(axis=0) > _HALF, parts.argmax(axis=0) + 1, 0).astype(np.uint16)
     air = materials.sum(axis=0) <= readouts.mechanisms.air
-    unfilled = (labels == NOTHING) & ~maximum_filter(air, 3)
+    unfilled = (labels == NOTHING) & minimum_filter(~air, 3)
     if unfilled.any():
         values = np.maximum(readouts.mechanisms(subject.volumes), 0.0)
         labels[unfilled] = label_edges(labels, values, air, centres)[unfilled]
