@@ -8,10 +8,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from recon.adam import Adam
 from recon.gaussians import PARTS, Gaussians
 
 GEOMETRY = ("centres", "log_scales", "quaternions")
-_MOMENTS = ("exp_avg", "exp_avg_sq")  # as Adam calls its means of gradients and of their squares
 
 
 @dataclass(eq=False)
@@ -21,7 +21,7 @@ class FitState:
     Parameters
     ----------
     gaussians : the model, whose tensors require gradients
-    adam : optimiser of centres, log-scales and quaternions, a group each
+    adam : means of the gradients of `GEOMETRY` and of their squares
     velocity : last step of the coefficients [1/mm]
     inverse : inverse blocks of the coefficients' curvature; empty before the first step
     weight : of the prior, see `recon.anchor`; empty before the first step
@@ -32,7 +32,7 @@ class FitState:
     """
 
     gaussians: Gaussians
-    adam: torch.optim.Adam
+    adam: Adam
     velocity: Float[Tensor, "gaussian basis"]
     inverse: Float[Tensor, "..."] = field(default_factory=lambda: torch.empty(0))
     weight: Float[Tensor, "..."] = field(default_factory=lambda: torch.empty(0))
@@ -45,10 +45,9 @@ class FitState:
     def begin(cls, start: Gaussians) -> "FitState":
         """Before the first step; `start` is left as it is."""
         gaussians = start.detached()
-        groups = [{"params": [getattr(gaussians, name).requires_grad_()]} for name in GEOMETRY]
+        geometry = [getattr(gaussians, name).requires_grad_() for name in GEOMETRY]
         gaussians.coefficients.requires_grad_()
-        adam = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15)
-        return cls(gaussians, adam, torch.zeros_like(gaussians.coefficients))
+        return cls(gaussians, Adam(geometry), torch.zeros_like(gaussians.coefficients))
 
     def to(self, device: torch.device) -> "FitState":
         """The same on a device; this one where it is there."""
@@ -60,9 +59,8 @@ class FitState:
         """All arrays by name."""
         found = {name: value.detach() for name, value in self.gaussians.tensors().items()}
         found |= {"velocity": self.velocity, "inverse": self.inverse, "weight": self.weight}
-        for name in GEOMETRY if self.done else ():
-            moments = self.adam.state[getattr(self.gaussians, name)]
-            found |= {f"{name}.{moment}": moments[moment] for moment in _MOMENTS}
+        for name, mean, square in zip(GEOMETRY, self.adam.means, self.adam.squares, strict=True):
+            found |= {f"{name}.mean": mean, f"{name}.square": square}
         return found
 
     def numbers(self) -> dict[str, Any]:
@@ -82,7 +80,6 @@ class FitState:
         )
         state.done, state.seconds, state.unimproved = (numbers[key] for key in ("done", "seconds", "unimproved"))
         state.lowest = inf if numbers["lowest"] is None else numbers["lowest"]
-        for name in GEOMETRY if state.done else ():
-            moments = {moment: tensors[f"{name}.{moment}"].clone() for moment in _MOMENTS}
-            state.adam.state[getattr(state.gaussians, name)] = {"step": torch.tensor(float(state.done)), **moments}
+        state.adam.means = [tensors[f"{name}.mean"].clone() for name in GEOMETRY]
+        state.adam.squares = [tensors[f"{name}.square"].clone() for name in GEOMETRY]
         return state

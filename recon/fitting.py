@@ -89,8 +89,8 @@ def fit(
     The fitted Gaussians; the thread count does not enter.
     """
     state = start if isinstance(start, FitState) else FitState.begin(start)
-    coefficients, groups = state.gaussians.coefficients, state.adam.param_groups
-    rates = [recipe.centre_rate * voxel, recipe.shape_rate, recipe.shape_rate]
+    coefficients = state.gaussians.coefficients
+    rates = np.array([recipe.centre_rate * voxel, recipe.shape_rate, recipe.shape_rate])
     began = time.perf_counter() - state.seconds
     lengths = _steps(len(measurements), recipe)
     steps, firsts = sum(lengths), accumulate(lengths, initial=0)
@@ -104,13 +104,11 @@ def fit(
                 state.inverse, state.weight = _inverse_curvature(state.gaussians, data, recipe, processes, anchor)
             fraction = state.done / steps
             ramp = min(1.0, (state.done + 1) / max(recipe.warm_up * per_sweep, 1.0))
-            for group, rate in zip(groups, rates, strict=True):
-                group["lr"] = ramp * rate * recipe.final_rate**fraction
             found = agreement_and_gradients(state.gaussians, data, views, recipe.dispersion, processes)
             scale = float(np.prod(data.counts.shape)) / 2  # from a mean deviance to the likelihood of all views
             if anchor is not None:
                 anchor.add_gradients(state.gaussians, state.weight / scale, state.done)
-            state.adam.step()
+            state.adam.step(rates * ramp * recipe.final_rate**fraction, state.done + 1)
             pull = torch.einsum("gmn,gn->gm", state.inverse, coefficients.grad) * scale
             rate = recipe.coefficient_rate * min(1.0, 10 ** (1 - 2 * fraction))
             _project_step(coefficients, state.velocity, pull, state.inverse, rate, recipe.momentum)

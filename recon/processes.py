@@ -13,6 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 import torch
+import torch.distributed.nn.functional  # now: its default arguments hold on to a group that is there on import
 from jaxtyping import Int
 from torch import Tensor
 

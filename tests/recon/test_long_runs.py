@@ -250,18 +250,22 @@ def test_a_recipe_refuses_a_negative_number_of_held_out_views():
 
 WORKER = """
 import sys
+import weakref
 sys.path[:0] = {paths!r}
 import torch
 from test_long_runs import PIXEL, RECIPE, toy_problem
 from recon.fitting import fit
 from recon.processes import joined
 with joined() as processes:
+    group = weakref.ref(torch.distributed.group.WORLD)
+    import torch._dynamo  # whatever is imported meanwhile
     start, measured = toy_problem()
     start = processes.from_first(start)
     steps = []
     fitted = fit(start, measured, PIXEL, RECIPE, steps.append, measured[[2]], processes)
     rows = [p.deviance for p in steps]
     torch.save([fitted.centres, fitted.coefficients, rows], sys.argv[1] + str(processes.rank))
+assert group() is None, "threads of a group that outlives its processes' context may abort them at their end"
 """
 
 
