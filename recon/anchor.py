@@ -101,9 +101,20 @@ class Anchor:
         k = step * _STRIDE % slabs
         first, last = k * depth // slabs, (k + 1) * depth // slabs
         slab = self.grid.slices(first, last - first)
-        found = voxelize_tensor(
-            gaussians.centres, gaussians.log_scales, gaussians.quaternions, gaussians.coefficients, slab, cutoff=CUTOFF
+        near = _reaching(gaussians, slab)
+        centres, log_scales, quaternions, coefficients = (
+            part.index_select(0, near) for part in gaussians.tensors().values()
         )
+        found = voxelize_tensor(centres, log_scales, quaternions, coefficients, slab, cutoff=CUTOFF)
         away = found.detach() - mass_within(CUTOFF) * torch.from_numpy(self.volumes[:, first:last]).to(found)
         away *= torch.from_numpy(self.weights[first:last]).to(found)
         found.backward(torch.einsum("mn,nzyx->mzyx", slabs * weight, away))
+
+
+def _reaching(gaussians: Gaussians, slab: Grid) -> Tensor:
+    """Indices of the Gaussians that may reach into the slab, in order."""
+    across, height = slab.spacing[0], slab.spacing[0] * slab.shape[0]
+    middle = slab.origin[0] + 0.5 * (height - across)
+    widest = torch.exp(2 * gaussians.log_scales.detach().amax(dim=1))
+    reach = CUTOFF * torch.sqrt(widest + across**2 / 12) + across
+    return torch.nonzero((gaussians.centres.detach()[:, 2] - middle).abs() < 0.5 * height + reach)[:, 0]

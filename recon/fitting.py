@@ -28,6 +28,7 @@ from recon.recipe import Recipe
 from spectra.threads import without_other_pools
 
 SNAPSHOTS = 10  # models kept along the way, for error against time
+CURVATURE_VIEWS = 12  # at most, evenly spread, that curvature is computed from
 PATIENCE = 2  # snapshots in a row without progress on held-out rays that end a fit
 
 
@@ -92,7 +93,7 @@ def fit(
     coefficients = state.gaussians.coefficients
     rates = np.array([recipe.centre_rate * voxel, recipe.shape_rate, recipe.shape_rate])
     began = time.perf_counter() - state.seconds
-    lengths = _steps(len(measurements), recipe)
+    lengths = recipe.steps(len(measurements))
     steps, firsts = sum(lengths), accumulate(lengths, initial=0)
     for stage, first, length in zip(recipe.stages, firsts, lengths, strict=False):
         if state.done >= first + length:
@@ -138,12 +139,6 @@ def _judge(state: FitState, held_out: Measurements, recipe: Recipe, processes: P
     return found
 
 
-def _steps(views: int, recipe: Recipe) -> list[int]:
-    """Steps of each stage."""
-    per_sweep = max(views // recipe.views_per_step, 1)
-    return [max(round(stage.sweeps * per_sweep), 1) for stage in recipe.stages]
-
-
 def _subsets(views: int, per_sweep: int, steps: int) -> Iterator[np.ndarray]:
     """Evenly spread subsets of the views, one after the other in an order that jumps around the orbit."""
     stride = next(s for s in range(max(int(0.38 * per_sweep), 1), per_sweep + 1) if np.gcd(s, per_sweep) == 1)
@@ -154,8 +149,8 @@ def _subsets(views: int, per_sweep: int, steps: int) -> Iterator[np.ndarray]:
 def _inverse_curvature(
     gaussians: Gaussians, data: Measurements, recipe: Recipe, processes: Processes, anchor: Anchor | None
 ) -> tuple[Tensor, Tensor]:
-    """Inverse blocks of the coefficients' curvature, from a fifth of the views, and the weight of the prior."""
-    some = np.arange(0, len(data), 5)
+    """Inverse blocks of the coefficients' curvature, from some of the views, and the weight of the prior."""
+    some = np.arange(0, len(data), -(-len(data) // CURVATURE_VIEWS))
     blocks = coefficient_curvature(gaussians, data[processes.share(some)], recipe.dispersion)
     processes.add_up([blocks])
     blocks, weight = blocks * (len(data) / len(some)), torch.empty(0)

@@ -18,6 +18,7 @@ COARSEST = 3.5  # largest spacing over the smallest
 GROWTH = 0.3  # how fast the spacing may grow with the distance from an edge
 OVERLAP = 0.65  # standard deviation of a Gaussian over the distance to its neighbours
 FLATNESS = 0.25  # thickness of a Gaussian on a full edge over its width
+BLOCK = 8  # voxels along an edge; in no order, following voxels took three times as long
 
 
 def initialize(
@@ -128,7 +129,10 @@ def _throw_darts(voxels, offsets, distances, shape, taken):
 def _blue_noise(
     occupied: Bool[np.ndarray, "z y x"], distance: Float[np.ndarray, "z y x"], seed: int
 ) -> Float[np.ndarray, "point 3"]:
-    """Points (z, y, x) [voxels] in occupied voxels that keep their distance; the finest regions are filled first."""
+    """Points (z, y, x) [voxels] in occupied voxels that keep their distance; the finest regions are filled first.
+
+    They come block by block: Gaussians that follow each other meet the same voxels, which are then in the cache.
+    """
     rng = np.random.default_rng(seed)
     voxels = np.argwhere(occupied)
     offsets = rng.uniform(-0.5, 0.5, voxels.shape)
@@ -137,6 +141,8 @@ def _blue_noise(
     taken = np.full(occupied.shape, -1)
     voxels, offsets = voxels[order], offsets[order]
     kept = _throw_darts(voxels, offsets, distances[order], np.array(occupied.shape), taken)
+    blocks = voxels[kept] // BLOCK
+    kept = kept[np.lexsort((*voxels[kept].T[::-1], *blocks.T[::-1]))]
     return voxels[kept] + offsets[kept]
 
 

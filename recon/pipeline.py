@@ -117,7 +117,8 @@ def reconstruct(
     state, volumes = _shared(state, processes).to(place), processes.from_first(volumes)
     anchor = None
     if recipe.prior:
-        anchor = Anchor.off_edges(*_filled_part(volumes, grid), fisher, recipe.prior, recipe.prior_along_edges)
+        along = recipe.prior_along_edges(len(fitted))
+        anchor = Anchor.off_edges(*_filled_part(volumes, grid), fisher, recipe.prior, along)
     with stage("fit"):
         gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, processes, anchor, store)
     name = _starting(measured, grid, recipe).name

@@ -47,18 +47,19 @@ class Recipe:
     warm_up : sweeps over which steps of the geometry grow to their length
     prior : information of the prior over that of the data, see `recon.anchor`; 0 starts from decomposed rays instead,
         further off, and wants larger rates
-    prior_along_edges : weight of the prior along edges, which voxels blur, over its weight elsewhere
+    steps_along_edges : weight of the prior along edges, over its weight elsewhere, times the number of steps: voxels
+        blur edges, and many steps find them better than few
     seed : of the placement, of the order of views, and of which are held out
     held_out : training views that are not fitted; the fit ends when chi-square on them no longer falls; 0 for none
     """
 
     name: str = "own"
     stages: tuple[Stage, ...] = (Stage(0.5, 1.0),)
-    views_per_step: int = 2
+    views_per_step: int = 1
     spacing: float = 1.2
     voxel_passes: int = 8
-    approximation: int = 20
-    dispersion: float = 0.01
+    approximation: int = 40
+    dispersion: float = 0.02
     node_tolerance: float = 1e-3
     centre_rate: float = 0.02
     shape_rate: float = 0.005
@@ -66,9 +67,9 @@ class Recipe:
     coefficient_rate: float = 1.0
     momentum: float = 0.9
     curvature_sweeps: float = 2.0
-    warm_up: float = 0.0
+    warm_up: float = 0.5
     prior: float = 0.3
-    prior_along_edges: float = 0.03
+    steps_along_edges: float = 18.0
     seed: int = 0
     held_out: int = 0
 
@@ -82,25 +83,16 @@ class Recipe:
         if not self.stages:
             raise InputError("a recipe needs at least one stage")
 
+    def steps(self, views: int) -> list[int]:
+        """Steps of each stage with so many training views."""
+        per_sweep = max(views // self.views_per_step, 1)
+        return [max(round(stage.sweeps * per_sweep), 1) for stage in self.stages]
 
-FAST = Recipe(
-    name="fast",
-    stages=(Stage(1.0, 1.0),),
-    views_per_step=1,
-    approximation=40,
-    dispersion=0.02,
-    centre_rate=0.01,
-    shape_rate=0.0025,
-    final_rate=0.3,
-    prior_along_edges=0.3,
-)
-BEST = Recipe(
-    name="best",
-    stages=(Stage(0.5, 4.0),),
-    views_per_step=1,
-    spacing=0.9,
-    approximation=40,
-    dispersion=0.02,
-    warm_up=0.5,
-)
+    def prior_along_edges(self, views: int) -> float:
+        """Weight of the prior along edges, over its weight elsewhere, with so many training views."""
+        return min(self.steps_along_edges / sum(self.steps(views)), 1.0)
+
+
+FAST = Recipe(name="fast")
+BEST = Recipe(name="best", stages=(Stage(0.5, 4.0),), spacing=0.9)
 RECIPES = {recipe.name: recipe for recipe in (FAST, BEST)}

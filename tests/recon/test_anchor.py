@@ -7,6 +7,7 @@ import pytest
 import torch
 from gaussian_scenes import small_model
 
+import recon.anchor
 from phantomgen.grid import Grid
 from recon.anchor import CUTOFF, SLABS, Anchor
 from recon.fit_state import GEOMETRY
@@ -113,3 +114,23 @@ def test_density_is_relative_to_that_of_most_voxels_that_hold_something():
     assert found[5, 5, 5] == pytest.approx(30)
     assert found[3, 3, 3] == pytest.approx(1)
     assert found[0, 0, 0] == 0
+
+
+def test_only_gaussians_that_reach_a_slab_matter_to_it(monkeypatch):
+    grid = Grid.cube(32, 32.0)
+    start = small_model(5, count=40)
+    start = replace(start, centres=start.centres * 2, log_scales=start.log_scales + torch.linspace(-1.5, 0.5, 3))
+    held = Anchor(np.zeros((3, *grid.shape), np.float32), grid, 0.3, np.ones(grid.shape, np.float32))
+    some, chosen, reaching = gradients(start, held), [], recon.anchor._reaching
+    monkeypatch.setattr(recon.anchor, "_reaching", lambda model, slab: chosen.append(slab) or torch.arange(len(model)))
+    every = gradients(start, held)
+    assert len(chosen) == SLABS
+    assert all(len(reaching(start, slab)) < len(start) for slab in chosen)
+    for name in PARTS:
+        np.testing.assert_allclose(some[name], every[name], atol=1e-6 * float(every[name].abs().max()))
+
+
+def test_a_slab_that_no_gaussian_reaches_pulls_at_none():
+    grid = Grid.cube(32, 320.0)
+    held = Anchor(np.ones((3, *grid.shape), np.float32), grid, 0.3, np.ones(grid.shape, np.float32))
+    assert all(torch.isfinite(pull).all() for pull in gradients(model(1), held).values())

@@ -1,6 +1,5 @@
 """Numba kernel of the voxel-driven back-projector."""
 
-import math
 from typing import no_type_check
 
 from numba import njit
@@ -30,7 +29,7 @@ def backproject(images, origins, inverses, scales, grid_origin, spacing, first, 
                     column, row = (h0 + m[0, 0] * px) / depth, (h1 + m[1, 0] * px) / depth
                     if not (depth > 0 and 0 <= column <= columns - 1 and 0 <= row <= rows - 1):
                         continue
-                    c, r = min(int(math.floor(column)), columns - 2), min(int(math.floor(row)), rows - 2)
+                    c, r = min(int(column), columns - 2), min(int(row), rows - 2)
                     fc, fr = column - c, row - r
                     weight = (scales[v] / depth) ** 2
                     w00, w01 = weight * (1 - fr) * (1 - fc), weight * (1 - fr) * fc

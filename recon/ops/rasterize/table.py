@@ -6,6 +6,8 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from recon.ops.rounding import round_down, round_up
+
 # Where the numbers of a footprint are; of a Gaussian near an end of the rays, the rows are (one past the last, first).
 XC, YC, L11, L21, L22, E1, E2, E3, E4, E5, AMPLITUDE, ROW_0, ROW_1 = range(13)
 FOOTPRINT_SIZE = 13
@@ -81,4 +83,4 @@ def row_span(p, dy, k2, columns):
     half = math.sqrt(inside)
     low = min(max(p[XC] - (b + half) / a, f4(0)), f4(columns))
     high = min(max(p[XC] + (half - b) / a, f4(-1)), f4(columns - 1))
-    return int(math.ceil(low)), int(math.floor(high)) + 1
+    return round_up(low), round_down(high) + 1

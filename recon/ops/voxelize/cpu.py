@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from recon.ops.rasterize.table import NARROWEST, NEGLIGIBLE
+from recon.ops.rounding import round_down, round_up
 from recon.ops.simd import WIDTH, count_from, exp_negative, load, minimum, splat, store, where_less
 
 X, Y, Z, U11, U12, U13, U22, U23, U33, AMPLITUDE, HALF_Z, HALF_Y, VOXEL_X, VOXEL_Y, VOXEL_Z = range(15)
@@ -115,7 +116,7 @@ def span(middle, half, voxel, first, last):
     """First and one past the last index in [first, last) within `half` of `middle`, which is measured from `voxel`."""
     low = min(max(middle - half - f4(SLACK), f4(first - voxel)), f4(last - voxel))
     high = min(max(middle + half + f4(SLACK), f4(first - voxel - 1)), f4(last - voxel - 1))
-    return voxel + int(math.ceil(low)), voxel + int(math.floor(high)) + 1
+    return voxel + round_up(low), voxel + round_down(high) + 1
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
