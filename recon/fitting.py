@@ -23,6 +23,7 @@ from recon.curvature import coefficient_curvature
 from recon.fit_state import FitState
 from recon.gaussians import Gaussians
 from recon.measurements import Measurements, matching_bin
+from recon.ops.positive_step import positive_step
 from recon.processes import ALONE, Processes
 from recon.recipe import Recipe
 from spectra.threads import without_other_pools
@@ -179,15 +180,8 @@ def _nearest_non_negative(
     """Non-negative coefficients nearest to those wanted, in the metric whose inverse is given.
 
     Setting the negative ones to 0 would leave the others where they stood against them: with water and bone as bases,
-    bone that wants to be negative in water would hold too much water up. So the others follow. Those that become
-    negative in turn are held at 0, those that are pulled up are let go (block principal pivoting).
+    bone that wants to be negative in water would hold too much water up. So the others follow.
     """
-    free = wanted >= 0
-    nearest = wanted
-    for _ in range(wanted.shape[1]):
-        held = (~free).to(wanted)
-        system = inverse * held[:, :, None] * held[:, None, :] + torch.diag_embed(free.to(wanted))
-        pull = torch.linalg.solve(system, held * wanted)
-        nearest = wanted - torch.einsum("gmn,gn->gm", inverse, pull)
-        free = torch.where(free, nearest >= 0, pull > 0)
-    return nearest.clamp(min=0)
+    rows, columns = np.triu_indices(wanted.shape[1])
+    volumes, blocks = wanted.T.cpu().numpy(), inverse[:, rows, columns].T.cpu().numpy()
+    return torch.from_numpy(positive_step(volumes, blocks, np.zeros_like(volumes))).T.to(wanted)

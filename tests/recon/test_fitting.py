@@ -107,9 +107,10 @@ def test_curvature_may_be_renewed_more_often_than_once_a_sweep(problem):
 def test_steps_end_at_the_nearest_non_negative_coefficients(bases):
     """Nearest in the metric of the likelihood: the same as non-negative least squares."""
     rng = np.random.default_rng(bases)
-    roots = np.linalg.qr(rng.normal(size=(100, bases, bases)))[1] + 0.1 * np.eye(bases)
-    wanted = rng.normal(size=(100, bases))
-    metrics = np.einsum("gim,gin->gmn", roots, roots)
-    found = _nearest_non_negative(torch.tensor(wanted), torch.tensor(np.linalg.inv(metrics)))
-    exact = [nnls(root, root @ values)[0] for root, values in zip(roots, wanted, strict=True)]
+    roots = np.triu(rng.normal(size=(100, bases, bases)), 1) + np.eye(bases) * rng.uniform(0.3, 2, (100, 1, bases))
+    inverse = np.linalg.inv(np.einsum("gim,gin->gmn", roots, roots)).astype(np.float32)
+    wanted = rng.normal(size=(100, bases)).astype(np.float32)
+    found = _nearest_non_negative(torch.tensor(wanted), torch.tensor(inverse))
+    halves = np.linalg.cholesky(np.linalg.inv(inverse.astype(float))).transpose(0, 2, 1)
+    exact = [nnls(half, half @ values)[0] for half, values in zip(halves, wanted.astype(float), strict=True)]
     np.testing.assert_allclose(found, exact, atol=1e-6 * np.abs(exact).max())
