@@ -82,7 +82,7 @@ def _parts(dataset: Dataset, recipe: Recipe, bases: int | None, gaussians: int |
     m = bases or len(dataset.spectra.basis)
     factor = matching_bin(dataset.geometry, min(dataset.grid.spacing)) ** 2
     if gaussians is None:
-        gaussians = round(GAUSSIANS_PER_VOXEL * voxels / recipe.spacing**2)
+        gaussians = round(GAUSSIANS_PER_VOXEL * voxels / recipe.distance(views) ** 2)
     per_step = recipe.views_per_step * 4 * (3 * m + 1) + 4 * 12 * channels + 8 * (channels * (m + 2) + 2 * m)
     pairs = m * (m + 1) // 2
     curvature = _CURVATURE_VIEWS * 4 * (m + 1 + 4 * pairs) + 8 * channels * (m + 2) + 8 * m * m * 2

@@ -164,7 +164,8 @@ def _first_guess(
             volumes = start_volumes(line_integrals, coarse.unseen, coarse.geometry, grid, method)
     with stage("initialize"):
         seen, inner = _filled_part(volumes, grid)
-        gaussians = initialize(seen, inner, fisher, recipe.spacing * voxel, measured.basis_names, recipe.seed)
+        spacing = recipe.distance(len(measured)) * voxel
+        gaussians = initialize(seen, inner, fisher, spacing, measured.basis_names, recipe.seed)
     if not recipe.prior:
         return volumes, gaussians
     metric = metric_of(seen, fisher)

@@ -9,6 +9,10 @@ _ANY_SIGN = (
 )  # fmt: skip
 
 
+FEW = 75  # views, up to which Gaussians are as far apart as the recipe says
+FINEST = 0.9  # voxels; what more views do not make finer
+
+
 @dataclass(frozen=True)
 class Stage:
     """A part of the fit at one binning of the detector.
@@ -32,7 +36,7 @@ class Recipe:
     name : what ``--recipe`` calls it
     stages : binnings and how long each lasts
     views_per_step : views whose gradients make one step
-    spacing : distance between Gaussians along edges
+    spacing : distance between Gaussians along edges; shorter with more than 75 views, see `Recipe.distance`
     voxel_passes : over the views at full resolution, for the voxels that a fit with a prior starts from
     approximation : evaluations that bring the Gaussians close to voxels
     dispersion : relative model error added to the Poisson variance, so that what is left of partial volume at edges
@@ -87,6 +91,10 @@ class Recipe:
         """Steps of each stage with so many training views."""
         per_sweep = max(views // self.views_per_step, 1)
         return [max(round(stage.sweeps * per_sweep), 1) for stage in self.stages]
+
+    def distance(self, views: int) -> float:
+        """Distance between Gaussians along edges with so many training views: less noise shows finer things."""
+        return min(self.spacing, max(self.spacing * (FEW / views) ** (1 / 6), FINEST))
 
     def prior_along_edges(self, views: int) -> float:
         """Weight of the prior along edges, over its weight elsewhere, with so many training views."""

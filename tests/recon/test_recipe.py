@@ -1,0 +1,24 @@
+"""What a recipe makes of the number of views."""
+
+import pytest
+
+from recon.recipe import BEST, FAST, Recipe, Stage
+
+
+@pytest.mark.parametrize(
+    ("recipe", "views", "voxels"),
+    [(FAST, 10, 1.2), (FAST, 75, 1.2), (FAST, 180, 1.037), (FAST, 10_000, 0.9), (BEST, 75, 0.9), (BEST, 180, 0.9)],
+)
+def test_gaussians_are_closer_with_many_views(recipe, views, voxels):
+    assert recipe.distance(views) == pytest.approx(voxels, abs=1e-3)
+
+
+def test_the_prior_lets_go_of_edges_as_steps_grow():
+    assert Recipe(steps_along_edges=18).prior_along_edges(60) == pytest.approx(0.3)
+    assert Recipe(steps_along_edges=18).prior_along_edges(180) == pytest.approx(0.1)
+    assert Recipe(steps_along_edges=18).prior_along_edges(4) == 1
+
+
+def test_every_stage_has_its_sweeps_and_at_least_one_step():
+    recipe = Recipe(stages=(Stage(1.0, 0.5), Stage(0.5, 2.0), Stage(0.5, 1e-9)), views_per_step=3)
+    assert recipe.steps(75) == [12, 50, 1]
