@@ -15,6 +15,7 @@ BANDWIDTH = 3.0  # units of `unit_of`
 FLOOR = 0.005  # least unit, of the range of a feature
 SAMPLES = 10_000
 RAREST = 0.001  # modes with a smaller part of the samples are left out
+VALLEY = 0.5  # of the samples at a mode: one that has no valley before it is the tail of another
 _TAIL = 0.005  # quantile where the range of a feature ends
 
 
@@ -76,3 +77,23 @@ def nearest_mode(
         closer = distance < least
         nearest[closer], least[closer] = index, distance[closer]
     return nearest
+
+
+def is_tail(
+    samples: Float[np.ndarray, "sample feature"],
+    mode: Float[np.ndarray, " feature"],
+    other: Float[np.ndarray, " feature"],
+) -> bool:
+    """Whether no valley lies between a mode and a lower one, among the samples around the line from one to the other.
+
+    Parameters
+    ----------
+    samples, mode, other : features [units of their noise]
+    """
+    length = float(np.linalg.norm(other - mode))
+    way = (other - mode) / length
+    along = (samples - mode) @ way
+    aside = np.square(samples - mode).sum(axis=1) - np.square(along)
+    steps = max(round(length), 2)
+    counts = np.histogram(along[aside < 1] * (steps / length), np.arange(steps + 2) - 0.5)[0]
+    return bool(counts[1:-1].min() >= VALLEY * counts[-1] > 0)

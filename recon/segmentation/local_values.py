@@ -1,12 +1,13 @@
 """Materials by the values of the volumes: at the centres of Gaussians, or in voxels."""
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import connected_components
 
-from recon.segmentation.clustering import find_modes, nearest_mode, unit_of
+from recon.segmentation.clustering import find_modes, is_tail, nearest_mode, unit_of
 from recon.segmentation.features import Mechanisms, at_points, flat_inside, noise_of, voxel_places
 from recon.segmentation.labelling import label_edges, nearest_voxels, ordered, rims
 from recon.segmentation.result import Options
@@ -59,7 +60,8 @@ def find_materials(
     unit = unit_of(voxels, noise_of(features, inside))
     modes = find_modes(samples if len(samples) else voxels, unit, options.bandwidth, options.seed)
     inner = np.zeros(inside.shape, np.uint16)
-    inner[inside] = 1 + _joined(modes, unit, features, inside, options.bandwidth)[nearest_mode(voxels, modes, unit)]
+    groups = _groups(modes, unit, features, inside, options.bandwidth)
+    inner[inside] = groups[nearest_mode(voxels, modes, unit)]
     inner = _renumbered(inner, np.flatnonzero(~rims(inner, len(modes)) & _present(inner, len(modes))))
     air = features[0] <= mechanisms.air
     inner = with_thin_materials(inner, parts, features, air, medians(parts, inner), options.seed)
@@ -84,22 +86,29 @@ def _samples_at(
     return at_points(features, subject.grid, points[inside[index]]).T
 
 
-def _joined(
+def _groups(
     modes: Float[np.ndarray, "mode feature"],
     unit: Float[np.ndarray, " feature"],
     features: Float[np.ndarray, "feature z y x"],
     inside: Bool[np.ndarray, "z y x"],
     bandwidth: float,
 ) -> Int[np.ndarray, " mode"]:
-    """Number of the material of each mode: those that noise could have parted are one.
+    """Label of each mode: modes that noise could have parted have the same one, and tails of others have 0.
 
     Ratios are noisier the less dense a material is, so that one noise for all finds several modes in a lung. Here that
-    of either mode counts, from places of its density.
+    of either mode counts, from places of its density. A few samples of a long tail show modes, too; of what all voxels
+    show to be one, the edges around it decide.
     """
     near = [inside & (np.abs(features[0] - mode[0]) < bandwidth * unit[0]) for mode in modes]
     noise = np.maximum([[unit[0], *noise_of(features, here)[1:]] for here in near], unit)
-    apart = np.abs(modes[:, None] - modes[None]) / np.maximum(noise[:, None], noise[None])
-    return connected_components(np.sqrt(np.square(apart).sum(axis=2)) < bandwidth)[1]
+    values, one = features[:, inside].T, np.eye(len(modes), dtype=bool)
+    tail = np.zeros(len(modes), dtype=bool)
+    for i, j in combinations(range(len(modes)), 2):
+        scale = np.maximum(noise[i], noise[j])
+        one[i, j] = np.linalg.norm((modes[i] - modes[j]) / scale) < bandwidth
+        if not one[i, j] and not tail[j]:
+            tail[j] = is_tail(values / scale, modes[i] / scale, modes[j] / scale)
+    return np.where(tail, 0, 1 + connected_components(one)[1])
 
 
 def _present(inner: Int[np.ndarray, "z y x"], count: int) -> Bool[np.ndarray, " cluster"]:

@@ -13,7 +13,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from phantomgen.grid import Grid
 from recon.gaussians import Gaussians
-from recon.segmentation.clustering import find_modes, nearest_mode
+from recon.segmentation.clustering import find_modes, is_tail, nearest_mode
 from recon.segmentation.colours import colours_of, kind_of, names_of
 from recon.segmentation.features import Mechanisms
 from recon.segmentation.labelling import label_edges, ordered, rims
@@ -216,6 +216,20 @@ def test_a_lung_is_one_material_though_its_ratio_is_noisier():
     assert min(dice_of(labels, found, 2)) > 0.95
 
 
+def test_a_mode_in_the_tail_of_a_lung_is_no_material(monkeypatch):
+    volumes, labels = boxes([TISSUE[:2], (0.0004, 0.0053)])
+    places = np.indices(GRID.shape)[:, labels == 2]
+    ratio = 1 + np.exp(-([1, 0.4, 0.2] @ (places - places.min(axis=1, keepdims=True))) / 3)
+    volumes[0, labels == 2] *= ratio * np.random.default_rng(0).normal(1, 0.01, len(ratio))
+    features = Mechanisms.of(DUAL, ENERGY, WEIGHTS).features(volumes)
+    lung = features[:, labels == 2]
+    modes = np.array([features[:, labels == 1].mean(axis=1), np.median(lung, axis=1), np.quantile(lung, 0.9, axis=1)])
+    monkeypatch.setattr("recon.segmentation.local_values.find_modes", lambda *_: modes)
+    found = segment_subject(subject_of(volumes, DUAL), Options(domain="voxels"))
+    assert len(found.clusters) == 2
+    assert min(dice_of(labels, found, 2)) == 1.0
+
+
 def test_one_material_is_one_cluster():
     found = segment_subject(subject_of(boxes((TISSUE,))[0], KEDGE), Options())
     assert [c.name for c in found.clusters] == ["soft tissue"]
@@ -347,6 +361,16 @@ def test_modes_lie_at_clusters_that_are_far_apart(seed, clusters):
     assert len(modes) == clusters
     assert sorted(nearest) == list(range(clusters))
     np.testing.assert_allclose(modes[nearest], centres, atol=0.6)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), features=st.integers(2, 5), apart=st.floats(6, 50))
+def test_what_falls_all_the_way_is_a_tail_and_what_lies_behind_a_valley_is_none(seed, features, apart):
+    rng = np.random.default_rng(seed)
+    mode, other = np.zeros(features), np.full(features, apart / np.sqrt(features))
+    noise = rng.normal(scale=0.2, size=(6000, features))
+    assert is_tail(noise + rng.exponential(3.0, 6000)[:, None] * other / apart, mode, other * min(1.0, 8.0 / apart))
+    assert not is_tail(noise + np.repeat([mode, other], [5500, 500], axis=0), mode, other)
 
 
 def test_a_rim_between_two_clusters_is_no_material():
