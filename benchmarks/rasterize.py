@@ -24,10 +24,10 @@ import torch
 from numba import njit
 
 from phantomgen.geometry import Geometry
+from phantomgen.ops.simd import WIDTH
 from phantomgen.panel import Panel
 from recon.ops.rasterize import CUTOFF, cpu, rasterize
 from recon.ops.rasterize.on_cpu import Scene, Settings
-from recon.ops.simd import WIDTH
 from spectra.threads import set_threads
 
 PIXELS, BASES, SOD, SDD, SIZE = 256, 3, 500.0, 800.0, 100.0

@@ -53,6 +53,17 @@ def test_both_ways_are_those_of_the_matrix(frames: np.ndarray, parallel: bool) -
     np.testing.assert_allclose(found.reshape(2, -1), images.reshape(2, -1) @ matrix, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.parametrize("components", [1, 2, 3, 4, 5, 10])
+@pytest.mark.parametrize(("frames", "parallel"), [VIEWS["circle"], VIEWS["widest"], VIEWS["tilted"]])
+def test_components_are_projected_as_each_alone(frames: np.ndarray, parallel: bool, components: int) -> None:
+    rng = np.random.default_rng(4)
+    volume, images = rng.random((components, *GRID.shape)), rng.random((components, len(frames), 6, 8))
+    alone = np.concatenate([project(v[None], GRID, frames, 6, 8, parallel) for v in volume])
+    np.testing.assert_allclose(project(volume, GRID, frames, 6, 8, parallel), alone, rtol=1e-6, atol=1e-6)
+    alone = np.concatenate([project_transpose(i[None], GRID, frames, parallel) for i in images])
+    np.testing.assert_allclose(project_transpose(images, GRID, frames, parallel), alone, rtol=1e-6, atol=1e-6)
+
+
 @views
 def test_one_is_the_transpose_of_the_other(frames: np.ndarray, parallel: bool) -> None:
     rng, grid = np.random.default_rng(2), Grid((70, 9, 11), (0.1, 0.7, 0.6), (-3.0, -3.0, -3.0))

@@ -1,6 +1,7 @@
 """The projector pair for numpy arrays: numba kernels, shared out between threads by views and by layers of voxels."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
@@ -9,6 +10,7 @@ from phantomgen.ops.project import cpu, upright
 from spectra.threads import run_parallel
 
 _LAYERS = 32  # of z per piece of work of the transpose
+_MOST_LANES = 4  # components that are computed together; each number is compiled of its own
 
 
 def forward(
@@ -25,16 +27,18 @@ def forward(
     components, *shape = volume.shape
     strides = _strides(shape)
     flat = np.ascontiguousarray(volume).reshape(components, -1) if not stacked.all() else None
-    lines = np.ascontiguousarray(np.moveaxis(volume, 1, -1)) if stacked.any() else None
+    groups = _lines_side_by_side(volume) if stacked.any() else []
     out = np.zeros((len(views), components, rows, columns), dtype=np.float32)
 
     def view(i: int) -> None:
-        if stacked[i]:
-            room = _room_for_lines(shape, rows, components, shape[0])
-            drawing = _room_for_pictures(shape, components)
-            upright.forward(lines, views[i], parallel, spacing, strides[0], room, drawing, out[i])
-        else:
+        if not stacked[i]:
             cpu.forward(flat, views[i], parallel, spacing, strides, _room(shape, components), out[i])
+            return
+        for group, lanes, lines in groups:
+            image = np.zeros((columns, rows * len(lanes)), dtype=np.float32)
+            room, drawing = _room_for_lines(shape, rows, len(lanes), shape[0]), _room_for_pictures(shape, len(lanes))
+            upright.forward(lanes, lines, views[i], parallel, spacing, strides[0], room, drawing, image)
+            out[i, group] = image.reshape(columns, rows, len(lanes)).T
 
     for _ in run_parallel(view, range(len(views))):
         pass
@@ -53,24 +57,75 @@ def backward(
     images = np.ascontiguousarray(np.moveaxis(images, 1, 0), dtype=np.float32)
     stacked = _are_upright(views, rows, columns, parallel)
     out = np.zeros((components, *shape), dtype=np.float32)
-    flat, strides, (depth, height, width) = out.reshape(components, -1), _strides(shape), shape
+    flat, strides = out.reshape(components, -1), _strides(shape)
+    upright_views, groups = views[stacked], _columns_side_by_side(images[stacked]) if stacked.any() else []
 
     def piece(first: int) -> None:
-        last = min(first + _LAYERS, depth) - 1
-        lines = np.zeros((components, height, width, last - first + 1), dtype=np.float32)
-        for image, view, is_stacked in zip(images, views, stacked, strict=True):
-            if is_stacked:
-                room = _room_for_lines(shape, rows, components, last - first + 1)
-                narrow = _room_for_columns(rows, components, last - first + 1)
-                upright.backward(image, view, parallel, spacing, strides[0], first, last, room, narrow, lines)
-            else:
-                room = _room(shape, components)
-                cpu.backward(image, view, parallel, spacing, strides, first, last, room, flat)
-        out[:, first : last + 1] += np.moveaxis(lines, -1, 1)
+        last = min(first + _LAYERS, shape[0]) - 1
+        for image, view in zip(images[~stacked], views[~stacked], strict=True):
+            cpu.backward(image, view, parallel, spacing, strides, first, last, _room(shape, components), flat)
+        for group, lanes, beside in groups:
+            layers = _upright_layers(lanes, beside, upright_views, parallel, spacing, shape, first, last)
+            out[group, first : last + 1] += layers
 
-    for _ in run_parallel(piece, range(0, depth, _LAYERS)):
+    for _ in run_parallel(piece, range(0, shape[0], _LAYERS)):
         pass
     return out
+
+
+def _groups(components: int) -> list[tuple[slice, tuple[np.float32, ...]]]:
+    """Which components are computed together, in groups as even as can be, and lanes for them."""
+    count = -(-components // _MOST_LANES)
+    ends = [i * components // count for i in range(count + 1)]
+    return [(slice(a, b), (np.float32(0),) * (b - a)) for a, b in pairwise(ends)]
+
+
+def _lines_side_by_side(
+    volume: Float32[np.ndarray, "component z y x"],
+) -> list[tuple[slice, tuple[np.float32, ...], Float32[np.ndarray, "y x number"]]]:
+    """Groups of components, their lanes, and their lines along z.
+
+    One x more than there are keeps lines of different y from the same sets of the cache.
+    """
+    components, depth, height, width = volume.shape
+    found = []
+    for group, lanes in _groups(components):
+        lines = np.zeros((height, width + 1, depth, len(lanes)), dtype=np.float32)
+        lines[:, :width] = volume[group].transpose(2, 3, 1, 0)
+        found.append((group, lanes, lines.reshape(height, width + 1, -1)))
+    return found
+
+
+def _columns_side_by_side(
+    images: Float32[np.ndarray, "view component row column"],
+) -> list[tuple[slice, tuple[np.float32, ...], Float32[np.ndarray, "view column number"]]]:
+    """Groups of components, their lanes, and their columns."""
+    views, components, _, columns = images.shape
+    found = []
+    for group, lanes in _groups(components):
+        beside = np.ascontiguousarray(images[:, group].transpose(0, 3, 2, 1))
+        found.append((group, lanes, beside.reshape(views, columns, -1)))
+    return found
+
+
+def _upright_layers(
+    lanes: tuple[np.float32, ...],
+    images: Float32[np.ndarray, "view column number"],
+    views: Float[np.ndarray, "view 4 3"],
+    parallel: bool,
+    spacing: Float[np.ndarray, " 3"],
+    shape: tuple[int, int, int],
+    first: int,
+    last: int,
+) -> Float32[np.ndarray, "lane layer y x"]:
+    """What views whose rows are stacked give to some layers."""
+    (_, height, width), layers, rows = shape, last - first + 1, images.shape[2] // len(lanes)
+    volume = np.zeros((height, width + 1, layers * len(lanes)), dtype=np.float32)  # as in `_lines_side_by_side`
+    room, narrow = _room_for_lines(shape, rows, len(lanes), layers), _room_for_beams(rows, len(lanes), layers)
+    numbers = _strides(shape)[0]
+    for image, view in zip(images, views, strict=True):
+        upright.backward(lanes, image, view, parallel, spacing, numbers, first, last, room, narrow, volume)
+    return np.moveaxis(volume.reshape(height, width + 1, layers, len(lanes))[:, :width], (3, 2), (0, 1))
 
 
 def _strides(shape: Sequence[int]) -> np.ndarray:
@@ -84,24 +139,23 @@ def _room(shape: Sequence[int], components: int) -> tuple[np.ndarray, np.ndarray
     return np.empty(7), np.empty((2, max(shape))), np.empty(components)
 
 
-def _room_for_lines(shape: Sequence[int], rows: int, components: int, layers: int) -> tuple[np.ndarray, ...]:
+def _room_for_lines(shape: Sequence[int], rows: int, lanes: int, layers: int) -> tuple[np.ndarray, ...]:
     """Scratch of a kernel that works on lines along z."""
-    lines = np.empty((2, components, layers + 1))
+    lines = np.empty((2, layers + 1, lanes))
     return np.empty(7), np.empty(max(shape)), np.empty((4, rows)), lines[0], lines[1]
 
 
-def _room_for_columns(rows: int, components: int, layers: int) -> tuple[np.ndarray, np.ndarray]:
+def _room_for_beams(rows: int, lanes: int, layers: int) -> tuple[np.ndarray, np.ndarray]:
     """Scratch of `upright.backward` for beams up to two voxels wide."""
-    lines = np.empty((components, layers + upright.PADDING), dtype=np.float32)
-    return np.empty((components, rows), dtype=np.float32), lines
+    return np.empty((4, rows)), np.empty((layers + upright.PADDING) * lanes, dtype=np.float32)
 
 
-def _room_for_pictures(shape: Sequence[int], components: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _room_for_pictures(shape: Sequence[int], lanes: int) -> tuple[np.ndarray, ...]:
     """Scratch of `upright.forward` for lines that are summed together."""
     most = max(shape[1:])
-    pictures = np.zeros((components, most, shape[0] + upright.PADDING), dtype=np.float32)
+    pictures = np.zeros((most, (shape[0] + upright.PADDING) * lanes), dtype=np.float32)
     steps, sizes = np.empty((2, most), dtype=np.float32)
-    return pictures, steps, sizes
+    return pictures, steps, sizes, np.empty((3, most + 1), dtype=np.float32), np.empty(most + 1, dtype=np.int32)
 
 
 def _are_upright(

@@ -10,6 +10,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from phantomgen.ops.simd import WIDTH, load, minimum, ramp, splat, square_root, store, total, where_less
 from recon.ops.rasterize.cpu import SCRATCH, chain, look, write_footprint
 from recon.ops.rasterize.table import (
     AMPLITUDE,
@@ -27,7 +28,6 @@ from recon.ops.rasterize.table import (
     YC,
     row_span,
 )
-from recon.ops.simd import WIDTH, load, minimum, ramp, splat, square_root, store, total, where_less
 
 f4 = np.float32
 UNIT = np.float32(2 / math.sqrt(2 * math.pi))

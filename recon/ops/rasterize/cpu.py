@@ -16,6 +16,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from phantomgen.ops.simd import WIDTH, exp_negative, load, minimum, ramp, splat, square_root, store, total, where_less
 from recon.ops.rasterize import near
 from recon.ops.rasterize.table import (
     AMPLITUDE,
@@ -37,7 +38,6 @@ from recon.ops.rasterize.table import (
     lattice_mass,
     row_span,
 )
-from recon.ops.simd import WIDTH, exp_negative, load, minimum, ramp, splat, square_root, store, total, where_less
 
 SCRATCH = 15  # rows of the scratch array of one Gaussian in one view
 HIDDEN, NEAR = near.HIDDEN, near.NEAR

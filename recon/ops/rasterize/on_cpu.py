@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
+from phantomgen.ops.simd import WIDTH
 from recon.ops.rasterize import cpu, near
 from recon.ops.rasterize.table import FOOTPRINT_SIZE, ROW_0, ROW_1
-from recon.ops.simd import WIDTH
 from spectra.threads import run_parallel
 
 CHUNK = 2048  # Gaussians per piece of work

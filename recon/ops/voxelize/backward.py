@@ -11,7 +11,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from recon.ops.simd import WIDTH, count_from, exp_negative, load, minimum, splat, store, total, where_less
+from phantomgen.ops.simd import WIDTH, count_from, exp_negative, load, minimum, splat, store, total, where_less
 from recon.ops.voxelize.cpu import (
     AMPLITUDE,
     HALF_Z,

@@ -7,8 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from phantomgen.grid import Grid
+from phantomgen.ops.simd import WIDTH
 from recon.ops.rasterize.cpu import whitening, whitening_backward
-from recon.ops.simd import WIDTH
 from recon.ops.voxelize import cpu
 from recon.ops.voxelize.backward import backward
 from spectra.threads import run_parallel

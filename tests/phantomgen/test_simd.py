@@ -2,14 +2,16 @@ import numpy as np
 import pytest
 from numba import njit
 
-from recon.ops.simd import (
+from phantomgen.ops.simd import (
     WIDTH,
     count_from,
     exp_negative,
     load,
+    load_as,
     minimum,
     ramp,
     splat,
+    splat_as,
     square_root,
     store,
     total,
@@ -43,6 +45,23 @@ def test_operations_do_what_numpy_does():
         first + steps, np.sqrt(a), np.where(a < number, b, 0), np.minimum(a, number), np.full(WIDTH, a.sum()),
     ]  # fmt: skip
     np.testing.assert_allclose(out, expected, rtol=1e-6)
+
+
+@njit
+def of_any_length(numbers, a, b, number, out):
+    """A sum and a product of as many numbers as `numbers` has, from the second one on."""
+    x, y = load_as(numbers, a, 1), load_as(numbers, b, 1)
+    store(out, 1, x + y * number - splat_as(numbers, number))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 8, 16])
+def test_vectors_are_as_long_as_the_tuple_and_leave_the_rest(count):
+    a, b = np.random.default_rng(2).uniform(0.1, 3, (2, count + 2)).astype(f4)
+    out = np.zeros(count + 2, f4)
+    of_any_length((f4(0),) * count, a, b, f4(1.3), out)
+    expected = a + b * f4(1.3) - f4(1.3)
+    expected[[0, -1]] = 0
+    np.testing.assert_allclose(out, expected, rtol=1e-5, atol=1e-6)
 
 
 @njit

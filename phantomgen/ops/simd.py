@@ -1,9 +1,11 @@
-"""Eight float32 numbers in one register, as a type that numba kernels can compute with.
+"""Several float32 numbers in one register, as a type that numba kernels can compute with.
 
 Gaussian footprints are a few pixels wide: rows too short for the compiler's own vectoriser, which then falls back to
-one pixel at a time (measured: 10 ns per Gaussian and pixel against 1 ns with this type). A value of type `Float32x8`
-lives in one LLVM vector; ``+ - * /`` work on all eight numbers at once, a float32 operand counts eight times. LLVM
-lowers it to whatever the processor has (AVX, SSE, NEON).
+one pixel at a time (measured: 10 ns per Gaussian and pixel against 1 ns with this type). And where values of several
+components lie side by side, places are computed, and waited for, once for all of them. A value of type `Vector` lives
+in one LLVM vector; ``+ - * /`` work on all its numbers at once, a float32 operand counts for each. LLVM lowers it to
+whatever the processor has (AVX, SSE, NEON). There are eight numbers but where a tuple says how many: its values do not
+count.
 """
 
 import operator
@@ -16,51 +18,64 @@ from numba.core import cgutils
 from numba.extending import intrinsic, models, overload, register_model
 
 WIDTH = 8
-_VECTOR = ir.VectorType(ir.FloatType(), WIDTH)
 
 
-class Float32x8(types.Type):
-    """Numba type of eight float32 numbers."""
+class Vector(types.Type):
+    """Numba type of `count` float32 numbers."""
 
-    def __init__(self) -> None:
-        super().__init__(name="Float32x8")
-
-
-float32x8 = Float32x8()
+    def __init__(self, count: int) -> None:
+        super().__init__(name=f"Vector({count})")
+        self.count = count
 
 
-@register_model(Float32x8)
-class _Float32x8Model(models.PrimitiveModel):
+float32x8 = Vector(WIDTH)
+
+
+def _llvm(count: int) -> ir.VectorType:
+    return ir.VectorType(ir.FloatType(), count)
+
+
+_VECTOR = _llvm(WIDTH)
+
+
+@register_model(Vector)
+class _VectorModel(models.PrimitiveModel):
     def __init__(self, manager, fe_type) -> None:
-        super().__init__(manager, fe_type, _VECTOR)
+        super().__init__(manager, fe_type, _llvm(fe_type.count))
 
 
-def _splat(builder, value):
-    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
-    zeros = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH)
-    return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), zeros)
+def _splat(builder, value, count=WIDTH):
+    one = builder.insert_element(ir.Constant(_llvm(count), ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), count), [0] * count)
+    return builder.shuffle_vector(one, ir.Constant(_llvm(count), ir.Undefined), zeros)
 
 
-def _as_vector(builder, kind, value):
-    return value if isinstance(kind, Float32x8) else _splat(builder, value)
+def _as_vector(builder, kind, value, count):
+    return value if isinstance(kind, Vector) else _splat(builder, value, count)
 
 
-def _is_operand(kind) -> bool:
-    return isinstance(kind, Float32x8) or kind == types.float32
+def _of_operands(a, b) -> Vector | None:
+    """Type of what comes of two operands, if they are vectors, or one is and the other a float32."""
+    vectors = [kind for kind in (a, b) if isinstance(kind, Vector)]
+    others = [kind for kind in (a, b) if not isinstance(kind, Vector)]
+    return vectors[0] if vectors and all(v == vectors[0] for v in vectors) and set(others) <= {types.float32} else None
 
 
 def _define(operation, instruction: str) -> None:
     @intrinsic
     def apply(typingctx, a, b):
+        kind = _of_operands(a, b)
+        assert kind is not None
+
         def codegen(context, builder, signature, args):
-            left, right = (_as_vector(builder, k, v) for k, v in zip(signature.args, args, strict=True))
+            left, right = (_as_vector(builder, k, v, kind.count) for k, v in zip(signature.args, args, strict=True))
             return getattr(builder, instruction)(left, right, flags=("fast",))
 
-        return float32x8(a, b), codegen
+        return kind(a, b), codegen
 
     @overload(operation, inline="always")
     def choose(a, b):
-        if _is_operand(a) and _is_operand(b) and float32x8 in (a, b):
+        if _of_operands(a, b) is not None:
             return lambda a, b: apply(a, b)  # noqa: PLW0108 # pyright: ignore[reportCallIssue] - numba reads it
         return None
 
@@ -75,6 +90,15 @@ _define(operator.truediv, "fdiv")
 def splat(typingctx, value):
     """Eight times the float32 `value`."""
     return float32x8(types.float32), lambda context, builder, signature, args: _splat(builder, args[0])
+
+
+@intrinsic
+def splat_as(typingctx, numbers, value):
+    """The float32 `value`, as many times as the tuple `numbers` is long."""
+    count = numbers.count
+    return Vector(count)(numbers, types.float32), lambda context, builder, signature, args: _splat(
+        builder, args[1], count
+    )
 
 
 @intrinsic
@@ -102,10 +126,10 @@ def count_from(typingctx, first):
     return float32x8(types.int64), codegen
 
 
-def _pointer(context, builder, signature, args):
-    array = context.make_array(signature.args[0])(context, builder, args[0])
-    element = builder.gep(array.data, [args[1]])
-    return builder.bitcast(element, _VECTOR.as_pointer())
+def _pointer(context, builder, array_type, place, count):
+    array, offset = place
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [offset]), _llvm(count).as_pointer())
 
 
 @intrinsic
@@ -113,20 +137,32 @@ def load(typingctx, array, offset):
     """Eight numbers of a contiguous float32 `array`, from flat index `offset` on; bounds are the caller's duty."""
 
     def codegen(context, builder, signature, args):
-        return builder.load(_pointer(context, builder, signature, args), align=4)
+        return builder.load(_pointer(context, builder, signature.args[0], args, WIDTH), align=4)
 
     return float32x8(array, types.intp), codegen
 
 
 @intrinsic
-def store(typingctx, array, offset, value):
-    """Write eight numbers into a contiguous float32 `array`, from flat index `offset` on."""
+def load_as(typingctx, numbers, array, offset):
+    """As many numbers as the tuple `numbers` is long, otherwise as `load`."""
+    count = numbers.count
 
     def codegen(context, builder, signature, args):
-        builder.store(args[2], _pointer(context, builder, signature, args), align=4)
+        return builder.load(_pointer(context, builder, signature.args[1], args[1:], count), align=4)
+
+    return Vector(count)(numbers, array, types.intp), codegen
+
+
+@intrinsic
+def store(typingctx, array, offset, value):
+    """Write a vector's numbers into a contiguous float32 `array`, from flat index `offset` on."""
+
+    def codegen(context, builder, signature, args):
+        place = _pointer(context, builder, signature.args[0], args[:2], value.count)
+        builder.store(args[2], place, align=4)
         return context.get_dummy_value()
 
-    return types.void(array, types.intp, float32x8), codegen
+    return types.void(array, types.intp, value), codegen
 
 
 @intrinsic
