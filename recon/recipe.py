@@ -60,7 +60,7 @@ class Recipe:
     name: str = "own"
     stages: tuple[Stage, ...] = (Stage(0.5, 1.0),)
     views_per_step: int = 1
-    spacing: float = 1.2
+    spacing: float = 1.0
     voxel_passes: int = 8
     approximation: int = 40
     dispersion: float = 0.02
