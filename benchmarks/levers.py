@@ -21,11 +21,13 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+import torch
 from result_rows import store
 
 import phantomgen
 from phantomgen.dataset import Dataset
 from phantomgen.dataset_truth import read_truth
+from recon.curvature import coefficient_curvature
 from recon.pipeline import reconstruct
 from recon.recipe import BEST, FAST, Recipe, Stage
 from recon.scoring import psnr_of_bases
@@ -73,6 +75,10 @@ EVEN_SAY = ("recon.baselines.one_step._say", lambda curvatures, density: np.ones
 HELD_BACK = ("recon.baselines.one_step.UNMET", 1e-3)
 NODES = ("recon.baselines.one_step.means_in_metal", lambda volumes: volumes)
 UP_TO_METAL = ("recon.structure.LARGEST", np.inf)
+BASIS_BY_BASIS = (
+    "recon.fitting.coefficient_curvature",
+    lambda *scene: torch.diag_embed(torch.diagonal(coefficient_curvature(*scene), dim1=1, dim2=2)),
+)
 UNSHARPENED = ("recon.baselines.one_step.sharpened", lambda volumes: volumes)
 
 LEVERS = (
@@ -98,6 +104,7 @@ LEVERS = (
     fast("weights of pure Poisson noise", dispersion=0.0),
     fast("coefficients alone, geometry held", **HELD),
     fast("coefficients without momentum", momentum=0.0),
+    fast("curvature of each basis alone, without what they share", BASIS_BY_BASIS),
     fast("half as many evaluations as Gaussians follow", approximation=20),
     fast("2 views per step", views_per_step=2),
     fast("fewer Gaussians, spacing 1.2", spacing=1.2),
