@@ -48,6 +48,8 @@ def test_contenders_come_once_each_in_their_order():
         ("gaussian+without-tv", "'without-tv' is no change of the method gaussian"),
         ("paper+without-colour", "--without colour: there is no such component"),
         ("fdk+views-0", "'views-0' is no change"),
+        ("x-gaussian+image", "does not reconstruct channels one by one: leave +image out"),
+        ("one-step+image", "does not reconstruct channels one by one: leave +image out"),
         ("fdk+image+blind-bin0", "takes every channel by itself"),
         ("", "a comparison needs methods"),
     ],
