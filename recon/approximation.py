@@ -4,7 +4,12 @@ A least-squares problem without any rays: every evaluation voxelizes the model a
 volumes, which costs a few per cent of a sweep over all views. It is solved by limited-memory BFGS (Nocedal & Wright,
 Numerical Optimization, 2006, algorithm 7.4) from the inverse of the diagonal that single Gaussians would have, in steps
 that each Gaussian takes in its own frame. Coefficients stay non-negative: one at 0 that would sink further is held.
+So is the length of a Gaussian at twice what it began with: a needle through even tissue hardly shows in voxels, while a
+view along it sees all of what sticks out at its ends.
 """
+
+import math
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -14,7 +19,7 @@ from torch import Tensor
 from phantomgen.grid import Grid
 from recon.baselines.method import OnIteration, Report, unwatched
 from recon.gaussians import Gaussians
-from recon.local_steps import GEOMETRY, gradient_of_steps, moved
+from recon.local_steps import GEOMETRY, SCALES, gradient_of_steps, moved
 from recon.ops.voxelize import mass_within, voxelize_tensor
 from recon.quasi_newton import History
 
@@ -24,6 +29,7 @@ REACH = (0.5, 0.3, 0.2)  # longest step of a coordinate [standard deviations], a
 FIRST = 0.5  # length of the first step over the one that the diagonal suggests
 WORSE = 1.0005  # times the last distance; a step that leads further away is shortened, then not taken
 SHORTER = 0.3
+WIDEST = 2.0  # a Gaussian's longest standard deviation over that at the start
 PEAK = 0.999  # quantile of the positive values of a basis that its distance is measured in
 FAINTEST = 0.01  # of the basis that shows most; one that shows less counts as if it showed as much
 
@@ -49,27 +55,29 @@ def approximate(
     """
     problem = _Distance(torch.from_numpy(volumes).to(start.centres), metric, grid, Report(on_evaluation, evaluations))
     history, first, model = History(), FIRST, start.detached()
+    widest = model.log_scales.amax(dim=1, keepdim=True) + math.log(WIDEST)
     distance, gradient = problem.evaluate(model)
     renewed = -RENEWED
     while problem.evaluations < evaluations:
         if problem.evaluations >= renewed + RENEWED:
             problem.renew_diagonal(model)
             renewed = problem.evaluations
-        held = _held(model, gradient)
+        held = _held(model, gradient, widest)
         step = -history.solve(gradient.masked_fill(held, 0), problem.precondition, first).masked_fill(held, 0)
         step = _within_reach(step, model, grid)
         if float((step * gradient).sum()) >= 0:
             history = History()
             step = _within_reach(-first * problem.precondition(gradient.masked_fill(held, 0)), model, grid)
-        ahead = moved(model, step)
+        ahead = _bounded(moved(model, step), widest)
         there, slope = problem.evaluate(ahead)
         if there > WORSE * distance and problem.evaluations < evaluations:
             step = SHORTER * step
-            ahead = moved(model, step)
+            ahead = _bounded(moved(model, step), widest)
             there, slope = problem.evaluate(ahead)
         if there > WORSE * distance:
             history, first = History(), SHORTER * first
             continue
+        step[:, SCALES] = ahead.log_scales - model.log_scales
         step[:, GEOMETRY:] = ahead.coefficients - model.coefficients
         history.add(step, (slope - gradient).masked_fill(held, 0))
         model, distance, gradient = ahead, there, slope
@@ -161,9 +169,15 @@ def _seen_variance(model: Gaussians, grid: Grid) -> Float[Tensor, "gaussian 3"]:
     return torch.exp(2 * model.log_scales) + min(grid.spacing) ** 2 / 12
 
 
-def _held(model: Gaussians, gradient: Float[Tensor, "gaussian step"]) -> Tensor:
-    """Which coefficients are 0 and would become negative."""
+def _bounded(model: Gaussians, widest: Float[Tensor, "gaussian 1"]) -> Gaussians:
+    """Gaussians none of whose log-scales is above the widest."""
+    return replace(model, log_scales=torch.minimum(model.log_scales, widest))
+
+
+def _held(model: Gaussians, gradient: Float[Tensor, "gaussian step"], widest: Float[Tensor, "gaussian 1"]) -> Tensor:
+    """Which log-scales are widest and would grow, and which coefficients are 0 and would become negative."""
     held = torch.zeros_like(gradient, dtype=torch.bool)
+    held[:, SCALES] = (model.log_scales >= widest) & (gradient[:, SCALES] < 0)
     held[:, GEOMETRY:] = (model.coefficients <= 0) & (gradient[:, GEOMETRY:] > 0)
     return held
 

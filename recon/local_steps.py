@@ -13,6 +13,7 @@ from torch import Tensor
 
 from recon.gaussians import Gaussians
 
+SCALES = slice(3, 6)  # steps of the log-scales
 GEOMETRY = 9  # steps before those of the coefficients
 
 
@@ -39,7 +40,7 @@ def moved(gaussians: Gaussians, steps: Float[Tensor, "gaussian step"]) -> Gaussi
     return replace(
         gaussians,
         centres=gaussians.centres + torch.einsum("gij,gj->gi", _rotations(turned), steps[:, :3]),
-        log_scales=gaussians.log_scales + steps[:, 3:6],
+        log_scales=gaussians.log_scales + steps[:, SCALES],
         quaternions=_unit(turned + turn),
         coefficients=(gaussians.coefficients + steps[:, GEOMETRY:]).clamp(min=0),
     )

@@ -27,7 +27,7 @@ _CHANNEL_WISE = {  # rows of Table 1 -> methods, channel by channel as in the pa
     "R2-Gaussian": "gaussian-mono+image",
     "X-Field": "ellipsoid+image",
 }
-_TWO_STEP = ("fdk", "sart", "cgls", "pdhg-tv", "one-step")
+_TWO_STEP, _ONE_STEP = ("fdk", "sart", "cgls", "pdhg-tv"), "one-step"
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def views_and_volumes(scan: Scan) -> Study:
 def basis(scan: Scan) -> Study:
     """Table 2."""
     words = {row: _CHANNEL_WISE[row] for row in TABLE_2 if row in _CHANNEL_WISE} | _both(scan)
-    words |= {f"{method}, ray by ray": method for method in _TWO_STEP}
+    words |= {f"{method}, ray by ray": method for method in _TWO_STEP} | {f"{_ONE_STEP}, from counts": _ONE_STEP}
 
     def rows(own: dict[str, Result], protocol: str) -> Rows:
         names = next((list(r["basis"][protocol]) for r in own.values() if r["basis"].get(protocol)), [])
@@ -134,7 +134,7 @@ def material_maps(scan: Scan) -> Study:
     """Table 3: materials in colour, by clustering."""
     counts = [m for m in (2, 3) if m <= scan.bases]
     words = {f"{method}+{m}": f"{method}+{m}" for method in (GAUSSIAN, PAPER) for m in counts} | {
-        method: method for method in _TWO_STEP
+        method: method for method in (*_TWO_STEP, _ONE_STEP)
     }
 
     def rows(own: dict[str, Result], protocol: str) -> Rows:
@@ -196,7 +196,7 @@ def few_views(scan: Scan) -> Study:
     """Table 4b: 75, 50, 25 and 10 views, or the same parts of fewer."""
     most = min(scan.views, max(TABLE_4B))
     counts = {max(round(most * n / max(TABLE_4B)), 1): n for n in TABLE_4B}
-    who = (GAUSSIAN, PAPER, "one-step", "fdk")
+    who = (GAUSSIAN, PAPER, _ONE_STEP, "fdk")
     words = {f"{w}, {n}": f"{w}+views-{n}" for w in who for n in counts}
 
     def rows(own: dict[str, Result], protocol: str) -> Rows:

@@ -9,7 +9,8 @@ from gaussian_scenes import NAMES, small_model
 from scipy.optimize import minimize
 
 from phantomgen.grid import Grid
-from recon.approximation import CUTOFF, FAINTEST, approximate, metric_of
+from recon.approximation import CUTOFF, FAINTEST, WIDEST, approximate, metric_of
+from recon.gaussians import Gaussians
 from recon.initialize import initialize
 from recon.ops.voxelize import mass_within, voxelize_tensor
 from recon.quasi_newton import History
@@ -93,6 +94,22 @@ def test_gaussians_that_already_fit_stay(monkeypatch):
     start = small_model(1, count=12)
     found = approximate(start, start.volume(GRID), GRID, np.eye(3), 5)
     assert distance(found, start.volume(GRID), np.eye(3)) < 1e-4 * distance(start, 0 * start.volume(GRID), np.eye(3))
+
+
+def test_no_gaussian_becomes_a_needle(monkeypatch):
+    """One Gaussian that follows a rod of 24 mm would stretch along it, and shine beyond its ends."""
+    z, y, x = np.meshgrid(*(GRID.axis(name) for name in "zyx"), indexing="ij")
+    rod = 0.02 * (np.hypot(x, y) < 2) * (np.abs(z) < 12)
+    volumes = np.stack([rod, 0.5 * rod]).astype(np.float32)
+    shape = torch.zeros(1, 3), torch.full((1, 3), np.log(1.5)), torch.tensor([[1.0, 0, 0, 0]])
+    start = Gaussians(*shape, torch.tensor([[0.02, 0.01]]), NAMES[:2])
+
+    def longest():
+        return float(torch.exp(approximate(start, volumes, GRID, METRIC, 20).log_scales.max()))
+
+    assert longest() == pytest.approx(1.5 * WIDEST, rel=1e-5)
+    monkeypatch.setattr("recon.approximation.WIDEST", 100.0)
+    assert longest() > 2 * 1.5 * WIDEST
 
 
 def test_the_history_solves_a_quadratic_in_as_many_steps_as_it_has_unknowns():
