@@ -9,8 +9,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from recon.baselines import METHODS, method_named
-from recon.baselines.method import CountsMethod, ViewMethod
+from recon.baselines import METHODS
 from recon.paper.components import checked
 from spectra.errors import InputError
 
@@ -91,8 +90,6 @@ def contender(word: str) -> Contender:
             found["without"] += checked([change.removeprefix("without-")])
         else:
             raise InputError(f"{word}: {change!r} is no change of the method {method}: choose from {_CHANGES}")
-    if found.get("image") and isinstance(method_named(method), CountsMethod | ViewMethod):
-        raise InputError(f"{word}: the method {method} does not reconstruct channels one by one: leave +image out")
     if found.get("image") and "blind" in found:
         raise InputError(f"{word}: a method that takes every channel by itself cannot predict one that it has not seen")
     return Contender(**found)
