@@ -475,7 +475,7 @@ def info(file: str, as_json: bool) -> None:
 @click.option("--geometry", type=click.Path(dir_okay=False), help="Draw the orbit in plan: PNG, PDF or SVG.")
 @click.option("--at", metavar="X,Y,Z", help="Where the slices cut, in mm [default: the centre].")
 @click.option("--voxels", type=click.IntRange(min=1), help="Voxels along each edge of the volume of a scene.")
-@click.option("--size", metavar="WIDTHxHEIGHT", default="1600x1000", show_default=True, help="Pixels of the window.")
+@click.option("--size", metavar="WIDTHxHEIGHT", help="Pixels [default: 1600x1000, wider for many bases].")
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @debug_option
 def view(
@@ -486,7 +486,7 @@ def view(
     geometry: str | None,
     at: str | None,
     voxels: int | None,
-    size: str,
+    size: str | None,
     overwrite: bool,
 ) -> None:
     """Look at a scene, a preset or a dataset.
@@ -509,7 +509,7 @@ def view(
         if picture is None and page is None:
             return
     check_outputs(picture, page, overwrite)
-    pixels = size_of(size)
+    pixels = size_of(size) if size else None
     content = load(source, preset, point_of(at) if at else None, voxels)
     if content.truth is None:
         click.echo(f"Note: {source} holds no truth, so only the scan is shown.", err=True)

@@ -24,7 +24,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--at", metavar="X,Y,Z", help="Where the slices cut, in mm [default: the centre].")
 @click.option("--screenshot", type=_FILE, help="Write a PNG; needs no display.")
 @click.option("--html", type=_FILE, help="Write one page to turn in a browser; needs no display.")
-@click.option("--size", metavar="WIDTHxHEIGHT", default="1600x1000", show_default=True, help="Pixels of the window.")
+@click.option("--size", metavar="WIDTHxHEIGHT", help="Pixels [default: 1600x1000, wider for many bases].")
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @debug_option
 def view(
@@ -35,7 +35,7 @@ def view(
     at: str | None,
     screenshot: Path | None,
     html: Path | None,
-    size: str,
+    size: str | None,
     overwrite: bool,
 ) -> None:
     """Look at a RUN: slices of truth, result and difference, surfaces, and Gaussians.
@@ -52,7 +52,7 @@ def view(
 
     check_run_folder(run)
     check_outputs(screenshot, html, overwrite)
-    pixels, chosen = size_of(size), parse_levels(levels)
+    pixels, chosen = size_of(size) if size else None, parse_levels(levels)
     content = load_run(run, truth, point_of(at) if at else None)
     bases = chosen_bases(content, basis)
     checked_levels(content, chosen or {})

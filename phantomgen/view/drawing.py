@@ -5,6 +5,7 @@ from typing import Any, cast
 import numpy as np
 import pyvista
 from jaxtyping import Float, Shaped
+from matplotlib.colors import to_hex, to_rgb
 
 from phantomgen.dataset_truth import Truth
 from phantomgen.geometry_figure import drawn_sources
@@ -29,29 +30,32 @@ from phantomgen.view.panes import FAINT, FONT, INK, Bar, Pane
 from spectra.basis import pretty
 
 MATERIAL_COLOURS = ("#56B4E9", "#E69F00", "#D55E00", "#CC79A7", "#009E73", "#0072B2", "#F0E442", "#999999")
+_MIXED_WITH = ((0.0, 0.0), (1.0, 0.55), (0.0, 0.45))  # white or black, and how much of it
 _PAGE_VOXELS, _PAGE_TRIANGLES = 192, 400_000  # most along an edge, most of all surfaces: some 20 MB
 SOURCE, PANEL, CORNER, RAY = "#D55E00", "#0072B2", "#C2185B", "#E69F00"
 VIEW = 0  # the view whose panel is drawn
 SIZE = (1600, 1000)  # pixels
+COLUMN = 400  # pixels that a column of panels has at least, where no size is asked for
 _OBJECT_SEEN_FROM, _SCAN_SEEN_FROM = (0.6, -1.5, 0.95), (1.1, -1.4, 1.0)
 _OBJECT_MARGINS, _SCAN_MARGINS = (0.05, 0.2, 0.05, 0.1), (0.18, 0.04, 0.18, 0.12)
 SOLID: Any = {"ambient": 0.25, "diffuse": 0.85, "specular": 0.2, "specular_power": 20.0}
 
 
 def draw(
-    content: Content, size: tuple[int, int] = SIZE, off_screen: bool = True, for_page: bool = False
+    content: Content, size: tuple[int, int] | None = None, off_screen: bool = True, for_page: bool = False
 ) -> tuple[pyvista.Plotter, list[Pane]]:
     """A window with everything, and its panels.
 
     Parameters
     ----------
     content : what is shown
-    size : width and height [pixel]
+    size : width and height [pixel]; None for one that holds all panels
     off_screen : for a picture, not for a window that opens
     for_page : leave out the words, which the caller finds in the panels, and what would make a page heavy
     """
     bases = len(content.truth.basis_names) if content.truth else 0
     shape, groups, places = _layout(bases)
+    size = size or usual_size(bases)
     plotter = pyvista.Plotter(
         off_screen=off_screen,
         shape=shape,
@@ -73,6 +77,11 @@ def draw(
     if not for_page:
         plotter.enable_anti_aliasing("ssaa", all_renderers=True)
     return plotter, panes
+
+
+def usual_size(columns: int) -> tuple[int, int]:
+    """Width and height of a window with so many columns of panels [pixel]."""
+    return max(SIZE[0], COLUMN * columns), SIZE[1]
 
 
 def draw_basis(pane: Pane, content: Content, truth: Truth, basis: int) -> None:
@@ -204,8 +213,10 @@ def surface(material: Material, most: int | None = None) -> pyvista.PolyData:
 
 
 def colour_of(material: Material) -> str:
-    """Colour of a material."""
-    return MATERIAL_COLOURS[material.index % len(MATERIAL_COLOURS)]
+    """Colour of a material: one of eight, then their tints, then their shades."""
+    turn, index = divmod(material.index, len(MATERIAL_COLOURS))
+    other, part = _MIXED_WITH[turn % len(_MIXED_WITH)]
+    return to_hex(((1 - part) * np.array(to_rgb(MATERIAL_COLOURS[index])) + part * other).tolist()).upper()
 
 
 def _layout(bases: int) -> tuple[tuple[int, int], Any, list[tuple[int, int]]]:

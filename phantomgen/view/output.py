@@ -35,7 +35,7 @@ def check_outputs(screenshot: Path | None, html: Path | None, overwrite: bool) -
         raise InputError(NO_DISPLAY)
 
 
-def show(content: Content, screenshot: Path | None, html: Path | None, size: tuple[int, int]) -> None:
+def show(content: Content, screenshot: Path | None, html: Path | None, size: tuple[int, int] | None = None) -> None:
     """Write the picture and the page of a scan that are named, or open a window where neither is."""
 
     def draw(for_page: bool, off_screen: bool) -> "Drawn":

@@ -14,6 +14,8 @@ INK, MUTED, FAINT = "#222222", "#666666", "#b4b4b4"
 FONT = 17  # pixels in a window of 1600 x 1000
 COLOUR_MAP = "viridis"
 AXES = {"x": "#D55E00", "y": "#009E73", "z": "#0072B2"}
+_LEGEND = 0.82  # most of a panel's height that a legend takes; its letters shrink where it is long
+_DIGIT = 0.58  # width of a digit beside a colour bar, in font sizes
 _LINE = 1.7  # height of a line of text, in font sizes
 _FROM_FILE = 4  # VTK's code for a font that is read from a file
 
@@ -137,9 +139,10 @@ class Pane:
         left, line = self.font / width, self.font / height
         self._text(self.words.title, left, 1 - 2 * line, 1.15)
         self._text(self.words.note, left, 1 - 3.8 * line if self.words.legend else line, 0.9, MUTED)
+        shrunk = min(1.0, _LEGEND / (line * _LINE * max(len(self.words.legend), 1)))
         for i, (name, colour) in enumerate(reversed(self.words.legend)):
-            self._text("\N{BLACK SQUARE}", left, (1 + i * _LINE) * line, 1.0, colour)
-            self._text(name, 2.4 * left, (1 + i * _LINE) * line)
+            self._text("\N{BLACK SQUARE}", left, (1 + i * _LINE * shrunk) * line, shrunk, colour)
+            self._text(name, (1 + 1.4 * shrunk) * left, (1 + i * _LINE * shrunk) * line, shrunk)
         if self.words.bar:
             self._write_bar(self.words.bar)
         if not self.renderer.axes_enabled:
@@ -153,7 +156,9 @@ class Pane:
             _set_font(shown.prop, scale * self.font)
 
     def _write_bar(self, bar: Bar) -> None:
-        """The colour bar, on the right."""
+        """The colour bar, on the right, as far in as its longest number needs."""
+        longest = max(len(text) for _, text in bar.ticks)
+        beside = _DIGIT * self.font * longest / self.size[0]
         table = pyvista.LookupTable(bar.colour_map, scalar_range=(bar.low, bar.top))
         plotter: Any = self.plotter  # whose decorated methods confuse type checkers
         shown = plotter.add_scalar_bar(
@@ -164,7 +169,7 @@ class Pane:
             n_labels=len(bar.ticks),
             fmt=_number_format((bar.top - bar.low) / (len(bar.ticks) - 1)),
             color=INK,
-            position_x=0.84,
+            position_x=min(0.84, 0.97 - beside),
             position_y=0.18,
             width=0.07,
             height=0.62,

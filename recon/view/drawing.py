@@ -9,7 +9,7 @@ import numpy as np
 import pyvista
 
 from phantomgen.view.content import Material, Triple
-from phantomgen.view.drawing import SIZE, SOLID, draw_planes, draw_surfaces, look_at_volume
+from phantomgen.view.drawing import SIZE, SOLID, draw_planes, draw_surfaces, look_at_volume, usual_size
 from phantomgen.view.panes import FONT, Pane
 from recon.view.content import RunContent
 from recon.view.controls import Controls
@@ -46,7 +46,7 @@ def draw(
     content: RunContent,
     bases: list[int],
     levels: dict[str, float] | None = None,
-    size: tuple[int, int] = SIZE,
+    size: tuple[int, int] | None = None,
     off_screen: bool = True,
     for_page: bool = False,
 ) -> tuple[pyvista.Plotter, list[Pane]]:
@@ -57,13 +57,14 @@ def draw(
     content : what is shown
     bases : numbers of those whose slices are shown
     levels : of surfaces [1/mm]; see `recon.view.surfaces.surfaces`
-    size : width and height [pixel]
+    size : width and height [pixel]; None for one that holds all panels
     off_screen : for a picture, not for a window that opens
     for_page : leave out the words, which the caller finds in the panels, and what would make a page heavy
     """
     bodies = surfaces(content, levels)
     kinds = [RESULT] if content.true is None else [TRUTH, RESULT, DIFFERENCE]
     found = layout(kinds, len(bases), len(bodies) + (content.gaussians is not None))
+    size = size or usual_size(found.shape[1])
     plotter = pyvista.Plotter(
         off_screen=off_screen,
         shape=found.shape,

@@ -17,7 +17,7 @@ def show(
     levels: dict[str, float] | None,
     screenshot: Path | None,
     html: Path | None,
-    size: tuple[int, int],
+    size: tuple[int, int] | None = None,
 ) -> None:
     """Write the picture and the page that are named, or open a window where neither is.
 
@@ -27,7 +27,7 @@ def show(
     bases : numbers of those whose slices are shown; in a window the first of them is
     levels : of surfaces [1/mm]; see `recon.view.surfaces.surfaces`
     screenshot, html : files to write
-    size : of picture or window, width and height [pixel]
+    size : of picture or window, width and height [pixel]; None for one that holds all panels
     """
 
     def draw(for_page: bool, off_screen: bool) -> "Drawn":

@@ -249,6 +249,25 @@ def test_any_number_of_bases_has_its_panels(bases):
     plotter.close()
 
 
+@pytest.mark.usefixtures("renders")
+def test_many_materials_stay_apart_and_in_their_panel():
+    from phantomgen.view.drawing import colour_of, draw, usual_size
+
+    assert [usual_size(columns) for columns in (3, 4, 7)] == [(1600, 1000), (1600, 1000), (2800, 1000)]
+    first = materials(boxes())[0]
+    colours = [colour_of(replace(first, index=i)) for i in range(20)]
+    assert len(set(colours)) == 20
+    plotter, panes = draw(shown_boxes(), (400, 300))
+    pane = panes[-2]
+    pane.clear()
+    pane.words.legend = [(f"material {i}", colour) for i, colour in enumerate(colours)]
+    pane.finish()
+    texts = [actor for actor in pane.renderer.actors.values() if hasattr(actor, "position") and hasattr(actor, "input")]
+    assert len(texts) == 40
+    assert max(actor.position[1] for actor in texts) < 0.9
+    plotter.close()
+
+
 def test_what_is_shown_is_known_without_pyvista():
     code = (
         "import sys, phantomgen.view.load, phantomgen.view.output;"
