@@ -27,24 +27,24 @@ def coefficient_curvature(
     """
     bases = gaussians.coefficients.shape[1]
     upper = np.triu_indices(bases)
-    ones = torch.ones_like(gaussians.coefficients[:, :1])
     parts = (gaussians.centres.detach(), gaussians.log_scales.detach(), gaussians.quaternions.detach())
-    values = torch.cat([gaussians.coefficients.detach(), ones], dim=1)
-    probe = ones.new_zeros(len(gaussians), len(upper[0]), requires_grad=True)
-    sums = torch.zeros_like(probe)
+    values = torch.zeros(len(gaussians), max(bases + 1, len(upper[0]))).to(gaussians.coefficients)
+    values[:, :bases], values[:, bases] = gaussians.coefficients.detach(), 1
+    values.requires_grad_()
+    sums = torch.zeros_like(values)
     panel = measurements.geometry.panel
     for first in range(0, len(measurements), VIEWS_AT_ONCE):
         some = measurements[slice(first, first + VIEWS_AT_ONCE)]
         frames = torch.from_numpy(some.geometry.ray_frames())
         images = rasterize(*parts, values, frames, panel.rows, panel.columns)
-        pulls = images[:, bases:].repeat(1, len(upper[0]), 1, 1)
+        pulls = torch.zeros_like(images)  # what is pulled need not be what was drawn: the operator is linear in values
         for view in range(len(some)):  # matrices of one view at a time, in float64
-            information = ray_information(some[[view]], images[[view], :bases].cpu().numpy(), dispersion)[0][
-                :, :, *upper
-            ]
-            pulls[view] *= torch.from_numpy(information).movedim(-1, 0).to(pulls)
-        probed = rasterize(*parts, probe, frames, panel.rows, panel.columns)
-        sums += torch.autograd.grad(probed, probe, pulls)[0]
+            line_integrals = images[[view], :bases].detach().cpu().numpy()
+            information = ray_information(some[[view]], line_integrals, dispersion)[0][:, :, *upper]
+            pulls[view, : len(upper[0])] = torch.from_numpy(information).movedim(-1, 0).to(pulls)
+        pulls *= images[:, bases : bases + 1].detach()
+        sums += torch.autograd.grad(images, values, pulls)[0]
+    sums = sums[:, : len(upper[0])]
     blocks = sums.new_empty(len(gaussians), bases, bases)
     blocks[:, upper[0], upper[1]] = sums
     blocks[:, upper[1], upper[0]] = sums
