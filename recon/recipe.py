@@ -9,7 +9,7 @@ _ANY_SIGN = (
 )  # fmt: skip
 
 
-FEW = 75  # views, up to which Gaussians are as far apart as the recipe says
+FEW = 75  # views, up to which Gaussians are as far apart as the recipe says; of fewer, each may be used more often
 FINEST = 0.9  # voxels; what more views do not make finer
 
 
@@ -20,7 +20,7 @@ class Stage:
     Parameters
     ----------
     pixel : largest pixel to use, as seen at the isocentre, in voxels; finer pixels are summed
-    sweeps : times every training view is used
+    sweeps : times every training view is used; see also `Recipe.most_turns`
     """
 
     pixel: float
@@ -36,6 +36,7 @@ class Recipe:
     name : what ``--recipe`` calls it
     stages : binnings and how long each lasts
     views_per_step : views whose gradients make one step
+    most_turns : how many times as many sweeps at most, where fewer than 75 views would make fewer steps than those
     spacing : distance between Gaussians along edges; shorter with more than 75 views, see `Recipe.distance`
     voxel_passes : over the views at full resolution, for the voxels that a fit with a prior starts from
     approximation : evaluations that bring the Gaussians close to voxels
@@ -60,6 +61,7 @@ class Recipe:
     name: str = "own"
     stages: tuple[Stage, ...] = (Stage(0.5, 1.0),)
     views_per_step: int = 1
+    most_turns: float = 1.0
     spacing: float = 1.0
     voxel_passes: int = 8
     approximation: int = 40
@@ -89,8 +91,8 @@ class Recipe:
 
     def steps(self, views: int) -> list[int]:
         """Steps of each stage with so many training views."""
-        per_sweep = max(views // self.views_per_step, 1)
-        return [max(round(stage.sweeps * per_sweep), 1) for stage in self.stages]
+        per_sweep, more = max(views // self.views_per_step, 1), min(max(FEW / views, 1.0), self.most_turns)
+        return [max(round(stage.sweeps * per_sweep * more), 1) for stage in self.stages]
 
     def distance(self, views: int) -> float:
         """Distance between Gaussians along edges with so many training views: less noise shows finer things."""
@@ -101,6 +103,6 @@ class Recipe:
         return min(self.steps_along_edges / sum(self.steps(views)), 1.0)
 
 
-FAST = Recipe(name="fast")
-BEST = Recipe(name="best", stages=(Stage(0.5, 4.0),), spacing=0.9)
+FAST = Recipe(name="fast", most_turns=4.0)
+BEST = Recipe(name="best", most_turns=4.0, stages=(Stage(0.5, 4.0),), spacing=0.9)
 RECIPES = {recipe.name: recipe for recipe in (FAST, BEST)}

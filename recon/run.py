@@ -143,11 +143,11 @@ def run(
 
 
 def chosen_recipe(name: str, sweeps: float | None, seed: int, held_out: int) -> Recipe:
-    """The recipe with what a user chose; `sweeps` overrides the length of all stages."""
+    """The recipe with what a user chose; `sweeps` overrides the length of all stages, however few the views are."""
     recipe = replace(RECIPES[name], seed=seed, held_out=held_out)
     if sweeps is None:
         return recipe
-    return replace(recipe, stages=tuple(replace(stage, sweeps=sweeps) for stage in recipe.stages))
+    return replace(recipe, most_turns=1.0, stages=tuple(replace(stage, sweeps=sweeps) for stage in recipe.stages))
 
 
 def _options(dataset: Dataset, recipe: Recipe | PaperRecipe) -> dict[str, Any]:

@@ -19,7 +19,7 @@ doi:10.1007/s10208-013-9150-3.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, sqrt
 
 import numpy as np
 from jaxtyping import Float
@@ -43,6 +43,7 @@ FADING = 0.7  # power of the curvature by which it does; noise goes by 0.5, info
 RENEWED = 3  # passes of a level after which the curvature is computed anew
 MANY = 100  # views; the more there are beyond, the more subsets there are, and the fewer passes
 FEWEST = 2  # passes, however many views there are
+FEW = 75  # views; of fewer, there are more passes, by the root of what is missing: noise comes in with every pass
 UNMET = 1e-4  # of the mean curvature; voxels that no ray meets stay as they are, those in thick metal have little more
 _MEAN = (1 / 8, 3 / 4, 1 / 8)  # of a piecewise linear function over a voxel, by its values in the centres
 
@@ -56,7 +57,7 @@ class OneStep:
     Parameters
     ----------
     levels : voxels of each level in voxels of the grid asked for, and passes over the views, of which more than 100
-        take fewer; a start of one's own wants the level 1 alone
+        take fewer, and fewer than 75 more; a start of one's own wants the level 1 alone
     pixel : largest pixel as seen at the isocentre, in voxels of the level; finer ones are summed
     subsets : parts of the views that take turns, of more than 100 views more; of fewer, more than 6 need not converge
     dispersion : relative model error added to the Poisson variance
@@ -111,8 +112,7 @@ class OneStep:
         volumes, here = np.zeros((len(measurements.basis_names), *grid.shape), np.float32), grid
         if start is not None:
             volumes = start.astype(np.float32)
-        more = _more_than_many(measurements)
-        levels = [(factor, max(ceil(passes / more), min(passes, FEWEST))) for factor, passes in self.levels]
+        levels = [(factor, _passes(passes, len(measurements))) for factor, passes in self.levels]
         report = Report(on_iteration, sum(passes for _, passes in levels))
         for factor, passes in levels:
             level = coarser(grid, factor)
@@ -166,6 +166,13 @@ def _descend(
         report(whole, deviance / counts, grid)
     whole[:, *box] = walk.volumes
     return whole
+
+
+def _passes(asked: int, views: int) -> int:
+    """As many as are asked for, fewer over many views and more over few."""
+    if views < FEW:
+        return ceil(asked * sqrt(FEW / views))
+    return max(ceil(asked * min(MANY / views, 1.0)), min(asked, FEWEST))
 
 
 def _more_than_many(data: Measurements) -> float:

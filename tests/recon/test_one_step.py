@@ -1,4 +1,5 @@
 from dataclasses import replace
+from math import ceil, sqrt
 
 import numpy as np
 import pytest
@@ -44,6 +45,14 @@ def test_momentum_and_subsets_come_further_in_as_many_passes(noisy):
     _, grid, scan = noisy
     slow, fast = (deviances(m, scan, grid)[1][-1] for m in (PLAIN, replace(PLAIN, momentum=True, subsets=4)))
     assert fast - 0.5 < 0.5 * (slow - 0.5)
+
+
+def test_few_views_are_passed_over_more_often(noisy):
+    _, grid, scan = noisy
+    heard = []
+    replace(PLAIN, levels=((1, 3),)).reconstruct_counts(scan, grid, heard.append)
+    assert [i.total for i in heard] == [ceil(3 * sqrt(75 / len(scan)))] * len(heard)
+    assert len(heard) == heard[0].total > 3
 
 
 def test_of_many_views_a_few_passes_come_as_far():
@@ -100,7 +109,8 @@ def test_any_orbit_will_do():
     assert np.isfinite(OneStep().reconstruct_counts(scan, grid)).all()
 
 
-def test_the_callback_hears_of_every_pass_and_of_its_grid(noisy):
+def test_the_callback_hears_of_every_pass_and_of_its_grid(noisy, monkeypatch):
+    monkeypatch.setattr("recon.baselines.one_step.FEW", 1)
     _, grid, scan = noisy
     heard = []
     OneStep(levels=((2, 2), (1, 1))).reconstruct_counts(scan, grid, heard.append)
@@ -165,6 +175,7 @@ def test_volumes_from_coarse_voxels_come_closer_to_sharp_edges_and_never_leave_t
 def test_sharper_coarse_volumes_spare_passes(monkeypatch):
     truth, grid = balls(voxels=36)
     scan = voxel_scan(truth, grid, views=24, pixels=48, geometry=circular(48, 48, 24, 0.5), seed=1)
+    monkeypatch.setattr("recon.baselines.one_step.FEW", 1)
     method = OneStep(levels=((2, 8), (1, 2)))
     sharp = method.reconstruct_counts(scan, grid)
     monkeypatch.setattr("recon.baselines.one_step.sharpened", lambda volumes: volumes)

@@ -14,9 +14,14 @@ def test_gaussians_are_closer_with_many_views(recipe, views, voxels):
 
 
 def test_the_prior_lets_go_of_edges_as_steps_grow():
-    assert Recipe(steps_along_edges=18).prior_along_edges(60) == pytest.approx(0.3)
+    assert Recipe(steps_along_edges=18).prior_along_edges(75) == pytest.approx(0.24)
     assert Recipe(steps_along_edges=18).prior_along_edges(180) == pytest.approx(0.1)
     assert Recipe(steps_along_edges=18).prior_along_edges(4) == 1
+
+
+@pytest.mark.parametrize(("views", "steps"), [(200, 200), (75, 75), (30, 75), (10, 40), (1, 4)])
+def test_few_views_are_used_more_often(views, steps):
+    assert FAST.steps(views) == [steps]
 
 
 def test_every_stage_has_its_sweeps_and_at_least_one_step():
