@@ -69,8 +69,9 @@ def reconstruct_paper(
         spectral = SpectralModel(used, basis, measured.profile)
         raw = dataset.spectra.basis.evaluate(energies.energy)[:count]
     with stage(method.name):
-        lowest = int(np.argmin(dataset.spectra.effective_energy))
         coarse = measured.completed().binned(matching_bin(measured.geometry, min(grid.spacing)))
+        counts_something = (coarse.gains > 0).any(axis=(1, 2))
+        lowest = int(np.argmin(np.where(counts_something, dataset.spectra.effective_energy, np.inf)))
         images = Projections.of(coarse).log(slice(None))[:, lowest : lowest + 1].numpy()
         blind = coarse.gains[lowest] <= 0
         volume = volumes_of_rays(filled(images, blind), blind, coarse.geometry, grid, method)[0]

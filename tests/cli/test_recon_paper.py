@@ -55,6 +55,13 @@ def run(scan, recipe=RECIPE, bases=None):
     return result, np.array(deviances), counts
 
 
+def test_the_start_is_of_the_lowest_channel_that_counts(scan):
+    with open_dataset(scan) as dataset:
+        first = dataset.spectra.channels[int(np.argmin(dataset.spectra.effective_energy))]
+        result = reconstruct_paper(dataset.without_channel(first), replace(RECIPE, steps=1), 2)
+    assert result.gaussians.coefficients.max() > 0
+
+
 @pytest.mark.parametrize("bases", [2, 3])
 def test_all_parts_together_fit_better_and_better(scan, bases):
     result, deviances, counts = run(scan, RECIPE, bases)
