@@ -28,7 +28,7 @@ def coefficient_curvature(
     bases = gaussians.coefficients.shape[1]
     upper = np.triu_indices(bases)
     parts = (gaussians.centres.detach(), gaussians.log_scales.detach(), gaussians.quaternions.detach())
-    values = torch.zeros(len(gaussians), max(bases + 1, len(upper[0]))).to(gaussians.coefficients)
+    values = gaussians.coefficients.new_zeros(len(gaussians), max(bases + 1, len(upper[0])))
     values[:, :bases], values[:, bases] = gaussians.coefficients.detach(), 1
     values.requires_grad_()
     sums = torch.zeros_like(values)
