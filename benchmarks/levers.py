@@ -1,6 +1,6 @@
 """What each part of a fit is worth: one change at a time, error and processor time.
 
-    python benchmarks/levers.py [upright | metal | implant] [WORD ...]
+    python benchmarks/levers.py [upright | metal | implant | pin] [WORD ...]
 
 Fits of `tuning.yaml`, the scene on which recipes were chosen, or of one of its siblings, `tuning_upright.yaml` and so
 on; rows whose name is one of the words, or has it after the recipe's name; all where there are none. Scores are PSNR
@@ -34,7 +34,7 @@ from recon.scoring import psnr_of_bases
 from spectra.threads import thread_count
 
 FOLDER = Path(__file__).parent
-OTHERS = ("upright", "metal", "implant")  # flat sides on faces of voxels; thin metal; thick metal
+OTHERS = ("upright", "metal", "implant", "pin")  # flat sides on faces of voxels; thin and thick metal; metal in tissue
 NAMED = 66  # characters of a row for its lever
 HEADER = f"{'lever':<66}PE     Compton  K edge  CPU s  Gaussians"
 
@@ -69,6 +69,7 @@ BY_INFORMATION = ("recon.pipeline.metric_of", lambda volumes, fisher: fisher)
 SUMMED = ("recon.measurements.excess_of_blocks", lambda counts, air, factor: 0.0)
 UNCORRECTED = ("recon.measurements.excess_of_pixels", lambda counts, air: 0.0)
 UNEVEN = ("recon.measurements.even_shares", lambda counts, air: 1.0)
+UNDOUBTED = ("recon.measurements.doubtful_shares", lambda counts, air, dispersion: 1.0)
 EVEN_PACE = ("recon.baselines.voxel_likelihood.relative_density", lambda volumes: np.ones_like(volumes[0]))
 NO_DENSITY = ("recon.anchor.over_metal", lambda volumes: np.ones_like(volumes[0]))
 EVEN_SAY = ("recon.baselines.one_step._say", lambda curvatures, density: np.ones_like(density))
@@ -88,6 +89,7 @@ LEVERS = (
     fast("pixels summed to match voxels by their sums", SUMMED),
     fast("partial volume of single pixels left in", UNCORRECTED),
     fast("every ray with the say of its counts", UNEVEN),
+    fast("corrections for partial volume taken for exact", UNDOUBTED),
     fast("dense voxels at the pace of others", EVEN_PACE),
     fast("total variation with the same say everywhere", EVEN_SAY),
     fast("steps held back where rays know less than a thousandth", HELD_BACK),

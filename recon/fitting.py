@@ -99,10 +99,12 @@ def fit(
     for stage, first, length in zip(recipe.stages, firsts, lengths, strict=False):
         if state.done >= first + length:
             continue
-        data = measurements.binned(matching_bin(measurements.geometry, stage.pixel * voxel)).evened(store)
-        per_sweep = max(len(data) // recipe.views_per_step, 1)
+        data = measurements.binned(matching_bin(measurements.geometry, stage.pixel * voxel)).weighted(
+            recipe.dispersion, store
+        )
+        per_sweep = recipe.per_sweep(len(data))
         for step, views in islice(enumerate(_subsets(len(data), per_sweep, length)), state.done - first, None):
-            if step % max(round(recipe.curvature_sweeps * per_sweep), 1) == 0:
+            if step % recipe.curvature_steps(len(data)) == 0:
                 state.inverse, state.weight = _inverse_curvature(state.gaussians, data, recipe, processes, anchor)
             fraction = state.done / steps
             ramp = min(1.0, (state.done + 1) / max(recipe.warm_up * per_sweep, 1.0))

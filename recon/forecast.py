@@ -69,14 +69,14 @@ def forecast(dataset: Dataset, recipe: Recipe, bases: int | None, limit: float |
         count,
         timed[-1].steps,
         start,
-        seconds_of_steps(timed, recipe),
+        seconds_of_steps(timed, recipe, len(dataset.splits["train"]) - recipe.held_out),
         plan_memory(dataset, recipe, bases, limit, count),
     )
 
 
-def seconds_of_steps(timed: list[Progress], recipe: Recipe) -> float:
-    """Seconds of all steps of a recipe, from those of the first, which also finds the curvature, and a few after it."""
+def seconds_of_steps(timed: list[Progress], recipe: Recipe, views: int) -> float:
+    """Seconds of all steps over so many views, from the first, which also finds the curvature, and a few more."""
     first, last = timed[0].seconds, timed[-1].seconds
     plain = (last - first) / (len(timed) - 1) if len(timed) > 1 else first
-    renewals = sum(ceil(stage.sweeps / recipe.curvature_sweeps) for stage in recipe.stages)
+    renewals = sum(ceil(steps / recipe.curvature_steps(views)) for steps in recipe.steps(views))
     return plain * timed[-1].steps + max(first - plain, 0.0) * renewals

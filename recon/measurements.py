@@ -10,7 +10,7 @@ from phantomgen.dataset import Dataset
 from phantomgen.geometry import Geometry
 from recon.array_store import IN_MEMORY, ArrayStore, release, taken
 from recon.electronics import with_floor, without_floor
-from recon.partial_volume import even_shares, excess_of_blocks, excess_of_pixels
+from recon.partial_volume import doubtful_shares, even_shares, excess_of_blocks, excess_of_pixels
 from spectra.dead_time import DeadTime
 from spectra.errors import InputError
 from spectra.threads import run_parallel
@@ -34,7 +34,7 @@ class Measurements:
     transmission : columns are the basis functions, and after them the parts of `profile`
     basis_names : names of the basis functions
     profile : what a bowtie filter and the heel effect add to the rays of each pixel; None where there are none
-    shares : of the deviance of each count that a fit minds; None where it minds all of all, see `evened`
+    shares : of the deviance of each count that a fit minds; None where it minds all of all, see `weighted`
     """
 
     counts: Float[np.ndarray, "view channel row column"]
@@ -100,12 +100,17 @@ class Measurements:
         release(counts)
         return replace(self, counts=counts)
 
-    def evened(self, store: ArrayStore = IN_MEMORY) -> "Measurements":
-        """The same counts, with shares that give rays close to each other the same say; those live in `store`."""
+    def weighted(self, dispersion: float, store: ArrayStore = IN_MEMORY) -> "Measurements":
+        """The same counts, with shares that live in `store`.
+
+        Rays close to each other get the same say, and counts less where their correction for partial volume is in
+        doubt (`recon.partial_volume`); `dispersion` is the relative model error besides.
+        """
         shares, air = store.empty("shares", self.counts.shape), self.gains * self.open_beam
 
         def fill(view: int) -> None:
-            shares[view] = even_shares(np.asarray(self.counts[view]), air * self.exposure[view, :, None, None])
+            image, beam = np.asarray(self.counts[view]), air * self.exposure[view, :, None, None]
+            shares[view] = even_shares(image, beam) * doubtful_shares(image, beam, dispersion)
 
         _in_parallel(fill, self.counts)
         release(shares)

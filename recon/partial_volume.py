@@ -1,6 +1,6 @@
 """Partial volume: pixels and voxels average over what varies inside of them, while a model knows one value of each.
 
-Three things follow from the counts alone, before anything is reconstructed.
+Four things follow from the counts alone, before anything is reconstructed.
 
 A pixel sums intensities, and the mean of exp(-L) exceeds exp(-mean L). Where L changes by 2h across a pixel, it does so
 by sinh(h) / h in each direction, and neighbouring pixels tell h. Pixels that are summed tell it themselves: their
@@ -10,6 +10,10 @@ attenuates, and in the wrong basis, as soft energies suffer more.
 Voxels do not resolve what neighbouring pixels tell apart, at the rim of metal above all, and counts are the less noisy
 the less their ray is attenuated. So the rays beside an edge would outvote those through it, and voxels end up with less
 than the mean of what they hold. Rays close to each other are therefore given the same say: that of the most attenuated.
+
+Corrections are not exact: a rim may lie anywhere in a pixel. Soft channels need the larger ones, so that what is wrong
+with them looks like another basis. They therefore count as known to `KNOWN_TO` of themselves, relative to that of the
+ray's channel that needs least.
 """
 
 import numpy as np
@@ -20,6 +24,7 @@ DARK = 0.5  # counts; none are taken for half of one
 FEWEST = 5.0  # counts per pixel, on average, from which differences between pixels are trusted
 STEEPEST = 3.0  # change of the log intensity from the middle of a pixel to its border; what is steeper counts as that
 CERTAIN = 2.0  # standard deviations of its noise that a slope must exceed
+KNOWN_TO = 0.15  # of a correction; its standard deviation
 NEAR = 2  # pixels around one in which rays have the same say
 _SIGMA = (0, 0.5, 0.5)  # pixels; the least of noisy counts would be below all of them
 
@@ -44,6 +49,23 @@ def excess_of_pixels(counts: Image, air: Image) -> Image:
         half = np.clip(np.sqrt(np.maximum(square, 0)) / 2, 1e-3, STEEPEST)
         out += np.where(square > 0, np.log(np.sinh(half) / half), 0)
     return out
+
+
+def doubtful_shares(counts: Image, air: Image, dispersion: float) -> Image:
+    """Share of its information that each count keeps if its correction for partial volume is known to `KNOWN_TO`.
+
+    Variances of counts Y grow from Y + (dispersion Y)^2 by (x Y)^2; x is what the doubt exceeds that of the best of
+    those channels of the ray that count anything by. Where none does, nothing is known of corrections.
+
+    Parameters
+    ----------
+    counts, air : as of `excess_of_pixels`
+    dispersion : relative model error besides
+    """
+    doubt = KNOWN_TO * excess_of_pixels(counts, air)
+    least = np.where(counts >= FEWEST, doubt, np.inf).min(axis=0)
+    variance = 1 / np.maximum(counts, 1) + dispersion**2
+    return variance / (variance + np.square(np.maximum(doubt - least, 0)))
 
 
 def excess_of_blocks(counts: Image, air: Image, factor: int) -> Float[np.ndarray, "channel row column"]:

@@ -91,8 +91,16 @@ class Recipe:
 
     def steps(self, views: int) -> list[int]:
         """Steps of each stage with so many training views."""
-        per_sweep, more = max(views // self.views_per_step, 1), min(max(FEW / views, 1.0), self.most_turns)
-        return [max(round(stage.sweeps * per_sweep * more), 1) for stage in self.stages]
+        more = min(max(FEW / views, 1.0), self.most_turns)
+        return [max(round(stage.sweeps * self.per_sweep(views) * more), 1) for stage in self.stages]
+
+    def per_sweep(self, views: int) -> int:
+        """Steps of a sweep over so many training views."""
+        return max(views // self.views_per_step, 1)
+
+    def curvature_steps(self, views: int) -> int:
+        """Steps between two evaluations of the coefficients' curvature."""
+        return max(round(self.curvature_sweeps * self.per_sweep(views)), 1)
 
     def distance(self, views: int) -> float:
         """Distance between Gaussians along edges with so many training views: less noise shows finer things."""

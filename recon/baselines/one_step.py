@@ -120,7 +120,8 @@ class OneStep:
             volumes, here = resampled(volumes, here, level), level
             if finer:
                 volumes = sharpened(volumes)
-            data = measurements.binned(matching_bin(measurements.geometry, self.pixel * min(level.spacing))).evened()
+            data = measurements.binned(matching_bin(measurements.geometry, self.pixel * min(level.spacing)))
+            data = data.weighted(self.dispersion)
             volumes = _descend(volumes, data, level, self, passes, report)
         return _shown(resampled(volumes, here, grid), self)
 

@@ -8,7 +8,7 @@ from gaussian_scenes import NAMES, circular, one_gaussian, small_model, spectral
 
 from recon.gaussians import Gaussians
 from recon.measurements import Measurements
-from recon.partial_volume import STEEPEST, even_shares, excess_of_blocks, excess_of_pixels
+from recon.partial_volume import KNOWN_TO, STEEPEST, doubtful_shares, even_shares, excess_of_blocks, excess_of_pixels
 from spectra.transmission import Transmission
 
 GEOMETRY, FINER = circular(12, 14, views=2), 16
@@ -83,6 +83,27 @@ def test_rays_with_their_shares_have_as_much_say_as_the_most_attenuated_near_by(
     np.testing.assert_allclose(say[0, 5, 3:17], counts[0, 5, 5:19], rtol=0.02)
 
 
+def test_channels_whose_correction_is_larger_lose_what_its_doubt_takes():
+    soft, hard = (np.exp(-np.linspace(0, depth, 20)) * np.ones((20, 1)) for depth in (30.0, 10.0))
+    counts = 1e6 * np.stack([soft, hard]).astype(np.float32)
+    air = np.full(counts.shape, 1e6, np.float32)
+    shares = doubtful_shares(counts, air, 0.02)[:, 10, 3:6]
+    excess = excess_of_pixels(counts, air)[:, 10, 3:6]
+    more = KNOWN_TO * (excess[0] - excess[1])
+    variance = 1 / counts[0, 10, 3:6] + 0.02**2
+    np.testing.assert_allclose(shares[0] * (variance + more**2), variance, rtol=1e-4)
+    assert more.min() > 0.005
+    np.testing.assert_array_equal(shares[1], 1)
+
+
+def test_even_rays_and_those_without_counts_are_not_in_doubt():
+    counts = np.random.default_rng(0).poisson(1e4, (2, 20, 20)).astype(np.float32)
+    np.testing.assert_allclose(doubtful_shares(counts, np.full(counts.shape, 2e4), 0.02), 1, atol=0.01)
+    counts[:, :, 8:] = 1
+    shares = doubtful_shares(counts, np.full(counts.shape, 2e4), 0.02)
+    np.testing.assert_array_equal(shares[:, :, 9:], 1)
+
+
 def filtered(model):
     """The same model with the column of a filter."""
     energy = np.linspace(25, 115, len(model.weights))
@@ -136,14 +157,14 @@ def test_air_and_blind_pixels_stay_as_they_are():
 def test_views_that_a_channel_did_not_take_stay_empty():
     scan, _ = scan_of(small_model(3), GEOMETRY, (12, 14))
     scan.counts[0, 1], scan.exposure[0, 1] = 0, 0
-    for changed in (scan.without_partial_volume(), scan.binned(2), scan.evened()):
+    for changed in (scan.without_partial_volume(), scan.binned(2), scan.weighted(0.02)):
         assert np.isfinite(changed.counts).all()
         assert not changed.counts[0, 1].any()
-    assert not scan.evened().shares[0, 1].any()
+    assert not scan.weighted(0.02).shares[0, 1].any()
 
 
 def test_some_views_take_their_shares_along():
     scan, _ = scan_of(small_model(3), GEOMETRY, (12, 14))
-    evened = scan.evened()
-    np.testing.assert_array_equal(evened[[1]].shares, evened.shares[[1]])
-    assert evened.binned(2).shares is None
+    weighted = scan.weighted(0.02)
+    np.testing.assert_array_equal(weighted[[1]].shares, weighted.shares[[1]])
+    assert weighted.binned(2).shares is None
