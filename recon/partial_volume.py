@@ -2,10 +2,13 @@
 
 Four things follow from the counts alone, before anything is reconstructed.
 
-A pixel sums intensities, and the mean of exp(-L) exceeds exp(-mean L). Where L changes by 2h across a pixel, it does so
-by sinh(h) / h in each direction, and neighbouring pixels tell h. Pixels that are summed tell it themselves: their
-geometric mean is the intensity of the mean L. A fit to intensities that are not corrected finds too little of what
-attenuates, and in the wrong basis, as soft energies suffer more.
+A pixel sums intensities, and the mean of exp(-L) exceeds exp(-mean L): where L changes evenly by 2h across a pixel, by
+sinh(h) / h. Neighbouring pixels tell by how much it changes in each direction, but not how evenly. Of a slope that goes
+on through a, m and b, the variance within m is (m - a)(b - m) / 12; of a sharp edge within m alone, with a and b on
+either side of it, it is (m - a)(b - m) wherever that edge lies. Which of both it is, pixels further out tell: behind an
+edge they are as their neighbours. Pixels that are summed tell all of it themselves: their geometric mean is the
+intensity of the mean L. A fit to intensities that are not corrected finds too little of what attenuates, and in the
+wrong basis, as soft energies suffer more.
 
 Voxels do not resolve what neighbouring pixels tell apart, at the rim of metal above all, and counts are the less noisy
 the less their ray is attenuated. So the rays beside an edge would outvote those through it, and voxels end up with less
@@ -24,7 +27,9 @@ DARK = 0.5  # counts; none are taken for half of one
 FEWEST = 5.0  # counts per pixel, on average, from which differences between pixels are trusted
 STEEPEST = 3.0  # change of the log intensity from the middle of a pixel to its border; what is steeper counts as that
 CERTAIN = 2.0  # standard deviations of its noise that a slope must exceed
-KNOWN_TO = 0.15  # of a correction; its standard deviation
+EDGE = 0.3  # what a sharp edge adds to the 1/12 of a slope; not the whole of it, as things that are round have none
+BLUNT = 40.0  # how fast that fades as the slope goes on; by `benchmarks/excess.py`, as the one above
+KNOWN_TO = 0.2  # of a correction; its standard deviation
 NEAR = 2  # pixels around one in which rays have the same say
 _SIGMA = (0, 0.5, 0.5)  # pixels; the least of noisy counts would be below all of them
 
@@ -39,15 +44,18 @@ def excess_of_pixels(counts: Image, air: Image) -> Image:
     counts : of one view
     air : without an object; 0 where a pixel is blind, which then tells nothing and is told nothing
     """
-    logs, seen, variance = _logs(counts, air), air > 0, 1 / np.maximum(counts, 1)
+    logs = np.where(air > 0, _logs(counts, air), np.nan)
+    variance = 1 / np.maximum(counts, 1)
     out = np.zeros(counts.shape, np.float32)
     for axis in (-2, -1):
-        before, after = (_beside(logs, axis, step) for step in (-1, 1))
-        known = seen & _beside(seen, axis, -1) & _beside(seen, axis, 1)
-        noise = (_beside(variance, axis, -1) + _beside(variance, axis, 1)) / 4
-        square = np.where(known, np.square(after - before) / 4 - CERTAIN**2 * noise, 0)
-        half = np.clip(np.sqrt(np.maximum(square, 0)) / 2, 1e-3, STEEPEST)
-        out += np.where(square > 0, np.log(np.sinh(half) / half), 0)
+        far, before, after, farther = _differences(logs, axis)
+        noise = _beside(variance, axis, -1) + _beside(variance, axis, 1)
+        known = (np.square(before + after) > CERTAIN**2 * noise) & (before * after > 0)
+        goes_on = np.fmin(np.abs(far), np.abs(farther)) / np.maximum(np.maximum(np.abs(before), np.abs(after)), 1e-6)
+        sharp = np.nan_to_num(np.maximum(1 - goes_on, 0) / (1 + BLUNT * goes_on))
+        within = np.where(known, before * after, 0) * (1 / 12 + EDGE * sharp)
+        half = np.clip(np.sqrt(3 * within), 1e-3, STEEPEST)
+        out += np.where(known, np.log(np.sinh(half) / half), 0)
     return out
 
 
@@ -102,6 +110,14 @@ def even_shares(counts: Image, air: Image) -> Image:
 def _logs(counts: Image, air: Image) -> Image:
     """Logarithms of relative intensities; of 1 in blind pixels."""
     return np.log(np.where(air > 0, np.maximum(counts, DARK) / np.where(air > 0, air, 1), 1)).astype(np.float32)
+
+
+def _differences(logs: Image, axis: int) -> list[Image]:
+    """Of the two pixels before each, it and the one before, it and the one after, the two after; NaN if not known."""
+    width = [(0, 0)] * logs.ndim
+    width[axis] = (2, 2)
+    steps = np.diff(np.pad(logs, width, constant_values=np.nan), axis=axis)
+    return [np.take(steps, np.arange(logs.shape[axis]) + k, axis=axis) for k in range(4)]
 
 
 def _beside(images: Float[np.ndarray, "..."], axis: int, step: int) -> Float[np.ndarray, "..."]:

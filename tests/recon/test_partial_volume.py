@@ -32,6 +32,26 @@ def test_the_excess_of_a_linear_slope_is_exact(along, across):
     np.testing.assert_allclose(found, np.log(counts / means)[inner], rtol=2e-2, atol=1e-5)
 
 
+@pytest.mark.parametrize("place", [0.25, 0.5, 0.7])
+def test_an_edge_inside_of_a_pixel_has_more_excess_than_a_slope_through_it_but_not_more_than_a_step(place):
+    height = 0.4
+    lines = np.where(np.arange(20) < 9, 0.0, height)
+    lines[9] = (1 - place) * height
+    counts = 1e10 * np.exp(-lines) * np.ones((1, 20, 1))
+    found = excess_of_pixels(counts, AIR * 1e5)[0, 10]
+    step = np.log(place + (1 - place) * np.exp(-height)) + lines[9]
+    slope = place * (1 - place) * height**2 / 24
+    assert 3 * slope < found[9] < step
+    assert not np.delete(found, 9).any()
+
+
+def test_pixels_at_the_border_take_slopes_for_what_goes_on():
+    counts, means = sloped(0.3)
+    found = excess_of_pixels(counts * 1e5, AIR * 1e5)
+    np.testing.assert_allclose(found[0, 10, [1, -2]], np.log(counts / means)[0, 10, [1, -2]], rtol=2e-2)
+    assert not found[0, 10, [0, -1]].any()
+
+
 @pytest.mark.parametrize("level", [30.0, 300.0, 1e5])
 def test_noise_alone_has_next_to_no_excess(level):
     counts = np.random.default_rng(0).poisson(level, (1, 200, 200)).astype(np.float32)
@@ -49,6 +69,7 @@ def test_where_there_are_hardly_any_counts_nothing_is_corrected():
 
 def test_steeper_slopes_than_can_be_told_are_bounded():
     counts = np.where(np.arange(20) < 10, 1e5, 0.0) * np.ones((1, 20, 1))
+    counts[:, :, 10] = 100
     most = np.log(np.sinh(STEEPEST) / STEEPEST)
     assert excess_of_pixels(counts, AIR).max() == pytest.approx(most, rel=1e-5)
 
