@@ -99,9 +99,8 @@ def fit(
     for stage, first, length in zip(recipe.stages, firsts, lengths, strict=False):
         if state.done >= first + length:
             continue
-        data = measurements.binned(matching_bin(measurements.geometry, stage.pixel * voxel)).weighted(
-            recipe.dispersion, store
-        )
+        data = measurements.binned(matching_bin(measurements.geometry, stage.pixel * voxel))
+        data = data.weighted(recipe.dispersion, store)
         per_sweep = recipe.per_sweep(len(data))
         for step, views in islice(enumerate(_subsets(len(data), per_sweep, length)), state.done - first, None):
             if step % recipe.curvature_steps(len(data)) == 0:

@@ -89,7 +89,7 @@ def run_gaussian(dataset: Dataset, contender: Contender, clock: Clock, new: NewR
     reconstruct(dataset, recipe, on_stage=beginning.stage, on_step=timed, keeper=beginning)
     clock.stop()
     start = beginning.seconds or 0.0
-    needed = seconds_of_steps(timed.steps, recipe, len(dataset.splits["train"]))
+    needed = seconds_of_steps(timed.steps, recipe, len(dataset.splits["train"]) - recipe.held_out)
     shares = {budget: min(RESERVE * (budget - start) / needed, 1.0) for budget in sorted(budgets)}
 
     def fit(share: float, recorder: Recorder) -> None:
