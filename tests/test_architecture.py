@@ -1,5 +1,6 @@
 """What the project promises about itself: who may import whom, how long a file may be, what a wheel holds."""
 
+import dis
 import doctest
 import re
 import shlex
@@ -171,6 +172,23 @@ def test_kernels_that_reorder_sums_are_not_called_but_inlined():
     assert len(reordering) >= 3
     for kernel in reordering:
         assert kernel.targetoptions.get("forceinline") or kernel.targetoptions.get("inline") == "always", kernel
+
+
+def test_kernels_that_reorder_sums_call_nothing_that_takes_the_flags_of_who_comes_first():
+    # numba compiles a function that names no flags, and the built-ins below, once in a process, with those of its first
+    # caller. Then the last digits of a fit would depend on what was compiled before, and two installs would differ.
+    parts = [(module, kernel) for module, _, kernel in kernels() if kernel.targetoptions.get("fastmath")]
+    assert len(parts) >= 10
+    for module, kernel in parts:  # grows
+        instructions = list(dis.get_instructions(kernel.py_func))
+        names = {i.argval for i in instructions if isinstance(i.argval, str)}
+        assert not names & {"max", "min", "pow", "round", "sum", "divmod"}, kernel
+        assert not [i for i in instructions if i.argrepr in {"**", "**="}], kernel
+        for other in used_by(module, kernel):
+            if other.targetoptions.get("inline") == "always":
+                parts += [(sys.modules[other.py_func.__module__], other)]
+            else:
+                assert "fastmath" in other.targetoptions, (kernel, other)
 
 
 def used_by(module, kernel):

@@ -28,6 +28,7 @@ from recon.ops.rasterize.table import (
     YC,
     row_span,
 )
+from spectra.ops.extremes import larger, smaller
 
 f4 = np.float32
 UNIT = np.float32(2 / math.sqrt(2 * math.pi))
@@ -64,7 +65,7 @@ def forward(table, coefficients, lengths, smooth, columns, row_first, row_last, 
     e, corner = f4(smooth), f4(math.sqrt(smooth))
     for g in range(table.shape[0]):
         p = table[g]
-        for r in range(max(int(p[ROW_0]), row_first), min(int(p[ROW_1]), row_last)):
+        for r in range(larger(int(p[ROW_0]), row_first), smaller(int(p[ROW_1]), row_last)):
             dy = f4(r) - p[YC]
             low, high = row_span(p, dy, f4(1), columns)
             shear, across = p[L21] * dy, p[L22] * dy

@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 
 from phantomgen.ops.device import inlined
+from spectra.ops.extremes import smaller
 from spectra.ops.fast_exp import FLAGS, fast_exp
 
 
@@ -46,7 +47,7 @@ def _transmit(lengths, known, view, columns, weights, first, last, start, count,
                 exponents[i] -= factor * known[p, start + i]
         weight = weights[k]
         for i in range(count):
-            exponents[i] = weight * fast_exp(min(exponents[i], 60.0))
+            exponents[i] = weight * fast_exp(smaller(exponents[i], 60.0))
             room[0, i] += exponents[i]
         for m in range(bases):
             factor = columns[m, k]

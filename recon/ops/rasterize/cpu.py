@@ -38,6 +38,7 @@ from recon.ops.rasterize.table import (
     lattice_mass,
     row_span,
 )
+from spectra.ops.extremes import larger, smaller
 
 SCRATCH = 15  # rows of the scratch array of one Gaussian in one view
 HIDDEN, NEAR = near.HIDDEN, near.NEAR
@@ -196,7 +197,7 @@ def forward(table, coefficients, lengths, cutoff, columns, row_first, row_last, 
     k2 = f4(cutoff * cutoff)
     for g in range(table.shape[0]):
         p = table[g]
-        for r in range(max(int(p[ROW_0]), row_first), min(int(p[ROW_1]), row_last)):
+        for r in range(larger(int(p[ROW_0]), row_first), smaller(int(p[ROW_1]), row_last)):
             dy = f4(r) - p[YC]
             low, high = row_span(p, dy, k2, columns)
             shear, across = p[L21] * dy, p[L22] * dy

@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 
 from recon.ops.rounding import round_down, round_up
+from spectra.ops.extremes import larger, smaller
 
 # Where the numbers of a footprint are; of a Gaussian near an end of the rays, the rows are (one past the last, first).
 XC, YC, L11, L21, L22, E1, E2, E3, E4, E5, AMPLITUDE, ROW_0, ROW_1 = range(13)
@@ -81,6 +82,6 @@ def row_span(p, dy, k2, columns):
     if inside < 0:
         return 0, 0
     half = math.sqrt(inside)
-    low = min(max(p[XC] - (b + half) / a, f4(0)), f4(columns))
-    high = min(max(p[XC] + (half - b) / a, f4(-1)), f4(columns - 1))
+    low = smaller(larger(p[XC] - (b + half) / a, f4(0)), f4(columns))
+    high = smaller(larger(p[XC] + (half - b) / a, f4(-1)), f4(columns - 1))
     return round_up(low), round_down(high) + 1

@@ -8,12 +8,11 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from phantomgen.ops.device import inlined
+from phantomgen.ops.device import REORDER, reordered
+from spectra.ops.extremes import larger, smaller
 
-_FAST = {"reassoc", "contract", "nsz"}
 
-
-@inlined
+@reordered
 @no_type_check
 def _differences(volumes, scales, z, y, plain):
     """Write the differences of a row to the next voxels along z, y and x, (axis, basis, x)."""
@@ -29,7 +28,7 @@ def _differences(volumes, scales, z, y, plain):
         plain[2, m, width - 1] = np.float32(0.0)
 
 
-@inlined
+@reordered
 @no_type_check
 def _mix(mixing, plain, mixed):
     """Write W times the differences of a row."""
@@ -63,7 +62,7 @@ def total_variation(volumes, mixing, scales, first, last, room, parts):
         parts[z] = total
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=REORDER, error_model="numpy")
 @no_type_check
 def ascend(field, volumes, mixing, scales, steps, radii, first, last, room):
     """Move the field of some slices and project it on balls; `room` is (2, axis, basis, x)."""
@@ -84,19 +83,19 @@ def ascend(field, volumes, mixing, scales, steps, radii, first, last, room):
                         squares[x] += moved * moved
             for x in range(volumes.shape[3]):
                 radius = radii[z, y, x]
-                squares[x] = radius / max(radius, np.sqrt(squares[x])) if radius > 0.0 else np.float32(0.0)
+                squares[x] = radius / larger(radius, np.sqrt(squares[x])) if radius > 0.0 else np.float32(0.0)
             for axis in range(3):
                 for m in range(volumes.shape[0]):
                     for x in range(volumes.shape[3]):
-                        field[axis, m, z, y, x] = min(squares[x], one) * mixed[axis, m, x]
+                        field[axis, m, z, y, x] = smaller(squares[x], one) * mixed[axis, m, x]
 
 
-@inlined
+@reordered
 @no_type_check
 def _transpose_differences(entries, scales, z, y, row):
     """Write D^T of a row of one basis; `entries` is (axis, z, y, x)."""
     _, depth, height, width = entries.shape
-    low, before = max(z - 1, 0), max(y - 1, 0)
+    low, before = larger(z - 1, 0), larger(y - 1, 0)
     # The last entry along an axis has no next neighbour, the first no one before it.
     down, down_before = (scales[0] if z + 1 < depth else np.float32(0.0)), (scales[0] if z > 0 else np.float32(0.0))
     along, along_before = (scales[1] if y + 1 < height else np.float32(0.0)), (scales[1] if y > 0 else np.float32(0.0))
@@ -109,7 +108,7 @@ def _transpose_differences(entries, scales, z, y, row):
         row[x] += scales[2] * entries[2, z, y, x - 1]
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=REORDER, error_model="numpy")
 @no_type_check
 def pull(field, mixing, scales, first, last, room, out):
     """Write D^T W^T p of some slices; `room` is (basis, x)."""

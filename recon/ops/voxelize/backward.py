@@ -31,6 +31,7 @@ from recon.ops.voxelize.cpu import (
     place,
     span,
 )
+from spectra.ops.extremes import larger
 
 f4 = np.float32
 
@@ -46,13 +47,14 @@ def _gather(p, coefficients, cotangent, k2, columns, sums, to_coefficients):
     w0, wx, wy, wz, wxx, wxy, wxz, wyy, wyz, wzz = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
     for z in range(*span(p[Z], p[HALF_Z], nz, 0, slices)):
         dz = f4(z - nz) - p[Z]
-        rest_z = k2 - (p[U33] * dz) ** 2
-        half = math.sqrt(max(rest_z, f4(0))) / p[U22]
+        high_z = p[U33] * dz
+        rest_z = k2 - high_z * high_z
+        half = math.sqrt(larger(rest_z, f4(0))) / p[U22]
         middle = p[Y] - p[U23] * dz / p[U22]
         for y in range(*span(middle, half, ny, 0, rows)):
             dy = f4(y - ny) - p[Y]
             slope = p[U22] * dy + p[U23] * dz
-            rest = max(rest_z - slope * slope, f4(0))
+            rest = larger(rest_z - slope * slope, f4(0))
             shear = p[U12] * dy + p[U13] * dz
             half = math.sqrt(rest) / p[U11]
             low, high = span(p[X] - shear / p[U11], half, nx, 0, columns)

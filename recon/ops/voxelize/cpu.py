@@ -16,6 +16,7 @@ from numba import njit
 from phantomgen.ops.simd import WIDTH, count_from, exp_negative, load, minimum, splat, store, where_less
 from recon.ops.rasterize.table import NARROWEST, NEGLIGIBLE
 from recon.ops.rounding import round_down, round_up
+from spectra.ops.extremes import larger, smaller
 
 X, Y, Z, U11, U12, U13, U22, U23, U33, AMPLITUDE, HALF_Z, HALF_Y, VOXEL_X, VOXEL_Y, VOXEL_Z = range(15)
 SHAPE_SIZE = 15
@@ -114,8 +115,8 @@ def shapes(centres, matrices, origin, spacing, box, cutoff, first, last, out):
 @no_type_check
 def span(middle, half, voxel, first, last):
     """First and one past the last index in [first, last) within `half` of `middle`, which is measured from `voxel`."""
-    low = min(max(middle - half - f4(SLACK), f4(first - voxel)), f4(last - voxel))
-    high = min(max(middle + half + f4(SLACK), f4(first - voxel - 1)), f4(last - voxel - 1))
+    low = smaller(larger(middle - half - f4(SLACK), f4(first - voxel)), f4(last - voxel))
+    high = smaller(larger(middle + half + f4(SLACK), f4(first - voxel - 1)), f4(last - voxel - 1))
     return voxel + round_up(low), voxel + round_down(high) + 1
 
 
@@ -130,13 +131,14 @@ def fill(table, coefficients, cutoff, columns, first, last, volume):
         nx, ny, nz = int(p[VOXEL_X]), int(p[VOXEL_Y]), int(p[VOXEL_Z])
         for z in range(*span(p[Z], p[HALF_Z], nz, first, last)):
             dz = f4(z - nz) - p[Z]
-            rest_z = k2 - (p[U33] * dz) ** 2
-            half = math.sqrt(max(rest_z, f4(0))) / p[U22]
+            high_z = p[U33] * dz
+            rest_z = k2 - high_z * high_z
+            half = math.sqrt(larger(rest_z, f4(0))) / p[U22]
             middle = p[Y] - p[U23] * dz / p[U22]
             for y in range(*span(middle, half, ny, 0, rows)):
                 dy = f4(y - ny) - p[Y]
                 slope = p[U22] * dy + p[U23] * dz
-                rest = max(rest_z - slope * slope, f4(0))
+                rest = larger(rest_z - slope * slope, f4(0))
                 shear = p[U12] * dy + p[U13] * dz
                 half = math.sqrt(rest) / p[U11]
                 middle = p[X] - shear / p[U11]

@@ -10,6 +10,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from spectra.ops.extremes import larger, smaller
 from spectra.ops.fast_exp import FLAGS, LANES, attenuated_lanes, fast_exp
 
 # Sums may be reordered; NaN and infinity keep their meaning.
@@ -26,7 +27,7 @@ def expected_ray(lengths, columns, weights, starts, out):
         k = starts[c]
         while nodes >= LANES and k < starts[c + 1]:
             # The last lanes of a channel are masked out: they hold its neighbour's nodes, or lie before `k`.
-            total += attenuated_lanes(lengths, columns, weights, min(k, nodes - LANES), k, starts[c + 1])
+            total += attenuated_lanes(lengths, columns, weights, smaller(k, nodes - LANES), k, starts[c + 1])
             k += LANES
         while k < starts[c + 1]:
             exponent = 0.0
@@ -80,7 +81,7 @@ def log_counts_and_slopes(lengths, columns, weights, starts, log_counts, slopes)
                 exponents[k] = 0.0
                 for m in range(lengths.shape[1]):
                     exponents[k] -= lengths[ray, m] * columns[m, k]
-                shift = max(shift, exponents[k])
+                shift = larger(shift, exponents[k])
             total = 0.0
             for m in range(lengths.shape[1]):
                 slopes[ray, c, m] = 0.0
