@@ -33,6 +33,7 @@ from spectra.threads import set_threads
 PIXELS, BASES, SOD, SDD, SIZE = 256, 3, 500.0, 800.0, 100.0
 PIXEL = SIZE / PIXELS  # edge of a pixel at the isocentre [mm]
 SOURCE = Path(__file__).with_name("rasterize_loops.c")
+EACH = (0,) * BASES  # as the kernels want it
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-shared", "-fPIC", f"-DBASES={BASES}", f"-DWIDTH={WIDTH}")
 
 
@@ -56,7 +57,7 @@ def gather(table, coefficients, cotangent, k2, columns, sums, lanes):
     """The backward kernel's sums over pixels, of all Gaussians."""
     for g in range(len(table)):
         lanes[:] = np.float32(0)
-        cpu._gather(table[g], coefficients[g], cotangent, k2, columns, sums[g], lanes)
+        cpu._gather(EACH, table[g], coefficients[g], cotangent, k2, columns, sums[g], lanes)
 
 
 @njit
@@ -103,7 +104,7 @@ def loops(sigma: float, count: int, c: ctypes.CDLL | None) -> str:
     pull[..., PIXELS:] = 0
     sums, lanes = np.zeros((count, 12)), np.zeros(BASES * WIDTH, np.float32)
     tasks: dict[str, Callable[[], object]] = {
-        "forward": lambda: cpu.forward(table, weights, lengths, CUTOFF, PIXELS, 0, PIXELS, image),
+        "forward": lambda: cpu.forward(EACH, table, weights, lengths, CUTOFF, PIXELS, 0, PIXELS, image),
         "backward": lambda: gather(table, weights, pull, k2, PIXELS, sums, lanes),
         "call": lambda: whole_call(parts, 1),
     }

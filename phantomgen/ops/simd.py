@@ -126,6 +126,20 @@ def count_from(typingctx, first):
     return float32x8(types.int64), codegen
 
 
+@intrinsic
+def one_more(typingctx, number):
+    """`number` + 1, a float32, exactly where it is whole, however the compiler orders sums.
+
+    Counts along in a loop. To convert the loop's index in each turn costs more than it seems: the instruction waits for
+    what its register held before, and that may be the end of the turn before.
+    """
+
+    def codegen(context, builder, signature, args):
+        return builder.fadd(args[0], ir.Constant(ir.FloatType(), 1.0), flags=("nsz",))
+
+    return types.float32(types.float32), codegen
+
+
 def _pointer(context, builder, array_type, place, count):
     array, offset = place
     data = context.make_array(array_type)(context, builder, array).data

@@ -16,7 +16,19 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from phantomgen.ops.simd import WIDTH, exp_negative, load, minimum, ramp, splat, square_root, store, total, where_less
+from phantomgen.ops.simd import (
+    WIDTH,
+    exp_negative,
+    load,
+    minimum,
+    one_more,
+    ramp,
+    splat,
+    square_root,
+    store,
+    total,
+    where_less,
+)
 from recon.ops.rasterize import near
 from recon.ops.rasterize.table import (
     AMPLITUDE,
@@ -191,14 +203,20 @@ def footprints(centres, matrices, frame, inverse, box, cutoff, affine, rows, fir
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 @no_type_check
-def forward(table, coefficients, lengths, cutoff, columns, row_first, row_last, image):
-    """Add footprints to rows `row_first` to `row_last` of `image` (basis, row, padded column), times |d|."""
-    bases, rows, stride = image.shape
+def forward(bases, table, coefficients, lengths, cutoff, columns, row_first, row_last, image):
+    """Add footprints to rows `row_first` to `row_last` of `image` (basis, row, padded column), times |d|.
+
+    `bases` is a tuple as long as there are bases, whose loops are then unrolled; its values do not count.
+    """
+    _, rows, stride = image.shape
     k2 = f4(cutoff * cutoff)
     for g in range(table.shape[0]):
         p = table[g]
-        for r in range(larger(int(p[ROW_0]), row_first), smaller(int(p[ROW_1]), row_last)):
-            dy = f4(r) - p[YC]
+        first = larger(int(p[ROW_0]), row_first)
+        row = f4(first - 1)
+        for r in range(first, smaller(int(p[ROW_1]), row_last)):
+            row = one_more(row)
+            dy = row - p[YC]
             low, high = row_span(p, dy, k2, columns)
             shear, across = p[L21] * dy, p[L22] * dy
             flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
@@ -209,10 +227,10 @@ def forward(table, coefficients, lengths, cutoff, columns, row_first, row_last, 
                 q = (along * along + across * across) * inverse
                 value = square_root(inverse) * exp_negative(minimum(q, k2) * f4(-0.5)) * p[AMPLITUDE]
                 value = where_less(q, k2, value)
-                for m in range(bases):
+                for m in range(len(bases)):
                     at = (m * rows + r) * stride + base
                     store(image, at, load(image, at) + value * coefficients[g, m])
-    for m in range(bases):
+    for m in range(len(bases)):
         for r in range(row_first, row_last):
             for c in range(columns):
                 image[m, r, c] *= lengths[r, c]
@@ -222,14 +240,17 @@ def forward(table, coefficients, lengths, cutoff, columns, row_first, row_last, 
 # processes that load the kernel from numba's cache, and copies may round differently.
 @njit(forceinline=True, fastmath=True, error_model="numpy")
 @no_type_check
-def _gather(p, coefficients, cotangent, k2, columns, sums, to_coefficients):
+def _gather(bases, p, coefficients, cotangent, k2, columns, sums, to_coefficients):
     """Sums over one Gaussian's pixels: see `backward` for their meaning."""
-    bases, rows, stride = cotangent.shape
+    _, rows, stride = cotangent.shape
     zero = splat(f4(0))
     w0, ax, ay, axx, axy, ayy = zero, zero, zero, zero, zero, zero
     b0, bx, by, bxx, bxy, byy = zero, zero, zero, zero, zero, zero
-    for r in range(int(p[ROW_0]), int(p[ROW_1])):
-        dy = f4(r) - p[YC]
+    first = int(p[ROW_0])
+    row = f4(first - 1)
+    for r in range(first, int(p[ROW_1])):
+        row = one_more(row)
+        dy = row - p[YC]
         low, high = row_span(p, dy, k2, columns)
         shear, across = p[L21] * dy, p[L22] * dy
         flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
@@ -241,7 +262,7 @@ def _gather(p, coefficients, cotangent, k2, columns, sums, to_coefficients):
             value = square_root(inverse) * exp_negative(minimum(q, k2) * f4(-0.5)) * p[AMPLITUDE]
             value = where_less(q, k2, value)
             pull = zero
-            for m in range(bases):
+            for m in range(len(bases)):
                 incoming = load(cotangent, (m * rows + r) * stride + base)
                 pull = pull + incoming * coefficients[m]
                 store(to_coefficients, m * WIDTH, load(to_coefficients, m * WIDTH) + incoming * value)
@@ -329,19 +350,18 @@ def chain(w, s, box, affine, matrix, frame, inverse, t, to_centre, to_matrix):
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def backward(
-    centres, matrices, coefficients, frames, inverses, tables, cotangents, box, cutoff, affine, columns, first, last,
-    to_centres, to_matrices, to_coefficients,
+    bases, centres, matrices, coefficients, frames, inverses, tables, cotangents, box, cutoff, affine, columns,
+    first, last, to_centres, to_matrices, to_coefficients,
 ):  # fmt: skip
     """Gradients of Gaussians `first` to `last`, summed over views in order.
 
-    `cotangents` (view, basis, row, padded column) come multiplied by |d|. With v the value of a pixel, w = v times its
-    pull, alpha = -w / (2 E) belongs to N, beta = alpha (1 - N / E) to E; the sums over pixels are
-    w, alpha (x, y, x^2, x y, y^2) and beta (1, x, y, x^2, x y, y^2).
+    `bases` is that of `forward`; `cotangents` (view, basis, row, padded column) come multiplied by |d|. With v the
+    value of a pixel, w = v times its pull, alpha = -w / (2 E) belongs to N, beta = alpha (1 - N / E) to E; the sums
+    over pixels are w, alpha (x, y, x^2, x y, y^2) and beta (1, x, y, x^2, x y, y^2).
     """
-    bases = coefficients.shape[1]
     k2 = f4(cutoff * cutoff)
     w, t, sums = np.zeros((SCRATCH, 3)), np.empty((6, 3)), np.empty(12)
-    lanes = np.empty(bases * WIDTH, np.float32)
+    lanes = np.empty(len(bases) * WIDTH, np.float32)
     for g in range(first, last):
         for view in range(frames.shape[0]):
             p = tables[view, g]
@@ -353,8 +373,8 @@ def backward(
             if p[ROW_1] <= p[ROW_0]:
                 continue
             lanes[:] = f4(0)
-            _gather(p, coefficients[g], cotangents[view], k2, columns, sums, lanes)
-            for m in range(bases):
+            _gather(bases, p, coefficients[g], cotangents[view], k2, columns, sums, lanes)
+            for m in range(len(bases)):
                 to_coefficients[g, m] += total(load(lanes, m * WIDTH))
             look(centres[g], matrices[g], frames[view], inverses[view], box, affine, w)
             if affine:

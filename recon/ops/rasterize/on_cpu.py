@@ -48,6 +48,7 @@ class Scene:
             x.detach().cpu().numpy().astype(np.float64) for x in (*parts[:3], frames)
         )
         self.coefficients = parts[3].detach().cpu().numpy().astype(np.float32)
+        self.bases = (0,) * self.coefficients.shape[1]
         self.settings, self.box = settings, settings.footprint**2 / 12
         self.inverses = np.linalg.inv(np.stack([self.frames[:, 2], self.frames[:, 3], self.frames[:, 1]], axis=-1))
         self.matrices = np.empty((len(self.centres), 3, 3))
@@ -86,8 +87,8 @@ class Scene:
         s, some = self.settings, slice(numbers.start, numbers.stop)
         self._each_chunk(
             lambda a, b: cpu.backward(
-                self.centres, self.matrices, self.coefficients, self.frames[some], self.inverses[some], tables, padded,
-                self.box, s.cutoff, s.affine, s.columns, a, b, *sums,
+                self.bases, self.centres, self.matrices, self.coefficients, self.frames[some], self.inverses[some],
+                tables, padded, self.box, s.cutoff, s.affine, s.columns, a, b, *sums,
             )
         )  # fmt: skip
 
@@ -141,7 +142,9 @@ class Scene:
                     which, self.centres, self.matrices, self.coefficients, self.frames[number], self.inverses[number],
                     table, self.box, s.cutoff, s.columns, a, b, image[number],
                 )  # fmt: skip
-            cpu.forward(table, self.coefficients, views.lengths[i], s.cutoff, s.columns, a, b, image[number])
+            cpu.forward(
+                self.bases, table, self.coefficients, views.lengths[i], s.cutoff, s.columns, a, b, image[number]
+            )
 
         run_all(splat, [(i, band) for i in range(len(views.numbers)) for band in range(BANDS)])
 

@@ -11,7 +11,18 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from phantomgen.ops.simd import WIDTH, count_from, exp_negative, load, minimum, splat, store, total, where_less
+from phantomgen.ops.simd import (
+    WIDTH,
+    count_from,
+    exp_negative,
+    load,
+    minimum,
+    one_more,
+    splat,
+    store,
+    total,
+    where_less,
+)
 from recon.ops.voxelize.cpu import (
     AMPLITUDE,
     HALF_Z,
@@ -39,9 +50,9 @@ f4 = np.float32
 # Inlined, as all that reorders sums: see `recon.ops.rasterize.cpu`.
 @njit(forceinline=True, fastmath=True, error_model="numpy")
 @no_type_check
-def _gather(p, coefficients, cotangent, k2, columns, sums, to_coefficients):
+def _gather(bases, p, coefficients, cotangent, k2, columns, sums, to_coefficients):
     """Sums of w, w (x, y, z) and w (xx, xy, xz, yy, yz, zz) over one Gaussian's voxels; one row of voxels at a time."""
-    bases, slices, rows, stride = cotangent.shape
+    _, slices, rows, stride = cotangent.shape
     nx, ny, nz = int(p[VOXEL_X]), int(p[VOXEL_Y]), int(p[VOXEL_Z])
     zero = splat(f4(0))
     w0, wx, wy, wz, wxx, wxy, wxz, wyy, wyz, wzz = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
@@ -51,8 +62,11 @@ def _gather(p, coefficients, cotangent, k2, columns, sums, to_coefficients):
         rest_z = k2 - high_z * high_z
         half = math.sqrt(larger(rest_z, f4(0))) / p[U22]
         middle = p[Y] - p[U23] * dz / p[U22]
-        for y in range(*span(middle, half, ny, 0, rows)):
-            dy = f4(y - ny) - p[Y]
+        y0, y1 = span(middle, half, ny, 0, rows)
+        row = f4(y0 - ny - 1)
+        for y in range(y0, y1):
+            row = one_more(row)
+            dy = row - p[Y]
             slope = p[U22] * dy + p[U23] * dz
             rest = larger(rest_z - slope * slope, f4(0))
             shear = p[U12] * dy + p[U13] * dz
@@ -65,7 +79,7 @@ def _gather(p, coefficients, cotangent, k2, columns, sums, to_coefficients):
                 q = along * along + (k2 - rest)
                 value = where_less(q, k2, exp_negative(minimum(q, k2) * f4(-0.5)) * p[AMPLITUDE])
                 pull = zero
-                for m in range(bases):
+                for m in range(len(bases)):
                     incoming = load(cotangent, ((m * slices + z) * rows + y) * stride + base)
                     pull = pull + incoming * coefficients[m]
                     store(to_coefficients, m * WIDTH, load(to_coefficients, m * WIDTH) + incoming * value)
@@ -146,22 +160,21 @@ def _chain(sums, centre, a, origin, spacing, box, t, to_centre, to_matrix):
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def backward(
-    centres, matrices, coefficients, table, cotangent, origin, spacing, box, cutoff, columns, first, last,
+    bases, centres, matrices, coefficients, table, cotangent, origin, spacing, box, cutoff, columns, first, last,
     to_centres, to_matrices, to_log_peaks, to_coefficients,
 ):  # fmt: skip
     """Gradients of Gaussians `first` to `last` in centre, whitening matrix, logarithm of the peak, and coefficients.
 
-    `cotangent` is (basis, z, y, padded x), zero in the padding.
+    `bases` is that of `recon.ops.voxelize.cpu.fill`; `cotangent` is (basis, z, y, padded x), zero in the padding.
     """
-    bases = coefficients.shape[1]
     k2 = f4(cutoff * cutoff)
     t, sums = np.zeros((8, 3, 3)), np.empty(10)
-    lanes = np.empty(bases * WIDTH, np.float32)
+    lanes = np.empty(len(bases) * WIDTH, np.float32)
     for g in range(first, last):
-        for i in range(bases * WIDTH):
+        for i in range(len(bases) * WIDTH):
             lanes[i] = f4(0)
-        _gather(table[g], coefficients[g], cotangent, k2, columns, sums, lanes)
-        for m in range(bases):
+        _gather(bases, table[g], coefficients[g], cotangent, k2, columns, sums, lanes)
+        for m in range(len(bases)):
             to_coefficients[g, m] = total(load(lanes, m * WIDTH))
         to_log_peaks[g] = sums[0]
         _chain(sums, centres[g], matrices[g], origin, spacing, box, t, to_centres[g], to_matrices[g])

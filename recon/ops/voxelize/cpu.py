@@ -13,7 +13,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from phantomgen.ops.simd import WIDTH, count_from, exp_negative, load, minimum, splat, store, where_less
+from phantomgen.ops.simd import WIDTH, count_from, exp_negative, load, minimum, one_more, splat, store, where_less
 from recon.ops.rasterize.table import NARROWEST, NEGLIGIBLE
 from recon.ops.rounding import round_down, round_up
 from spectra.ops.extremes import larger, smaller
@@ -122,9 +122,12 @@ def span(middle, half, voxel, first, last):
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 @no_type_check
-def fill(table, coefficients, cutoff, columns, first, last, volume):
-    """Add all Gaussians to slices `first` to `last` of `volume` (basis, z, y, padded x)."""
-    bases, slices, rows, stride = volume.shape
+def fill(bases, table, coefficients, cutoff, columns, first, last, volume):
+    """Add all Gaussians to slices `first` to `last` of `volume` (basis, z, y, padded x).
+
+    `bases` is a tuple as long as there are bases, whose loops are then unrolled; its values do not count.
+    """
+    _, slices, rows, stride = volume.shape
     k2 = f4(cutoff * cutoff)
     for g in range(table.shape[0]):
         p = table[g]
@@ -135,8 +138,11 @@ def fill(table, coefficients, cutoff, columns, first, last, volume):
             rest_z = k2 - high_z * high_z
             half = math.sqrt(larger(rest_z, f4(0))) / p[U22]
             middle = p[Y] - p[U23] * dz / p[U22]
-            for y in range(*span(middle, half, ny, 0, rows)):
-                dy = f4(y - ny) - p[Y]
+            y0, y1 = span(middle, half, ny, 0, rows)
+            row = f4(y0 - ny - 1)
+            for y in range(y0, y1):
+                row = one_more(row)
+                dy = row - p[Y]
                 slope = p[U22] * dy + p[U23] * dz
                 rest = larger(rest_z - slope * slope, f4(0))
                 shear = p[U12] * dy + p[U13] * dz
@@ -147,6 +153,6 @@ def fill(table, coefficients, cutoff, columns, first, last, volume):
                     along = (count_from(base - nx) - splat(p[X])) * p[U11] + shear
                     q = along * along + (k2 - rest)
                     value = where_less(q, k2, exp_negative(minimum(q, k2) * f4(-0.5)) * p[AMPLITUDE])
-                    for m in range(bases):
+                    for m in range(len(bases)):
                         at = ((m * slices + z) * rows + y) * stride + base
                         store(volume, at, load(volume, at) + value * coefficients[g, m])

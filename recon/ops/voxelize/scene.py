@@ -34,6 +34,7 @@ class Scene:
             x.detach().cpu().numpy().astype(np.float64) for x in (centres, log_scales, quaternions)
         )
         self.coefficients = coefficients.detach().cpu().numpy().astype(np.float32)
+        self.bases = (0,) * self.coefficients.shape[1]
         self.shape, self.box, self.cutoff = grid.shape, footprint**2 / 12, cutoff
         self.origin, self.spacing = np.array(grid.origin[::-1], float), np.array(grid.spacing[::-1], float)
         n = len(self.centres)
@@ -57,7 +58,16 @@ class Scene:
         volume = np.zeros((self.coefficients.shape[1], slices, rows, columns + WIDTH), np.float32)
 
         def fill(first: int) -> None:
-            cpu.fill(self.table, self.coefficients, self.cutoff, columns, first, min(first + SLAB, slices), volume)
+            cpu.fill(
+                self.bases,
+                self.table,
+                self.coefficients,
+                self.cutoff,
+                columns,
+                first,
+                min(first + SLAB, slices),
+                volume,
+            )
 
         for _ in run_parallel(fill, range(0, slices, SLAB)):
             pass
@@ -74,8 +84,9 @@ class Scene:
 
         def gather(a: int, b: int) -> None:
             backward(
-                self.centres, self.matrices, self.coefficients, self.table, padded, self.origin, self.spacing,
-                self.box, self.cutoff, columns, a, b, to_centres, to_matrices, to_log_peaks, to_coefficients,
+                self.bases, self.centres, self.matrices, self.coefficients, self.table, padded, self.origin,
+                self.spacing, self.box, self.cutoff, columns, a, b,
+                to_centres, to_matrices, to_log_peaks, to_coefficients,
             )  # fmt: skip
             whitening_backward(
                 self.log_scales, self.quaternions, self.matrices, to_matrices, a, b, to_scales, to_quaternions
