@@ -9,6 +9,7 @@ from phantomgen.ops.simd import (
     load,
     load_as,
     minimum,
+    one_more,
     ramp,
     splat,
     splat_as,
@@ -78,3 +79,18 @@ def test_exponential_keeps_the_error_it_states(lowest, relative):
     truth = np.exp(x.astype(float))
     assert abs(out - truth).max() < 1e-6
     assert abs(out / truth - 1).max() < relative
+
+
+@njit(fastmath=True)
+def counted(start, place, out):
+    """Distances of whole numbers from `start` on to a place."""
+    number = start
+    for i in range(len(out)):
+        number = one_more(number)
+        out[i] = number - place
+
+
+def test_counting_is_exact_where_the_compiler_may_reorder_sums():
+    start, place, out = f4(-40), f4(0.12345678), np.empty(80, f4)
+    counted(start, place, out)
+    np.testing.assert_array_equal(out, np.arange(-39, 41).astype(f4) - place)
