@@ -58,16 +58,8 @@ class Scene:
         volume = np.zeros((self.coefficients.shape[1], slices, rows, columns + WIDTH), np.float32)
 
         def fill(first: int) -> None:
-            cpu.fill(
-                self.bases,
-                self.table,
-                self.coefficients,
-                self.cutoff,
-                columns,
-                first,
-                min(first + SLAB, slices),
-                volume,
-            )
+            last = min(first + SLAB, slices)
+            cpu.fill(self.bases, self.table, self.coefficients, self.cutoff, columns, first, last, volume)
 
         for _ in run_parallel(fill, range(0, slices, SLAB)):
             pass
