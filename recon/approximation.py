@@ -24,11 +24,14 @@ from recon.ops.voxelize import mass_within, voxelize_tensor
 from recon.quasi_newton import History
 
 CUTOFF = 3.1  # standard deviations; 2 % of the mass lies beyond, and a third of the time would be spent there
-RENEWED = 10  # evaluations after which the diagonal is computed anew
+RENEWED = 3  # evaluations after which the diagonal is computed anew, which costs as much as an evaluation
 REACH = (0.5, 0.3, 0.2)  # longest step of a coordinate [standard deviations], a log-scale and an angle [rad]
 FIRST = 0.5  # length of the first step over the one that the diagonal suggests
 WORSE = 1.0005  # times the last distance; a step that leads further away is shortened, then not taken
 SHORTER = 0.3
+CUT = 0.5  # of the Gaussians; a step beyond the reach of more than these is not one that past steps can tell
+MANY = 20_000  # Gaussians; fewer take less time for an evaluation and get more evaluations,
+MOST = 4.0  # but not more than so many times as many
 WIDEST = 2.0  # a Gaussian's longest standard deviation over that at the start
 PEAK = 0.999  # quantile of the positive values of a basis that its distance is measured in
 FAINTEST = 0.01  # of the basis that shows most; one that shows less counts as if it showed as much
@@ -50,7 +53,7 @@ def approximate(
     volumes : to follow [1/mm]
     grid : of `volumes`
     metric : weighs differences of the bases, see `metric_of`
-    evaluations : voxelizations to spend, each with its gradient
+    evaluations : voxelizations to spend, each with its gradient, see `evaluations_for`
     on_evaluation : called after each; its residual is half the squared distance in the metric, whose trace counts as 1
     """
     problem = _Distance(torch.from_numpy(volumes).to(start.centres), metric, grid, Report(on_evaluation, evaluations))
@@ -63,9 +66,9 @@ def approximate(
             problem.renew_diagonal(model)
             renewed = problem.evaluations
         held = _held(model, gradient, widest)
-        step = -history.solve(gradient.masked_fill(held, 0), problem.precondition, first).masked_fill(held, 0)
-        step = _within_reach(step, model, grid)
-        if float((step * gradient).sum()) >= 0:
+        wanted = -history.solve(gradient.masked_fill(held, 0), problem.precondition, first).masked_fill(held, 0)
+        step = _within_reach(wanted, model, grid)
+        if _share_changed(wanted, step) > CUT or float((step * gradient).sum()) >= 0:
             history = History()
             step = _within_reach(-first * problem.precondition(gradient.masked_fill(held, 0)), model, grid)
         ahead = _bounded(moved(model, step), widest)
@@ -82,6 +85,15 @@ def approximate(
         history.add(step, (slope - gradient).masked_fill(held, 0))
         model, distance, gradient = ahead, there, slope
     return model
+
+
+def evaluations_for(gaussians: int, asked: int) -> int:
+    """Evaluations for so many Gaussians, where `asked` are meant for `MANY` and more.
+
+    Far from the minimum the path depends on the last digits of the volumes, and so on the processor; near it, it does
+    not. Few Gaussians reach the minimum in little time.
+    """
+    return round(asked * min(max(math.sqrt(MANY / max(gaussians, 1)), 1.0), MOST))
 
 
 def metric_of(
@@ -188,3 +200,8 @@ def _within_reach(step: Float[Tensor, "gaussian step"], model: Gaussians, grid: 
     centres, scales, angles, coefficients = step.split((3, 3, 3, step.shape[1] - GEOMETRY), dim=1)
     scales, angles = scales.clamp(-REACH[1], REACH[1]), angles.clamp(-REACH[2], REACH[2])
     return torch.cat([torch.clamp(centres, -wide, wide), scales, angles, coefficients], dim=1)
+
+
+def _share_changed(wanted: Float[Tensor, "gaussian step"], taken: Float[Tensor, "gaussian step"]) -> float:
+    """Of the Gaussians, those that take another step than was wanted."""
+    return float((wanted != taken).any(dim=1).float().mean())

@@ -4,7 +4,7 @@ from typing import no_type_check
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int, UInt64
 from numba import njit
 from scipy.ndimage import gaussian_filter, map_coordinates, minimum_filter
 from scipy.spatial import KDTree
@@ -18,6 +18,7 @@ COARSEST = 3.5  # largest spacing over the smallest
 GROWTH = 0.3  # how fast the spacing may grow with the distance from an edge
 OVERLAP = 0.65  # standard deviation of a Gaussian over the distance to its neighbours
 FLATNESS = 0.25  # thickness of a Gaussian on a full edge over its width
+_GOLDEN = 0x9E3779B97F4A7C15  # odd, nearest to 2^64 over the golden ratio
 BLOCK = 8  # voxels along an edge; in no order, following voxels took three times as long
 
 
@@ -47,7 +48,7 @@ def initialize(
     smooth = np.stack([gaussian_filter(v, SMOOTHING) for v in volumes])
     structure = Structure.of(volumes, fisher)
     distance = _sizing(structure, grid, spacing)
-    voxel = _blue_noise(structure.occupied, distance / min(grid.spacing), seed)
+    voxel = _blue_noise(structure.occupied, distance / min(grid.spacing), _places(grid), seed)
     centres = (np.array(grid.origin) + voxel * np.array(grid.spacing))[:, ::-1].copy()
     scales = _neighbour_distance(centres, default=spacing) * OVERLAP
     normals, edge = _normals(structure, voxel)
@@ -127,23 +128,52 @@ def _throw_darts(voxels, offsets, distances, shape, taken):
 
 
 def _blue_noise(
-    occupied: Bool[np.ndarray, "z y x"], distance: Float[np.ndarray, "z y x"], seed: int
+    occupied: Bool[np.ndarray, "z y x"],
+    distance: Float[np.ndarray, "z y x"],
+    first: Int[np.ndarray, " 3"],
+    seed: int,
 ) -> Float[np.ndarray, "point 3"]:
     """Points (z, y, x) [voxels] in occupied voxels that keep their distance; the finest regions are filled first.
 
-    They come block by block: Gaussians that follow each other meet the same voxels, which are then in the cache.
+    The random numbers of a voxel belong to its place, `first` being that of voxel (0, 0, 0): whether another voxel is
+    occupied, which may hang on rounding, changes the points near that one and no others. Points come block by block:
+    Gaussians that follow each other meet the same voxels, which are then in the cache.
     """
-    rng = np.random.default_rng(seed)
     voxels = np.argwhere(occupied)
-    offsets = rng.uniform(-0.5, 0.5, voxels.shape)
+    numbers = _random_of_places(voxels + first, seed)
     distances = distance[occupied]
-    order = np.lexsort([rng.random(len(voxels)), np.round(distances, 1)])
+    order = np.lexsort([numbers[:, 3], np.round(distances, 1)])
     taken = np.full(occupied.shape, -1)
-    voxels, offsets = voxels[order], offsets[order]
+    voxels, offsets = voxels[order], numbers[order, :3] - 0.5
     kept = _throw_darts(voxels, offsets, distances[order], np.array(occupied.shape), taken)
-    blocks = voxels[kept] // BLOCK
+    blocks = (voxels[kept] + first) // BLOCK
     kept = kept[np.lexsort((*voxels[kept].T[::-1], *blocks.T[::-1]))]
     return voxels[kept] + offsets[kept]
+
+
+def _places(grid: Grid) -> Int[np.ndarray, " 3"]:
+    """Place (z, y, x) of a grid's first voxel among all voxels of this size: the same for a part of the grid."""
+    return np.floor(np.array(grid.origin) / np.array(grid.spacing) + 0.25).astype(np.int64)  # centres lie at halves
+
+
+def _random_of_places(places: Int[np.ndarray, "voxel 3"], seed: int) -> Float[np.ndarray, "voxel 4"]:
+    """Four uniform random numbers in [0, 1) of each place.
+
+    References
+    ----------
+    The mixing function of SplitMix64: Steele, Lea & Flood 2014, doi:10.1145/2660193.2660195.
+    """
+    state = np.full(len(places), seed, np.uint64)
+    for index in places.T.astype(np.uint64):
+        state = _mixed(state + index * np.uint64(_GOLDEN))
+    counted = state[:, None] + np.arange(1, 5, dtype=np.uint64) * np.uint64(_GOLDEN)
+    return (_mixed(counted) >> np.uint64(11)) * 2.0**-53
+
+
+def _mixed(state: UInt64[np.ndarray, "..."]) -> UInt64[np.ndarray, "..."]:
+    state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    state = (state ^ (state >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return state ^ (state >> np.uint64(31))
 
 
 def _neighbour_distance(points: Float[np.ndarray, "point 3"], default: float) -> Float[np.ndarray, " point"]:

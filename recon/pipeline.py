@@ -12,7 +12,7 @@ from phantomgen.dataset import Dataset
 from phantomgen.grid import Grid
 from phantomgen.stopwatch import Stopwatch
 from recon.anchor import Anchor
-from recon.approximation import approximate, metric_of
+from recon.approximation import approximate, evaluations_for, metric_of
 from recon.array_store import IN_MEMORY, ArrayStore
 from recon.baselines.grids import occupied
 from recon.baselines.method import CountsMethod, Method, OnIteration, unwatched
@@ -170,7 +170,8 @@ def _first_guess(
         return volumes, gaussians
     metric = metric_of(seen, fisher)
     with stage("approximate"):
-        gaussians = approximate(gaussians.to(place), seen, inner, metric, recipe.approximation, on_iteration)
+        evaluations = evaluations_for(len(gaussians), recipe.approximation)
+        gaussians = approximate(gaussians.to(place), seen, inner, metric, evaluations, on_iteration)
     return volumes, gaussians.to("cpu")
 
 

@@ -9,9 +9,10 @@ from gaussian_scenes import NAMES, small_model
 from scipy.optimize import minimize
 
 from phantomgen.grid import Grid
-from recon.approximation import CUTOFF, FAINTEST, WIDEST, approximate, metric_of
+from recon.approximation import CUTOFF, FAINTEST, MANY, WIDEST, approximate, evaluations_for, metric_of
 from recon.gaussians import Gaussians
 from recon.initialize import initialize
+from recon.local_steps import GEOMETRY
 from recon.ops.voxelize import mass_within, voxelize_tensor
 from recon.quasi_newton import History
 
@@ -142,17 +143,29 @@ def test_a_basis_counts_by_its_large_values_and_a_faint_one_no_more_than_it_show
     assert np.isfinite(metric_of(np.zeros_like(volumes), fisher)).all()
 
 
-def test_a_step_that_leads_astray_is_not_taken(monkeypatch):
+@pytest.mark.parametrize("part", ["coefficients", "geometry"])
+def test_a_step_that_leads_astray_is_not_taken(part, monkeypatch):
     volumes, told, solve, calls = ball_and_rod(), [], History.solve, []
 
     def sometimes_wild(self, *arguments):
         calls.append(1)
-        return (1e3 if len(calls) % 5 == 0 else 1) * solve(self, *arguments)
+        step = solve(self, *arguments)
+        if len(calls) % 5 == 0:
+            some = step[:, GEOMETRY:] if part == "coefficients" else step[:, :GEOMETRY]
+            some *= 1e3
+        return step
 
     monkeypatch.setattr(History, "solve", sometimes_wild)
     monkeypatch.setattr("recon.approximation.CUTOFF", WIDE)
     start = initialize(volumes, GRID, METRIC, 1.2, NAMES[:2], 0)
     found = approximate(start, volumes, GRID, METRIC, 30, told.append)
     residuals = [told_of.residual for told_of in told]
-    assert max(residuals[1:]) > 2 * residuals[0]
+    if part == "coefficients":
+        assert max(residuals[1:]) > 2 * residuals[0]
+    else:  # told from the share of Gaussians beyond their reach, without an evaluation
+        assert max(residuals[1:]) < residuals[0]
     assert distance(found, volumes) < 1.05 * min(residuals)
+
+
+def test_few_gaussians_take_more_evaluations():
+    assert [evaluations_for(n, 40) for n in (1, 682, MANY // 4, MANY, 10 * MANY)] == [160, 160, 80, 40, 40]

@@ -106,3 +106,20 @@ def test_soft_tissue_is_filled_beside_metal():
     centres = start(np.maximum(body, metal)).centres.numpy()
     soft = np.argwhere((ball(GRID, 9.0)[0] > 0) & (ball(GRID, 6.0)[0] == 0)) + np.array(GRID.origin)
     assert cKDTree(centres).query(soft[:, ::-1])[0].max() < 5.0
+
+
+def test_one_voxel_more_moves_the_points_near_it_and_no_others():
+    one = ball(GRID)
+    other = one.copy()
+    other[:, 4, 13, 14] = 0.5 * one.max(axis=(1, 2, 3))  # a voxel beside the ball, 8 mm from its centre
+    there, here = (start(volumes).centres.numpy() for volumes in (one, other))
+    far = np.array([14, 13, 4])[None] + np.array(GRID.origin)[::-1]
+    kept = [points[np.linalg.norm(points - far, axis=1) > 9] for points in (there, here)]
+    assert len(kept[0]) > 30
+    np.testing.assert_array_equal(*kept)
+
+
+def test_a_part_of_the_grid_holds_the_same_points():
+    volumes, part = ball(GRID), (slice(2, 23), slice(3, 24), slice(4, 27))
+    inner = start(np.ascontiguousarray(volumes[:, *part]), GRID.part(part))
+    np.testing.assert_allclose(inner.centres, start(volumes).centres, atol=1e-6)
