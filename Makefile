@@ -1,5 +1,6 @@
 # make demo   scan the kedge phantom, reconstruct it, print the scores
 # make test   run the test suite
+# make test-isa  the same as processors with other instructions run it; ISA_TESTS="tests/recon" for a part
 # make check  formatting, lint, import contracts, types
 PYTHON ?= python3
 VENV := .venv
@@ -8,7 +9,11 @@ ifeq ($(OS),Windows_NT)
 BIN := $(VENV)/Scripts
 endif
 
-.PHONY: demo test check clean
+# what numba and torch may use; an x86-64 processor with AVX2 can run all of these
+INSTRUCTIONS := NUMBA_CPU_NAME=x86-64 NUMBA_CPU_NAME=x86-64-v3 ATEN_CPU_CAPABILITY=default ATEN_CPU_CAPABILITY=avx2
+ISA_TESTS ?= tests
+
+.PHONY: demo test test-isa check clean
 
 demo: $(VENV)/installed
 	$(BIN)/phantomgen make --preset kedge --overwrite
@@ -16,6 +21,11 @@ demo: $(VENV)/installed
 
 test: $(VENV)/installed-test
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
+
+test-isa: $(VENV)/installed-test
+	set -e; for setting in $(INSTRUCTIONS); do echo "$$setting"; \
+		env $$setting $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile $(ISA_TESTS); done
+	$(BIN)/python benchmarks/processors.py
 
 check: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .
