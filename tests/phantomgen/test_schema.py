@@ -206,7 +206,7 @@ def test_overrides_reach_lists_mappings_and_new_keys():
 
 
 def test_unknown_presets_and_missing_files_are_refused(tmp_path):
-    with pytest.raises(SceneError, match="unknown preset 'kegde'; did you mean 'kedge'"):
+    with pytest.raises(SceneError, match="neither a scene file nor a preset 'kegde'; did you mean kedge"):
         load_scene("kegde")
     with pytest.raises(SceneError, match="cannot be read as a scene: No such file"):
         load_scene(tmp_path / "none.yaml")
