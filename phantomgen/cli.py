@@ -22,7 +22,7 @@ from phantomgen.command import Commands, debug_option, json_option, version_opti
 @click.group(
     cls=Commands,
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="\b\nExamples:\n  phantomgen make --preset kedge\n  phantomgen presets show kedge > my.yaml",
+    epilog="\b\nExamples:\n  phantomgen make kedge\n  phantomgen presets show kedge > my.yaml",
 )
 @version_option("phantomgen")
 def main() -> None:
@@ -38,10 +38,10 @@ main.add_command(report)
 
 
 @main.command(
-    epilog="\b\nExamples:\n  phantomgen make --preset kedge --views 150 --seed 1\n"
+    epilog="\b\nExamples:\n  phantomgen make kedge --views 150 --seed 1\n"
     "  phantomgen make my.yaml --set objects.1.radius=12 -o thick.h5 --resume"
 )
-@click.argument("scene", required=False, type=click.Path(dir_okay=False))
+@click.argument("scene", metavar="SCENE|PRESET", required=False)
 @click.option("--preset", metavar="NAME", help="A scene that comes with the program; see `phantomgen presets`.")
 @click.option("-o", "--out", type=click.Path(dir_okay=False), help="Output [default: <name of the scene>.h5].")
 @click.option("--views", type=click.IntRange(min=1), help="Number of training views.")
@@ -92,12 +92,12 @@ def make(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Simulate the scan of SCENE, a YAML file, or of a preset.
+    """Simulate the scan of a scene, which is a YAML file or a preset.
 
     Prints what the scan took, and how far its expected counts are from a finer computation.
     """
     if (scene is None) == (preset is None) and (paths is None or scene is not None):
-        raise click.UsageError("name either a scene file or a preset: phantomgen make --preset kedge")
+        raise click.UsageError("name either a scene file or a preset: phantomgen make kedge")
     options = {
         "geometry.views": views,
         "geometry.test_views": test_views,
@@ -141,8 +141,9 @@ def _make(
     shown = sys.stderr.isatty() and not quiet
     with compiling_ahead(lambda text: click.echo(text, err=True) if shown else None) as wait_for_kernels:
         from phantomgen.compression import check_compression
-        from phantomgen.dataset_writer import check_output
+        from phantomgen.dataset_writer import check_dataset_name, check_output
         from phantomgen.frame_journal import check_journal
+        from phantomgen.scene_file import find_scene
         from phantomgen.scene_yaml import SceneFile
         from spectra.threads import set_threads
 
@@ -151,8 +152,9 @@ def _make(
 
             file = kept_scene(options["paths"], overrides)
         else:
-            file = SceneFile.preset(preset, overrides) if preset else SceneFile.read(scene or "", overrides)
+            file = SceneFile.preset(preset, overrides) if preset else find_scene(scene or "", overrides)
         path = Path(out or f"{file.model.name}.h5")
+        check_dataset_name(path)
         check_output(path, options["overwrite"])
         check_journal(path, options["resume"], options["overwrite"])
         check_compression(options["compression"])
@@ -176,10 +178,10 @@ def _stages(shown: bool) -> Callable[[str], None]:
 
 
 @main.command(
-    epilog="\b\nExamples:\n  phantomgen plan --preset kedge --tol 1e-4\n"
+    epilog="\b\nExamples:\n  phantomgen plan kedge --tol 1e-4\n"
     "  phantomgen plan my.yaml --set geometry.views=720 --json"
 )
-@click.argument("scene", required=False, type=click.Path(dir_okay=False))
+@click.argument("scene", metavar="SCENE|PRESET", required=False)
 @click.option("--preset", metavar="NAME", help="A scene that comes with the program; see `phantomgen presets`.")
 @click.option("--tol", type=float, default=1e-3, show_default=True, help="Worst error of log projections.")
 @click.option("--set", "settings", metavar="PATH=VALUE", multiple=True, help="Override any value of the scene.")
@@ -189,20 +191,21 @@ def _stages(shown: bool) -> Callable[[str], None]:
 def plan(
     scene: str | None, preset: str | None, tol: float, settings: tuple[str, ...], threads: int | None, as_json: bool
 ) -> None:
-    """Say how `make` would compute the scan of SCENE, or of a preset, and what that takes.
+    """Say how `make` would compute the scan of a scene file or a preset, and what that takes.
 
     For each part of the computation the cheapest setting is chosen that meets its share of the tolerance; errors are
     measured against much finer computations on a sample of views. Time, memory and file size follow from a few frames.
     Exits with 3 when the tolerance cannot be met.
     """
     if (scene is None) == (preset is None):
-        raise click.UsageError("name either a scene file or a preset: phantomgen plan --preset kedge")
+        raise click.UsageError("name either a scene file or a preset: phantomgen plan kedge")
     from phantomgen.planning import check_tolerance
+    from phantomgen.scene_file import find_scene
     from phantomgen.scene_yaml import SceneFile
     from spectra.threads import set_threads
 
     check_tolerance(tol)
-    file = SceneFile.preset(preset, settings) if preset else SceneFile.read(scene or "", settings)
+    file = SceneFile.preset(preset, settings) if preset else find_scene(scene or "", settings)
     set_threads(threads)
     from phantomgen.plan_report import PlanReport
     from phantomgen.scene import load_scene
@@ -290,16 +293,16 @@ def presets(ctx: click.Context) -> None:
 @debug_option
 def presets_show(name: str, resolved: bool, seed: int | None, settings: tuple[str, ...]) -> None:
     """Print the YAML of preset NAME, to start a scene of your own; with --resolved also of a scene file."""
-    from phantomgen.scene_yaml import SceneFile, preset_names
+    from phantomgen.scene_file import find_scene
+    from phantomgen.scene_yaml import SceneFile
 
     if not resolved and (seed is not None or settings):
         raise click.UsageError("--seed and --set need --resolved: the text of a preset is shown as it is")
     overrides = [*([] if seed is None else [f"seed={seed}"]), *settings]
-    if resolved and name not in preset_names() and Path(name).suffix in {".yaml", ".yml", ".json"}:
-        click.echo(SceneFile.read(name, overrides).resolved, nl=False)
+    if resolved:
+        click.echo(find_scene(name, overrides).resolved, nl=False)
         return
-    file = SceneFile.preset(name, overrides)
-    click.echo(file.resolved if resolved else file.text, nl=False)
+    click.echo(SceneFile.preset(name).text, nl=False)
 
 
 @main.group("import", epilog="\b\nExamples:\n  phantomgen import forbild HeadPhantom.pha -o head.yaml")
@@ -359,10 +362,10 @@ def materials(name: str | None, density: float | None, scene: str | None, plot: 
 
 
 @main.command(
-    epilog="\b\nExamples:\n  phantomgen spectrum --preset kedge --plot kedge-spectrum.png\n"
+    epilog="\b\nExamples:\n  phantomgen spectrum kedge --plot kedge-spectrum.png\n"
     "  phantomgen spectrum my.yaml --behind '30 cm water + 1 cm bone'"
 )
-@click.argument("scene", required=False, type=click.Path(dir_okay=False))
+@click.argument("scene", metavar="SCENE|PRESET", required=False)
 @click.option("--preset", metavar="NAME", help="A scene that comes with the program; see `phantomgen presets`.")
 @click.option("--behind", metavar="LAYERS", help="Object that noise is stated behind [default: 20 cm water].")
 @click.option("--set", "settings", metavar="PATH=VALUE", multiple=True, help="Override any value of the scene.")
@@ -377,19 +380,20 @@ def spectrum(
     plot: str | None,
     as_json: bool,
 ) -> None:
-    """Describe the energies of SCENE, a YAML file, or of a preset.
+    """Describe the energies of a scene, which is a YAML file or a preset.
 
     Shows beam quality, counts per channel, how well the channels tell the basis functions apart, and the least noise
     (Cramer-Rao) that any method can reach with one ray.
     """
     if (scene is None) == (preset is None):
-        raise click.UsageError("name either a scene file or a preset: phantomgen spectrum --preset kedge")
+        raise click.UsageError("name either a scene file or a preset: phantomgen spectrum kedge")
     from phantomgen.picture import check_picture
+    from phantomgen.scene_file import find_scene
     from phantomgen.scene_yaml import SceneFile
 
     if plot:
         check_picture(Path(plot))
-    file = SceneFile.preset(preset, settings) if preset else SceneFile.read(scene or "", settings)
+    file = SceneFile.preset(preset, settings) if preset else find_scene(scene or "", settings)
     from phantomgen.scene import load_scene
     from phantomgen.spectrum_info import SpectrumReport
     from phantomgen.working_point import BEHIND
@@ -404,10 +408,10 @@ def spectrum(
 
 @main.command(
     "optimize-thresholds",
-    epilog="\b\nExamples:\n  phantomgen optimize-thresholds --preset kedge --basis kedge_63.3 --plot thresholds.png\n"
+    epilog="\b\nExamples:\n  phantomgen optimize-thresholds kedge --basis kedge_63.3 --plot thresholds.png\n"
     "  phantomgen optimize-thresholds my.yaml --basis kedge_I --channels 4 --behind '30 cm water'",
 )
-@click.argument("scene", required=False, type=click.Path(dir_okay=False))
+@click.argument("scene", metavar="SCENE|PRESET", required=False)
 @click.option("--preset", metavar="NAME", help="A scene that comes with the program; see `phantomgen presets`.")
 @click.option("--basis", metavar="NAME", required=True, help="Basis function to be seen best, such as kedge_I.")
 @click.option("--channels", type=click.IntRange(min=1), help="Number of channels [default: that of the scene].")
@@ -426,19 +430,22 @@ def optimize_thresholds(
     plot: str | None,
     as_json: bool,
 ) -> None:
-    """Find the thresholds that show one basis function of SCENE with the least noise.
+    """Find the thresholds that show one basis function of a scene with the least noise.
 
     Minimises the Cramer-Rao bound of its line integral for one ray behind an object and a trace of every K-edge
     function (0.1 each). The lowest threshold stays: below it is the noise of the electronics, which is not modelled.
     """
     if (scene is None) == (preset is None):
-        raise click.UsageError("name either a scene file or a preset: phantomgen optimize-thresholds --preset kedge")
+        raise click.UsageError(
+            "name either a scene file or a preset: phantomgen optimize-thresholds kedge --basis kedge_63.3"
+        )
     from phantomgen.picture import check_picture
+    from phantomgen.scene_file import find_scene
     from phantomgen.scene_yaml import SceneFile
 
     if plot:
         check_picture(Path(plot))
-    file = SceneFile.preset(preset, settings) if preset else SceneFile.read(scene or "", settings)
+    file = SceneFile.preset(preset, settings) if preset else find_scene(scene or "", settings)
     from phantomgen.thresholds import choose_thresholds
     from phantomgen.working_point import BEHIND
 
@@ -465,10 +472,9 @@ def info(file: str, as_json: bool) -> None:
 
 
 @main.command(
-    epilog="\b\nExamples:\n  phantomgen view kedge.h5\n"
-    "  phantomgen view --preset kedge --screenshot kedge.png --html kedge.html"
+    epilog="\b\nExamples:\n  phantomgen view kedge.h5\n  phantomgen view kedge --screenshot kedge.png --html kedge.html"
 )
-@click.argument("source", metavar="SCENE|PRESET|DATASET", required=False, type=click.Path(dir_okay=False))
+@click.argument("source", metavar="SCENE|PRESET|DATASET", required=False)
 @click.option("--preset", metavar="NAME", help="A scene that comes with the program; see `phantomgen presets`.")
 @click.option("--screenshot", type=click.Path(dir_okay=False), help="Write a PNG; needs no display.")
 @click.option("--html", type=click.Path(dir_okay=False), help="Write one page to turn in a browser; needs no display.")
@@ -495,7 +501,7 @@ def view(
     with the mouse, in a picture, or in a page. --geometry draws the orbit in plan.
     """
     if (source is None) == (preset is None):
-        raise click.UsageError("name a scene file, a preset or a dataset: phantomgen view --preset kedge")
+        raise click.UsageError("name a scene file, a preset or a dataset: phantomgen view kedge")
     from phantomgen.view.load import load
     from phantomgen.view.options import point_of, size_of
     from phantomgen.view.output import check_outputs, show

@@ -1,11 +1,13 @@
 """What every command line of this project shares: errors as sentences, exit codes, common options."""
 
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import click
 
-from spectra.errors import Error
+from spectra.errors import Error, MachineWarning
 
 
 class Commands(click.Group):
@@ -14,7 +16,8 @@ class Commands(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command."""
         try:
-            return super().invoke(ctx)
+            with _warnings_as_sentences():
+                return super().invoke(ctx)
         except Error as error:
             if ctx.meta.get("debug"):
                 raise
@@ -23,6 +26,24 @@ class Commands(click.Group):
         except KeyboardInterrupt as interrupt:
             click.echo(f"Interrupted; {str(interrupt) or 'nothing was left half-written'}.", err=True)
             ctx.exit(130)
+
+
+@contextmanager
+def _warnings_as_sentences() -> Iterator[None]:
+    """Show what is wrong with the machine without the line of code that found it."""
+    usual = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *rest: Any, **options: Any) -> None:
+        if issubclass(category, MachineWarning):
+            click.echo(f"Warning: {message}", err=True)
+        else:
+            usual(message, category, *rest, **options)
+
+    warnings.showwarning = show
+    try:
+        yield
+    finally:
+        warnings.showwarning = usual
 
 
 def debug_option(command: Callable) -> Callable:

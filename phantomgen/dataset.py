@@ -370,8 +370,14 @@ def open_dataset(path: Path | str, air: Region | str | None = None) -> Dataset:
 
 def open_file(path: Path) -> h5py.File:
     """Open the file and check that it is one of ours, of a version that can be read."""
+    scene = path.suffix.lower() in {".yaml", ".yml"}
+    if path.is_dir():
+        raise DatasetError(f"{path} is a folder and no dataset")
     if not path.is_file():
-        raise DatasetError(f"there is no dataset {path}")
+        hint = f"; `phantomgen make {path}` makes one of a scene file or preset" if scene or not path.suffix else ""
+        raise DatasetError(f"there is no dataset {path}{hint}")
+    if scene:
+        raise DatasetError(f"{path} is no dataset: `phantomgen make {path}` makes one of a scene file")
     try:
         file = h5py.File(path, "r")
     except OSError as error:

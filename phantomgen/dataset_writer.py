@@ -38,6 +38,7 @@ from phantomgen.versions import environment, program_version
 from spectra.errors import InputError
 from spectra.materials import Material
 
+SUFFIXES = (".h5", ".hdf5", ".nxs")  # of datasets
 Splits = dict[str, Int[np.ndarray, " view"]]
 
 
@@ -204,6 +205,16 @@ class DatasetWriter:
         put(data, "view", np.arange(array_at(self.file, "entry/instrument/detector/data").shape[0], dtype=np.int32))
         put(data, "channel", np.array(spectra.channels, dtype=object))
         write_aliases(self.file, spectra)
+
+
+def check_dataset_name(path: Path) -> None:
+    """Refuse a name that would hide that a dataset is HDF5, before any work is done."""
+    if path.suffix.lower() in SUFFIXES or path.is_dir():
+        return
+    volume = next((end for end in (".nii.gz", ".nii", ".vti") if path.name.lower().endswith(end)), "")
+    right = path.with_name(f"{path.name[: len(path.name) - len(volume)]}.h5")
+    hint = f"{right}, from which `phantomgen export {right} -o {path}` writes volumes" if volume else f"{right}"
+    raise InputError(f"the output {path} is an HDF5 file, whose name ends in {', '.join(SUFFIXES)}: write {hint}")
 
 
 def check_output(path: Path, overwrite: bool, option: str = "--out") -> None:

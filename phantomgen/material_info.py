@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.scene_file import find_scene
 from phantomgen.scene_materials import scene_materials
-from phantomgen.scene_yaml import SceneFile, closest, preset_names
+from phantomgen.scene_yaml import closest
 from spectra.attenuation import k_edges, mass_fractions, natural_density, nist_names, symbol
 from spectra.basis import Basis, BasisFunction
 from spectra.errors import InputError
@@ -137,7 +138,7 @@ def find_material(name: str, density: float | None = None, scene: str | None = N
     """
     if scene is None:
         return Material(name, density, name)
-    file = SceneFile.preset(scene) if scene in preset_names() else SceneFile.read(scene)
+    file = find_scene(scene)
     materials = scene_materials(file)
     if name not in materials:
         raise InputError(f"{file.name} has no material {name!r}{closest(name, materials)}")

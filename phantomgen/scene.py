@@ -17,12 +17,13 @@ from phantomgen.ops.solids import Solids
 from phantomgen.scene_basis import needed, scene_basis
 from phantomgen.scene_detector import scene_dead_time, scene_detector
 from phantomgen.scene_effects import scene_effects
+from phantomgen.scene_file import find_scene
 from phantomgen.scene_geometry import scene_geometry
-from phantomgen.scene_materials import scene_materials
+from phantomgen.scene_materials import check_material, scene_materials
 from phantomgen.scene_objects import Filling, has_curves, objects_of
 from phantomgen.scene_overlap import added_up
 from phantomgen.scene_source import profile_of, source_fields, sources_of
-from phantomgen.scene_yaml import SceneFile, closest, preset_names
+from phantomgen.scene_yaml import SceneFile, closest
 from phantomgen.shapes import Shape, solids_of
 from spectra.basis import Basis
 from spectra.dead_time import DeadTime
@@ -39,7 +40,7 @@ class Scene:
     Parameters
     ----------
     objects : shapes with the index of their material; voxel maps with those of their parts
-    materials : those that an object or the background consists of, in the order of the file
+    materials : those that an object or the background consists of, in the order of the file, then those known by name
     background : index of the material around the objects, -1 for vacuum
     """
 
@@ -124,7 +125,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
 
     Parameters
     ----------
-    scene : name of a preset, or path of a scene file
+    scene : path of a scene file, or name of a preset
     overrides : ``path=value`` with dotted paths, such as ``geometry.views=180``
 
     Raises
@@ -132,15 +133,17 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
     SceneError
         With file, line, column and key of what is wrong.
     """
-    file = scene if isinstance(scene, SceneFile) else _find(scene, overrides)
+    file = scene if isinstance(scene, SceneFile) else find_scene(scene, overrides)
     model = file.model
     objects = objects_of(file)
     source, detector = _source_and_detector(file)
+    background = _background(file)
     if model.overlap == "add":
         objects, materials = added_up(file, objects)
+        filled = _filled(objects, background)
     else:
-        materials = scene_materials(file)
-    filled = {name for _, filling in objects for name in _names(filling)} | {_background(file)}
+        filled = _filled(objects, background)
+        materials = scene_materials(file, filled)
     used = [name for name in materials if name in filled]
     basis = scene_basis(file, materials, used, source, detector)
     _check_coefficients(file, basis)
@@ -150,7 +153,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
         scene=Scene(
             objects=tuple((shape, _indices(filling, used)) for shape, filling in objects),
             materials=tuple(materials[name] for name in used),
-            background=used.index(model.background) if model.background else -1,
+            background=-1 if background is None else used.index(background),
         ),
         geometry=geometry.true,
         splits=geometry.splits,
@@ -175,6 +178,12 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
     )
 
 
+def _filled(objects: Sequence[tuple[Shape, Filling]], background: str | None) -> list[str]:
+    """Names of the materials that an object or the background consists of, each once."""
+    names = [name for _, filling in objects for name in _names(filling)]
+    return list(dict.fromkeys([*names, *([] if background is None else [background])]))
+
+
 def _names(filling: Filling) -> tuple[str, ...]:
     """Names of an object's materials."""
     return filling if isinstance(filling, tuple) else (filling,)
@@ -183,15 +192,6 @@ def _names(filling: Filling) -> tuple[str, ...]:
 def _indices(filling: Filling, used: list[str]) -> int | tuple[int, ...]:
     """Indices of an object's materials."""
     return tuple(map(used.index, filling)) if isinstance(filling, tuple) else used.index(filling)
-
-
-def _find(scene: str | Path, overrides: Sequence[str]) -> SceneFile:
-    """A preset where the name is one, else a file."""
-    if isinstance(scene, str) and scene in preset_names():
-        return SceneFile.preset(scene, overrides)
-    if not Path(scene).exists() and Path(scene).suffix not in {".yaml", ".yml", ".json"}:
-        return SceneFile.preset(str(scene), overrides)
-    return SceneFile.read(scene, overrides)
 
 
 def _source_and_detector(file: SceneFile) -> tuple[Source, AnyDetector]:
@@ -206,8 +206,8 @@ def _source_and_detector(file: SceneFile) -> tuple[Source, AnyDetector]:
 def _background(file: SceneFile) -> str | None:
     """Name of the material around the objects."""
     name = file.model.background
-    if name is not None and name not in file.model.materials:
-        raise file.error(("background",), f"unknown material {name!r}{closest(name, file.model.materials)}")
+    if name is not None:
+        check_material(file, name, ("background",))
     if name is not None and isinstance(file.model.geometry, schema.ParallelModel):
         raise file.error(
             ("background",), "a parallel beam has no source to reach from: put a box of it around the objects"

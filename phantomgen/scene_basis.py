@@ -45,7 +45,7 @@ def scene_basis(
                 composition = _composition(file, model.material, ("basis", i, "material"), materials)
                 functions.append(BasisFunction("material", name=model.material, composition=composition))
             elif isinstance(model, schema.EdgeFunctionModel):
-                edge = {"edge_energy": model.edge, "edge_width": model.width, "element": model.element}
+                edge = {"edge_energy": model.edge_energy, "edge_width": model.width, "element": model.element}
                 functions.append(BasisFunction(model.type, **edge))
             else:
                 functions.append(BasisFunction(model.type, element=getattr(model, "element", None)))

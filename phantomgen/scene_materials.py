@@ -1,7 +1,10 @@
 """Materials of a scene: compositions, coefficients, and what is mixed from other materials."""
 
+from collections.abc import Iterable
+
 from phantomgen import schema
-from phantomgen.scene_yaml import Location, SceneFile
+from phantomgen.scene_yaml import Location, SceneFile, closest
+from spectra.attenuation import natural_density
 from spectra.errors import InputError
 from spectra.library import near
 from spectra.materials import Material
@@ -10,8 +13,36 @@ from spectra.mixing import Part, dissolve, mix_by_mass, mix_by_volume
 _WAYS = ("composition", "coefficients", "mixture", "solution")
 
 
-def scene_materials(file: SceneFile) -> dict[str, Material]:
-    """All materials of a scene, also those that no object uses.
+def check_material(file: SceneFile, name: str, place: Location) -> None:
+    """Refuse a name that is neither of a material of the scene nor of one whose density is known.
+
+    Raises
+    ------
+    SceneError
+        With the place in the file where the name stands.
+    """
+    if name in file.model.materials:
+        return
+    try:
+        density = natural_density(name)
+    except InputError as error:
+        own = near(name, file.model.materials)
+        hint = f"; did you mean {own!r}?" if own else closest(name, file.model.materials)
+        known = own is None and "did you mean" in str(error)
+        raise file.error(place, str(error) if known else f"unknown material {name!r}{hint}") from None
+    if density is None:
+        raise file.error(
+            place, f"material {name!r} needs a density: give it a name below `materials`, with composition and density"
+        )
+
+
+def scene_materials(file: SceneFile, used: Iterable[str] = ()) -> dict[str, Material]:
+    """All materials of a scene, also those that no object uses, then those of `used` that are known by name.
+
+    Parameters
+    ----------
+    file : the scene file
+    used : names of materials that objects consist of, which `check_material` has passed
 
     Raises
     ------
@@ -22,7 +53,7 @@ def scene_materials(file: SceneFile) -> dict[str, Material]:
     found: dict[str, Material] = {}
     for name in file.model.materials:
         _resolve(file, name, (), found)
-    return found
+    return found | {name: Material(name, None, name) for name in used if name not in found}
 
 
 def _resolve(file: SceneFile, name: str, outer: tuple[str, ...], found: dict[str, Material]) -> Material:

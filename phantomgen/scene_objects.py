@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from phantomgen import schema
+from phantomgen.scene_materials import check_material
 from phantomgen.scene_voxels import voxels_of
-from phantomgen.scene_yaml import Location, SceneFile, closest
+from phantomgen.scene_yaml import Location, SceneFile
 from phantomgen.shapes import (
     Box,
     Capsule,
@@ -79,9 +80,7 @@ def _material(file: SceneFile, model: schema.ObjectModel, where: Location) -> st
     """Name of an object's material."""
     if model.material is None:
         raise file.error((*where, "material"), "is missing")
-    if model.material not in file.model.materials:
-        hint = closest(model.material, file.model.materials)
-        raise file.error((*where, "material"), f"unknown material {model.material!r}{hint}")
+    check_material(file, model.material, (*where, "material"))
     return model.material
 
 

@@ -131,10 +131,12 @@ def _one_material(file: SceneFile, filling: str | tuple[str, ...]) -> str:
 
 def _coefficients(file: SceneFile, name: str) -> Mapping[str, float]:
     """What an object of this material adds."""
-    coefficients = file.model.materials[name].coefficients
+    model = file.model.materials.get(name)
+    coefficients = None if model is None else model.coefficients
     if coefficients is None:
         raise file.error(
-            ("materials", name), f"'overlap: add' sums coefficients, so material {name!r} needs coefficients"
+            ("materials", name) if model else ("overlap",),
+            f"'overlap: add' sums coefficients, so material {name!r} needs coefficients",
         )
     return coefficients
 

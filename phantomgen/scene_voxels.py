@@ -9,7 +9,8 @@ import numpy as np
 
 from phantomgen import schema
 from phantomgen.ops.voxel_maps import VoxelMap
-from phantomgen.scene_yaml import Location, SceneFile, closest
+from phantomgen.scene_materials import check_material
+from phantomgen.scene_yaml import Location, SceneFile
 from phantomgen.shapes import Voxels, rotation_matrix
 from phantomgen.voxel_files import Volume, read_volume
 from spectra.errors import InputError
@@ -51,7 +52,7 @@ def _labels(file: SceneFile, model: schema.VoxelsModel, where: Location) -> tupl
     volume, table = _single(file, model), model.labels or {}
     for label, name in table.items():
         if name is not None:
-            _known(file, name, (*where, "labels", label))
+            check_material(file, name, (*where, "labels", label))
     found, counts = np.unique(volume.values, return_counts=True)
     for label, count in zip(found.tolist(), counts.tolist(), strict=True):
         if label != 0 and label not in table:
@@ -73,7 +74,7 @@ def _hounsfield(
     below = -np.inf
     for i, (low, high, name) in enumerate(intervals):
         place = (*where, "hu", name) if isinstance(model.hu, Mapping) else (*where, "hu")
-        _known(file, name, place)
+        check_material(file, name, place)
         if not max(low, below) == low < high:
             raise file.error(
                 place, f"an interval must end above its beginning and not overlap another, got {low, high}"
@@ -92,7 +93,7 @@ def _fractions(file: SceneFile, model: schema.VoxelsModel, where: Location) -> t
     """Volume fractions: a file for each material, or one file with several."""
     volume, names = _stack(file, model, where)
     for name in names:
-        _known(file, name, (*where, "fractions", *([name] if isinstance(model.fractions, Mapping) else [])))
+        check_material(file, name, (*where, "fractions", *([name] if isinstance(model.fractions, Mapping) else [])))
     values = volume.values.astype(np.float64)
     total = values.sum(axis=0)
     for name, part in zip(names, values, strict=True):
@@ -164,9 +165,3 @@ def _placed(model: schema.VoxelsModel, volume: Volume, content: VoxelMap) -> Vox
         center = np.array(volume.origin) + directions @ (spacing * (counts - 1) / 2)
     x, y, z = (radians(angle) for angle in model.rotation)
     return Voxels(content, rotation_matrix((x, y, z)) @ directions * (spacing * counts / 2), center)
-
-
-def _known(file: SceneFile, name: str, place: Location) -> None:
-    """Refuse the name of a material that the scene does not have."""
-    if name not in file.model.materials:
-        raise file.error(place, f"unknown material {name!r}{closest(name, file.model.materials)}")

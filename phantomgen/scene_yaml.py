@@ -155,7 +155,8 @@ def closest(word: str, known: Iterable[str]) -> str:
     """A hint at the known word that is meant, or at all of them."""
     known = list(known)
     near = difflib.get_close_matches(word, known, 1)
-    return f"; did you mean {near[0]!r}?" if near else f": choose from {', '.join(known)}"
+    choice = f": choose from {', '.join(known)}" if known else ""
+    return f"; did you mean {near[0]!r}?" if near else choice
 
 
 def _rank(error: Any) -> tuple[bool, bool]:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from phantomgen.dataset import Dataset, open_dataset
+from phantomgen.dataset_writer import check_dataset_name
 from phantomgen.planning import TOLERANCE, Plan, make_plan
 from phantomgen.scene import Scan, load_scene
 from phantomgen.simulate import simulate
@@ -45,7 +46,9 @@ def make(
     scan = _scan(scan)
     if seed is not None:
         scan = replace(scan, seed=seed)
-    return open_dataset(simulate(scan, out or f"{scan.name}.h5", **options).path)
+    path = Path(out or f"{scan.name}.h5")
+    check_dataset_name(path)
+    return open_dataset(simulate(scan, path, **options).path)
 
 
 def _scan(scan: Scan | str | Path) -> Scan:

@@ -12,6 +12,7 @@ from recon.baselines import METHODS
 from recon.cli_export import export
 from recon.cli_outputs import render, volume
 from recon.cli_report import report
+from recon.cli_run import check_run_name
 from recon.cli_segment import segment
 from recon.cli_view import view
 from recon.comparison.cli import compare
@@ -145,6 +146,8 @@ def fit(
     from recon.run import chosen_recipe, run
     from spectra.threads import set_threads
 
+    if out:
+        check_run_name(Path(out))
     special = {"resume": resume, "dry-run": dry_run, "memory": memory, "held-out": held_out, "edge": edge}
     special |= {"device": None if device == "cpu" else device_named(device).type}
     if method != "gaussian":

@@ -7,12 +7,13 @@ from typing import Any
 import click
 
 from phantomgen.command import debug_option, json_option
+from recon.cli_run import RunFolder
 
 
 @click.command(
     epilog="\b\nExamples:\n  recon export kedge-run -o kedge.vti\n  recon export kedge-run -o kedge.ply --overwrite"
 )
-@click.argument("run", type=click.Path(file_okay=False, path_type=Path))
+@click.argument("run", type=RunFolder())
 @click.option(
     "-o",
     "--out",

@@ -8,9 +8,11 @@ from typing import Any
 import click
 
 from phantomgen.command import debug_option, json_option
+from recon.cli_run import RunFolder
 
-_RUN = click.Path(file_okay=False, path_type=Path)
+_RUN = RunFolder()
 _FILE = click.Path(dir_okay=False, path_type=Path)
+_SUFFIXES = (".h5", ".hdf5")
 _POSITIVE = click.FloatRange(min=0, min_open=True)
 
 
@@ -123,12 +125,15 @@ def render(
 
 
 def _check_free(path: Path, overwrite: bool) -> None:
+    from phantomgen.dataset_writer import check_output
     from spectra.errors import InputError
 
-    if path.exists() and not overwrite:
-        raise InputError(f"the output {path} exists: choose another name by --out, or add --overwrite")
-    if not path.absolute().parent.is_dir():
-        raise InputError(f"the folder {path.parent} for the output {path.name} does not exist")
+    if path.suffix.lower() not in _SUFFIXES:
+        raise InputError(
+            f"the output {path} is an HDF5 file, whose name ends in {' or '.join(_SUFFIXES)}; "
+            "`recon export` writes other formats"
+        )
+    check_output(path, overwrite)
 
 
 def _report(as_json: bool, found: dict[str, Any], text: str) -> None:

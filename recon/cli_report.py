@@ -7,8 +7,9 @@ from pathlib import Path
 import click
 
 from phantomgen.command import debug_option, json_option
+from recon.cli_run import RunFolder
 
-_RUN = click.Path(file_okay=False, path_type=Path)
+_RUN = RunFolder()
 _FILE = click.Path(dir_okay=False, path_type=Path)
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from phantomgen.command import debug_option, json_option
+from recon.cli_run import RunFolder, check_run_name
 
 if TYPE_CHECKING:
     from recon.segmentation.reference import Reference
@@ -19,7 +20,7 @@ _POSITIVE = click.FloatRange(min=0, min_open=True)
     epilog="\b\nExamples:\n  recon segment kedge-run\n"
     "  recon segment kedge-run --energy 50 --energy 70 --view 30,20 --truth kedge.h5"
 )
-@click.argument("run", type=click.Path(file_okay=False, path_type=Path))
+@click.argument("run", type=RunFolder())
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder to write [default: RUN/segment].")
 @click.option(
     "--domain", type=click.Choice(["gaussians", "voxels"]), help="What is labelled [default: Gaussians, if there are]."
@@ -73,6 +74,7 @@ def segment(
     monoenergetic and non-contrast images, concentrations, atomic numbers, coloured Gaussians and pictures. The truth is
     read only afterwards, for the scores.
     """
+    from phantomgen.dataset import open_file
     from recon.segmentation.files import (
         POINTS,
         TABLE,
@@ -91,9 +93,13 @@ def segment(
     from recon.segmentation.subject import open_subject
     from spectra.threads import set_threads
 
+    if out is not None:
+        check_run_name(out)
     say = _silent if quiet or as_json else _say
     chosen = parse_views(views) or DEFAULT_VIEWS
     options = Options(domain, features, bandwidth, energies or (ENERGY,), seed)
+    if truth is not None:
+        open_file(truth).close()
     subject = open_subject(run)
     folder = SegmentFolder(out or run / "segment", overwrite)
     set_threads(threads)

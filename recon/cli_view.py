@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from phantomgen.command import debug_option
+from recon.cli_run import RunFolder
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
 
@@ -13,7 +14,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
     epilog="\b\nExamples:\n  recon view kedge-run\n"
     "  recon view kedge-run --truth kedge.h5 --screenshot run.png --html run.html"
 )
-@click.argument("run", type=click.Path(file_okay=False, path_type=Path))
+@click.argument("run", type=RunFolder())
 @click.option(
     "--truth", type=_FILE, metavar="DATASET", help="Compare with its truth [default: of the run, if it lies beside it]."
 )

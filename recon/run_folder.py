@@ -68,6 +68,10 @@ def open_run(folder: Path) -> Run:
         When it is not one, or a file in it is damaged.
     """
     if not (folder / MODEL).is_file():
+        if (folder / "volumes.h5").is_file():
+            raise DatasetError(
+                f"{folder} is a run in voxels, but Gaussians are needed: `recon export` writes its volumes"
+            )
         raise DatasetError(f"{folder} is not a run folder: it has no {MODEL}; make one by recon fit")
     gaussians = Gaussians.load(folder / MODEL)
     scan = open_scan(folder, len(gaussians.basis_names))

@@ -43,3 +43,7 @@ class NotInstalledError(Error, ImportError):
 
 class StorageError(Error, OSError):
     """A disk is full, or refuses to be written."""
+
+
+class MachineWarning(UserWarning):
+    """Something about this machine costs time, or is not as it should be; results are right."""

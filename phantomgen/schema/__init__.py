@@ -185,7 +185,7 @@ class SceneModel(Model):
     volume: VolumeModel
     effects: EffectsModel = EffectsModel()
     basis: tuple[FunctionModel, ...] | None = None
-    materials: dict[str, MaterialModel]
+    materials: dict[str, MaterialModel] = Field(default_factory=dict)
     objects: Annotated[tuple[ShapeModel, ...], Field(min_length=1)]
     overlap: Literal["replace", "add"] = "replace"
     background: str | None = None

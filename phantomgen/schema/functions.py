@@ -1,8 +1,9 @@
 """Basis functions in a scene file. Energies in keV."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, PositiveFloat, PositiveInt
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic_core import PydanticCustomError
 
 from phantomgen.schema.base import Model, NonNegative
 
@@ -14,12 +15,24 @@ class PlainFunctionModel(Model):
 
 
 class EdgeFunctionModel(Model):
-    """A K-edge function at an energy, or at the K edge of an element; the width is that of the logistic function."""
+    """A K-edge function at an energy, or at the K edge of an element; the width is that of the logistic function.
+
+    Files may call `edge_energy` `edge`, as earlier versions did.
+    """
 
     type: Literal["step", "sigmoid"]
-    edge: PositiveFloat | None = None
+    edge_energy: PositiveFloat | None = None
     element: str | None = None
     width: NonNegative = 0.0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_present_name(cls, values: Any) -> Any:
+        if not isinstance(values, dict) or "edge" not in values:
+            return values
+        if "edge_energy" in values:
+            raise PydanticCustomError("two_names", "edge is the earlier name of edge_energy: give one of them")
+        return {"edge_energy" if key == "edge" else key: value for key, value in values.items()}
 
 
 class ElementFunctionModel(Model):

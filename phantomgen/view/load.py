@@ -6,8 +6,10 @@ import h5py
 
 from phantomgen.dataset import open_dataset
 from phantomgen.dataset_truth import read_truth
+from phantomgen.dataset_writer import SUFFIXES
 from phantomgen.grid import Grid
-from phantomgen.scene_yaml import SceneFile, preset_names
+from phantomgen.scene_file import find_scene
+from phantomgen.scene_yaml import SceneFile
 from phantomgen.view.content import Content, Triple, limits
 from spectra.errors import InputError
 
@@ -31,9 +33,7 @@ def load(source: str | None, preset: str | None, at: Triple | None = None, voxel
 
 def scene_of(source: str | None, preset: str | None, overrides: list[str] | None = None) -> SceneFile:
     """The scene of a file or a preset; the name of a preset may stand for a file."""
-    if preset is None and source in preset_names():
-        preset = source
-    return SceneFile.preset(preset, overrides or []) if preset else SceneFile.read(source or "", overrides or [])
+    return SceneFile.preset(preset, overrides or []) if preset else find_scene(source or "", overrides or [])
 
 
 def content_of_dataset(path: Path, at: Triple | None = None) -> Content:
@@ -60,8 +60,8 @@ def content_of_scene(file: SceneFile, at: Triple | None = None) -> Content:
 
 
 def is_dataset(path: Path) -> bool:
-    """Whether a file is HDF5, or would be by its name."""
-    return h5py.is_hdf5(path) if path.is_file() else path.suffix.lower() in {".h5", ".hdf5", ".nxs"}
+    """Whether a file is HDF5, or should be by its name."""
+    return path.suffix.lower() in SUFFIXES or (path.is_file() and h5py.is_hdf5(path))
 
 
 def _centre(grid: Grid) -> Triple:

@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from phantomgen.command import debug_option, json_option
+from recon.cli_run import check_run_name
 
 CHECK_FAILED = 3  # exit code of a comparison that was made, and did not turn out as was required
 _METHODS = "fdk,cgls,pdhg-tv,one-step,gaussian"
@@ -58,6 +59,8 @@ def compare(
 
     if methods is not None and study is not None:
         raise click.UsageError("Give either --methods or --study.")
+    if out is not None:
+        check_run_name(out)
     protocol_named(protocol)
     chosen = None if study is None else study_named(study, dataset)
     who = contenders((methods or _METHODS).split(",")) if chosen is None else chosen.contenders

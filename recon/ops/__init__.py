@@ -1,1 +1,7 @@
 """Operators of the reconstructor, one folder each: reference, kernel, public function."""
+
+from pathlib import Path
+
+from spectra.kernel_cache import ensure_kernel_cache
+
+ensure_kernel_cache(Path(__file__).parent)

@@ -1,1 +1,7 @@
 """Numerical operators on arrays, one folder each."""
+
+from pathlib import Path
+
+from spectra.kernel_cache import ensure_kernel_cache
+
+ensure_kernel_cache(Path(__file__).parent)

@@ -125,3 +125,30 @@ def test_filters_and_sensors_may_be_named():
         "thresholds: [20]", "thresholds: [20], composition: CZT"
     )
     assert load_scene(SceneFile("toy.yaml", text)).detector.absorption([60.0]) > 0.9
+
+
+def of_object(name: str) -> SceneFile:
+    return SceneFile(
+        "toy.yaml", SCENE.replace("MATERIAL", "tissue: {composition: PMMA}").replace(": tube,", f": {name},")
+    )
+
+
+@pytest.mark.parametrize(("name", "density"), [("Al", 2.6941), ("blood", 1.06)])
+def test_objects_take_elements_and_known_names_as_filters_do(name, density):
+    (material,) = load_scene(of_object(name)).scene.materials
+    assert (material.name, material.composition) == (name, name)
+    assert material.density == pytest.approx(density, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("tissu", "9:30: objects.0.material - unknown material 'tissu'; did you mean 'tissue'?"),
+        ("watr", "unknown material 'watr'; did you mean 'water'?"),
+        ("Gd2O3", "material 'Gd2O3' needs a density"),
+    ],
+)
+def test_an_unknown_material_of_an_object_is_one_sentence(name, said):
+    with pytest.raises(SceneError) as error:
+        load_scene(of_object(name))
+    assert said.removeprefix("9:30: ") in str(error.value)
