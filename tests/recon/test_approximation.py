@@ -9,12 +9,10 @@ from gaussian_scenes import NAMES, small_model
 from scipy.optimize import minimize
 
 from phantomgen.grid import Grid
-from recon.approximation import CUTOFF, FAINTEST, MANY, WIDEST, approximate, evaluations_for, metric_of
+from recon.approximation import CUTOFF, FAINTEST, MANY, WIDEST, _Distance, approximate, evaluations_for, metric_of
 from recon.gaussians import Gaussians
 from recon.initialize import initialize
-from recon.local_steps import GEOMETRY
 from recon.ops.voxelize import mass_within, voxelize_tensor
-from recon.quasi_newton import History
 
 GRID = Grid.cube(32, 32.0)
 METRIC = np.array([[4.0, 1.0], [1.0, 9.0]]) * 1e4
@@ -113,26 +111,6 @@ def test_no_gaussian_becomes_a_needle(monkeypatch):
     assert longest() > 2 * 1.5 * WIDEST
 
 
-def test_the_history_solves_a_quadratic_in_as_many_steps_as_it_has_unknowns():
-    rng = np.random.default_rng(2)
-    half = rng.normal(size=(5, 5))
-    curvature = torch.from_numpy(half @ half.T + np.eye(5))
-    history, x = History(), torch.from_numpy(rng.normal(size=5))
-    for _ in range(6):
-        gradient = curvature @ x
-        step = -history.solve(gradient, lambda v: v, 1e-2)
-        step *= -float(step @ gradient) / float(step @ curvature @ step)  # exact line search
-        history.add(step, curvature @ step)
-        x = x + step
-    assert float(abs(x).max()) < 1e-9
-
-
-def test_a_step_along_which_the_function_bends_downwards_is_forgotten():
-    history = History()
-    history.add(torch.ones(3), -torch.ones(3))
-    assert not history.pairs
-
-
 def test_a_basis_counts_by_its_large_values_and_a_faint_one_no_more_than_it_shows():
     volumes = np.zeros((3, 8, 8, 8), np.float32)
     volumes[0, 2:6], volumes[1, 2:6], volumes[2, 3, 3, :4] = 0.02, 0.005, 1e-7
@@ -143,29 +121,35 @@ def test_a_basis_counts_by_its_large_values_and_a_faint_one_no_more_than_it_show
     assert np.isfinite(metric_of(np.zeros_like(volumes), fisher)).all()
 
 
-@pytest.mark.parametrize("part", ["coefficients", "geometry"])
-def test_a_step_that_leads_astray_is_not_taken(part, monkeypatch):
-    volumes, told, solve, calls = ball_and_rod(), [], History.solve, []
+def test_a_step_that_leads_astray_is_not_taken(monkeypatch):
+    volumes, told, precondition, calls = ball_and_rod(), [], _Distance.precondition, []
 
-    def sometimes_wild(self, *arguments):
+    def sometimes_wild(self, gradient):
         calls.append(1)
-        step = solve(self, *arguments)
-        if len(calls) % 5 == 0:
-            some = step[:, GEOMETRY:] if part == "coefficients" else step[:, :GEOMETRY]
-            some *= 1e3
-        return step
+        return (1e3 if len(calls) % 5 == 0 else 1) * precondition(self, gradient)
 
-    monkeypatch.setattr(History, "solve", sometimes_wild)
+    monkeypatch.setattr(_Distance, "precondition", sometimes_wild)
     monkeypatch.setattr("recon.approximation.CUTOFF", WIDE)
     start = initialize(volumes, GRID, METRIC, 1.2, NAMES[:2], 0)
     found = approximate(start, volumes, GRID, METRIC, 30, told.append)
     residuals = [told_of.residual for told_of in told]
-    if part == "coefficients":
-        assert max(residuals[1:]) > 2 * residuals[0]
-    else:  # told from the share of Gaussians beyond their reach, without an evaluation
-        assert max(residuals[1:]) < residuals[0]
+    assert max(residuals[1:]) > 2 * residuals[0]
     assert distance(found, volumes) < 1.05 * min(residuals)
 
 
 def test_few_gaussians_take_more_evaluations():
     assert [evaluations_for(n, 40) for n in (1, 682, MANY // 4, MANY, 10 * MANY)] == [160, 160, 80, 40, 40]
+
+
+def test_noise_as_small_as_rounding_moves_the_error_by_less_than_a_tenth_of_a_decibel():
+    """Limited-memory BFGS, which comes as far, moves it by 0.9 dB."""
+    volumes, rng = ball_and_rod(), np.random.default_rng(0)
+    z, y, x = np.meshgrid(*(GRID.axis(name) for name in "zyx"), indexing="ij")
+    ball, rod = np.sqrt(x * x + y * y + z * z) < 12, np.sqrt((x - 2) ** 2 + y * y) + 0 * z < 3
+    clean, errors = np.stack([0.02 * ball, 0.01 * ball + 0.02 * (rod & ball)]), []
+    for noise in (0, 1e-6, 1e-6):
+        seen = (volumes * (1 + noise * rng.standard_normal(volumes.shape))).astype(np.float32)
+        start = initialize(seen, GRID, METRIC, 1.2, NAMES[:2], 0)
+        found = approximate(start, seen, GRID, METRIC, evaluations_for(len(start), 40)).volume(GRID)
+        errors.append(20 * np.log10(np.sqrt(np.square(found - clean).mean(axis=(1, 2, 3)))))
+    assert np.ptp(errors, axis=0).max() < 0.1
