@@ -370,6 +370,7 @@ def materials(name: str | None, density: float | None, scene: str | None, plot: 
 @click.option("--behind", metavar="LAYERS", help="Object that noise is stated behind [default: 20 cm water].")
 @click.option("--set", "settings", metavar="PATH=VALUE", multiple=True, help="Override any value of the scene.")
 @click.option("--plot", type=click.Path(dir_okay=False), help="Write source, channels and basis as a picture.")
+@click.option("--export", type=click.Path(dir_okay=False), help="Write the source as a table that a scene can name.")
 @json_option
 @debug_option
 def spectrum(
@@ -378,6 +379,7 @@ def spectrum(
     behind: str | None,
     settings: tuple[str, ...],
     plot: str | None,
+    export: str | None,
     as_json: bool,
 ) -> None:
     """Describe the energies of a scene, which is a YAML file or a preset.
@@ -403,6 +405,10 @@ def spectrum(
         from phantomgen.spectrum_figure import write_figure
 
         write_figure(report.scan, plot)
+    if export:
+        from phantomgen.spectrum_files import write_source
+
+        write_source(report.scan.source, Path(export), report.scan.name)
     click.echo(json.dumps(report.to_dict()) if as_json else report.text)
 
 

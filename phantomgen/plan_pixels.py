@@ -38,6 +38,8 @@ _FINER = 2
 VOXEL_LADDER = (1.0, 2.0, 4.0, 8.0, 16.0)
 # Parts of the share that rectangles of a pixel where surfaces meet may err by, as they estimate it themselves.
 KINK_LADDER = (1.0, 0.3, 0.1, 0.03)
+# For faint objects alone, so many steps of these ladders are tried at most.
+_FAINT_STEPS = 4
 VIEWS = 3
 _WINDOW = 48
 _MOST_WINDOWS = 4
@@ -49,6 +51,12 @@ _SEED = 5
 Image = Float[np.ndarray, "channel row column"]
 Frame = Float[np.ndarray, "4 3"]
 Counts = Float[np.ndarray, "..."]
+Faint = Callable[[Settings], str | None]
+
+
+def _nothing_faint(_: Settings) -> str | None:
+    """No object is faint."""
+    return None
 
 
 @dataclass(frozen=True)
@@ -72,6 +80,7 @@ class Choice:
     share : of the tolerance
     trials : settings that were tried, the cheapest first
     of_pixels : whether it is about one kind of pixels; errors of such parts never meet
+    decided : the faint object that made it finer than the share asks for; empty where the share decided
     """
 
     part: str
@@ -80,6 +89,7 @@ class Choice:
     share: float
     trials: tuple[Trial, ...] = ()
     of_pixels: bool = False
+    decided: str = ""
 
     @property
     def met(self) -> bool:
@@ -176,9 +186,9 @@ class PixelSample:
 
 
 def choose_pixels(
-    scan: Scan, transmission: Transmission, settings: Settings, share: float
+    scan: Scan, transmission: Transmission, settings: Settings, share: float, faint: Faint = _nothing_faint
 ) -> tuple[Settings, list[Choice]]:
-    """The cheapest rules whose worst errors stay within `share`.
+    """The cheapest rules whose worst errors stay within `share`, and that faint objects are right with.
 
     Parameters
     ----------
@@ -186,6 +196,7 @@ def choose_pixels(
     transmission : with the energy nodes that were chosen
     settings : to be completed
     share : of the tolerance, for log counts
+    faint : the faint object that some settings make too wrong for its own signal, None where none is
     """
     sample = PixelSample.of(scan, transmission)
     settings = replace(settings, kinks=KINK_LADDER[0] * share)
@@ -194,14 +205,23 @@ def choose_pixels(
         choice = Choice("pixels", f"{trial.setting}, as the scene says", trial.error, share, (trial,))
         return replace(settings, sub_rays=scan.sub_rays), [choice]
     tried: list[Trial] = []
+    coarse, blamed = None, ""
     for n in GRIDS:
         tried.append(_plain(sample, settings, n, share))
         if tried[-1].error <= share:
-            choice = Choice("pixels", tried[-1].setting, tried[-1].error, share, tuple(tried))
-            return replace(settings, sub_rays=n), [choice]
-        if tried[-1].error > 20 * share:  # errors fall by less than that from one grid to the next
+            grid = replace(settings, sub_rays=n)
+            choice = Choice("pixels", tried[-1].setting, tried[-1].error, share, tuple(tried), decided=blamed)
+            if (missed := faint(grid)) is None:
+                return grid, [choice]
+            coarse, blamed = coarse or (grid, [choice]), missed
+        elif tried[-1].error > 20 * share:  # errors fall by less than that from one grid to the next
             break
-    return _split(sample, settings, share, tuple(tried))
+    found, choices = _split(sample, settings, share, tuple(tried), faint)
+    if coarse is not None:
+        if not all(choice.met for choice in choices):
+            return coarse
+        choices[0] = replace(choices[0], decided=choices[0].decided or blamed)
+    return found, choices
 
 
 def _plain(sample: PixelSample, settings: Settings, n: int, share: float) -> Trial:
@@ -213,7 +233,7 @@ def _plain(sample: PixelSample, settings: Settings, n: int, share: float) -> Tri
 
 
 def _split(
-    sample: PixelSample, settings: Settings, share: float, tried: tuple[Trial, ...]
+    sample: PixelSample, settings: Settings, share: float, tried: tuple[Trial, ...], faint: Faint
 ) -> tuple[Settings, list[Choice]]:
     """Pixels split along silhouettes; other kinds of pixels have settings of their own."""
     choices: list[Choice] = []
@@ -221,13 +241,13 @@ def _split(
         parts = [replace(settings, kinks=part * share) for part in KINK_LADDER]
         steps = [(f"rectangles halved until they err by {s.kinks:.1e}", s) for s in parts]
         settings, choice = _climb(
-            "meeting surfaces", steps, share, sample, lambda i: sample.hard_error(parts[i], (KINKED,), share)
+            "meeting surfaces", steps, share, sample, lambda i: sample.hard_error(parts[i], (KINKED,), share), (), faint
         )
         choices.append(choice)
     levels = [replace(settings, rules=rules) for rules in RULE_LADDER]
     steps = [(_rule_name(level.rules), level) for level in levels[:-_FINER]]
     settings, choice = _climb(
-        "silhouettes", steps, share, sample, lambda i: sample.easy_error(levels[i], levels[i + _FINER]), tried
+        "silhouettes", steps, share, sample, lambda i: sample.easy_error(levels[i], levels[i + _FINER]), tried, faint
     )
     choices.insert(0, choice)
     if sample.has(VOXELS):
@@ -247,17 +267,31 @@ def _climb(
     sample: PixelSample,
     error_of: Callable[[int], float],
     tried: tuple[Trial, ...] = (),
+    faint: Faint = _nothing_faint,
 ) -> tuple[Settings, Choice]:
-    """The first of some steps that meets the share, else the best one."""
+    """The first of some steps that meets the share and makes no faint object wrong.
+
+    Where there is none, the first that meets the share, else the best one. Steps beyond `_FAINT_STEPS` are not taken
+    for faint objects.
+    """
     trials: list[Trial] = []
+    first, blamed = None, ""
     for i, (name, settings) in enumerate(steps):
         trials.append(Trial(name, error_of(i), sample.rays(settings)))
-        if trials[-1].error <= share:
+        if trials[-1].error > share:
+            continue
+        first = i if first is None else first
+        missed = faint(settings) if i < max(_FAINT_STEPS, first + 1) else None
+        if missed is None:
+            first, blamed = (i, blamed) if i < _FAINT_STEPS else (first, "")
             break
-    best = min(range(len(trials)), key=lambda i: trials[i].error)
-    chosen = len(trials) - 1 if trials[-1].error <= share else best
+        if i + 1 >= _FAINT_STEPS:
+            blamed = ""
+            break
+        blamed = missed
+    chosen = min(range(len(trials)), key=lambda i: trials[i].error) if first is None else first
     trial = trials[chosen]
-    choice = Choice(part, trial.setting, trial.error, share, (*tried, *trials), of_pixels=True)
+    choice = Choice(part, trial.setting, trial.error, share, (*tried, *trials), of_pixels=True, decided=blamed)
     return steps[chosen][1], choice
 
 
@@ -269,30 +303,52 @@ def windows_of(scan: Scan, transmission: Transmission, rng: np.random.Generator)
 
 def _windows(scan: Scan, transmission: Transmission, view: int, rng: np.random.Generator) -> Iterator[Window]:
     """Parts of a view around random edges; fewer where they hold many."""
-    frame, panel = scan.geometry.ray_frames()[view], scan.geometry.panel
-    whole = Window(frame, (panel.rows, panel.columns), np.empty((0, 0), np.uint8), _profile(scan))
-    classes = exposed(scan, transmission, whole, Settings(sub_rays=2)).classes
+    classes = exposed(scan, transmission, whole(scan, view), Settings(sub_rays=2)).classes
     edges = np.argwhere(classes >= CROSSED)
     if not len(edges):
         edges = np.argwhere(classes > EMPTY)
     if not len(edges):
         return
     crossed, corners = 0, set()
-    size = (min(_WINDOW, panel.rows), min(_WINDOW, panel.columns))
     for row, column in edges[rng.integers(len(edges), size=_MOST_WINDOWS)]:
-        top = int(np.clip(row - size[0] // 2, 0, panel.rows - size[0]))
-        left = int(np.clip(column - size[1] // 2, 0, panel.columns - size[1]))
-        if (top, left) in corners:
+        if (corner := _corner(scan, row, column)) in corners:
             continue
-        corners.add((top, left))
-        part = (slice(top, top + size[0]), slice(left, left + size[1]))
-        shifted = frame.copy()
-        shifted[1] += left * frame[2] + top * frame[3]
-        profile = None if scan.profile is None else np.ascontiguousarray(scan.profile.lengths[:, *part])
-        yield Window(shifted, size, classes[part], profile)
-        crossed += int((classes[part] == CROSSED).sum())
+        corners.add(corner)
+        window = around(scan, view, classes, row, column)
+        yield window
+        crossed += int((window.classes == CROSSED).sum())
         if crossed > _MOST_CROSSED:
             return
+
+
+def whole(scan: Scan, view: int) -> Window:
+    """All of a view, its classes not known."""
+    panel = scan.geometry.panel
+    size = (panel.rows, panel.columns)
+    return Window(scan.geometry.ray_frames()[view], size, np.empty((0, 0), np.uint8), _profile(scan))
+
+
+def around(scan: Scan, view: int, classes: UInt8[np.ndarray, "row column"], row: int, column: int) -> Window:
+    """The part of a view around a pixel; `classes` are those of the whole view."""
+    panel = scan.geometry.panel
+    top, left = _corner(scan, row, column)
+    size = (min(_WINDOW, panel.rows), min(_WINDOW, panel.columns))
+    part = (slice(top, top + size[0]), slice(left, left + size[1]))
+    frame = scan.geometry.ray_frames()[view].copy()
+    frame[1] += left * frame[2] + top * frame[3]
+    profile = None if scan.profile is None else np.ascontiguousarray(scan.profile.lengths[:, *part])
+    return Window(frame, size, classes[part], profile)
+
+
+def _corner(scan: Scan, row: int, column: int) -> tuple[int, int]:
+    """First row and column of the window around a pixel."""
+    panel = scan.geometry.panel
+    rows, columns = min(_WINDOW, panel.rows), min(_WINDOW, panel.columns)
+    top, left = (
+        np.clip(row - rows // 2, 0, panel.rows - rows),
+        np.clip(column - columns // 2, 0, panel.columns - columns),
+    )
+    return int(top), int(left)
 
 
 def exposed(scan: Scan, transmission: Transmission, window: Window, settings: Settings) -> Exposed:

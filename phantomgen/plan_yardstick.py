@@ -64,15 +64,22 @@ class RayGrid:
         return max(run_parallel(error, np.flatnonzero(chosen).tolist()), default=0.0)
 
     def _error(self, i: int, found: Counts, level: Counts, share: float) -> float:
-        """Of one pixel: rays are doubled while both the difference and its doubt are too large."""
+        """Of one pixel: rays are doubled while both the difference and its doubt are too large.
+
+        A strip between two rows of rays stays unseen: where all rays are dark, less than that may be open.
+        """
         rays = RAYS
         while True:
             exact = self._counts(i, rays)
             error = worst_error(found, exact, level)
-            if error <= share or rays == _MOST_RAYS:
+            if error <= share:
                 return error
+            if rays == _MOST_RAYS:
+                return worst_error(found, exact, level, 1 / rays)
             coarser = (self._counts(i, int(part * rays)) for part in _COARSER)
-            if max(worst_error(counts, exact, level) for counts in coarser) <= _DOUBT * error:
+            doubt = max(worst_error(counts, exact, level) for counts in coarser)
+            told = worst_error(found, exact, level, 1 / rays) > share  # or all rays of the grid may miss what is open
+            if told and doubt <= _DOUBT * error:
                 return error
             rays *= 2
 
@@ -105,9 +112,27 @@ def split_grid(
     return np.mean(counts, axis=0)
 
 
-def worst_error(counts: Counts, exact: Counts, level: Counts) -> float:
-    """Worst difference of log counts where anything is left to measure."""
-    seen = (counts > _LEAST * level) & (exact > _LEAST * level)
-    if not seen.any():
-        return 0.0
-    return float(np.abs(np.log(counts[seen] / exact[seen])).max())
+def worst_error(counts: Counts, exact: Counts, level: Counts, unseen: float = 0.0) -> float:
+    """Worst difference of log counts where either has anything left to measure.
+
+    Parameters
+    ----------
+    counts, exact : what is judged, and what by
+    level : highest counts
+    unseen : part of a pixel that what it is judged by may miss: it cannot tell that from a pixel that is dark
+    """
+    level = np.broadcast_to(level, np.shape(counts))
+    lit = level > 0
+    left, wanted = (np.divide(c, level, out=np.zeros(np.shape(c)), where=lit) for c in (counts, exact))
+    return float(np.abs(log_errors(left, wanted, unseen)).max(initial=0.0))
+
+
+def log_errors(left: Counts, wanted: Counts, unseen: float = 0.0) -> Counts:
+    """Differences of log counts, each count a part of the open beam.
+
+    Parts below 1e-12 count as 1e-12: a pixel that is wrongly dark errs by up to 28, and where both are dark there is
+    nothing to measure. What it is judged by may be dark because it misses a part of a pixel; as long as `unseen` is
+    more than what is left, that is no error.
+    """
+    errors = np.log(np.maximum(left, _LEAST) / np.maximum(wanted, _LEAST))
+    return np.where((wanted <= _LEAST) & (left <= unseen), 0.0, errors)

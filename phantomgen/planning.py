@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from phantomgen.plan_faint import FaintObjects
 from phantomgen.plan_pixels import Choice, Trial, choose_pixels
 from phantomgen.plan_spot import choose_spot
 from phantomgen.plan_tessellation import choose_tessellation
@@ -114,6 +115,7 @@ class Plan:
         lines = [
             f"{c.part:<{width}}  {c.error:.1e}  {c.setting}"
             + (f"; its share is {c.share:.1e}" if c in self.missed else "")
+            + (f", for {c.decided}" if c.decided else "")
             for c in self.choices
         ]
         verdict = "meets" if self.error <= self.tolerance else "MISSES"
@@ -144,7 +146,8 @@ def make_plan(scan: Scan, tolerance: float = TOLERANCE) -> Plan:
     if (spot := scan.effects.focal_spot) is not None:
         settings, points = choose_spot(scan, spot, exposure.transmission, settings, _SPOT * tolerance)
         choices, left = [*choices, points], left - _SPOT
-    settings, found = choose_pixels(scan, exposure.transmission, settings, left * tolerance)
+    faint = FaintObjects.of(scan, exposure.transmission, tolerance)
+    settings, found = choose_pixels(scan, exposure.transmission, settings, left * tolerance, faint.missed)
     return Plan(tolerance, scan, settings, exposure, (*choices, *found))
 
 

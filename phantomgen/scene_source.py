@@ -10,7 +10,7 @@ from phantomgen import schema
 from phantomgen.beam_profile import Absorber, Profile, anode_angles, fan_angles, obliquity
 from phantomgen.scene_geometry import mount_of, panel_distance, panel_of
 from phantomgen.scene_yaml import SceneFile
-from phantomgen.spectrum_files import read_spectrum
+from phantomgen.spectrum_files import read_source
 from spectra.errors import InputError
 from spectra.materials import Material
 from spectra.source import Filter, Source
@@ -66,7 +66,7 @@ def _bare(file: SceneFile, model: schema.OneSourceModel, at: Location) -> Source
     if isinstance(model, schema.BandModel):
         return Source.band(model.energy, model.width, model.photons, model.shape)
     with file.at(*at, "file"):
-        return Source.of_bins(*read_spectrum(Path(file.name).parent / model.file, model.values, model.energies))
+        return read_source(Path(file.name).parent / model.file, model.values, model.energies)
 
 
 def profile_of(file: SceneFile, source: Source) -> Profile | None:

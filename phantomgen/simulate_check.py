@@ -1,4 +1,4 @@
-"""How wrong the expected counts are: against a regular grid of rays per pixel and ten times finer energy bins.
+"""How wrong the expected counts are: against many rays per pixel and ten times finer energy bins.
 
 The yardstick shares the exact chords with the simulator, and neither its way of averaging over a pixel nor its energy
 nodes.
@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 
 from phantomgen.ops.expose import CROSSED, VOXELS, expose, expose_brute
 from phantomgen.ops.trace import trace
+from phantomgen.plan_yardstick import log_errors
 from phantomgen.scene import Scan
 from phantomgen.settings import Settings
 from phantomgen.simulate_coverage import sampled_lengths
@@ -32,8 +33,6 @@ _PIXELS_PER_PIECE = 8
 _MOST_VOXEL_PIXELS = 200
 # Nodes of the yardstick may err by this.
 _ENERGY_TOLERANCE = 1e-6
-# Log projections are compared where at least this part of the open beam is left; below it there is nothing to measure.
-_LEAST = 1e-12
 
 Errors = Float[np.ndarray, " value"]
 Counts = Float[np.ndarray, "sample channel"]
@@ -52,7 +51,7 @@ class MeasuredError:
     edge_pixels, views : how many pixels, of how many views
     ray_rms, ray_worst : of single rays, against `FINER` times finer energy bins
     rays : how many rays
-    sub_rays : per pixel and axis
+    sub_rays : root of their number per pixel
     """
 
     edge_rms: float
@@ -151,14 +150,15 @@ def _edge_errors(
     elif scan.effects.focal_spot is not None:
         found = found._replace(counts=expected_view(scan, transmission, view, settings))
     counts = found.counts[:, pixels[:, 0], pixels[:, 1]].T
-    return _log_error(counts, _level(scan, transmission, pixels), brute, _level(scan, yardstick, pixels))
+    left, wanted = counts / _level(scan, transmission, pixels), brute / _level(scan, yardstick, pixels)
+    return log_errors(left, wanted, 1 / _sub_rays(scan)).ravel()
 
 
 def _brute(scan: Scan, yardstick: Transmission, frame: Float[np.ndarray, "4 3"], pixels: Pixels) -> np.ndarray:
-    """Counts of pixels from a regular grid of rays from each point of the source, in parallel pieces."""
+    """Counts of pixels from a lattice of rays from each point of the source, in parallel pieces."""
     spot = scan.effects.focal_spot
     frames = [frame] if spot is None else spot.frames(frame, SPOT_POINTS)
-    kept = {"n": _sub_rays(scan), "profile": _profile(scan), "aperture": aperture_of(scan)}
+    kept = {"n": _sub_rays(scan), "profile": _profile(scan), "aperture": aperture_of(scan), "lattice": True}
 
     def piece(part: Pixels) -> np.ndarray:
         return np.mean([expose_brute(f, part, *_arguments(scan, yardstick), **kept) for f in frames], axis=0)
@@ -168,7 +168,7 @@ def _brute(scan: Scan, yardstick: Transmission, frame: Float[np.ndarray, "4 3"],
 
 
 def _sub_rays(scan: Scan) -> int:
-    """Rays of the yardstick per pixel and axis."""
+    """Root of the number of rays of the yardstick per pixel."""
     return SUB_RAYS if scan.effects.focal_spot is None else SPOT_RAYS
 
 
@@ -183,8 +183,8 @@ def _ray_errors(scan: Scan, transmission: Transmission, count: int, rng: np.rand
     pixels = np.rint(np.stack([row[met], column[met]], axis=1)).astype(int)
     lengths = _beside_profile(scan, lengths[met], pixels)
     exact = fine_transmission(scan, step=STEP / FINER)
-    levels = (_level(scan, t, pixels) for t in (transmission, exact))
-    return _log_error(transmission.expected(lengths), next(levels), exact.expected(lengths), next(levels))
+    left, wanted = (t.expected(lengths) / _level(scan, t, pixels) for t in (transmission, exact))
+    return log_errors(left, wanted).ravel()
 
 
 def _arguments(scan: Scan, transmission: Transmission) -> Sequence[Any]:
@@ -204,14 +204,6 @@ def _beside_profile(
     if scan.profile is None:
         return lengths
     return np.hstack([lengths, scan.profile.lengths[:, pixels[:, 0], pixels[:, 1]].T])
-
-
-def _log_error(counts: Counts, level: Counts, exact: Counts, exact_level: Counts) -> Errors:
-    """Difference of log projections, where anything is left to measure."""
-    left, wanted = counts / level, exact / exact_level
-    seen = (left > _LEAST) & (wanted > _LEAST)
-    ratio = np.divide(left, wanted, out=np.ones_like(left), where=seen)
-    return np.log(ratio).ravel()
 
 
 def _level(scan: Scan, transmission: Transmission, pixels: Pixels) -> Counts:

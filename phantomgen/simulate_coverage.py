@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Bool, Float
 
+from phantomgen.half_turns import helix_axis, lacks_directions
 from phantomgen.ops.primitives import BALL, CONE, CYLINDER, HALFSPACE, TORUS
 from phantomgen.ops.trace import trace
 from phantomgen.panel import Panel
@@ -93,6 +94,9 @@ def _panel_warnings(scan: Scan) -> Iterator[str]:
     """Objects that leave the panel in some view."""
     frames, panel = scan.geometry.ray_frames(), scan.geometry.panel
     suspects = reaching(scan, _panel_planes(frames, panel))
+    axis = helix_axis(frames, panel)
+    if axis is not None:  # which every object leaves above and below, as it should
+        yield from _helix_warning(scan, suspects, frames, axis)
     described = 0
     for rank, i in enumerate(suspects):
         if described == _DESCRIBED:
@@ -100,15 +104,35 @@ def _panel_warnings(scan: Scan) -> Iterator[str]:
             return
         shape, material = scan.scene.objects[i]
         inside, surface = points_of(shape, _POINTS)
-        outside, beyond = _missed(frames, surface, panel)
+        outside, beyond = _missed(frames, surface, panel, axis is None)
         if not outside.any():
             continue
         described += 1
-        share = _missed(frames, inside, panel)[0].any(axis=0).mean()
+        share = _missed(frames, inside, panel, axis is None)[0].any(axis=0).mean()
         views = outside.any(axis=1).mean()
         yield (
             f"object {i} ({_name(scan, material)}) leaves the panel's field of view in {views:.0%} of "
-            f"the views: {share:.1%} of its volume is cut off in some view, by up to {beyond:.3g} mm on the panel"
+            f"the views{'' if axis is None else ' sideways'}: {share:.1%} of its volume is cut off in some view, by up "
+            f"to {beyond:.3g} mm on the panel"
+        )
+
+
+def _helix_warning(
+    scan: Scan, suspects: list[int], frames: Float[np.ndarray, "view 4 3"], axis: Float[np.ndarray, " 3"]
+) -> Iterator[str]:
+    """One sentence where a helix sees some object from too few directions: its worst one, and how many more."""
+    lacking = {}
+    for i in suspects:
+        points = points_of(scan.scene.objects[i][0], _POINTS)[0]
+        seen = ~_missed(frames, points, scan.geometry.panel)[0]
+        if len(points) and (share := lacks_directions(frames[:, 0], axis, points, seen).mean()) > 0:
+            lacking[i] = share
+    if lacking:
+        worst = max(lacking, key=lambda i: lacking[i])
+        more = "" if len(lacking) == 1 else f", and less of {len(lacking) - 1} more"
+        yield (
+            f"the helix sees {lacking[worst]:.1%} of object {worst} ({_name(scan, scan.scene.objects[worst][1])}) from "
+            f"less than half a turn{more}: that cannot be reconstructed; a longer range or a lower pitch sees more"
         )
 
 
@@ -182,13 +206,16 @@ def _missed(
     frames: Float[np.ndarray, "view 4 3"],
     points: Float[np.ndarray, "point 3"],
     panel: Panel,
+    upright: bool = True,
 ) -> tuple[Bool[np.ndarray, "view point"], float]:
-    """Which points no pixel sees (also those behind the source), and the largest distance beyond the panel [mm]."""
+    """Which points no pixel sees (also those behind the source), and the largest distance beyond the panel [mm].
+
+    Without `upright`, what leaves the panel above or below counts as seen.
+    """
     depth, column, row = np.moveaxis(on_panel(frames, points), -1, 0)
-    beyond = np.maximum(
-        np.maximum(-0.5 - column, column - (panel.columns - 0.5)) * panel.column_pitch,
-        np.maximum(-0.5 - row, row - (panel.rows - 0.5)) * panel.row_pitch,
-    )
+    beyond = np.maximum(-0.5 - column, column - (panel.columns - 0.5)) * panel.column_pitch
+    if upright:
+        beyond = np.maximum(beyond, np.maximum(-0.5 - row, row - (panel.rows - 0.5)) * panel.row_pitch)
     unseen = ~((depth > 0) & (depth <= 1))
     return unseen | (beyond > 1e-9), float(beyond[~unseen].max(initial=0.0))
 

@@ -167,6 +167,30 @@ class Source:
         none = np.empty(0)
         return cls(np.concatenate(parts), np.concatenate(density), none, none, float(edges[-1]))
 
+    @classmethod
+    def of_corners(
+        cls, energy: EnergyArray, density: EnergyArray, lines: Mapping[float, float], breaks: tuple[float, ...] = ()
+    ) -> "Source":
+        """A density that is linear between corners, and lines.
+
+        Parameters
+        ----------
+        energy, density : corners, ascending [keV] and [photons/keV]; two of the same energy make a jump
+        lines : energy [keV] to photons
+        breaks : energies that grids of bins are to keep, such as the K edges of filters [keV]
+        """
+        at, photons = np.array(sorted(lines.items()), dtype=np.float64).reshape(-1, 2).T.copy()
+        used = np.concatenate([energy, at])
+        if len(energy) == 1 or not len(used) or used.min() < 1 or used.max() > 800:
+            raise InputError(
+                f"a spectrum needs two corners of its density at least, or lines, within 1 .. 800 keV, got "
+                f"{len(energy)} and {len(at)}" + (f" within {used.min():g} .. {used.max():g}" if len(used) else "")
+            )
+        source = cls(np.asarray(energy, np.float64), np.asarray(density, np.float64), at, photons, float(used.max()))
+        if not source.photons > 0:
+            raise InputError("a spectrum needs photons: all values are 0")
+        return replace(source, breaks=tuple(sorted(breaks)))
+
     def __repr__(self) -> str:
         kind = f"{self.line_energy[0]:g} keV" if self.is_monochromatic else f"up to {self.maximum:g} keV"
         return f"Source({kind}, {self.photons:g} photons)"

@@ -86,7 +86,7 @@ class TableModel(Model):
     type: Literal["table"]
     file: str
     values: Literal["per_bin", "per_kev"]
-    energies: Literal["centres", "edges"]
+    energies: Literal["centres", "edges", "corners"]
     filters: tuple[FilterModel, ...] = ()
     bowtie: BowtieModel | None = None
     photons: PositiveFloat | None = None

@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from phantomgen.cli import main
 from phantomgen.scene import load_scene
 from phantomgen.scene_yaml import SceneFile
-from phantomgen.spectrum_files import read_spectrum
+from phantomgen.simulate_spectra import fine_transmission, reconstructor_spectra
+from phantomgen.spectrum_files import read_source, read_spectrum
 from spectra.errors import InputError, SceneError
 from spectra.source import Source
 
@@ -107,7 +110,7 @@ def test_what_a_table_holds_is_never_guessed(missing):
     declared = {"values": "per_bin", "energies": "edges"}
     del declared[missing]
     message = refusal(f"{TABLE}, " + ", ".join(f"{k}: {v}" for k, v in declared.items()))
-    options = {"values": "per_bin, per_kev", "energies": "centres, edges"}[missing]
+    options = {"values": "per_bin, per_kev", "energies": "centres, edges, corners"}[missing]
     assert message == f"./toy.yaml:3:9: source.{missing} - is missing: choose from {options}"
 
 
@@ -147,3 +150,44 @@ def test_a_missing_table_is_named_with_its_place_in_the_scene(tmp_path):
     assert message.startswith(f"{tmp_path}/toy.yaml:3:")
     assert "source.file - " in message
     assert "tube.csv cannot be read as a spectrum: No such file" in message
+
+
+@pytest.mark.parametrize("source", ["tube", "table", "lines"])
+def test_an_exported_spectrum_gives_the_same_counts(tmp_path, source):
+    if source == "table":
+        (tmp_path / "own.csv").write_text("20 1\n21 3\n23.5 2\n60 0\n")
+    own = {
+        "tube": "{type: tube, kvp: 140, filters: [{composition: Gd, thickness: 0.1}], photons: 1.0e+5}",
+        "table": "{type: table, file: own.csv, values: per_bin, energies: edges, photons: 1.0e+5}",
+        "lines": "{type: lines, lines: {30: 1, 66.1: 2}, photons: 1.0e+5}",
+    }[source]
+    (tmp_path / "toy.yaml").write_text(SCENE.format(source=own))
+    result = CliRunner().invoke(main, ["spectrum", str(tmp_path / "toy.yaml"), "--export", str(tmp_path / "out.csv")])
+    assert result.exit_code == 0, result.output
+    again = "{type: table, file: out.csv, values: per_kev, energies: corners}"
+    scans = [load_scene(SceneFile(str(tmp_path / "toy.yaml"), SCENE.format(source=s))) for s in (own, again)]
+    lengths = np.array([[0.0], [50.0], [200.0]])
+    counts = [fine_transmission(scan).expected(lengths) for scan in scans]
+    assert counts[0].min() > 0.1
+    np.testing.assert_allclose(counts[1], counts[0], rtol=1e-9)
+    spectra = [reconstructor_spectra(scan) for scan in scans]
+    np.testing.assert_array_equal(spectra[1].edges, spectra[0].edges)
+    np.testing.assert_allclose(spectra[1].weights, spectra[0].weights, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("rows", "values", "message"),
+    [
+        ("20 1\n19 2\n", "per_kev", "b.csv:2: energies must ascend"),
+        ("20 1\n30 2\n", "per_bin", "per_kev, got per_bin"),
+        ("20 1\n30 2 peak\n", "per_kev", "a row has two columns"),
+        ("20 1\n", "per_kev", "b.csv: a spectrum needs two corners"),
+        ("# none\n", "per_kev", "at least one row"),
+        ("20 0\n30 0\n", "per_kev", "b.csv: a spectrum needs photons"),
+        ("0.5 1\n30 0\n", "per_kev", "within 1 .. 800 keV"),
+    ],
+)
+def test_corners_that_make_no_spectrum_are_refused(tmp_path, rows, values, message):
+    (tmp_path / "b.csv").write_text(rows)
+    with pytest.raises(InputError, match=message):
+        read_source(tmp_path / "b.csv", values, "corners")

@@ -156,21 +156,29 @@ def expose_brute(
     n: int = 256,
     profile: Float[np.ndarray, "part row column"] | None = None,
     aperture: tuple[float, float] = (1.0, 1.0),
+    lattice: bool = False,
 ) -> Float[np.ndarray, "pixel channel"]:
-    """Expected counts of some pixels (row, column), each the mean over n x n rays on a grid of midpoints.
+    """Expected counts of some pixels (row, column), each the mean over n^2 rays.
 
-    The other parameters are those of `expose`.
+    Rays go through a grid of midpoints or, with `lattice`, through as many points of a lattice, no two of them in a row
+    or column: beside edges along rows the grid errs by up to 1 / (2 n) of a pixel, the lattice by 1 / (2 n^2). The
+    other parameters are those of `expose`.
     """
     from phantomgen.ops.expose.cpu import expose_pixels  # noqa: PLC0415
+    from phantomgen.ops.silhouette.quadrature import lattice_step  # noqa: PLC0415
 
     pixels = np.ascontiguousarray(pixels, dtype=np.int64)
     rows, columns = (pixels.max(axis=0, initial=0) + 1).tolist()
     profile = profile if profile is None else profile[:, :rows, :columns]
     view = _View.of(frame, rows, columns, solids, attenuation, weights, starts, background, False, profile)
     out = np.empty((len(starts) - 1, rows, columns))
-    places = (np.arange(n) + 0.5) / n - 0.5
+    index = np.arange(n * n)
+    if lattice:
+        where = [(index + 0.5) / n**2, (index * lattice_step(n * n) % n**2 + 0.5) / n**2]
+    else:
+        where = [(index % n + 0.5) / n, (index // n + 0.5) / n]
     across, down = aperture
-    grid = np.stack([across * np.tile(places, n), down * np.repeat(places, n), np.full(n * n, 1 / n**2)], axis=1)
+    grid = np.stack([across * (where[0] - 0.5), down * (where[1] - 0.5), np.full(n * n, 1 / n**2)], axis=1)
     scratch = (np.empty((1, 5), dtype=np.int64), np.empty(n * n, dtype=np.int64))
     expose_pixels(*view.shapes, view.spectrum, grid, view.ray, pixels, scratch, out)
     return out[:, pixels[:, 0], pixels[:, 1]].T

@@ -309,17 +309,25 @@ def grid_nodes(nodes, at, n):
     return at + n * n
 
 
+@njit(error_model="numpy")
+@no_type_check
+def lattice_step(count):
+    """Step of a lattice of `count` points: close to the golden ratio, with no divisor in common with `count`."""
+    step = int(0.6180339887498949 * count)
+    while gcd(step, count) > 1:
+        step += 1
+    return step
+
+
 @inlined
 @no_type_check
 def lattice_nodes(nodes, at, count):
     """Points of a lattice in the square, `count` different ones along either side, from index `at` on.
 
-    An edge along a side so cuts off the right share to 1 / count, not 1 / sqrt(count) as with a square grid. Steps are
-    close to the golden ratio, and have no divisor in common with `count`. Returns the next index.
+    An edge along a side so cuts off the right share to 1 / count, not 1 / sqrt(count) as with a square grid. Returns
+    the next index.
     """
-    step = int(0.6180339887498949 * count)
-    while gcd(step, count) > 1:
-        step += 1
+    step = lattice_step(count)
     for i in range(count):
         nodes[at + i, 0], nodes[at + i, 1] = (i + 0.5) / count - 0.5, (i * step % count + 0.5) / count - 0.5
         nodes[at + i, 2] = 1.0 / count
