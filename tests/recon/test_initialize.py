@@ -106,3 +106,12 @@ def test_soft_tissue_is_filled_beside_metal():
     centres = start(np.maximum(body, metal)).centres.numpy()
     soft = np.argwhere((ball(GRID, 9.0)[0] > 0) & (ball(GRID, 6.0)[0] == 0)) + np.array(GRID.origin)
     assert cKDTree(centres).query(soft[:, ::-1])[0].max() < 5.0
+
+
+@pytest.mark.parametrize("voxels", [12, 48])
+def test_edges_everywhere_get_as_many_gaussians_as_edges_somewhere(voxels):
+    """Slabs of two values, two voxels thick, in a cube: most voxels lie at an edge, and the median gradient is one."""
+    grid = Grid.cube(voxels, float(voxels))
+    value = np.where(np.arange(voxels) // 2 % 2, 0.01, 0.02)
+    volumes = np.broadcast_to(value[:, None, None], grid.shape)[None].astype(np.float32)
+    assert len(start(volumes, grid, spacing=1.0, fisher=np.array([[4e4]]))) > 0.3 * voxels**3
