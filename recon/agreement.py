@@ -16,6 +16,7 @@ from recon.gaussians import Gaussians
 from recon.losses import chi_square, deviance
 from recon.measurements import Measurements
 from recon.processes import ALONE, Processes
+from recon.voxels import Voxels
 from spectra.ops.transmit import transmit
 
 
@@ -33,13 +34,15 @@ class Agreement:
     chi_square: Float[np.ndarray, " channel"]
 
 
-def agreement(gaussians: Gaussians, data: Measurements, dispersion: float, processes: Processes = ALONE) -> Agreement:
+def agreement(
+    model: Gaussians | Voxels, data: Measurements, dispersion: float, processes: Processes = ALONE
+) -> Agreement:
     """Agreement with all views of `data`, whose work `processes` share."""
     sums = torch.zeros(2 * data.counts.shape[1] + 1, dtype=torch.float64, device="cpu")
     with torch.no_grad():
         for view in processes.share(np.arange(len(data))):
             one = data[[int(view)]]
-            sums += _view_sums(gaussians.line_integrals(one.geometry), one, dispersion)[1]
+            sums += _view_sums(model.line_integrals(one.geometry), one, dispersion)[1]
     return _summed(sums, data.counts.size, processes)
 
 

@@ -21,6 +21,7 @@ class FitState:
     Parameters
     ----------
     gaussians : the model, whose tensors require gradients
+    begun : the model before the first step
     adam : means of the gradients of `GEOMETRY` and of their squares
     velocity : last step of the coefficients [1/mm]
     inverse : inverse blocks of the coefficients' curvature; empty before the first step
@@ -32,6 +33,7 @@ class FitState:
     """
 
     gaussians: Gaussians
+    begun: Gaussians
     adam: Adam
     velocity: Float[Tensor, "gaussian basis"]
     inverse: Float[Tensor, "..."] = field(default_factory=lambda: torch.empty(0))
@@ -47,7 +49,7 @@ class FitState:
         gaussians = start.detached()
         geometry = [getattr(gaussians, name).requires_grad_() for name in GEOMETRY]
         gaussians.coefficients.requires_grad_()
-        return cls(gaussians, Adam(geometry), torch.zeros_like(gaussians.coefficients))
+        return cls(gaussians, start.detached(), Adam(geometry), torch.zeros_like(gaussians.coefficients))
 
     def to(self, device: torch.device) -> "FitState":
         """The same on a device; this one where it is there."""
@@ -58,6 +60,7 @@ class FitState:
     def tensors(self) -> dict[str, Tensor]:
         """All arrays by name."""
         found = {name: value.detach() for name, value in self.gaussians.tensors().items()}
+        found |= {f"{name}.begun": value for name, value in self.begun.tensors().items()}
         found |= {"velocity": self.velocity, "inverse": self.inverse, "weight": self.weight}
         for name, mean, square in zip(GEOMETRY, self.adam.means, self.adam.squares, strict=True):
             found |= {f"{name}.mean": mean, f"{name}.square": square}
@@ -74,7 +77,9 @@ class FitState:
     @classmethod
     def restore(cls, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> "FitState":
         """From what `tensors` and `numbers` gave."""
-        state = cls.begin(Gaussians(*(tensors[name] for name in PARTS), basis_names=tuple(numbers["basis"])))
+        names = tuple(numbers["basis"])
+        state = cls.begin(Gaussians(*(tensors[name] for name in PARTS), basis_names=names))
+        state.begun = Gaussians(*(tensors[f"{name}.begun"].clone() for name in PARTS), basis_names=names)
         state.velocity, state.inverse, state.weight = (
             tensors[name].clone() for name in ("velocity", "inverse", "weight")
         )

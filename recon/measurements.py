@@ -35,6 +35,7 @@ class Measurements:
     basis_names : names of the basis functions
     profile : what a bowtie filter and the heel effect add to the rays of each pixel; None where there are none
     shares : of the deviance of each count that a fit minds; None where it minds all of all, see `weighted`
+    apart : blocks of pixels of the whole panel that no fit minds, see `recon.unseen_rays`; None where there are none
     """
 
     counts: Float[np.ndarray, "view channel row column"]
@@ -45,6 +46,7 @@ class Measurements:
     basis_names: tuple[str, ...]
     profile: Float[np.ndarray, "part row column"] | None = None
     shares: Float[np.ndarray, "view channel row column"] | None = None
+    apart: Bool[np.ndarray, "view block_row block_column"] | None = None
 
     def __len__(self) -> int:
         return len(self.counts)
@@ -54,7 +56,7 @@ class Measurements:
         counts = taken(self.counts, views)
         shares = None if self.shares is None else taken(self.shares, views)
         some = replace(self, counts=counts, exposure=self.exposure[views], geometry=self.geometry[views])
-        return replace(some, shares=shares)
+        return replace(some, shares=shares, apart=None if self.apart is None else self.apart[views])
 
     def summed(self, factor: int) -> "Measurements":
         """The same scan with `factor` x `factor` pixels as one, whose counts are the sums of theirs, as noisy as such.
@@ -111,6 +113,8 @@ class Measurements:
         def fill(view: int) -> None:
             image, beam = np.asarray(self.counts[view]), air * self.exposure[view, :, None, None]
             shares[view] = even_shares(image, beam) * doubtful_shares(image, beam, dispersion)
+            if self.apart is not None:
+                shares[view, :, touched(self.apart[view], *image.shape[1:])] = 0
 
         _in_parallel(fill, self.counts)
         release(shares)
@@ -298,6 +302,17 @@ def matching_bin(geometry: Geometry, size: float) -> int:
     pixel = min(panel.row_pitch, panel.column_pitch) / magnification
     fitting = [f for f in range(1, 33) if panel.rows % f == 0 and panel.columns % f == 0]
     return max(f for f in fitting if f == 1 or f * pixel <= 1.001 * size)
+
+
+def touched(
+    blocks: Bool[np.ndarray, "block_row block_column"], rows: int, columns: int
+) -> Bool[np.ndarray, "row column"]:
+    """Pixels of a panel of which a part lies in blocks of it; blocks are no smaller than pixels."""
+    for axis, size in enumerate((rows, columns)):
+        count, pixel = blocks.shape[axis], np.arange(size)
+        first, last = pixel * count // size, -(-(pixel + 1) * count // size) - 1
+        blocks = blocks.take(first, axis) | blocks.take(last, axis)
+    return blocks
 
 
 def _extremes(profile: Float[np.ndarray, "part row column"]) -> Float[np.ndarray, "extreme part"]:

@@ -28,6 +28,8 @@ from recon.measurements import Measurements, matching_bin, read_measurements
 from recon.processes import ALONE, Processes
 from recon.recipe import Recipe
 from recon.start import start_volumes, starting_method
+from recon.unseen_rays import UnseenRays, with_rays_apart
+from recon.voxels import Voxels
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
 from spectra.transmission import Transmission
@@ -47,6 +49,7 @@ class Reconstruction:
     node_error : worst error of the log counts from compressing the energy grid
     transmission : the spectral model of the fit
     seconds : time per stage
+    notes : sentences for the user about what is not as good as it should be
     """
 
     gaussians: Gaussians
@@ -55,6 +58,7 @@ class Reconstruction:
     node_error: float
     transmission: Transmission
     seconds: dict[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
 
 class Keeper(Protocol):
@@ -101,6 +105,8 @@ def reconstruct(
     with stage("read"):
         whole = read_measurements(dataset, dataset.splits["train"], bases, store).without_partial_volume(store)
         measured, node_error = whole.compressed(recipe.node_tolerance)
+        if recipe.prior:
+            measured = with_rays_apart(measured, voxel, recipe.seed)
         fitted, held_out = _set_apart(measured, recipe)
         fisher = _mean_information(measured, voxel, recipe)
         kept = keeper.found(measured) if keeper is not None and processes.first else None
@@ -121,8 +127,12 @@ def reconstruct(
         anchor = Anchor.off_edges(*_filled_part(volumes, grid), fisher, recipe.prior, along)
     with stage("fit"):
         gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, processes, anchor, store)
-    name = _starting(measured, grid, recipe).name
-    return Reconstruction(gaussians.to("cpu"), name, volumes, node_error, measured.transmission, stage.seconds)
+    name, notes = _starting(measured, grid, recipe).name, ()
+    if recipe.prior:
+        with stage("judge"):
+            rays = UnseenRays.of(measured, voxel, recipe)
+            gaussians, notes = rays.better_of(state.begun, gaussians, Voxels(volumes, grid, measured.basis_names))
+    return Reconstruction(gaussians.to("cpu"), name, volumes, node_error, measured.transmission, stage.seconds, notes)
 
 
 def _starting(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:

@@ -117,6 +117,8 @@ def run(
                 )
     if folder is None or keeper is None:
         return {}
+    for sentence in result.notes:
+        watcher.say(sentence)
     write_model(dataset, recipe, result, folder)
     if interruption.asked and last and last[0].step < last[0].steps:
         raise _stopped(last[0], keeper, folder)
@@ -187,6 +189,7 @@ def metrics_of(dataset: Dataset, truth: Truth | None, result: Reconstruction, se
         metrics.update(score_start(result.start, truth, result.start_volumes, gaussians.basis_names, dataset.grid))
     metrics["channels"] = score_test_views(dataset, gaussians) if len(dataset.splits["test"]) else {}
     metrics["node_error"] = result.node_error
+    metrics["notes"] = list(result.notes)
     metrics["versions"] = environment()
     return metrics
 

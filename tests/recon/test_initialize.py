@@ -123,3 +123,12 @@ def test_a_part_of_the_grid_holds_the_same_points():
     volumes, part = ball(GRID), (slice(2, 23), slice(3, 24), slice(4, 27))
     inner = start(np.ascontiguousarray(volumes[:, *part]), GRID.part(part))
     np.testing.assert_allclose(inner.centres, start(volumes).centres, atol=1e-6)
+
+
+@pytest.mark.parametrize("voxels", [12, 48])
+def test_edges_everywhere_get_as_many_gaussians_as_edges_somewhere(voxels):
+    """Slabs of two values, two voxels thick, in a cube: most voxels lie at an edge, and the median gradient is one."""
+    grid = Grid.cube(voxels, float(voxels))
+    value = np.where(np.arange(voxels) // 2 % 2, 0.01, 0.02)
+    volumes = np.broadcast_to(value[:, None, None], grid.shape)[None].astype(np.float32)
+    assert len(start(volumes, grid, spacing=1.0, fisher=np.array([[4e4]]))) > 0.3 * voxels**3
