@@ -14,9 +14,7 @@ SMOOTHING = 0.7  # voxels; standard deviation of the Gaussian that tames noise b
 BACKGROUND = 0.1  # a voxel below this fraction of a large signal is empty
 LARGEST = 3.0  # times the typical signal; where metal is larger, that counts as large
 METAL = 3.0  # times the typical density; what is denser counts as metal
-EDGE = (
-    4.0  # a gradient per voxel this many times the median, which is noise where most of an object is even, is an edge
-)
+EDGE = 4.0  # a gradient this many times the median, which is noise where most of an object is even, is an edge
 CONTRAST = 0.1  # of the typical signal; a gradient per voxel of as much is an edge, whatever the median
 _FAINT = 0.02  # for the typical value, see there
 
