@@ -26,6 +26,7 @@ from recon.measurements import Measurements, matching_bin
 from recon.ops.positive_step import positive_step
 from recon.processes import ALONE, Processes
 from recon.recipe import Recipe
+from recon.view_subsets import every, kinds_of
 from spectra.threads import without_other_pools
 
 SNAPSHOTS = 10  # models kept along the way, for error against time
@@ -152,7 +153,7 @@ def _inverse_curvature(
     gaussians: Gaussians, data: Measurements, recipe: Recipe, processes: Processes, anchor: Anchor | None
 ) -> tuple[Tensor, Tensor]:
     """Inverse blocks of the coefficients' curvature, from some of the views, and the weight of the prior."""
-    some = np.arange(0, len(data), -(-len(data) // CURVATURE_VIEWS))
+    some = every(kinds_of(data.exposure), -(-len(data) // CURVATURE_VIEWS))
     blocks = coefficient_curvature(gaussians, data[processes.share(some)], recipe.dispersion)
     processes.add_up([blocks])
     blocks, weight = blocks * (len(data) / len(some)), torch.empty(0)

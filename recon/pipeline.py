@@ -28,11 +28,12 @@ from recon.measurements import Measurements, matching_bin, read_measurements
 from recon.processes import ALONE, Processes
 from recon.recipe import Recipe
 from recon.start import start_volumes, starting_method
+from recon.view_subsets import every, kinds_of
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
 from spectra.transmission import Transmission
 
-_FISHER_VIEWS = 8  # one of so many views tells the mean information of rays
+_FISHER_VIEWS = 8  # one of so many views of each kind tells the mean information of rays
 
 
 @dataclass
@@ -135,7 +136,7 @@ def _starting(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
 
 def _mean_information(measured: Measurements, voxel: float, recipe: Recipe) -> Float[np.ndarray, "basis basis"]:
     """Fisher matrix of line integrals, averaged over rays of some views."""
-    some = measured[np.arange(0, len(measured), _FISHER_VIEWS)].completed()
+    some = measured.completed(every(kinds_of(measured.exposure), _FISHER_VIEWS))
     return decompose_views(some.binned(matching_bin(measured.geometry, voxel)), recipe.dispersion)[1]
 
 
