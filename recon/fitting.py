@@ -42,9 +42,9 @@ class Progress:
     ----------
     step, steps : steps made, and all
     seconds : spent on steps
-    deviance : mean of the step's rays, before the step
+    deviance : of the step's rays, before the step, over what noise alone would leave; see `recon.losses`
     gaussians : the model after the step
-    chi_square : of the step's rays per channel, before the step; see `recon.losses.chi_square`
+    chi_square : of the step's rays per channel, before the step, over what noise alone would leave
     state : all that is needed to go on from here; None where a method cannot
     snapshot : whether this is one of the few steps along the way that are looked at more closely
     held_out : at snapshots, chi-square per channel of the rays that the fit does not see; None where there are none
