@@ -17,6 +17,7 @@ from recon.array_store import IN_MEMORY, ArrayStore
 from recon.baselines.grids import occupied
 from recon.baselines.method import CountsMethod, Method, OnIteration, unwatched
 from recon.baselines.one_step import OneStep
+from recon.coverage import Coverage, coverage, inner_box
 from recon.decompose import decompose_views
 from recon.devices import device_named
 from recon.filling import filled
@@ -48,6 +49,8 @@ class Reconstruction:
     node_error : worst error of the log counts from compressing the energy grid
     transmission : the spectral model of the fit
     seconds : time per stage
+    notes : what a user should know of how the fit went, in sentences
+    coverage : what the scan covers of its object; None where nobody has looked
     """
 
     gaussians: Gaussians
@@ -56,6 +59,8 @@ class Reconstruction:
     node_error: float
     transmission: Transmission
     seconds: dict[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    coverage: Coverage | None = None
 
 
 class Keeper(Protocol):
@@ -100,7 +105,10 @@ def reconstruct(
     starting_method(dataset.geometry[dataset.splits["train"]], grid)  # refuses scans that show no depth
     stage = Stopwatch(on_stage)
     with stage("read"):
-        whole = read_measurements(dataset, dataset.splits["train"], bases, store).without_partial_volume(store)
+        whole = read_measurements(dataset, dataset.splits["train"], bases, store)
+        covered = coverage(whole, grid)
+        grid = covered.grid  # with a margin where the object leaves the panel or the grid; it is cut off in the end
+        whole = whole.without_partial_volume(store)
         measured, node_error = whole.compressed(recipe.node_tolerance)
         fitted, held_out = _set_apart(measured, recipe)
         fisher = _mean_information(measured, voxel, recipe)
@@ -123,7 +131,10 @@ def reconstruct(
     with stage("fit"):
         gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, processes, anchor, store)
     name = _starting(measured, grid, recipe).name
-    return Reconstruction(gaussians.to("cpu"), name, volumes, node_error, measured.transmission, stage.seconds)
+    volumes = np.ascontiguousarray(volumes[:, *inner_box(dataset.grid, grid)])
+    return Reconstruction(
+        gaussians.to("cpu"), name, volumes, node_error, measured.transmission, stage.seconds, coverage=covered
+    )
 
 
 def _starting(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
