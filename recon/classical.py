@@ -34,6 +34,7 @@ from recon.report import write_json, write_volumes
 from recon.run_folder import write_scan
 from recon.scoring import psnr_of_bases, score_test_views, score_truth
 from recon.start import check_directions
+from recon.verdict import record, verdict_of
 from recon.view_synthesis import Watcher, run_views
 from recon.voxels import Voxels
 from spectra.errors import InputError
@@ -116,6 +117,10 @@ def run_classical(
     with clock("score"):
         truth = read_truth(dataset.path)
         metrics = _metrics(dataset, truth, model, with_margin, method, pipeline) | {"node_error": node_error}
+        views, names = len(dataset.splits["train"]), dataset.spectra.basis.names
+        concedes = Recipe().dispersion
+        said = verdict_of(metrics["channels"], concedes, covered, volumes, views, model.basis_names, names)
+        metrics["verdict"] = record(said)
     with clock("write"):
         write_volumes(folder / "volumes.h5", volumes, model.basis_names, model.grid, {})
         spectra = dataset.spectra

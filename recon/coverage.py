@@ -25,7 +25,6 @@ CERTAIN = 5.0  # standard deviations of its noise that it must exceed
 FEW_BLOCKS = 0.05  # of a border; what is less may be a defect
 FEW_RAYS = 0.005  # of those through the object
 LARGEST = 2.0  # times the field of view that an object is taken to fill, at most
-ROOM = 1.05  # times the extent that is estimated
 SIDES = ("left", "right", "top", "bottom")
 
 
@@ -85,15 +84,18 @@ def coverage(measured: Measurements, grid: Grid) -> Coverage:
     low_end, high_end = (float(np.quantile(nearest, q)) for q in (0.002, 0.998))
     z = grid.axis("z")
     faces = z[0] - grid.spacing[0] / 2, z[-1] + grid.spacing[0] / 2
-    room = 2 * max(grid.spacing[0], float(np.median(_pixel_height(some.geometry)) * size))
+    block = float(np.median(_pixel_height(some.geometry)) * size)
+    room = 2 * max(grid.spacing[0], block)
     leaves = bool(share[2:].any()) or above > FEW_RAYS
     ends = [faces[0], faces[1]]
     if leaves and seen.any():
-        exits = np.quantile(far[seen], (0.002, 0.998))
+        exits = np.array([low_end, high_end])
+        if share[2:].any():  # it may go on to where the rays through the border leave it
+            exits = np.quantile(far[seen], (0.002, 0.998)) + np.array([-block, block]) / 2
         ends[0] = min(ends[0], exits[0]) if low_end < faces[0] + room else ends[0]
         ends[1] = max(ends[1], exits[1]) if high_end > faces[1] - room else ends[1]
     axial = float(sides[:, 2:].any(axis=1).mean()) if ends != [faces[0], faces[1]] else 0.0
-    wide = radius * ROOM if lateral or beside > FEW_RAYS else 0.0
+    wide = radius if lateral or beside > FEW_RAYS else 0.0
     grown = _grown(grid, wide, (ends[0], ends[1]))
     outside = float(beside + above)
     return Coverage(
@@ -213,7 +215,7 @@ def _beyond(shadow: _Shadow, leaving: Bool[np.ndarray, "view side"]) -> float:
             middle, border = float(np.median(inside[rows])), float(np.median(logs[rows, column]))
             part = np.clip(border / max(middle, 1e-6), 0, 0.99)
             found.append(1 / np.sqrt(1 - part**2))
-    return float(np.quantile(found[1:], 0.9)) if len(found) > 1 else 1.0
+    return float(np.quantile(found[1:], 0.5)) if len(found) > 1 else 1.0
 
 
 def _grown(grid: Grid, radius: float, ends: tuple[float, float]) -> Grid:
