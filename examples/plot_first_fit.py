@@ -54,7 +54,7 @@ deviances = []
 recipe = recon.Recipe(stages=(Stage(pixel=1.0, sweeps=20.0),)) if QUICK else "fast"
 fit = recon.fit(dataset, recipe, callbacks=[lambda progress: deviances.append(progress.deviance)])
 print(fit)
-print(f"mean deviance {deviances[0]:.1f} at first, {deviances[-1]:.2f} at last; 1 is what noise alone would leave")
+print(f"deviance {deviances[0]:.1f} at first, {deviances[-1]:.2f} at last; 1 is what noise alone would leave")
 
 # %% [markdown]
 # ## What it knows

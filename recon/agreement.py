@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from recon.gaussians import Gaussians
-from recon.losses import chi_square, deviance
+from recon.losses import chi_square, deviance, expected_chi_square, expected_deviance
 from recon.measurements import Measurements
 from recon.processes import ALONE, Processes
 from recon.voxels import Voxels
@@ -26,8 +26,10 @@ class Agreement:
 
     Parameters
     ----------
-    deviance : mean of all pixels, blind ones included, which count as 0
-    chi_square : mean of the pixels of each channel that measure; NaN for a channel without
+    deviance : over what noise alone would leave, which makes it 1 (`recon.losses`); every count has the say that it
+        has in the fit
+    chi_square : of the pixels of each channel that measure, over what noise alone would leave; NaN for a channel
+        without
     """
 
     deviance: float
@@ -38,12 +40,19 @@ def agreement(
     model: Gaussians | Voxels, data: Measurements, dispersion: float, processes: Processes = ALONE
 ) -> Agreement:
     """Agreement with all views of `data`, whose work `processes` share."""
-    sums = torch.zeros(2 * data.counts.shape[1] + 1, dtype=torch.float64, device="cpu")
+    sums = torch.zeros(2 * data.counts.shape[1] + 2, dtype=torch.float64, device="cpu")
     with torch.no_grad():
         for view in processes.share(np.arange(len(data))):
             one = data[[int(view)]]
             sums += _view_sums(model.line_integrals(one.geometry), one, dispersion)[1]
-    return _summed(sums, data.counts.size, processes)
+    return _summed(sums, processes)
+
+
+def deviances(model: Gaussians | Voxels, data: Measurements, dispersion: float) -> Float[np.ndarray, " view"]:
+    """Deviance of each view, summed over counts by the say that they have in the fit."""
+    with torch.no_grad():
+        ones = [data[[view]] for view in range(len(data))]
+        return np.array([float(_view_sums(model.line_integrals(o.geometry), o, dispersion)[1][0]) for o in ones])
 
 
 def agreement_and_gradients(
@@ -64,7 +73,7 @@ def agreement_and_gradients(
     """
     parts = list(gaussians.tensors().values())
     values = len(views) * int(np.prod(data.counts.shape[1:]))
-    sums = torch.zeros(2 * data.counts.shape[1] + 1, dtype=torch.float64, device="cpu")
+    sums = torch.zeros(2 * data.counts.shape[1] + 2, dtype=torch.float64, device="cpu")
     mine = data[processes.share(views)]
     for part in parts:
         part.grad = None
@@ -81,19 +90,21 @@ def agreement_and_gradients(
         for part in parts:
             part.grad = torch.zeros_like(part)
     processes.add_up([part.grad for part in parts if part.grad is not None])
-    return _summed(sums, values, processes)
+    return _summed(sums, processes)
 
 
 def _view_sums(
     images: Float[Tensor, "1 basis row column"], one: Measurements, dispersion: float
 ) -> tuple[Tensor, Float[Tensor, " sum"]]:
-    """Sum of the deviance; and as numbers that sum, chi-square per channel, and measuring pixels per channel."""
+    """Sum of the deviance; as numbers that sum, chi-square per channel, and what noise alone would leave of both."""
     counts, expected, measuring = _expected(images, one)
     shares = 1.0 if one.shares is None else torch.from_numpy(one.shares).to(images.device)
     loss = (shares * deviance(counts, expected, dispersion)).sum()
     with torch.no_grad():
         found = torch.where(measuring, chi_square(counts, expected, dispersion), 0.0)
-        parts = [loss.reshape(1), found.sum(dim=(0, 2, 3)), measuring.sum(dim=(0, 2, 3))]
+        noise = torch.where(measuring, expected_chi_square(expected, dispersion), 0.0)
+        least = torch.where(measuring, shares * expected_deviance(expected, dispersion), 0.0).sum()
+        parts = [loss.reshape(1), found.sum(dim=(0, 2, 3)), least.reshape(1), noise.sum(dim=(0, 2, 3))]
         return loss, torch.cat([part.double().cpu() for part in parts])
 
 
@@ -108,10 +119,9 @@ def _expected(images: Float[Tensor, "view basis row column"], data: Measurements
     return torch.from_numpy(data.counts).to(images.device), expected, gains > 0
 
 
-def _summed(sums: Float[Tensor, " sum"], values: int, processes: Processes) -> Agreement:
-    """Means of sums over the views of all processes."""
+def _summed(sums: Float[Tensor, " sum"], processes: Processes) -> Agreement:
+    """Ratios of sums over the views of all processes."""
     processes.add_up([sums])
-    total, *rest = sums.tolist()
-    squares, pixels = np.array(rest).reshape(2, -1)
-    found = np.divide(squares, pixels, out=np.full(len(pixels), np.nan), where=pixels > 0)
-    return Agreement(total / values, found)
+    (total, *squares), (least, *noise) = np.array(sums.tolist()).reshape(2, -1)
+    found = np.divide(squares, noise, out=np.full(len(noise), np.nan), where=np.array(noise) > 0)
+    return Agreement(float(total / least) if least > 0 else 0.0, found)

@@ -24,6 +24,7 @@ from recon.baselines.circle import circle_of
 from recon.baselines.fdk import Fdk
 from recon.baselines.image_domain import reconstruct_channels
 from recon.baselines.method import CountsMethod, Iteration, Method, OnIteration, ViewMethod
+from recon.coverage import coverage, inner_box
 from recon.decompose import decompose_views
 from recon.filling import filled
 from recon.measurements import Measurements, matching_bin, read_measurements
@@ -33,6 +34,7 @@ from recon.report import write_json, write_volumes
 from recon.run_folder import write_scan
 from recon.scoring import psnr_of_bases, score_test_views, score_truth
 from recon.start import check_directions
+from recon.verdict import record, verdict_of
 from recon.view_synthesis import Watcher, run_views
 from recon.voxels import Voxels
 from spectra.errors import InputError
@@ -99,18 +101,26 @@ def run_classical(
     if isinstance(method, ViewMethod):
         return run_views(dataset, folder, method, bases, figures, watcher, clock)
     with clock("read"):
-        measured = read_measurements(dataset, dataset.splits["train"], bases).without_partial_volume()
-        measured, node_error = measured.compressed(Recipe().node_tolerance)
+        measured = read_measurements(dataset, dataset.splits["train"], bases)
+        covered = coverage(measured, dataset.grid)
+        grid = covered.grid if isinstance(method, CountsMethod) else dataset.grid
+        measured, node_error = measured.without_partial_volume().compressed(Recipe().node_tolerance)
 
     def on_iteration(iteration: Iteration) -> None:
         log.add(iteration)
         watcher.iterated(iteration)
 
-    volumes = reconstruct_volumes(measured, dataset.grid, method, pipeline, clock, on_iteration)
+    volumes = reconstruct_volumes(measured, grid, method, pipeline, clock, on_iteration)
+    with_margin = Voxels(volumes, grid, measured.basis_names)  # it takes part in views, and is not written
+    volumes = np.ascontiguousarray(volumes[:, *inner_box(dataset.grid, grid)])
     model = Voxels(volumes, dataset.grid, measured.basis_names)
     with clock("score"):
         truth = read_truth(dataset.path)
-        metrics = _metrics(dataset, truth, model, method, pipeline) | {"node_error": node_error}
+        metrics = _metrics(dataset, truth, model, with_margin, method, pipeline) | {"node_error": node_error}
+        views, names = len(dataset.splits["train"]), dataset.spectra.basis.names
+        concedes = Recipe().dispersion
+        said = verdict_of(metrics["channels"], concedes, covered, volumes, views, model.basis_names, names)
+        metrics["verdict"] = record(said)
     with clock("write"):
         write_volumes(folder / "volumes.h5", volumes, model.basis_names, model.grid, {})
         spectra = dataset.spectra
@@ -178,10 +188,12 @@ def _settings(method: Method, pipeline: str) -> dict[str, Any]:
     return {"method": method.name} | way | asdict(method)  # type: ignore[call-overload] - methods are dataclasses
 
 
-def _metrics(dataset: Dataset, truth: Truth | None, model: Voxels, method: Method, pipeline: str) -> dict[str, Any]:
+def _metrics(
+    dataset: Dataset, truth: Truth | None, model: Voxels, with_margin: Voxels, method: Method, pipeline: str
+) -> dict[str, Any]:
     metrics: dict[str, Any] = {"dataset": dataset.path.name, "method": _settings(method, pipeline)}
     if truth is not None:
         metrics.update(score_truth(truth, model))
-    metrics["channels"] = score_test_views(dataset, model) if len(dataset.splits["test"]) else {}
+    metrics["channels"] = score_test_views(dataset, with_margin) if len(dataset.splits["test"]) else {}
     metrics["versions"] = environment()
     return metrics

@@ -1,6 +1,7 @@
 """The command ``recon``: parse, call, print."""
 
 import json
+import sys
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -98,6 +99,7 @@ def _finite(_: click.Context, __: click.Parameter, value: float | None) -> float
     help="Where Gaussians are computed.",
 )
 @click.option("--dry-run", is_flag=True, help="Say what it takes: Gaussians, time, memory; write nothing.")
+@click.option("--strict", is_flag=True, help="Exit code 3 where a check of the verdict failed.")
 @click.option("--resume", is_flag=True, help="Go on with a run that was interrupted, if there is one.")
 @click.option("--overwrite", is_flag=True, help="Replace a run folder that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
@@ -122,6 +124,7 @@ def fit(
     memory: float | None,
     device: str,
     dry_run: bool,
+    strict: bool,
     resume: bool,
     overwrite: bool,
     threads: int | None,
@@ -135,6 +138,7 @@ def fit(
     Ctrl-C stops after the step and leaves the model; --resume goes on, also after a crash.
     """
     from phantomgen.dataset import open_dataset
+    from recon import verdict
     from recon.baselines import method_named
     from recon.classical import run_classical
     from recon.devices import device_named
@@ -179,11 +183,11 @@ def fit(
         else:
             with folder as part:
                 metrics = run(opened, part, *options)
+    code = 3 if strict and verdict.failed(metrics) else 0
     if as_json:
         click.echo(json.dumps({"run": str(folder.path), **metrics}))
-        return
-    click.echo(score_table(metrics))
-    click.echo("")
+        sys.exit(code)
+    click.echo("\n".join([score_table(metrics), "", *verdict.lines(metrics)]))
     if isinstance(how, PaperRecipe):
         click.echo(how.says)
     result = next(name for name in ("volumes.h5", "views.h5") if (folder.path / name).is_file())
@@ -194,6 +198,7 @@ def fit(
         click.echo(str(folder.path / "figures" / name))
     ways = "look at the figures" if result == "views.h5" else f"recon view {folder.path}, or recon report {folder.path}"
     click.echo(f"Wrote {folder.path}; next: {ways}")
+    sys.exit(code)
 
 
 @main.command(epilog="\b\nExamples:\n  recon edge kedge.h5\n  recon edge scan.h5 --edge 33,50 -o found")

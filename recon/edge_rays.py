@@ -16,6 +16,7 @@ from recon.edges import edge_mask
 from recon.losses import deviance
 from recon.measurements import Measurements, matching_bin, read_measurements
 from recon.ops.decompose import decompose
+from recon.view_subsets import kinds_of, spread
 from spectra.transmission import Transmission
 
 VIEWS = 12  # at most, evenly spread over the training views
@@ -113,9 +114,9 @@ def rays_away_from_edges(dataset: Dataset, binned: bool = True) -> Rays:
     binning = matching_bin(dataset.geometry, min(dataset.grid.spacing)) if binned else 1
     rows, columns = (n // binning for n in dataset.counts.shape[2:])
     count = int(np.clip(MOST_PIXELS // (rows * columns), 1, min(VIEWS, len(train))))
-    spread = train[np.linspace(0, len(train), count, endpoint=False).astype(int)]
-    measured = read_measurements(dataset, spread).summed(binning)
-    inside = np.stack([_inside(measured, view) for view in range(count)])
+    some = train[spread(kinds_of(dataset.exposure[train]), count)]
+    measured = read_measurements(dataset, some).summed(binning)
+    inside = np.stack([_inside(measured, view) for view in range(len(some))])
     places = np.stack(np.nonzero(inside))
     view, row, column = places
     gains = measured.gains[:, row, column].T * measured.exposure[view]

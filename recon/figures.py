@@ -241,13 +241,12 @@ def residuals(
 
 
 def convergence(seconds: Float[np.ndarray, " step"], deviance: Float[np.ndarray, " step"], path: Path) -> Path:
-    """Deviance per count value against time: every step, and a running mean; with a CSV.
+    """Deviance over that of noise alone against time: every step, and a running mean; with a CSV.
 
     Parameters
     ----------
     seconds : since the fit began [s]
-    deviance : mean deviance of the views of each step, about 1 where model and noise agree, less where a model error is
-        allowed for
+    deviance : of the views of each step, over what noise alone would leave
     """
     seconds, deviance = np.asarray(seconds, dtype=np.float64), np.asarray(deviance, dtype=np.float64)
     window = max(len(deviance) // 20, 1)
@@ -260,7 +259,7 @@ def convergence(seconds: Float[np.ndarray, " step"], deviance: Float[np.ndarray,
             ax.plot(seconds, deviance, color="0.75", linewidth=0.6, label=name)
             name = f"mean of {window} steps"
         ax.plot(seconds, mean, color=BLUE, linewidth=1.4, label=name)
-        ax.set(xlabel="time [s]", ylabel="mean deviance [no unit]")
+        ax.set(xlabel="time [s]", ylabel="deviance / noise alone")
         decades_or_zero(ax, mean)
         ax.legend(loc="upper right")
     return path

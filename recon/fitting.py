@@ -26,6 +26,7 @@ from recon.measurements import Measurements, matching_bin
 from recon.ops.positive_step import positive_step
 from recon.processes import ALONE, Processes
 from recon.recipe import Recipe
+from recon.view_subsets import every, kinds_of
 from spectra.threads import without_other_pools
 
 SNAPSHOTS = 10  # models kept along the way, for error against time
@@ -41,9 +42,9 @@ class Progress:
     ----------
     step, steps : steps made, and all
     seconds : spent on steps
-    deviance : mean of the step's rays, before the step
+    deviance : of the step's rays, before the step, over what noise alone would leave; see `recon.losses`
     gaussians : the model after the step
-    chi_square : of the step's rays per channel, before the step; see `recon.losses.chi_square`
+    chi_square : of the step's rays per channel, before the step, over what noise alone would leave
     state : all that is needed to go on from here; None where a method cannot
     snapshot : whether this is one of the few steps along the way that are looked at more closely
     held_out : at snapshots, chi-square per channel of the rays that the fit does not see; None where there are none
@@ -152,7 +153,7 @@ def _inverse_curvature(
     gaussians: Gaussians, data: Measurements, recipe: Recipe, processes: Processes, anchor: Anchor | None
 ) -> tuple[Tensor, Tensor]:
     """Inverse blocks of the coefficients' curvature, from some of the views, and the weight of the prior."""
-    some = np.arange(0, len(data), -(-len(data) // CURVATURE_VIEWS))
+    some = every(kinds_of(data.exposure), -(-len(data) // CURVATURE_VIEWS))
     blocks = coefficient_curvature(gaussians, data[processes.share(some)], recipe.dispersion)
     processes.add_up([blocks])
     blocks, weight = blocks * (len(data) / len(some)), torch.empty(0)

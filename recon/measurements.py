@@ -145,26 +145,29 @@ class Measurements:
         fixed = np.moveaxis(self.profile, 0, -1).astype(lengths.dtype)
         return np.concatenate([lengths, np.broadcast_to(fixed, (*lengths.shape[:-1], len(self.profile)))], axis=-1)
 
-    def completed(self) -> "Measurements":
-        """Views that lack a channel get it from those taken before and after, by interpolated log projections.
+    def completed(self, some: Int[np.ndarray, " few"] | None = None) -> "Measurements":
+        """Views, or some of them, that lack a channel get it from those before and after, by interpolated logarithms.
 
         Tube voltages that are switched from view to view leave every ray with half of the channels. What this makes up
-        is good enough to start a fit from; the fit itself keeps to what was measured.
+        is good enough to start a fit from; the fit itself keeps to what was measured. A channel that no view has stays
+        unmeasured.
         """
+        chosen = self if some is None else self[some]
         if (self.exposure > 0).all():
-            return self
-        counts, exposure = self.counts.copy(), np.array(self.exposure)
-        views = np.arange(len(self))
-        for c in range(counts.shape[1]):
+            return chosen
+        counts, exposure = np.array(chosen.counts), np.array(chosen.exposure)
+        views = np.arange(len(self)) if some is None else some
+        for c in np.flatnonzero((self.exposure > 0).any(axis=0)):
             taken = np.flatnonzero(self.exposure[:, c] > 0)
-            for view in np.setdiff1d(views, taken):
+            for place in np.flatnonzero(exposure[:, c] == 0):
+                view = views[place]
                 after = np.searchsorted(taken, view)
                 a, b = taken[max(after - 1, 0)], taken[min(after, len(taken) - 1)]
                 part = (view - a) / (b - a) if b > a else 0.0
                 logs = [np.log(np.maximum(self.counts[v, c], 0.5) / self.exposure[v, c]) for v in (a, b)]
-                counts[view, c] = np.exp((1 - part) * logs[0] + part * logs[1])
-                exposure[view, c] = 1.0
-        return replace(self, counts=counts, exposure=exposure)
+                counts[place, c] = np.exp((1 - part) * logs[0] + part * logs[1])
+                exposure[place, c] = 1.0
+        return replace(chosen, counts=counts, exposure=exposure)
 
     def shifted(self, added: Float[np.ndarray, " channel"], transmission: Transmission) -> "Measurements":
         """Counts with so many more at exposure and gain 1, and the transmission that expects them."""

@@ -18,6 +18,7 @@ from recon.filling import filled
 from spectra.errors import InputError
 
 SSIM_WINDOW = 11  # pixels: 2 int(3.5 sigma + 0.5) + 1 with sigma = 1.5, as in Wang et al. 2004
+SHALLOW = 0.02  # largest log projection of a ray that passes by the object
 _FEWEST_EXPECTED = 1e-9  # a count where the model expects none makes chi-square huge, not infinite
 _FEWEST_LOGGED = 0.5  # counts below are raised to this before a logarithm
 
@@ -154,19 +155,23 @@ def score_projections(views: Iterable[HeldOutView], channel_names: Sequence[str]
     By channel: ``psnr`` of the log projections [dB], its peak the largest expected log projection; ``psnr_noise`` what
     the true model would score, from var(log y) = 1 / Y; ``chi_square_all`` mean of (y - Y)^2 / Y over all rays and
     ``chi_square_away`` over rays away from edges, both 1 for Poisson counts of the true model; ``away`` the part of the
-    rays that are. In logarithms counts below 0.5 are taken as 0.5. A channel that sees no photons scores None.
+    rays that are, ``rays_away`` how many, and ``counts_away`` the mean of what the model expects of them, rays beside
+    the object as 0: a relative model error e inside the object adds e^2 times that to ``chi_square_away``. In
+    logarithms counts below 0.5 are taken as 0.5. A channel that sees no photons scores None.
     """
-    table = np.array([_sums_of_view(view) for view in views]).reshape(-1, 7, len(channel_names))
-    peaks = table[:, 6].max(axis=0, initial=0.0)
+    table = np.array([_sums_of_view(view) for view in views]).reshape(-1, 8, len(channel_names))
+    peaks = table[:, 7].max(axis=0, initial=0.0)
     scores = {}
-    for name, peak, sums in zip(channel_names, peaks, table[:, :6].sum(axis=0).T, strict=True):
-        rays, rays_away, chi_all, chi_away, square, variance = sums
+    for name, peak, sums in zip(channel_names, peaks, table[:, :7].sum(axis=0).T, strict=True):
+        rays, rays_away, chi_all, chi_away, square, variance, through = sums
         scores[name] = {
             "psnr": psnr(peak, _ratio(square, rays)),
             "psnr_noise": psnr(peak, _ratio(variance, rays)),
             "chi_square_all": _ratio(chi_all, rays),
             "chi_square_away": _ratio(chi_away, rays_away),
             "away": _ratio(rays_away, rays),
+            "rays_away": int(rays_away),
+            "counts_away": _ratio(through, rays_away),
         }
     return scores
 
@@ -220,7 +225,7 @@ def log_projections(expected: np.ndarray, open_beam: np.ndarray) -> np.ndarray:
 
 
 def _sums_of_view(view: HeldOutView) -> np.ndarray:
-    """Rays, rays away from edges, chi-square of both, squared log error, its variance, largest log projection."""
+    """Rays, rays away from edges, chi-square of both, squared log error, its variance, counts, largest log.."""
     seen = view.open_beam > 0
     counts = np.asarray(view.counts, dtype=np.float64)
     expected = np.maximum(np.asarray(view.expected, dtype=np.float64), _FEWEST_EXPECTED)
@@ -231,4 +236,5 @@ def _sums_of_view(view: HeldOutView) -> np.ndarray:
     log_error = np.log(np.maximum(counts, _FEWEST_LOGGED) / logged)
     sums = [(w * v).sum(axis=(1, 2)) for w, v in ((seen, 1), (away, 1), (seen, chi_square), (away, chi_square))]
     sums += [(seen * log_error**2).sum(axis=(1, 2)), (seen / logged).sum(axis=(1, 2))]
+    sums.append(((away & (projection > SHALLOW)) * expected).sum(axis=(1, 2)))
     return np.array([*sums, projection.max(axis=(1, 2))])

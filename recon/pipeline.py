@@ -17,6 +17,7 @@ from recon.array_store import IN_MEMORY, ArrayStore
 from recon.baselines.grids import occupied
 from recon.baselines.method import CountsMethod, Method, OnIteration, unwatched
 from recon.baselines.one_step import OneStep
+from recon.coverage import Coverage, coverage, inner_box
 from recon.decompose import decompose_views
 from recon.devices import device_named
 from recon.filling import filled
@@ -29,12 +30,13 @@ from recon.processes import ALONE, Processes
 from recon.recipe import Recipe
 from recon.start import start_volumes, starting_method
 from recon.unseen_rays import UnseenRays, with_rays_apart
+from recon.view_subsets import every, kinds_of
 from recon.voxels import Voxels
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
 from spectra.transmission import Transmission
 
-_FISHER_VIEWS = 8  # one of so many views tells the mean information of rays
+_FISHER_VIEWS = 8  # one of so many views of each kind tells the mean information of rays
 
 
 @dataclass
@@ -49,7 +51,8 @@ class Reconstruction:
     node_error : worst error of the log counts from compressing the energy grid
     transmission : the spectral model of the fit
     seconds : time per stage
-    notes : sentences for the user about what is not as good as it should be
+    notes : what a user should know of how the fit went, in sentences
+    coverage : what the scan covers of its object; None where nobody has looked
     """
 
     gaussians: Gaussians
@@ -59,6 +62,7 @@ class Reconstruction:
     transmission: Transmission
     seconds: dict[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    coverage: Coverage | None = None
 
 
 class Keeper(Protocol):
@@ -103,7 +107,10 @@ def reconstruct(
     starting_method(dataset.geometry[dataset.splits["train"]], grid)  # refuses scans that show no depth
     stage = Stopwatch(on_stage)
     with stage("read"):
-        whole = read_measurements(dataset, dataset.splits["train"], bases, store).without_partial_volume(store)
+        whole = read_measurements(dataset, dataset.splits["train"], bases, store)
+        covered = coverage(whole, grid)
+        grid = covered.grid  # with a margin where the object leaves the panel or the grid; it is cut off in the end
+        whole = whole.without_partial_volume(store)
         measured, node_error = whole.compressed(recipe.node_tolerance)
         if recipe.prior:
             measured = with_rays_apart(measured, voxel, recipe.seed)
@@ -132,7 +139,10 @@ def reconstruct(
         with stage("judge"):
             rays = UnseenRays.of(measured, voxel, recipe)
             gaussians, notes = rays.better_of(state.begun, gaussians, Voxels(volumes, grid, measured.basis_names))
-    return Reconstruction(gaussians.to("cpu"), name, volumes, node_error, measured.transmission, stage.seconds, notes)
+    volumes = np.ascontiguousarray(volumes[:, *inner_box(dataset.grid, grid)])
+    return Reconstruction(
+        gaussians.to("cpu"), name, volumes, node_error, measured.transmission, stage.seconds, notes, covered
+    )
 
 
 def _starting(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
@@ -145,7 +155,7 @@ def _starting(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
 
 def _mean_information(measured: Measurements, voxel: float, recipe: Recipe) -> Float[np.ndarray, "basis basis"]:
     """Fisher matrix of line integrals, averaged over rays of some views."""
-    some = measured[np.arange(0, len(measured), _FISHER_VIEWS)].completed()
+    some = measured.completed(every(kinds_of(measured.exposure), _FISHER_VIEWS))
     return decompose_views(some.binned(matching_bin(measured.geometry, voxel)), recipe.dispersion)[1]
 
 

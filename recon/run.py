@@ -8,11 +8,11 @@ from typing import Any, Protocol
 import numpy as np
 import yaml
 
-from phantomgen.dataset import Dataset
+from phantomgen.dataset import Dataset, open_dataset
 from phantomgen.dataset_truth import Truth, read_truth
 from phantomgen.stopwatch import Stopwatch, peak_memory_mib
 from phantomgen.versions import environment
-from recon import figures
+from recon import figures, verdict
 from recon.array_store import array_store
 from recon.baselines.method import Iteration
 from recon.basis_choice import choose_basis
@@ -188,10 +188,20 @@ def metrics_of(dataset: Dataset, truth: Truth | None, result: Reconstruction, se
         metrics.update(score_truth(truth, gaussians))
         metrics.update(score_start(result.start, truth, result.start_volumes, gaussians.basis_names, dataset.grid))
     metrics["channels"] = score_test_views(dataset, gaussians) if len(dataset.splits["test"]) else {}
+    metrics["verdict"] = verdict.record(verdict_of_fit(dataset, result, metrics["channels"]))
     metrics["node_error"] = result.node_error
     metrics["notes"] = list(result.notes)
     metrics["versions"] = environment()
     return metrics
+
+
+def verdict_of_fit(dataset: Dataset, result: Reconstruction, channels: dict[str, Any]) -> verdict.Verdict:
+    """What a user should know; the bases that the dataset states are those of its file, whatever was chosen since."""
+    with open_dataset(dataset.path, dataset.air) as stated:
+        names = stated.spectra.basis.names
+    volumes, views = result.gaussians.volume(dataset.grid), len(dataset.splits["train"])
+    fitted, concedes = result.gaussians.basis_names, Recipe().dispersion
+    return verdict.verdict_of(channels, concedes, result.coverage, volumes, views, fitted, names, result.notes)
 
 
 def _psnr_along_the_way(keeper: PartialRun, truth: Truth | None) -> dict[int, dict[str, float]]:

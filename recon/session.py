@@ -25,11 +25,13 @@ from recon.pipeline import Reconstruction, reconstruct
 from recon.recipe import RECIPES, Recipe
 from recon.render_file import rendered, views_of_geometry
 from recon.report import RunFolder, write_json, write_volumes
-from recon.run import metrics_of, write_model
+from recon.run import metrics_of, verdict_of_fit, write_model
 from recon.run_folder import Run
+from recon.scoring import score_test_views
 from recon.segmentation.pipeline import segment_subject
 from recon.segmentation.result import Options, Segmentation
 from recon.segmentation.subject import Subject, detected_spectrum, open_subject
+from recon.verdict import Verdict
 from spectra.basis import Basis, pretty
 from spectra.errors import InputError
 
@@ -105,6 +107,13 @@ class Fit:
         images = [rendered(run, views, view) for view in range(len(geometry))]
         lengths, counts = (np.stack(parts) for parts in zip(*images, strict=True))
         return Projections(lengths, counts.astype(np.float32))
+
+    @property
+    def verdict(self) -> Verdict:
+        """What to know of it, in sentences, without the truth; see `recon.verdict`."""
+        with self._dataset() as dataset:
+            channels = score_test_views(dataset, self.gaussians) if len(dataset.splits["test"]) else {}
+            return verdict_of_fit(dataset, self.result, channels)
 
     def score(self) -> dict[str, Any]:
         """Scores as ``metrics.json`` has them: against the truth where the dataset has one, and on its test views."""

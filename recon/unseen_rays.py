@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from recon.agreement import agreement
+from recon.agreement import deviances
 from recon.gaussians import Gaussians
 from recon.measurements import Measurements, matching_bin
 from recon.recipe import Recipe
+from recon.view_subsets import kinds_of, spread
 from recon.voxels import Voxels
 
 VIEWS = 8  # at most, evenly spread, that have rays set apart
@@ -34,7 +35,7 @@ def with_rays_apart(measured: Measurements, voxel: float, seed: int) -> Measurem
     """
     panel, block = measured.geometry.panel, matching_bin(measured.geometry, BLOCK * voxel)
     apart = np.zeros((len(measured), panel.rows // block, panel.columns // block), bool)
-    views = np.unique(np.linspace(0, len(measured), VIEWS, endpoint=False).astype(int))
+    views = spread(kinds_of(measured.exposure), VIEWS)
     each = round(PART * apart.size / len(views))
     rng = np.random.default_rng(seed)
     for view in views:
@@ -64,14 +65,6 @@ class UnseenRays:
         some = some.binned(matching_bin(some.geometry, voxel))
         return cls(some.weighted(recipe.dispersion), recipe.dispersion)
 
-    def deviances(self, model: Gaussians | Voxels) -> Float[np.ndarray, " view"]:
-        """Mean deviance of the rays of each view, per ray and channel."""
-        data = self.data
-        assert data.shares is not None
-        counted = np.array([np.count_nonzero(shares) for shares in data.shares])
-        sums = [agreement(model, data[[i]], self.dispersion).deviance for i in range(len(data))]
-        return np.array(sums) * data.counts[0].size / np.maximum(counted, 1)
-
     def better_of(self, begun: Gaussians, fitted: Gaussians, start: Voxels) -> tuple[Gaussians, tuple[str, ...]]:
         """The fitted model, or the one it began with where that is more likely; and what a user should know.
 
@@ -80,19 +73,19 @@ class UnseenRays:
         begun, fitted : the model before and after the fit
         start : the volumes that both follow
         """
-        before, after, told = (self.deviances(model) for model in (begun, fitted, start))
+        before, after, told = (deviances(model, self.data, self.dispersion) for model in (begun, fitted, start))
         notes = []
         if worse := certainly_larger(after, before):
             notes.append(
-                f"the fit made Gaussians less likely on rays that took no part (deviance {after.mean():.3g} per ray "
-                f"and channel, {before.mean():.3g} before): those from before the fit are kept"
+                f"the fit made Gaussians less likely on rays that took no part (deviance {after.sum() / before.sum():.3g} "
+                "times that before the fit): those from before the fit are kept"
             )
         kept = before if worse else after
         if certainly_larger(kept, told):
             notes.append(
-                f"the Gaussians are less likely on rays that took no part than the voxels they started from (deviance "
-                f"{kept.mean():.3g} per ray and channel against {told.mean():.3g}): rather use those voxels, which are "
-                "in volumes.h5, or fit on smaller voxels"
+                "the Gaussians are less likely on rays that took no part than the voxels they started from (deviance "
+                f"{kept.sum() / told.sum():.3g} times theirs): rather use those voxels, which are in volumes.h5, or fit "
+                "on smaller voxels"
             )
         return begun if worse else fitted, tuple(notes)
 

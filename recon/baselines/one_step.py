@@ -33,10 +33,11 @@ from recon.measurements import Measurements, matching_bin
 from recon.ops.positive_step import as_matrices, inverse_blocks, positive_step
 from recon.ops.total_variation import ascend, neighbour_sums, pull
 from recon.structure import over_metal
+from recon.view_subsets import every, kinds_of, parts_of
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
 
-CURVATURE_STEP = 3.236  # views between two that give the curvature; it meets every period of tube voltages
+CURVATURE_STEP = 3.236  # views of a kind between two that give the curvature
 ASTRAY = 1.5  # times the least deviance of a pass
 LITTLE = 0.5  # of the typical curvature; below it the total variation counts less
 FADING = 0.7  # power of the curvature by which it does; noise goes by 0.5, information by 1
@@ -160,7 +161,7 @@ def _descend(
         deviance = _pass(walk, data, inner, settings, metric, parts)
         if not deviance < ASTRAY * least and parts > 1:
             walk = _Walk(best, np.zeros_like(walk.field))
-            parts = parts // 2 | 1  # odd, so that of views of two voltages in turn each part has both
+            parts = parts // 2 | 1
         elif deviance < least:
             best, least = walk.volumes, deviance
         whole[:, *box] = _shown(walk.volumes, settings)
@@ -199,8 +200,9 @@ class _Walk:
 def _pass(walk: _Walk, data: Measurements, grid: Grid, settings: OneStep, metric: "_Metric", parts: int) -> float:
     """Every view once, in so many parts; returns the sum of the deviances that were met."""
     total, agreement = 0.0, 0.0
-    for first in _order(parts):
-        some = data[np.arange(first, len(data), parts)]
+    subsets = parts_of(kinds_of(data.exposure), parts)
+    for first in _order(len(subsets)):
+        some = data[subsets[first]]
         point = walk.volumes if walk.point is None else walk.point
         deviance, gradient = deviance_and_gradient(point, some, grid, settings.dispersion)
         gradient *= np.float32(len(data) / len(some))
@@ -227,7 +229,7 @@ class _Metric:
 
 
 def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep) -> _Metric:
-    some = data[np.arange(0, len(data), CURVATURE_STEP).astype(int)]
+    some = data[every(kinds_of(data.exposure), CURVATURE_STEP)]
     share = len(data) / len(some)
     blocks, covariance = curvature(volumes, some, grid, settings.dispersion)
     upper = np.triu_indices(len(volumes))

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from phantomgen.grid import Grid
 from recon.fitting import SNAPSHOTS, Progress
-from recon.losses import chi_square, deviance
+from recon.losses import chi_square, deviance, expected_chi_square, expected_deviance
 from recon.paper.adam import EdgeAdam, GroupedAdam, rates
 from recon.paper.densify import PullOnPanel, densify, reset_fractions
 from recon.paper.loss import total_loss
@@ -80,8 +80,10 @@ def fit(
             reset_fractions(adam)
         counts = torch.from_numpy(projections.counts[views])
         expected = torch.from_numpy(projections.open_beam[views]) * torch.exp(-rendered.log_projections.detach())
-        misfit = float(deviance(counts, expected)[seen].mean())
-        squares = torch.where(seen, chi_square(counts, expected), torch.nan).nanmean(dim=(0, 2, 3)).double().numpy()
+        misfit = float(deviance(counts, expected)[seen].sum() / expected_deviance(expected)[seen].sum())
+        found, noise = chi_square(counts, expected), expected_chi_square(expected)
+        squares, least = (torch.where(seen, x, 0).sum(dim=(0, 2, 3)).double() for x in (found, noise))
+        squares = (squares / least).numpy()  # NaN for a channel that measures nothing
         gaussians = model.gaussians(units, spectral.basis.to_raw(raw[1]), raw[0])
         snapshot = step % max(recipe.steps // SNAPSHOTS, 1) == 0 or step == recipe.steps
         seconds = time.perf_counter() - began

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from phantomgen.dataset import Dataset
 from phantomgen.dataset_truth import Truth
@@ -16,6 +17,7 @@ from recon.measurements import matching_bin, read_measurements
 from recon.report_page.case import LINES, Case, LeftOut, Parts
 from recon.report_page.materials import MARKERS
 from recon.scoring import FULL_FRACTION
+from recon.view_subsets import kinds_of, spread
 from spectra.basis import pretty
 from spectra.bounds import least_deviations
 from spectra.errors import InputError
@@ -58,7 +60,7 @@ def material_limits(dataset: Dataset, truth: Truth) -> dict[str, dict[str, float
         When the channels cannot tell the bases apart.
     """
     train = dataset.splits["train"]
-    picked = train[np.unique(np.linspace(0, len(train) - 1, min(len(train), MOST_VIEWS)).round().astype(int))]
+    picked = train[_spread(dataset.exposure[train])]
     measured = read_measurements(dataset, picked)
     measured = measured.binned(matching_bin(measured.geometry, COARSE * min(truth.grid.spacing)))
     filled = np.flatnonzero(truth.fractions.any(axis=(1, 2, 3)))
@@ -80,6 +82,14 @@ def material_limits(dataset: Dataset, truth: Truth) -> dict[str, dict[str, float
         truth.material_names[k]: dict(zip(truth.basis_names, map(float, row), strict=True))
         for k, row in zip(filled, least, strict=True)
     }
+
+
+def _spread(exposure: Float[np.ndarray, "view channel"]) -> Int[np.ndarray, " few"]:
+    """Some of the views; of every kind where tube voltages are switched."""
+    kinds = kinds_of(exposure)
+    if kinds.any():
+        return spread(kinds, MOST_VIEWS)
+    return np.unique(np.linspace(0, len(kinds) - 1, min(len(kinds), MOST_VIEWS)).round().astype(int))
 
 
 def limit_figure(

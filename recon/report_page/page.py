@@ -7,8 +7,9 @@ from tempfile import TemporaryDirectory
 
 from phantomgen.dataset import Dataset, open_dataset
 from phantomgen.dataset_truth import read_truth
-from phantomgen.page import Page, Part, Section
+from phantomgen.page import Page, Part, Section, Words
 from phantomgen.versions import program_version
+from recon import verdict
 from recon.report_page import cost, energies, limits, materials, progress, resolution, scores, segments, slices, views
 from recon.report_page.case import Case, LeftOut, Parts, check_same_scan, number
 from recon.report_page.finished_run import FinishedRun, open_finished_run
@@ -122,10 +123,19 @@ def _page(case: Case, scan: str, on_chapter: Callable[[str], None]) -> Page:
         title=title,
         subtitle=f"Reconstruction of {scan or 'a scan'} by {', '.join(dict.fromkeys(r.method for r in case.runs))}",
         facts=_facts(case),
-        sections=tuple(done),
+        sections=(*_verdicts(case), *done),
         footer=f"Written by recon report {program_version()} on {date.today().isoformat()}.",
         left_out=tuple(left_out),
     )
+
+
+def _verdicts(case: Case) -> tuple[Section, ...]:
+    """What every run says of itself, on top."""
+    parts = []
+    for run in case.runs:
+        who = f"{run.name}: " if len(case.runs) > 1 else ""
+        parts += [Words(f"{who}{line}") for line in verdict.lines(run.metrics)]
+    return (Section("Verdict", tuple(parts)),) if parts else ()
 
 
 def _facts(case: Case) -> tuple[tuple[str, str], ...]:

@@ -24,7 +24,7 @@ def parts(case: Case) -> Parts:
     path = progress_figure(logs, rows, case.path("progress"))
     caption = (
         "Error against time and against steps or iterations: PSNR of models along the way, and their distance from the "
-        "counts of the views of each step: mean deviance for Gaussians, 1 and less where model and noise agree, or "
+        "counts of the views of each step: for Gaussians the deviance over what noise alone would leave, or "
         "the residual of a method on voxels. Time starts with the fit, after what it starts from."
     )
     return (picture(path, caption, _table(logs)),)

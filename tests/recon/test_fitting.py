@@ -7,6 +7,7 @@ from gaussian_scenes import PIXEL, circular, small_model, small_scan, spectral_m
 from scipy.optimize import nnls
 
 from recon.adam import Adam
+from recon.agreement import agreement
 from recon.fitting import _nearest_non_negative, _subsets, fit
 from recon.recipe import Recipe, Stage
 from spectra.errors import InputError
@@ -36,10 +37,20 @@ def run(problem, recipe=RECIPE):
 def test_the_deviance_falls_and_coefficients_stay_non_negative(problem):
     fitted, history = run(problem, replace(RECIPE, stages=(Stage(1.0, 15.0),)))
     deviance, lowest = history.T
-    assert deviance[:3].mean() > 10
-    assert deviance[-3:].mean() < 1.2
+    assert deviance[:3].mean() > 30
+    assert deviance[-3:].mean() < 2.5
     assert (lowest >= 0).all()
     assert all(torch.isfinite(getattr(fitted, name)).all() for name in PARTS)
+
+
+@pytest.mark.parametrize("dispersion", [0.0, 0.02])
+@pytest.mark.parametrize("weighted", [True, False])
+def test_of_the_true_model_deviance_and_chi_square_are_one(problem, dispersion, weighted):
+    scan = problem[1].weighted(dispersion) if weighted else problem[1]
+    found = agreement(small_model(1, count=50), scan, dispersion)
+    spread = np.sqrt(2 / (scan.counts.size / 3))
+    assert found.deviance == pytest.approx(1, abs=5 * spread)
+    np.testing.assert_allclose(found.chi_square, 1, atol=5 * spread)
 
 
 def test_any_number_of_threads_gives_the_same_bits(problem, monkeypatch):

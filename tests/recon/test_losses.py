@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy.stats import nbinom, poisson
 from tolerances import TOLERANCES
 
-from recon.losses import deviance
+from recon.losses import chi_square, deviance, expected_chi_square, expected_deviance
 
 
 def likelihood_ratio(counts, expected, dispersion):
@@ -67,3 +67,14 @@ def test_starved_rays_have_finite_values_and_gradients(counts, expected, dispers
     value.backward()
     assert torch.isfinite(value).all()
     assert torch.isfinite(leaf.grad).all()
+
+
+@pytest.mark.parametrize("dispersion", [0.0, 0.02])
+@pytest.mark.parametrize("mean", [3e-4, 0.03, 0.4, 2.0, 9.0, 80.0, 2e3, 3e4])
+def test_what_noise_alone_leaves_is_expected(mean, dispersion):
+    rng, model = np.random.default_rng(3), torch.tensor(mean).double()
+    counts = torch.from_numpy(rng.poisson(mean, 400_000)).double()
+    for found, wanted in ((deviance, expected_deviance), (chi_square, expected_chi_square)):
+        values = found(counts, model, dispersion)
+        error = 5 * float(values.std()) / np.sqrt(len(values)) + 0.01 * float(values.mean())
+        assert float(wanted(model, dispersion)) == pytest.approx(float(values.mean()), abs=error)

@@ -61,7 +61,7 @@ def test_a_fit_gets_better_than_its_start_and_predicts_what_it_measured(name):
     found = fit(start, measured, 1.0, recipe, lambda progress: deviances.append(progress.deviance))
     expected = truth.volume(GRID)
     assert relative_error(found.volume(GRID), expected) < 0.8 * relative_error(volumes, expected)
-    assert np.mean(deviances[-8:]) < 1
+    assert np.mean(deviances[-8:]) < 1.2  # 1 is what noise alone leaves
 
 
 def test_a_scan_without_depth_is_refused_before_any_work(tmp_path, monkeypatch):
