@@ -77,15 +77,15 @@ class UnseenRays:
         notes = []
         if worse := certainly_larger(after, before):
             notes.append(
-                f"the fit made Gaussians less likely on rays that took no part (deviance {after.sum() / before.sum():.3g} "
-                "times that before the fit): those from before the fit are kept"
+                "the fit made Gaussians less likely on rays that took no part (deviance "
+                f"{after.sum() / before.sum():.3g} times that before the fit): those from before the fit are kept"
             )
         kept = before if worse else after
         if certainly_larger(kept, told):
             notes.append(
                 "the Gaussians are less likely on rays that took no part than the voxels they started from (deviance "
-                f"{kept.sum() / told.sum():.3g} times theirs): rather use those voxels, which are in volumes.h5, or fit "
-                "on smaller voxels"
+                f"{kept.sum() / told.sum():.3g} times theirs): rather use those voxels, which are in volumes.h5, or "
+                "fit on smaller voxels"
             )
         return begun if worse else fitted, tuple(notes)
 
