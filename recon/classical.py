@@ -116,7 +116,8 @@ def run_classical(
     model = Voxels(volumes, dataset.grid, measured.basis_names)
     with clock("score"):
         truth = read_truth(dataset.path)
-        metrics = _metrics(dataset, truth, model, with_margin, method, pipeline) | {"node_error": node_error}
+        metrics = _metrics(dataset, truth, model, with_margin, method, pipeline)
+        metrics["node_error"] = node_error
         views, names = len(dataset.splits["train"]), dataset.spectra.basis.names
         concedes = Recipe().dispersion
         said = verdict_of(metrics["channels"], concedes, covered, volumes, views, model.basis_names, names)

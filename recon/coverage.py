@@ -67,7 +67,8 @@ def coverage(measured: Measurements, grid: Grid) -> Coverage:
     share = sides.mean(axis=0)
     frames = some.geometry.ray_frames()
     middle = (np.append(columns[1:], panel.columns) + columns - 1) / 2, (np.append(rows[1:], panel.rows) + rows - 1) / 2
-    across, height, missed_beside, missed = _paths(frames, *middle, grid)
+    block = float(np.median(_pixel_height(some.geometry)) * size)
+    across, height, missed_beside, missed = _paths(frames, *middle, grid, block)
     seen = shadow.attenuated
     count = max(int(seen.sum()), 1)
     beside, above = ((seen & miss).sum() / count for miss in (missed_beside, missed & ~missed_beside))
@@ -84,7 +85,6 @@ def coverage(measured: Measurements, grid: Grid) -> Coverage:
     low_end, high_end = (float(np.quantile(nearest, q)) for q in (0.002, 0.998))
     z = grid.axis("z")
     faces = z[0] - grid.spacing[0] / 2, z[-1] + grid.spacing[0] / 2
-    block = float(np.median(_pixel_height(some.geometry)) * size)
     room = 2 * max(grid.spacing[0], block)
     leaves = bool(share[2:].any()) or above > FEW_RAYS
     ends = [faces[0], faces[1]]
@@ -161,14 +161,14 @@ def _leaving(measured: Measurements, size: int) -> Bool[np.ndarray, "view side"]
 
 
 def _paths(
-    frames: Float[np.ndarray, "view 4 3"], columns: np.ndarray, rows: np.ndarray, grid: Grid
+    frames: Float[np.ndarray, "view 4 3"], columns: np.ndarray, rows: np.ndarray, grid: Grid, spare: float = 0.0
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
     """Of the rays through points of the panel, each (view, row, column).
 
     Returns
     -------
     distance from the axis of rotation [mm]; height of the source, and of the point nearest to the axis [mm]; whether
-    they pass the grid beside it, and at all, with a voxel to spare
+    they pass the grid beside it, and at all, by more than `spare` [mm]
     """
     source, first, step, down = (frames[:, None, None, i] for i in range(4))
     direction = first + columns[None, None, :, None] * step + rows[None, :, None, None] * down
@@ -180,7 +180,7 @@ def _paths(
     beside = np.zeros(across.shape, bool)
     for axis, name in enumerate("xyz"):
         centres, spacing = grid.axis(name), grid.spacing["zyx".index(name)]
-        ends = centres[0] - 1.5 * spacing, centres[-1] + 1.5 * spacing
+        ends = centres[0] - spacing / 2 - spare, centres[-1] + spacing / 2 + spare
         along = np.where(np.abs(direction[..., axis]) < 1e-12, 1e-12, direction[..., axis])
         a, b = ((end - source[..., axis]) / along for end in ends)
         enter, leave = np.maximum(enter, np.minimum(a, b)), np.minimum(leave, np.maximum(a, b))

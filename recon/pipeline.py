@@ -37,6 +37,7 @@ from spectra.threads import without_other_pools
 from spectra.transmission import Transmission
 
 _FISHER_VIEWS = 8  # one of so many views of each kind tells the mean information of rays
+_AIR = 3  # voxels around a grid that has grown
 
 
 @dataclass
@@ -121,7 +122,8 @@ def reconstruct(
         state, volumes, seconds = kept
         stage.seconds.update(seconds | {"fit": state.seconds})
     elif processes.first:
-        volumes, start = _first_guess(measured, grid, fisher, recipe, stage, store, on_iteration, place)
+        air = _AIR if grid != dataset.grid else 0
+        volumes, start = _first_guess(measured, grid, air, fisher, recipe, stage, store, on_iteration, place)
         state = FitState.begin(start)
         if keeper is not None:
             keeper.begin(volumes, stage.seconds, state)
@@ -131,7 +133,9 @@ def reconstruct(
     anchor = None
     if recipe.prior:
         along = recipe.prior_along_edges(len(fitted))
-        anchor = Anchor.off_edges(*_filled_part(volumes, grid), fisher, recipe.prior, along)
+        anchor = Anchor.off_edges(
+            *_filled_part(volumes, grid, _AIR if grid != dataset.grid else 0), fisher, recipe.prior, along
+        )
     with stage("fit"):
         gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, processes, anchor, store)
     name, notes = _starting(measured, grid, recipe).name, ()
@@ -162,6 +166,7 @@ def _mean_information(measured: Measurements, voxel: float, recipe: Recipe) -> F
 def _first_guess(
     measured: Measurements,
     grid: Grid,
+    air: int,
     fisher: Float[np.ndarray, "basis basis"],
     recipe: Recipe,
     stage: Stopwatch,
@@ -183,7 +188,7 @@ def _first_guess(
         with stage(method.name):
             volumes = start_volumes(line_integrals, coarse.unseen, coarse.geometry, grid, method)
     with stage("initialize"):
-        seen, inner = _filled_part(volumes, grid)
+        seen, inner = _filled_part(volumes, grid, air)
         spacing = recipe.distance(len(measured)) * voxel
         gaussians = initialize(seen, inner, fisher, spacing, measured.basis_names, recipe.seed)
     if not recipe.prior:
@@ -195,8 +200,17 @@ def _first_guess(
     return volumes, gaussians.to("cpu")
 
 
-def _filled_part(volumes: Float[np.ndarray, "basis z y x"], grid: Grid) -> tuple[Float[np.ndarray, "..."], Grid]:
-    """Volumes where they hold something, and the grid of that part."""
+def _filled_part(
+    volumes: Float[np.ndarray, "basis z y x"], grid: Grid, air: int
+) -> tuple[Float[np.ndarray, "..."], Grid]:
+    """Volumes where they hold something, and the grid of that part; with so many voxels of air added around a grid.
+
+    A grid that has grown ends where its object does, and Gaussians must not reach beyond for nothing.
+    """
+    if air:
+        volumes = np.pad(volumes, ((0, 0), *[(air, air)] * 3))
+        origin = tuple(o - air * s for o, s in zip(grid.origin, grid.spacing, strict=True))
+        grid = Grid(tuple(n + 2 * air for n in grid.shape), grid.spacing, origin)  # type: ignore[arg-type]
     box = occupied(volumes)
     return np.ascontiguousarray(volumes[:, *box]), grid.part(box)
 
