@@ -125,6 +125,7 @@ def reconstruct(
     if recipe.prior:
         along = recipe.prior_along_edges(len(fitted))
         anchor = Anchor.off_edges(*_filled_part(volumes, grid), fisher, recipe.prior, along)
+        anchor = anchor.holding(measured.basis_names)
     with stage("fit"):
         gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, processes, anchor, store)
     name, notes = _starting(measured, grid, recipe).name, ()
