@@ -8,18 +8,18 @@ have about the coefficients, averaged over all Gaussians, times a strength. Alon
 of that weight counts, and next to none at metal: voxels err in proportion to what they hold, and rays know little.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.ndimage import maximum_filter
 from torch import Tensor
 
 from phantomgen.grid import Grid
 from recon.gaussians import Gaussians
 from recon.ops.voxelize import mass_within, voxelize_tensor
-from recon.structure import Structure, over_metal
+from recon.structure import Structure, metal_without_agents, over_metal
 
 CUTOFF = 3.5  # standard deviations
 SLABS = 8  # parts of the volume that take turns, one each step
@@ -37,12 +37,14 @@ class Anchor:
     grid : their voxels
     strength : information of the prior over that of the data, where weights are 1
     weights : of the voxels, 1 where the volumes are to be trusted
+    metal : density over that of the least dense metal, at least 1; None where it does not matter
     """
 
     volumes: Float[np.ndarray, "basis z y x"]
     grid: Grid
     strength: float
     weights: Float[np.ndarray, "z y x"]
+    metal: Float[np.ndarray, "z y x"] | None = None
 
     @classmethod
     def off_edges(
@@ -66,6 +68,24 @@ class Anchor:
         edge = maximum_filter(np.clip(Structure.of(volumes, fisher).strength, 0, 1), size=_BESIDE)
         trusted = np.maximum(1 - edge, along / over_metal(volumes) ** 4)
         return cls(volumes, grid, strength, trusted.astype(np.float32))
+
+    def holding(self, names: tuple[str, ...]) -> "Anchor":
+        """The same, which holds the K edges among bases of such names where there is metal (`agents_in_metal`)."""
+        return replace(self, metal=metal_without_agents(self.volumes, names)[1])
+
+    def agents_in_metal(self, gaussians: Gaussians) -> Bool[Tensor, "gaussian basis"] | None:
+        """Which coefficients stay as the volumes have them: those of K edges in metal; None where there are none.
+
+        What no mixture of bases explains in metal would become a contrast agent there, as the prior lets go of metal.
+        """
+        if self.metal is None or self.metal.max(initial=1) <= 1:
+            return None
+        edges = metal_without_agents(self.volumes[:, :1, :1, :1], gaussians.basis_names)[0]
+        place = gaussians.centres.detach().cpu().numpy()[:, ::-1] - np.array(self.grid.origin)
+        index = np.round(place / np.array(self.grid.spacing)).astype(int)
+        index = np.clip(index, 0, np.array(self.grid.shape) - 1)
+        dense = self.metal[tuple(index.T)] > 1
+        return torch.from_numpy(dense[:, None] & edges).to(gaussians.centres.device)
 
     def curvature(
         self, gaussians: Gaussians, blocks: Float[Tensor, "gaussian basis basis"]

@@ -31,6 +31,7 @@ from spectra.threads import without_other_pools
 
 SNAPSHOTS = 10  # models kept along the way, for error against time
 CURVATURE_VIEWS = 12  # at most, evenly spread, that curvature is computed from
+HELD = 1e6  # times the curvature of a coefficient is added to it to hold it; others then move as if it were known
 PATIENCE = 2  # snapshots in a row without progress on held-out rays that end a fit
 
 
@@ -161,6 +162,9 @@ def _inverse_curvature(
         blocks, weight = anchor.curvature(gaussians, blocks)
     diagonal = torch.diagonal(blocks, dim1=1, dim2=2)
     floor = 1e-4 * diagonal + 1e-6 * diagonal.mean(dim=0).clamp_min(1)  # a Gaussian that no ray meets stays as it is
+    held = None if anchor is None else anchor.agents_in_metal(gaussians)
+    if held is not None:
+        floor = floor + HELD * held * diagonal
     return torch.linalg.inv(blocks + torch.diag_embed(floor)), weight
 
 

@@ -133,9 +133,8 @@ def reconstruct(
     anchor = None
     if recipe.prior:
         along = recipe.prior_along_edges(len(fitted))
-        anchor = Anchor.off_edges(
-            *_filled_part(volumes, grid, _AIR if grid != dataset.grid else 0), fisher, recipe.prior, along
-        )
+        filled = _filled_part(volumes, grid, _AIR if grid != dataset.grid else 0)
+        anchor = Anchor.off_edges(*filled, fisher, recipe.prior, along).holding(measured.basis_names)
     with stage("fit"):
         gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, processes, anchor, store)
     name, notes = _starting(measured, grid, recipe).name, ()

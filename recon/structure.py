@@ -81,6 +81,19 @@ def over_metal(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "
     return maximum_filter(over, size=3) if over.max(initial=1) > 1 else over
 
 
+def metal_without_agents(
+    volumes: Float[np.ndarray, "basis z y x"], names: tuple[str, ...]
+) -> tuple[Bool[np.ndarray, " basis"], Float[np.ndarray, "z y x"]]:
+    """Which bases are K edges, and `over_metal` of what all others hold; of K edges alone, nothing is metal.
+
+    A contrast agent makes its own basis large, and metal those of all matter.
+    """
+    edges = np.array([name.startswith("kedge") for name in names])
+    if not edges.any() or edges.all():
+        return edges, np.ones_like(volumes[0])
+    return edges, over_metal(volumes[~edges])
+
+
 def _typical(values: Float[np.ndarray, "z y x"]) -> float:
     """Median of what is there, however much is empty and however dense a part is; 0 where all is empty.
 
