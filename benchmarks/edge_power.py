@@ -39,7 +39,6 @@ RESULTS = Path(__file__).parent / "results" / "edge_power.txt"
 PLAIN = (BasisFunction("photoelectric"), BasisFunction("compton"))
 THRESHOLDS = (20, 33.2, 50.3, 65, 80.8)
 ELEMENTS = {"I": (0.25, 0.5, 1, 2, 4), "Gd": (0.25, 0.5, 1, 2, 4), "Au": (0.5, 1, 2, 4, 8)}  # [mg/ml]
-PHOTONS = (1e4, 5e4, 2e5, 1e6)
 SIDE = 20  # rays along each side of a view
 ETA = Recipe().dispersion
 
@@ -122,14 +121,14 @@ def _moments(mean: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarray, np.nd
     return second, fourth
 
 
-def power(trials: int) -> list[str]:
+def power(trials: int, levels: tuple[float, ...]) -> list[str]:
     """Chance to find each element."""
-    lines = [f"{'':10}{'mg/ml':>8}" + "".join(f"{f'{n:g} photons':>26}" for n in PHOTONS)]
+    lines = [f"{'':10}{'mg/ml':>8}" + "".join(f"{f'{n:g} photons':>26}" for n in levels)]
     for symbol, concentrations in ELEMENTS.items():
         further = BasisFunction("element", element=symbol)
         for concentration in concentrations:
             cells = []
-            for photons in PHOTONS:
+            for photons in levels:
                 source, rng = spectra(photons), np.random.default_rng(1)
                 models = [vial(source, symbol, concentration, rng) for _ in range(trials)]
                 found = np.mean([judge(model, PLAIN, further).warranted for model in models])
@@ -161,7 +160,7 @@ def nulls(energy: Curve, rng: np.random.Generator) -> dict[str, list[tuple[Curve
     }  # fmt: skip
 
 
-def false_edges(trials: int) -> list[str]:
+def false_edges(trials: int, levels: tuple[float, ...]) -> list[str]:
     """How often an edge that is not there is taken."""
     lines = [f"{'false edges of I, Gd or Au':30}{'trials':>8}{'found':>8}{'highest score':>16}"]
     total = wrong = 0
@@ -169,7 +168,7 @@ def false_edges(trials: int) -> list[str]:
     for name in names:
         scores = []
         rng = np.random.default_rng(2)
-        for photons in PHOTONS:
+        for photons in levels:
             source = spectra(photons)
             for _ in range(trials):
                 model = measured(source, nulls(source.energy, rng)[name], rng)
@@ -187,11 +186,14 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=20, help="of each element, concentration and number of photons")
     parser.add_argument("--null-trials", type=int, default=12, help="of each material and number of photons")
     parser.add_argument("--no-write", action="store_true", help="leave the results file as it is")
+    parser.add_argument("--photons", default="1e4,5e4,2e5,1e6", help="per pixel and view, with commas between")
     options = parser.parse_args()
+    levels = tuple(map(float, options.photons.split(",")))
     began = time.perf_counter()
-    text = [*power(options.trials), "", *false_edges(options.null_trials)]
+    text = [*power(options.trials, levels), "", *false_edges(options.null_trials, levels)]
     head = (
-        f"benchmarks/edge_power.py --trials {options.trials} --null-trials {options.null_trials}: "
+        f"benchmarks/edge_power.py --trials {options.trials} --null-trials {options.null_trials} "
+        f"--photons {options.photons}: "
         f"{time.perf_counter() - began:.0f} s, Python {platform.python_version()}\n"
         "chance to find an element (by the law of the score, by the likelihood ratio)\n"
     )

@@ -64,9 +64,9 @@ class _Log:
 
     def write(self, path: Path, truth: Truth | None, names: tuple[str, ...], grid: Grid) -> None:
         """One JSON object per iteration; those with kept volumes also have the PSNR of each basis."""
-        for entry in self.entries if truth is not None else ():
+        for entry in self.entries:
             volumes = self.volumes.get(entry["iteration"])
-            if volumes is not None:
+            if volumes is not None and truth is not None:
                 entry.update(psnr_of_bases(truth, Voxels(volumes, grid, names)))
         path.write_text("".join(to_json(entry) + "\n" for entry in self.entries), encoding="utf-8")
 

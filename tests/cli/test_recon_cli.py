@@ -314,16 +314,16 @@ def test_more_bases_than_the_dataset_has_are_refused(without_edge, tmp_path):
     assert names(tmp_path) == set()
 
 
-@pytest.mark.parametrize("method", ["gaussian", "sirt"])
-@pytest.mark.parametrize("bases", ["2", "photoelectric,kedge_63.3"])
+@pytest.mark.parametrize(("method", "bases"), [("gaussian", "photoelectric,kedge_63.3"), ("sirt", "2")])
 def test_fewer_bases_than_the_dataset_has_are_fitted_and_named(dataset, tmp_path, bases, method):
-    options = ("--bases", bases, "--sweeps", "1", "--method", method)
+    options = ("--bases", bases, "--method", method, *FAST)
     result = fit(dataset, "-o", tmp_path / "run", *options)
     assert result.exit_code == 0, result.output
     missing = "kedge_63.3" if bases == "2" else "compton"
     assert f"Not fitted, though the file has it: {missing}" in result.stdout
     metrics = metrics_of(tmp_path / "run")
     assert metrics["bases_left_out"] == [missing]
+    assert read_run(tmp_path / "run").basis_names == tuple(name for name in BASES if name != missing)
     assert {name for name, s in metrics["basis"].items() if s["psnr"] == s["psnr_zero"]} == {missing}
     page = CliRunner().invoke(recon, ["report", str(tmp_path / "run"), "--dataset", str(dataset), "--json"])
     assert any("not fitted" in why for why in json.loads(page.stdout)["left_out"].values())
@@ -332,7 +332,8 @@ def test_fewer_bases_than_the_dataset_has_are_fitted_and_named(dataset, tmp_path
 def test_bases_that_were_fitted_stand_beside_their_truth(dataset, tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr("recon.figures.basis_slices", lambda *args, **options: drawn.append((args, options)))
-    assert fit(dataset, "-o", tmp_path / "run", "--bases", "2", "--sweeps", "1", "-q").exit_code == 0
+    options = ("--bases", "2", "--method", "sirt", "--sweeps", "1", "-q")
+    assert fit(dataset, "-o", tmp_path / "run", *options).exit_code == 0
     with h5py.File(dataset) as file:
         true = file["truth/basis/data"][:2]
     (_, shown, names, *_), options = drawn[0]
@@ -374,11 +375,20 @@ def test_a_figure_that_fails_is_a_warning(dataset, tmp_path, monkeypatch, method
     assert result.stderr == warned
     assert {"axial.png", "residuals.png"} <= names(tmp_path / "run" / "figures")
     assert metrics_of(tmp_path / "run")["failed"] == {"drawing profiles.png": "RuntimeError: this one"}
-    assert "Traceback" in fit(dataset, "-o", tmp_path / "again", "--debug", *options).stderr
+    if method == "sirt":
+        assert "Traceback" in fit(dataset, "-o", tmp_path / "again", "--debug", *options).stderr
 
 
-@pytest.mark.parametrize("method", ["gaussian", "sirt"])
-@pytest.mark.parametrize("score", ["score_truth", "score_test_views", "read_truth", "psnr_of_bases"])
+@pytest.mark.parametrize(
+    ("score", "method"),
+    [
+        ("score_truth", "gaussian"),
+        ("read_truth", "sirt"),
+        ("score_truth", "sirt"),
+        ("score_test_views", "sirt"),
+        ("psnr_of_bases", "sirt"),
+    ],
+)
 def test_a_score_that_fails_leaves_a_run_that_can_be_read(dataset, tmp_path, monkeypatch, score, method):
     with monkeypatch.context() as patch:
         patch.setattr(f"recon.{'run' if method == 'gaussian' else 'classical'}.{score}", failing)
@@ -390,13 +400,11 @@ def test_a_score_that_fails_leaves_a_run_that_can_be_read(dataset, tmp_path, mon
     assert result.stderr.count("\n") == 1
     assert "(RuntimeError: this one); the model and its volumes are written" in result.stderr
     assert read_run(tmp_path / "run").basis_names == BASES
+    if score != "read_truth":
+        return
     page = CliRunner().invoke(recon, ["report", str(tmp_path / "run"), "--dataset", str(dataset), "--json"])
     assert page.exit_code == 0, page.output
     assert "RuntimeError: this one." in json.loads(page.stdout)["left_out"].values()
-    scores = metrics_of(tmp_path / "run")["basis"]
-    assert scores["kedge_63.3"]["psnr"] == pytest.approx(scores["kedge_63.3"]["psnr_zero"])
-    with h5py.File(tmp_path / "run" / "volumes.h5") as file:
-        assert tuple(file["basis/basis_name"].asstr()[()]) == BASES[:2]
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from phantomgen.dataset_spectra import Spectra
-from recon.edge_noise import _direction, excess_score, null_law
+from recon.edge_noise import MISFIT, _direction, excess_score, null_law
 from recon.edge_profile import EdgeLikelihood, moved_edge, scan_edge, scanned_energies
 from recon.edge_rays import Rays
 from recon.edge_search import WARRANTED, judge, next_edge, refine_together
@@ -99,11 +99,11 @@ def test_noise_alone_gives_scores_of_a_normal_distribution(dispersion):
 
 @pytest.mark.parametrize("content", [0.0, 0.02])
 def test_a_conceded_misfit_is_no_edge_and_one_step_more_is(content):
-    """Counts that err by 1e-3 of them, each channel as it looks most like the edge."""
+    """Counts that err by `MISFIT` of them, each channel as it looks most like the edge."""
     model, edge = likelihood({63.0: content}, 3, side=40, photons=2e7, dispersion=0.02), moved_edge(STEP, 63.0)
     lengths = model.deviances(PLAIN)[1]
     signs = _direction(model, PLAIN, edge, lengths)[0]
-    counts = model.rays.counts * (1 + 1e-3 * np.sign(signs))
+    counts = model.rays.counts * (1 + MISFIT * np.sign(signs))
     wrong = model.with_rays(Rays(counts, model.rays.gains, None, model.rays.places))
     saved, lengths = wrong.saving(PLAIN)(edge)
     one_sided = np.where(lengths > 0, saved, 0.0)
