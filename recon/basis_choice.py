@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from phantomgen.dataset import Dataset
+from recon.basis_names import Asked, named_basis
 from recon.edge_agreement import between_channels
 from recon.edge_elements import plain_alternatives, settle_elements
 from recon.edge_profile import EdgeLikelihood, EdgeProfile, Functions
@@ -76,22 +77,26 @@ class BasisChoice:
         }  # fmt: skip
 
 
-def choose_basis(dataset: Dataset, bases: int | None = None, edges: Sequence[float] | None = None) -> BasisChoice:
+def choose_basis(dataset: Dataset, bases: Asked = None, edges: Sequence[float] | None = None) -> BasisChoice:
     """The basis functions to fit a dataset with; only ``/entry`` is read.
 
     Parameters
     ----------
     dataset : an open dataset
-    bases : how many; None for those that the data warrant
+    bases : how many, or names of the file's functions, which are not judged; None for those that the data warrant
     edges : None to believe the K edges that the file states; else edges are looked for, at any energy. Numbers are
         energies to try besides [keV], and say how many edges there are; none leave that to `bases` and the data
 
     Raises
     ------
     InputError
-        When a K edge was asked for that the channels or the counts do not show.
+        When a K edge was asked for that the channels or the counts do not show, or a name that the file does not have.
     """
     stated = dataset.spectra.basis
+    if bases is not None and not isinstance(bases, int):
+        if edges is not None:
+            raise InputError("bases are named, and a K edge that is looked for has no name: give their number instead")
+        return BasisChoice(named_basis(stated, bases, dataset.path))
     lowest, highest = dataset.spectra.edges[[0, -1]]
     for energy in edges or ():
         if not lowest < energy < highest:

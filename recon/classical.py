@@ -5,7 +5,6 @@ line integrals of each basis are reconstructed. `image`: each channel is reconst
 A method that takes counts knows a way of its own, and one that predicts views has no volume: `recon.view_synthesis`.
 """
 
-import json
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -24,14 +23,17 @@ from recon.baselines.circle import circle_of
 from recon.baselines.fdk import Fdk
 from recon.baselines.image_domain import reconstruct_channels
 from recon.baselines.method import CountsMethod, Iteration, Method, OnIteration, ViewMethod
+from recon.basis_names import Asked, left_out, left_out_sentence, with_named
 from recon.coverage import coverage, inner_box
 from recon.decompose import decompose_views
 from recon.filling import filled
 from recon.measurements import Measurements, matching_bin, read_measurements
 from recon.model_figures import draw_model
+from recon.plain_json import to_json, write_json
 from recon.recipe import Recipe
-from recon.report import write_json, write_volumes
+from recon.report import write_volumes
 from recon.run_folder import write_scan
+from recon.salvage import Guard, Salvage
 from recon.scoring import psnr_of_bases, score_test_views, score_truth
 from recon.start import check_directions
 from recon.verdict import record, verdict_of
@@ -66,9 +68,9 @@ class _Log:
         """One JSON object per iteration; those with kept volumes also have the PSNR of each basis."""
         for entry in self.entries:
             volumes = self.volumes.get(entry["iteration"])
-            if volumes is not None and truth is not None and names == truth.basis_names:
+            if volumes is not None and truth is not None:
                 entry.update(psnr_of_bases(truth, Voxels(volumes, grid, names)))
-        path.write_text("".join(json.dumps(entry) + "\n" for entry in self.entries), encoding="utf-8")
+        path.write_text("".join(to_json(entry) + "\n" for entry in self.entries), encoding="utf-8")
 
 
 @without_other_pools()
@@ -77,7 +79,7 @@ def run_classical(
     folder: Path,
     method: Method | ViewMethod,
     pipeline: str,
-    bases: int | None,
+    bases: Asked,
     figures: bool,
     watcher: Watcher,
 ) -> dict[str, Any]:
@@ -89,7 +91,7 @@ def run_classical(
     folder : an existing folder with a subfolder ``figures``
     method : see `recon.baselines`
     pipeline : one of `PIPELINES`
-    bases : how many of the dataset's basis functions to use, default all
+    bases : how many of the dataset's basis functions to use, or their names; default all
     figures : whether to draw
     watcher : is told about stages and iterations
     """
@@ -100,8 +102,10 @@ def run_classical(
             dataset.load([view])  # counts that cannot be scored are refused now
     if isinstance(method, ViewMethod):
         return run_views(dataset, folder, method, bases, figures, watcher, clock)
+    stated = dataset.spectra.basis.names
+    dataset, count = with_named(dataset, bases)
     with clock("read"):
-        measured = read_measurements(dataset, dataset.splits["train"], bases)
+        measured = read_measurements(dataset, dataset.splits["train"], count)
         covered = coverage(measured, dataset.grid)
         grid = covered.grid if isinstance(method, CountsMethod) else dataset.grid
         measured, node_error = measured.without_partial_volume().compressed(Recipe().node_tolerance)
@@ -114,27 +118,39 @@ def run_classical(
     with_margin = Voxels(volumes, grid, measured.basis_names)  # it takes part in views, and is not written
     volumes = np.ascontiguousarray(volumes[:, *inner_box(dataset.grid, grid)])
     model = Voxels(volumes, dataset.grid, measured.basis_names)
-    with clock("score"):
-        truth = read_truth(dataset.path)
-        metrics = _metrics(dataset, truth, model, with_margin, method, pipeline)
-        metrics["node_error"] = node_error
-        views, names = len(dataset.splits["train"]), dataset.spectra.basis.names
-        concedes = Recipe().dispersion
-        said = verdict_of(metrics["channels"], concedes, covered, volumes, views, model.basis_names, names)
-        metrics["verdict"] = record(said)
     with clock("write"):
         write_volumes(folder / "volumes.h5", volumes, model.basis_names, model.grid, {})
         spectra = dataset.spectra
         write_scan(folder, model.grid, spectra.basis, measured.transmission, spectra.channels)
         recipe = yaml.safe_dump(_settings(method, pipeline), sort_keys=False)
         (folder / "recipe.yaml").write_text(recipe, encoding="utf-8")
-        log.write(folder / "log.jsonl", truth, model.basis_names, model.grid)
+        log.write(folder / "log.jsonl", None, model.basis_names, model.grid)
+    missing = left_out(stated, model.basis_names)
+    if missing:
+        watcher.say(left_out_sentence(missing))
+    guard, truth = Salvage(watcher.warn), None
+    with clock("score"):
+        with guard("reading the truth"):
+            truth = read_truth(dataset.path)
+        metrics = _metrics(dataset, truth, model, with_margin, method, pipeline, guard)
+        metrics |= {"node_error": node_error, "bases_left_out": list(missing)}
+        with guard("the verdict"):
+            views, concedes = len(dataset.splits["train"]), Recipe().dispersion
+            said = verdict_of(metrics["channels"], concedes, covered, volumes, views, model.basis_names, stated)
+            metrics["verdict"] = record(said)
+        with guard("scoring the volumes along the way"):
+            log.write(folder / "log.jsonl", truth, model.basis_names, model.grid)
+
+    def write_metrics() -> None:
+        costs = {"seconds": clock.seconds, "peak_memory_mib": peak_memory_mib()}
+        metrics.update(costs, **({"failed": guard.failed} if guard.failed else {}))
+        write_json(folder / "metrics.json", metrics)
+
+    write_metrics()
     if figures:
         with clock("figures"):
-            draw_model(dataset, truth, model, folder / "figures")
-    metrics["seconds"] = clock.seconds
-    metrics["peak_memory_mib"] = peak_memory_mib()
-    write_json(folder / "metrics.json", metrics)
+            draw_model(dataset, truth, model, folder / "figures", missing, guard)
+        write_metrics()
     return metrics
 
 
@@ -190,11 +206,21 @@ def _settings(method: Method, pipeline: str) -> dict[str, Any]:
 
 
 def _metrics(
-    dataset: Dataset, truth: Truth | None, model: Voxels, with_margin: Voxels, method: Method, pipeline: str
+    dataset: Dataset,
+    truth: Truth | None,
+    model: Voxels,
+    with_margin: Voxels,
+    method: Method,
+    pipeline: str,
+    guard: Guard,
 ) -> dict[str, Any]:
     metrics: dict[str, Any] = {"dataset": dataset.path.name, "method": _settings(method, pipeline)}
     if truth is not None:
-        metrics.update(score_truth(truth, model))
-    metrics["channels"] = score_test_views(dataset, with_margin) if len(dataset.splits["test"]) else {}
+        with guard("scoring against the truth"):
+            metrics.update(score_truth(truth, model))
+    metrics["channels"] = {}
+    if len(dataset.splits["test"]):
+        with guard("scoring the test views"):
+            metrics["channels"] = score_test_views(dataset, with_margin)
     metrics["versions"] = environment()
     return metrics

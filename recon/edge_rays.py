@@ -86,7 +86,10 @@ class Rays:
 
     def worst(self, transmission: Transmission, dispersion: float, count: int) -> "Rays":
         """The `count` rays in whose neighbourhood this model explains the counts worst, least well first."""
-        excess = self.explained(transmission, dispersion)[0]
+        return self[self.highest(self.explained(transmission, dispersion)[0], count)]
+
+    def highest(self, excess: Float[np.ndarray, " ray"], count: int) -> Int[np.ndarray, " few"]:
+        """The `count` rays whose neighbours have the highest mean, highest first; their own value has no say."""
         shape = self.places.max(axis=1, initial=0) + 1
         total, seen = np.zeros(shape), np.zeros(shape)
         total[tuple(self.places)], seen[tuple(self.places)] = excess, 1.0
@@ -97,7 +100,7 @@ class Rays:
         )
         mean = np.divide(sums, neighbours, out=np.full(len(self), -np.inf), where=neighbours > pixels / 2)
         order = np.argsort(-mean, kind="stable")[:count]
-        return self[order[np.isfinite(mean[order])]]
+        return order[np.isfinite(mean[order])]
 
 
 def rays_away_from_edges(dataset: Dataset, binned: bool = True) -> Rays:

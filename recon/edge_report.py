@@ -1,6 +1,5 @@
 """What an edge search writes: JSON, and a figure."""
 
-import json
 from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 from phantomgen.dataset import Dataset
 from recon.basis_choice import BasisChoice
 from recon.edge_figure import edge_profiles
+from recon.plain_json import write_json
 from spectra.errors import InputError
 
 
@@ -64,6 +64,6 @@ class EdgeFiles:
     def write(self, choice: BasisChoice, dataset: Dataset, figures: bool) -> dict[str, Any]:
         """Write JSON, and the figure if it is wanted; returns what the JSON holds."""
         record = {"dataset": dataset.path.name, **choice_record(choice)}
-        self.json.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        write_json(self.json, record)
         self.written = [self.json, *(draw_choice(choice, dataset, self.figure) if figures else [])]
         return record

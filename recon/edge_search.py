@@ -7,12 +7,16 @@ from itertools import count
 import numpy as np
 
 from recon.edge_agreement import agreement
+from recon.edge_alternatives import drops
 from recon.edge_elements import elements_within, neighbours, scan_elements
+from recon.edge_noise import excess_score, null_law
 from recon.edge_profile import EdgeLikelihood, EdgeProfile, Functions, moved_edge, scan_edge, scanned_energies
 from recon.edge_rays import Rays
 from spectra.basis import BasisFunction
 
-RAYS = 2000  # that are judged, those that the smaller basis explains worst
+RAYS = 2000  # that are judged, at most
+FEWER = (1, 4, 16)  # parts of these that are judged, too, as a thin vessel fills few
+POOL = 8000  # rays of which those are chosen
 WARRANTED = 5.0  # standard deviations of noise that a further basis must save
 WIDEST = 5.0  # an edge whose energy is less certain than this is not located [keV]
 NEARBY = 2.0  # half the range in which an edge is refined while the others move [keV]
@@ -31,9 +35,11 @@ class Judgement:
     edge : its K edge [keV]
     before : names of the functions that it is added to
     rays : how many were judged
-    deviance_before, deviance_after : mean per ray, without it and with it
-    saved : mean drop in deviance per ray; noise alone gives 1/2
-    score : what that is in standard deviations of noise; where neighbouring rays were asked, how well they agree
+    deviance_before, deviance_after : mean per ray beside those, without it and with it
+    saved : mean drop in deviance per ray, beside those or other functions without an edge, whichever explain a ray best
+    noise : what noise alone saves
+    score : by how many standard deviations of noise more was saved than noise and a conceded misfit do, see
+        `recon.edge_noise`; where neighbouring rays were asked, how well they agree
     warranted : whether it is taken
     reason : why, in words
     """
@@ -45,25 +51,22 @@ class Judgement:
     deviance_before: float
     deviance_after: float
     saved: float
+    noise: float
     score: float
     warranted: bool
     reason: str
 
 
-def noise_score(saved: float, rays: int) -> float:
-    """What a drop in deviance, summed over so many rays, is in standard deviations of noise; see `docs/edge_energy.md`.
-
-    On a ray that does not need the function, the drop is 0 or, as often, chi-square with one degree of freedom, because
-    coefficients must not be negative (Self & Liang 1987, doi:10.1080/01621459.1987.10478472, case 5): mean 1/2,
-    variance 5/4.
-    """
-    return (saved - rays / 2) / np.sqrt(1.25 * rays) if rays else 0.0
-
-
 def judge(likelihood: EdgeLikelihood, functions: Functions, further: BasisFunction) -> Judgement:
-    """Whether a function at a known energy is warranted, on the rays that the others explain worst."""
-    chosen = likelihood.with_rays(likelihood.worst(functions, RAYS))
-    return _judged(chosen, functions, further, "")
+    """Whether a function at a known energy is warranted, on the rays whose neighbours it saves most.
+
+    A ray's own noise has no part in the choice. Neighbours are asked twice: beside these functions on all rays, then,
+    on the rays that are left, beside other functions without an edge, too, so that metal does not displace vessels.
+    """
+    saved, lengths = likelihood.saving(functions)(further)
+    saved = np.where((lengths > 0) & (saved > 0), saved, 0.0)
+    pool = likelihood.with_rays(likelihood.rays[likelihood.rays.highest(saved, POOL)])
+    return _judged(pool, functions, further, "", choose=True)
 
 
 def judge_weak(
@@ -200,23 +203,38 @@ def _widened(profile: EdgeProfile, factor: float) -> EdgeProfile:
     return replace(profile, low=low, high=high)
 
 
-def _judged(likelihood: EdgeLikelihood, functions: Functions, further: BasisFunction, vague: str) -> Judgement:
-    """What the function saves with coefficients that are not negative, and whether that is more than noise."""
-    rays = len(likelihood.rays)
-    drops, lengths = likelihood.saving(functions)(further)
-    saved = float(np.maximum(drops, 0.0).sum(where=lengths > 0))
-    score = noise_score(saved, rays)
-    before = likelihood.deviances(functions)[0]
-    mean = float(before.mean()) if rays else 0.0
-    drop = saved / rays if rays else 0.0
-    if not rays:
+def _judged(
+    likelihood: EdgeLikelihood, functions: Functions, further: BasisFunction, vague: str, choose: bool = False
+) -> Judgement:
+    """What the function saves with coefficients that are not negative, and whether that is more than noise.
+
+    With `choose`, rays are those whose neighbours it saves most, as many as show it best.
+    """
+    saved, _ = drops(likelihood, functions, further)
+    before, lengths = likelihood.deviances(functions)
+    law = null_law(likelihood, functions, further, lengths)
+    rays = np.arange(len(saved))
+    if choose and len(rays) > RAYS // max(FEWER):
+        ranked = likelihood.rays.highest(saved, RAYS)
+        choices = [ranked[: RAYS // part] for part in FEWER]
+        rays = max(choices, key=lambda some: excess_score(saved[some], law[some]))
+    score = excess_score(saved[rays], law[rays])
+    after = likelihood.with_rays(likelihood.rays[rays]).deviances((*functions, further))[0]
+    means = [float(values.mean()) if len(rays) else 0.0 for values in (before[rays], after, saved[rays])]
+    noise = float(law.variance[rays].mean() / 2) if len(rays) else 0.0
+    if not len(rays):
         reason = "no ray passes through the object away from its edges"
     elif score < WARRANTED:
-        reason = f"it saves {drop:.3g} per ray, {score:.1f} standard deviations of noise, fewer than {WARRANTED:g}"
+        reason = (
+            f"it saves {means[2]:.3g} per ray, where noise saves {noise:.3g}: {score:.1f} standard deviations more, "
+            f"fewer than {WARRANTED:g}"
+        )
     else:
-        reason = vague or f"it saves {drop:.3g} per ray, {score:.1f} standard deviations of noise"
+        reason = vague or (
+            f"it saves {means[2]:.3g} per ray, where noise saves {noise:.3g}: {score:.1f} standard deviations more"
+        )
     names = tuple(f.name for f in functions)
     return Judgement(
-        further.name, float(further.edge_energy or np.nan), names, rays, mean, mean - drop, drop, score,
-        score >= WARRANTED and not vague, reason,
+        further.name, float(further.edge_energy or np.nan), names, len(rays), means[0], means[1], means[2], noise,
+        score, bool(score >= WARRANTED and not vague), reason,
     )  # fmt: skip

@@ -45,15 +45,17 @@ def basis_slices(
     path: Path,
     plane: str = "axial",
     width: float = WIDTH,
+    left_out: Sequence[str] = (),
 ) -> Path:
     """Middle slice of every basis: truth, result and their difference, or the result alone.
 
     Parameters
     ----------
-    volumes, truth : coefficients [1/mm]
+    volumes, truth : coefficients [1/mm]; the truth is NaN where there is none of a basis
     names : names of the basis functions
     plane : ``axial`` (x, y), ``coronal`` (x, z) or ``sagittal`` (y, z)
     width : of the picture where there is a truth [inch]
+    left_out : bases that were not fitted, which the title names
     """
     axis, across, up = _PLANES[plane]
     middle = grid.shape[axis] // 2
@@ -77,20 +79,25 @@ def basis_slices(
         for top, bottom, title in zip(pictures[0], pictures[-1], titles, strict=True):
             top.set_title(title)
             bottom.set_xlabel(f"{across} [mm]")
-        figure.suptitle(f"{plane} slice, {place}", fontsize=9.0)
+        missing = ", ".join(map(pretty, left_out))
+        figure.suptitle(f"{plane} slice, {place}" + (f"\nnot fitted: {missing}" if missing else ""), fontsize=9.0)
     return path
 
 
 def _draw_row(figure: "Figure", axes: Any, result: np.ndarray, true: np.ndarray | None, extent: list[float]) -> None:
     """One basis: images with one grey scale, the difference with its own."""
+    known = true is not None and bool(np.isfinite(true).all())
     pictures = [result] if true is None else [true, result]
-    top = float(np.quantile(result, 0.999) if true is None else true.max()) or float(np.abs(result).max()) or 1.0
+    top = float(true.max() if known else np.quantile(result, 0.999)) or float(np.abs(result).max()) or 1.0  # type: ignore[union-attr]
     options = {"extent": extent, "origin": "lower"}
     for ax, picture in zip(axes, pictures, strict=False):
         gray = ax.imshow(MILLI * picture, cmap="gray", vmin=0, vmax=MILLI * top, **options)
     ends = "max" if result.min() >= 0 else "both"
     bars = [figure.colorbar(gray, cax=axes[len(pictures)], extend=ends)]
-    if true is not None:
+    if true is not None and not known:
+        axes[0].text(0.5, 0.5, "not in the truth", transform=axes[0].transAxes, ha="center", va="center", fontsize=8)
+        axes[4].set_axis_off()
+    elif true is not None:
         limit = float(np.quantile(np.abs(result - true), 0.995)) or 1e-3 * top
         error = axes[3].imshow(
             MILLI * (result - true), cmap="RdBu_r", vmin=-MILLI * limit, vmax=MILLI * limit, **options

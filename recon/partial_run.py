@@ -18,6 +18,7 @@ from recon.checkpoint import identity, read_checkpoint, write_checkpoint, write_
 from recon.fit_state import FitState
 from recon.fitting import Progress
 from recon.measurements import Measurements
+from recon.plain_json import to_json
 from spectra.errors import InputError
 
 START, CHECKPOINT, LOG, SNAPSHOTS = "start.safetensors", "checkpoint.safetensors", "log.jsonl", "snapshots"
@@ -100,7 +101,7 @@ class PartialRun:
 
     def add_scores(self, scores: dict[int, dict[str, float]]) -> None:
         """Add scores to the lines of their steps."""
-        lines = [json.dumps(entry | scores.get(int(entry["step"]), {})) + "\n" for entry in self.log]
+        lines = [to_json(entry | scores.get(int(entry["step"]), {})) + "\n" for entry in self.log]
         write_whole(self.folder / LOG, "".join(lines).encode())
 
     def _snapshot(self, step: int) -> Path:

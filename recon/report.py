@@ -1,6 +1,5 @@
 """The run folder: model, volumes, metrics, log and figures of one fit."""
 
-import json
 import os
 import shutil
 from pathlib import Path
@@ -116,11 +115,6 @@ def write_volumes(
             for axis in "zyx":
                 put(group, axis, grid.axis(axis), "mm")
         write_grid(new_group(file, "grid", "NXcollection"), grid)
-
-
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write indented JSON; NaN is refused."""
-    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def score_table(metrics: dict[str, Any]) -> str:

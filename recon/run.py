@@ -16,6 +16,7 @@ from recon import figures, verdict
 from recon.array_store import array_store
 from recon.baselines.method import Iteration
 from recon.basis_choice import choose_basis
+from recon.basis_names import Asked, left_out, left_out_sentence, with_named
 from recon.edge_report import draw_choice
 from recon.fitting import Progress
 from recon.gaussians import Gaussians
@@ -26,10 +27,12 @@ from recon.paper.pipeline import reconstruct_paper
 from recon.paper.recipe import PaperRecipe
 from recon.partial_run import PartialRun
 from recon.pipeline import Reconstruction, reconstruct
+from recon.plain_json import write_json
 from recon.processes import ALONE, Processes
 from recon.recipe import RECIPES, Recipe
-from recon.report import Stopped, write_json, write_volumes
+from recon.report import Stopped, write_volumes
 from recon.run_folder import MODEL, write_scan
+from recon.salvage import Guard, Salvage, unguarded
 from recon.scoring import psnr_of_bases, score_start, score_test_views, score_truth
 from recon.start import check_directions
 from spectra.threads import without_other_pools
@@ -50,12 +53,15 @@ class Watcher(Protocol):
     def say(self, sentence: str) -> None:
         """Something was decided."""
 
+    def warn(self, sentence: str, error: Exception) -> None:
+        """A score or a figure failed."""
+
 
 @without_other_pools()
 def run(
     dataset: Dataset,
     folder: Path | None,
-    bases: int | None,
+    bases: Asked,
     recipe: Recipe | PaperRecipe,
     figures: bool,
     watcher: Watcher,
@@ -71,7 +77,8 @@ def run(
     dataset : an open dataset
     folder : an existing folder with a subfolder ``figures``, which may hold an interrupted run; None where another
         process writes, and then nothing is returned
-    bases : how many basis functions to fit, default those that the data warrant; the paper's method takes all
+    bases : how many basis functions to fit, or their names; None for those that the data warrant, while the paper's
+        method takes all
     recipe : hyper-parameters of this project's fit, or of the paper's method
     figures : whether to draw
     watcher : is told about stages, steps and decisions
@@ -84,18 +91,25 @@ def run(
     ------
     Stopped
         When Ctrl-C ended the fit after a step; the model is in the folder.
+
+    Notes
+    -----
+    The model and its volumes are written first. Scores or figures that fail after that are a warning, and are named
+    under ``failed`` in ``metrics.json``.
     """
     clock = Stopwatch(watcher.stage)
     with clock("check"):
         check_directions(dataset.geometry[dataset.splits["train"]])
         _check_test_views(dataset)
-    choice = None
+    choice, stated = None, dataset.spectra.basis.names
     if isinstance(recipe, Recipe):
         with clock("basis"):
             choice = choose_basis(dataset, bases, edges)
             dataset, bases = dataset.with_basis(choice.basis), None
             for sentence in choice.sentences:
                 watcher.say(sentence)
+    else:
+        dataset, bases = with_named(dataset, bases)
     keeper = None if folder is None else PartialRun(folder, dataset.spectra.channels, _options(dataset, recipe))
     last: list[Progress] = []
     with Interruption() as interruption:
@@ -122,25 +136,39 @@ def run(
     write_model(dataset, recipe, result, folder)
     if interruption.asked and last and last[0].step < last[0].steps:
         raise _stopped(last[0], keeper, folder)
-    with clock("score"):
-        truth = read_truth(dataset.path)
-        metrics = metrics_of(dataset, truth, result, recipe.seed)
-        metrics |= {} if choice is None else {"basis_choice": choice.record()}
-        metrics["recipe"] = recipe.says if isinstance(recipe, PaperRecipe) else recipe.name
-        keeper.add_scores(_psnr_along_the_way(keeper, truth))
     with clock("write"):
-        volumes = result.gaussians.volume(dataset.grid)
-        others = {result.start: result.start_volumes}
-        write_volumes(folder / "volumes.h5", volumes, result.gaussians.basis_names, dataset.grid, others)
+        write_result(dataset, result, folder)
+    missing = left_out(stated, result.gaussians.basis_names)
+    if missing:
+        watcher.say(left_out_sentence(missing))
+    guard = Salvage(watcher.warn)
+    about: dict[str, Any] = {"bases_left_out": list(missing)}
+    about |= {} if choice is None else {"basis_choice": choice.record()}
+    about["recipe"] = recipe.says if isinstance(recipe, PaperRecipe) else recipe.name
+    truth: Truth | None = None
+    with clock("score"):
+        with guard("reading the truth"):
+            truth = read_truth(dataset.path)
+        metrics = metrics_of(dataset, truth, result, recipe.seed, guard) | about
+        with guard("scoring the models along the way"):
+            keeper.add_scores(_psnr_along_the_way(keeper, truth))
+    first = {name: 0.0 for name in ("check", "basis") if name in clock.seconds}
+
+    def write_metrics() -> None:
+        costs = {"seconds": first | result.seconds | clock.seconds, "peak_memory_mib": peak_memory_mib()}
+        metrics.update(costs, **({"failed": guard.failed} if guard.failed else {}))
+        write_json(folder / "metrics.json", metrics)
+
+    write_metrics()
     if figures:
         with clock("figures"):
-            _draw(dataset, truth, result, keeper.log, folder / "figures")
+            draw_model(dataset, truth, result.gaussians, folder / "figures", missing, guard)
+            with guard("drawing convergence.png"):
+                _draw_convergence(keeper.log, folder / "figures")
             if choice is not None:
-                draw_choice(choice, dataset, folder / "figures" / "edge.png")
-    first = {name: 0.0 for name in ("check", "basis") if name in clock.seconds}
-    metrics["seconds"] = first | result.seconds | clock.seconds
-    metrics["peak_memory_mib"] = peak_memory_mib()
-    write_json(folder / "metrics.json", metrics)
+                with guard("drawing edge.png"):
+                    draw_choice(choice, dataset, folder / "figures" / "edge.png")
+        write_metrics()
     return metrics
 
 
@@ -164,6 +192,13 @@ def write_model(dataset: Dataset, recipe: Recipe | PaperRecipe, result: Reconstr
     write_scan(folder, dataset.grid, dataset.spectra.basis, result.transmission, dataset.spectra.channels)
 
 
+def write_result(dataset: Dataset, result: Reconstruction, folder: Path) -> None:
+    """Write the volumes of the model and those that it started from."""
+    volumes = result.gaussians.volume(dataset.grid)
+    others = {result.start: result.start_volumes}
+    write_volumes(folder / "volumes.h5", volumes, result.gaussians.basis_names, dataset.grid, others)
+
+
 def _stopped(progress: Progress, keeper: PartialRun, folder: Path) -> Stopped:
     """Write a checkpoint, if the fit can go on from one, and how far the model is."""
     if progress.state is not None:
@@ -179,16 +214,26 @@ def _check_test_views(dataset: Dataset) -> None:
         dataset.load([view])
 
 
-def metrics_of(dataset: Dataset, truth: Truth | None, result: Reconstruction, seed: int) -> dict[str, Any]:
-    """Scores of a fit and where it comes from, as ``metrics.json`` has them; without truth those of test views."""
+def metrics_of(
+    dataset: Dataset, truth: Truth | None, result: Reconstruction, seed: int, guard: Guard = unguarded
+) -> dict[str, Any]:
+    """Scores of a fit and where it comes from, as ``metrics.json`` has them; without truth those of test views.
+
+    What `guard` catches is left out.
+    """
     gaussians = result.gaussians
     metrics: dict[str, Any] = {"dataset": dataset.path.name, "seed": seed, "gaussians": len(gaussians)}
     metrics["start"] = result.start
     if truth is not None:
-        metrics.update(score_truth(truth, gaussians))
-        metrics.update(score_start(result.start, truth, result.start_volumes, gaussians.basis_names, dataset.grid))
-    metrics["channels"] = score_test_views(dataset, gaussians) if len(dataset.splits["test"]) else {}
-    metrics["verdict"] = verdict.record(verdict_of_fit(dataset, result, metrics["channels"]))
+        with guard("scoring against the truth"):
+            metrics.update(score_truth(truth, gaussians))
+            metrics.update(score_start(result.start, truth, result.start_volumes, gaussians.basis_names, dataset.grid))
+    metrics["channels"] = {}
+    if len(dataset.splits["test"]):
+        with guard("scoring the test views"):
+            metrics["channels"] = score_test_views(dataset, gaussians)
+    with guard("the verdict"):
+        metrics["verdict"] = verdict.record(verdict_of_fit(dataset, result, metrics["channels"]))
     metrics["node_error"] = result.node_error
     metrics["notes"] = list(result.notes)
     metrics["versions"] = environment()
@@ -209,7 +254,7 @@ def _psnr_along_the_way(keeper: PartialRun, truth: Truth | None) -> dict[int, di
     if truth is None:
         return {}
     models = ((step, Gaussians.load(path)) for step, path in keeper.snapshots().items())
-    return {step: psnr_of_bases(truth, model) for step, model in models if model.basis_names == truth.basis_names}
+    return {step: psnr_of_bases(truth, model) for step, model in models}
 
 
 def _plain(recipe: Recipe | PaperRecipe) -> dict[str, Any]:
@@ -217,10 +262,7 @@ def _plain(recipe: Recipe | PaperRecipe) -> dict[str, Any]:
     return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(recipe).items()}
 
 
-def _draw(
-    dataset: Dataset, truth: Truth | None, result: Reconstruction, log: list[dict[str, Any]], folder: Path
-) -> None:
-    """Draw every figure that the data allow."""
-    draw_model(dataset, truth, result.gaussians, folder)
+def _draw_convergence(log: list[dict[str, Any]], folder: Path) -> None:
+    """Draw how the fit went."""
     seconds, deviances = (np.array([entry[key] for entry in log]) for key in ("seconds", "deviance"))
     figures.convergence(seconds, deviances, folder / "convergence.png")

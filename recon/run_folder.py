@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import asdict, dataclass
-from math import isnan
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from phantomgen.grid import Grid
 from recon.gaussians import Gaussians
+from recon.plain_json import write_json
 from spectra.basis import Basis
 from spectra.errors import DatasetError
 from spectra.transmission import Transmission
@@ -53,10 +53,10 @@ class Run:
 
 def write_scan(folder: Path, grid: Grid, basis: Basis, transmission: Transmission, channels: tuple[str, ...]) -> None:
     """Write what is known of a scan into a run folder."""
-    table = {name: _plain(value) for name, value in basis.to_dict().items()}
+    table = basis.to_dict()
     nodes = {name: getattr(transmission, name).tolist() for name in ("columns", "weights", "starts")}
     content = {"grid": asdict(grid), "basis": table, "channels": list(channels), "transmission": nodes}
-    (folder / SCAN).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(folder / SCAN, content)
 
 
 def open_run(folder: Path) -> Run:
@@ -103,14 +103,7 @@ def open_scan(folder: Path, bases: int | None = None) -> ScanRecord:
     return ScanRecord(grid, basis, transmission)
 
 
-def _plain(value: Any) -> Any:
-    """For JSON, which has no NaN."""
-    if isinstance(value, np.ndarray):
-        return [None if isnan(number) else number for number in value.tolist()]
-    return value
-
-
 def _back(name: str, value: Any) -> Any:
-    """What `_plain` was given."""
+    """What was written, with NaN for null."""
     numbers = name in ("edge_energy", "edge_width", "normalisation_energy")
     return np.array([np.nan if number is None else number for number in value]) if numbers else value

@@ -55,9 +55,12 @@ def score_truth(truth: Truth, model: Gaussians | Voxels) -> dict[str, Any]:
 
 
 def psnr_of_bases(truth: Truth, model: Gaussians | Voxels) -> dict[str, float]:
-    """PSNR of each basis [dB] as ``psnr_<name>``, of a model with the bases of the truth."""
+    """PSNR of each basis [dB] as ``psnr_<name>``, of those that the model and the truth have."""
     scores = {}
-    for name, volume, true in zip(truth.basis_names, model.volume(truth.grid), truth.volumes, strict=True):
+    for name, volume in zip(model.basis_names, model.volume(truth.grid), strict=True):
+        if name not in truth.basis_names:
+            continue
+        true = truth.volumes[truth.basis_names.index(name)]
         value = psnr(float(true.max()), float(np.mean((volume - true) ** 2)))
         if value is not None:
             scores[f"psnr_{name}"] = value

@@ -1,6 +1,6 @@
 """The short way from Python: a dataset to a fit that evaluates, renders, scores and saves itself, and its materials."""
 
-import json
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -10,23 +10,26 @@ import numpy as np
 from jaxtyping import Float
 
 from phantomgen.dataset import Dataset, Region, open_dataset
-from phantomgen.dataset_truth import read_truth
+from phantomgen.dataset_truth import Truth, read_truth
 from phantomgen.geometry import Geometry
 from phantomgen.grid import Grid
 from phantomgen.stopwatch import peak_memory_mib
 from phantomgen.thumbnail import thumbnails
 from recon.basis_choice import BasisChoice, choose_basis
+from recon.basis_names import Asked, left_out, with_named
 from recon.fitting import Progress
 from recon.gaussians import Gaussians
 from recon.paper.pipeline import reconstruct_paper
 from recon.paper.recipe import PaperRecipe
 from recon.partial_run import LOG, log_entry
 from recon.pipeline import Reconstruction, reconstruct
+from recon.plain_json import to_json, write_json
 from recon.recipe import RECIPES, Recipe
 from recon.render_file import rendered, views_of_geometry
-from recon.report import RunFolder, write_json, write_volumes
-from recon.run import metrics_of, verdict_of_fit, write_model
+from recon.report import RunFolder
+from recon.run import metrics_of, verdict_of_fit, write_model, write_result
 from recon.run_folder import Run
+from recon.salvage import Guard, Salvage, unguarded
 from recon.scoring import score_test_views
 from recon.segmentation.pipeline import segment_subject
 from recon.segmentation.result import Options, Segmentation
@@ -62,6 +65,7 @@ class Fit:
     recipe : what steered it
     path, air : the dataset, which is opened again for scores and names of channels
     choice : of basis functions; None for the paper's method, which takes what it is told
+    left_out : names of the dataset's basis functions that are not fitted
     log : one entry per step
     """
 
@@ -72,6 +76,7 @@ class Fit:
     path: Path
     air: Region | None = None
     choice: BasisChoice | None = None
+    left_out: tuple[str, ...] = ()
     log: list[dict[str, Any]] = field(default_factory=list, repr=False)
 
     @property
@@ -117,8 +122,16 @@ class Fit:
 
     def score(self) -> dict[str, Any]:
         """Scores as ``metrics.json`` has them: against the truth where the dataset has one, and on its test views."""
+        return self._metrics(unguarded)
+
+    def _metrics(self, guard: Guard) -> dict[str, Any]:
+        """The same, without what `guard` catches."""
         with self._dataset() as dataset:
-            metrics = metrics_of(dataset, read_truth(self.path), self.result, self.recipe.seed)
+            truth: Truth | None = None
+            with guard("reading the truth"):
+                truth = read_truth(self.path)
+            metrics = metrics_of(dataset, truth, self.result, self.recipe.seed, guard)
+        metrics["bases_left_out"] = list(self.left_out)
         metrics |= {} if self.choice is None else {"basis_choice": self.choice.record()}
         metrics["recipe"] = self.recipe.says if isinstance(self.recipe, PaperRecipe) else self.recipe.name
         return metrics | {"seconds": self.result.seconds, "peak_memory_mib": peak_memory_mib()}
@@ -126,19 +139,21 @@ class Fit:
     def save(self, folder: Path | str, *, overwrite: bool = False) -> Path:
         """Write a run folder that every command of ``recon`` reads, scores included.
 
+        The model and its volumes are written first; scores that fail are left out and warned of.
+
         Raises
         ------
         InputError
             When the folder exists and `overwrite` is not given.
         """
         target = RunFolder(Path(folder), overwrite)
-        metrics = self.score()
+        guard = Salvage(lambda sentence, error: warnings.warn(sentence, RuntimeWarning, stacklevel=5))
         with target as part, self._dataset() as dataset:
             write_model(dataset, self.recipe, self.result, part)
-            others = {self.result.start: self.result.start_volumes}
-            write_volumes(part / "volumes.h5", self.volume(), self.basis_names, self.grid, others)
-            (part / LOG).write_text("".join(json.dumps(entry) + "\n" for entry in self.log), encoding="utf-8")
-            write_json(part / "metrics.json", metrics)
+            write_result(dataset, self.result, part)
+            (part / LOG).write_text("".join(to_json(entry) + "\n" for entry in self.log), encoding="utf-8")
+            metrics = self._metrics(guard)
+            write_json(part / "metrics.json", metrics | ({"failed": guard.failed} if guard.failed else {}))
         return target.path
 
     def _dataset(self) -> Dataset:
@@ -149,7 +164,7 @@ def fit(
     dataset: Dataset | str | Path,
     recipe: Recipe | PaperRecipe | str = "fast",
     *,
-    bases: int | None = None,
+    bases: Asked = None,
     edges: Sequence[float] | None = None,
     callbacks: Sequence[Any] = (),
 ) -> Fit:
@@ -159,7 +174,8 @@ def fit(
     ----------
     dataset : open, or where it is
     recipe : numbers that steer it, or ``fast``, ``best`` or ``paper``
-    bases : how many basis functions to fit; those that the counts warrant where left out
+    bases : how many basis functions to fit, or their names, such as ``("photoelectric", "compton", "kedge_I")``; those
+        that the counts warrant where left out
     edges : where to look for K edges [keV], see `recon.basis_choice.choose_basis`; None to believe the dataset
     callbacks : functions, or objects with a method ``on_step``, that get a `recon.fitting.Progress` after every step
         and end the fit by returning True; objects may have a method ``on_end`` that gets the finished `Fit`
@@ -172,7 +188,7 @@ def fit(
     if not isinstance(dataset, Dataset):
         with open_dataset(dataset) as opened:
             return fit(opened, recipe, bases=bases, edges=edges, callbacks=callbacks)
-    how, log = _recipe(recipe), []
+    how, log, stated = _recipe(recipe), [], dataset.spectra.basis.names
     told = [_on_step(callback) for callback in callbacks]
 
     def on_step(progress: Progress) -> bool:
@@ -180,13 +196,15 @@ def fit(
         return any([bool(tell(progress)) for tell in told])  # noqa: C419 - all of them are told
 
     if isinstance(how, PaperRecipe):
-        choice, basis = None, dataset.spectra.basis
-        result = reconstruct_paper(dataset, how, bases, on_step=on_step)
+        chosen, count = with_named(dataset, bases)
+        choice, basis = None, chosen.spectra.basis
+        result = reconstruct_paper(chosen, how, count, on_step=on_step)
     else:
         choice = choose_basis(dataset, bases, edges)
         basis = choice.basis
         result = reconstruct(dataset.with_basis(basis), how, on_step=on_step)
-    finished = Fit(result, basis, dataset.grid, how, dataset.path.absolute(), dataset.air, choice, log)
+    missing = left_out(stated, result.gaussians.basis_names)
+    finished = Fit(result, basis, dataset.grid, how, dataset.path.absolute(), dataset.air, choice, missing, log)
     for callback in callbacks:
         if hasattr(callback, "on_end"):
             callback.on_end(finished)

@@ -3,7 +3,6 @@
 Basis volumes are absent, and so are their scores: None in ``metrics.json``, a dash in tables.
 """
 
-import json
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -22,9 +21,11 @@ from phantomgen.versions import environment
 from recon import figures as drawing
 from recon.baselines.image_domain import log_projections
 from recon.baselines.method import Iteration, ViewMethod, ViewModel
+from recon.basis_names import Asked
 from recon.measurements import read_measurements
 from recon.metrics import HeldOutView, score_basis_volumes, score_projections
-from recon.report import write_json
+from recon.plain_json import to_json, write_json
+from recon.salvage import Salvage
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
 
@@ -40,13 +41,19 @@ class Watcher(Protocol):
     def iterated(self, iteration: Iteration) -> None:
         """An iteration is done."""
 
+    def say(self, sentence: str) -> None:
+        """Something was decided."""
+
+    def warn(self, sentence: str, error: Exception) -> None:
+        """A score or a figure failed."""
+
 
 @without_other_pools()
 def run_views(
     dataset: Dataset,
     folder: Path,
     method: ViewMethod,
-    bases: int | None,
+    bases: Asked,
     figures: bool,
     watcher: Watcher,
     clock: Stopwatch,
@@ -69,7 +76,8 @@ def run_views(
         When bases are asked for.
     """
     if bases is not None:
-        raise InputError(f"the method {method.name} predicts views and has no basis volumes: leave --bases {bases} out")
+        asked = bases if isinstance(bases, int) else ",".join(bases)
+        raise InputError(f"the method {method.name} predicts views and has no basis volumes: leave --bases {asked} out")
     entries = []
     with clock("read"):
         measured = read_measurements(dataset, dataset.splits["train"]).completed()
@@ -87,19 +95,29 @@ def run_views(
         views = method.learn_views(images, weights, measured.geometry, dataset.grid, on_iteration)
     settings = {"method": method.name} | asdict(method)  # type: ignore[call-overload] - methods are dataclasses
     metrics: dict[str, Any] = {"dataset": dataset.path.name, "method": settings}
-    with clock("score"):
-        metrics |= _no_volumes(dataset) | {"channels": {}}
-        if len(dataset.splits["test"]):
-            metrics["channels"] = score_projections(predicted_views(dataset, views), dataset.spectra.channels)
     with clock("write"):
         _write_views(folder / VIEWS, dataset, views)
         (folder / "recipe.yaml").write_text(yaml.safe_dump(settings, sort_keys=False), encoding="utf-8")
-        (folder / "log.jsonl").write_text("".join(json.dumps(entry) + "\n" for entry in entries), encoding="utf-8")
+        (folder / "log.jsonl").write_text("".join(to_json(entry) + "\n" for entry in entries), encoding="utf-8")
+    guard = Salvage(watcher.warn)
+    with clock("score"):
+        with guard("reading the truth"):
+            metrics |= _no_volumes(dataset)
+        metrics |= {"channels": {}, "versions": environment()}
+        if len(dataset.splits["test"]):
+            with guard("scoring the test views"):
+                metrics["channels"] = score_projections(predicted_views(dataset, views), dataset.spectra.channels)
+
+    def write_metrics() -> None:
+        costs = {"seconds": clock.seconds, "peak_memory_mib": peak_memory_mib()}
+        metrics.update(costs, **({"failed": guard.failed} if guard.failed else {}))
+        write_json(folder / "metrics.json", metrics)
+
+    write_metrics()
     if figures:
-        with clock("figures"):
+        with clock("figures"), guard("drawing residuals.png"):
             _draw(dataset, views, folder / "figures" / "residuals.png")
-    metrics |= {"versions": environment(), "seconds": clock.seconds, "peak_memory_mib": peak_memory_mib()}
-    write_json(folder / "metrics.json", metrics)
+        write_metrics()
     return metrics
 
 

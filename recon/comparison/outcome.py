@@ -9,7 +9,7 @@ from recon.comparison.figure import error_against_time
 from recon.comparison.perceptual import missing
 from recon.comparison.studies import Study
 from recon.comparison.table import mean_psnr, report, write_csv
-from recon.report import write_json
+from recon.plain_json import write_json
 from spectra.errors import InputError
 
 Result = dict[str, Any]

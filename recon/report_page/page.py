@@ -106,7 +106,7 @@ def check_fits(dataset: Dataset, runs: Sequence[FinishedRun]) -> None:
 
 def _page(case: Case, scan: str, on_chapter: Callable[[str], None]) -> Page:
     """All chapters, and why topics are missing."""
-    done, left_out = [], []
+    done, left_out = [], _lacking(case)
     for title, topics in CHAPTERS.items():
         on_chapter(title)
         parts: list[Part] = []
@@ -136,6 +136,18 @@ def _verdicts(case: Case) -> tuple[Section, ...]:
         who = f"{run.name}: " if len(case.runs) > 1 else ""
         parts += [Words(f"{who}{line}") for line in verdict.lines(run.metrics)]
     return (Section("Verdict", tuple(parts)),) if parts else ()
+
+
+def _lacking(case: Case) -> list[tuple[str, str]]:
+    """Bases of the file that a run did not fit, and scores and figures that failed in it."""
+    found = []
+    for run in case.runs:
+        bases = run.metrics.get("bases_left_out") or ()
+        if bases:
+            what = f"{case.who(run)}{', '.join(map(pretty, bases))}"
+            found.append((what, "not fitted, though the dataset has it; scored as a volume of zeros."))
+        found += [(f"{case.who(run)}{what}", f"{why}.") for what, why in (run.metrics.get("failed") or {}).items()]
+    return found
 
 
 def _facts(case: Case) -> tuple[tuple[str, str], ...]:

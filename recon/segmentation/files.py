@@ -1,6 +1,5 @@
 """What a segmentation leaves: volumes in HDF5, coloured Gaussians, pictures, and the table as JSON."""
 
-import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from phantomgen.dataset_truth import write_grid
 from phantomgen.disk_room import one_sentence
 from phantomgen.grid import Grid
 from recon.gaussians import Gaussians
+from recon.plain_json import write_json
 from recon.segmentation.result import Segmentation
 from spectra.errors import InputError
 
@@ -151,4 +151,4 @@ def _point_columns(model: Gaussians, colours: np.ndarray, own: np.ndarray) -> di
 
 def write_table(path: Path, content: dict[str, Any]) -> None:
     """Write indented JSON; NaN is refused."""
-    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(path, content)

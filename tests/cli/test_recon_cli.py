@@ -16,6 +16,7 @@ from tiny_scans import make, one_sentence
 from phantomgen.dataset import open_dataset
 from recon.cli import main as recon
 from recon.recipe import RECIPES
+from recon.stored_run import read_run
 from spectra.threads import set_threads
 
 VOXELS, PIXELS, VIEWS = 16, 32, 9
@@ -313,12 +314,97 @@ def test_more_bases_than_the_dataset_has_are_refused(without_edge, tmp_path):
     assert names(tmp_path) == set()
 
 
-def test_fewer_bases_than_the_dataset_has_can_be_fitted(dataset, tmp_path):
-    assert fit(dataset, "-o", tmp_path / "run", "--bases", "2", *FAST).exit_code == 0
-    scores = metrics_of(tmp_path / "run")["basis"]
-    assert scores["kedge_63.3"]["psnr"] == pytest.approx(scores["kedge_63.3"]["psnr_zero"])
-    with h5py.File(tmp_path / "run" / "volumes.h5") as file:
-        assert tuple(file["basis/basis_name"].asstr()[()]) == BASES[:2]
+@pytest.mark.parametrize(("method", "bases"), [("gaussian", "photoelectric,kedge_63.3"), ("sirt", "2")])
+def test_fewer_bases_than_the_dataset_has_are_fitted_and_named(dataset, tmp_path, bases, method):
+    options = ("--bases", bases, "--method", method, *FAST)
+    result = fit(dataset, "-o", tmp_path / "run", *options)
+    assert result.exit_code == 0, result.output
+    missing = "kedge_63.3" if bases == "2" else "compton"
+    assert f"Not fitted, though the file has it: {missing}" in result.stdout
+    metrics = metrics_of(tmp_path / "run")
+    assert metrics["bases_left_out"] == [missing]
+    assert read_run(tmp_path / "run").basis_names == tuple(name for name in BASES if name != missing)
+    assert {name for name, s in metrics["basis"].items() if s["psnr"] == s["psnr_zero"]} == {missing}
+    page = CliRunner().invoke(recon, ["report", str(tmp_path / "run"), "--dataset", str(dataset), "--json"])
+    assert any("not fitted" in why for why in json.loads(page.stdout)["left_out"].values())
+
+
+def test_bases_that_were_fitted_stand_beside_their_truth(dataset, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("recon.figures.basis_slices", lambda *args, **options: drawn.append((args, options)))
+    options = ("--bases", "2", "--method", "sirt", "--sweeps", "1", "-q")
+    assert fit(dataset, "-o", tmp_path / "run", *options).exit_code == 0
+    with h5py.File(dataset) as file:
+        true = file["truth/basis/data"][:2]
+    (_, shown, names, *_), options = drawn[0]
+    assert names == BASES[:2]
+    np.testing.assert_array_equal(shown, true)
+    assert options["left_out"] == ("kedge_63.3",)
+
+
+@pytest.mark.parametrize(
+    ("bases", "words"),
+    [
+        ("compton,kedge_I", "no basis 'kedge_I': choose from photoelectric, compton, kedge_63.3"),
+        ("compton,compton", "each basis is named once"),
+        ("compton,,", "--bases takes auto, a number from 2, or names"),
+        ("1", "--bases takes auto, a number from 2, or names"),
+    ],
+)
+@pytest.mark.parametrize("method", ["gaussian", "fdk"])
+def test_bases_that_cannot_be_are_refused(dataset, tmp_path, bases, words, method):
+    assert words in one_sentence(fit(dataset, "-o", tmp_path / "run", "--bases", bases, "--method", method, "-q"))
+
+
+def test_a_k_edge_that_is_looked_for_has_no_name(dataset, tmp_path):
+    options = ("--bases", "compton,kedge_63.3", "--edge", "auto", *FAST)
+    assert "give their number" in one_sentence(fit(dataset, "-o", tmp_path / "run", *options))
+
+
+def failing(*_, **__):
+    raise RuntimeError("this one")
+
+
+@pytest.mark.parametrize("method", ["gaussian", "sirt"])
+def test_a_figure_that_fails_is_a_warning(dataset, tmp_path, monkeypatch, method):
+    monkeypatch.setattr("recon.figures.profiles", failing)
+    options = ("--sweeps", "1", "--method", method)
+    result = fit(dataset, "-o", tmp_path / "run", "-q", *options)
+    assert result.exit_code == 0, result.output
+    warned = "Warning: drawing profiles.png failed (RuntimeError: this one); the model and its volumes are written.\n"
+    assert result.stderr == warned
+    assert {"axial.png", "residuals.png"} <= names(tmp_path / "run" / "figures")
+    assert metrics_of(tmp_path / "run")["failed"] == {"drawing profiles.png": "RuntimeError: this one"}
+    if method == "sirt":
+        assert "Traceback" in fit(dataset, "-o", tmp_path / "again", "--debug", *options).stderr
+
+
+@pytest.mark.parametrize(
+    ("score", "method"),
+    [
+        ("score_truth", "gaussian"),
+        ("read_truth", "sirt"),
+        ("score_truth", "sirt"),
+        ("score_test_views", "sirt"),
+        ("psnr_of_bases", "sirt"),
+    ],
+)
+def test_a_score_that_fails_leaves_a_run_that_can_be_read(dataset, tmp_path, monkeypatch, score, method):
+    with monkeypatch.context() as patch:
+        patch.setattr(f"recon.{'run' if method == 'gaussian' else 'classical'}.{score}", failing)
+        options = ("--sweeps", "1", "--no-figures", "--method", method)
+        result = fit(dataset, "-o", tmp_path / "run", "-q", *options)
+    assert result.exit_code == 1
+    assert names(tmp_path) == {"run"}
+    assert result.stderr.startswith("Warning: ")
+    assert result.stderr.count("\n") == 1
+    assert "(RuntimeError: this one); the model and its volumes are written" in result.stderr
+    assert read_run(tmp_path / "run").basis_names == BASES
+    if score != "read_truth":
+        return
+    page = CliRunner().invoke(recon, ["report", str(tmp_path / "run"), "--dataset", str(dataset), "--json"])
+    assert page.exit_code == 0, page.output
+    assert "RuntimeError: this one." in json.loads(page.stdout)["left_out"].values()
 
 
 @pytest.mark.parametrize(
@@ -364,7 +450,6 @@ def test_threads_and_repetition_do_not_change_a_bit_and_the_seed_does(dataset, t
     ("arguments", "words"),
     [
         ((), "Missing argument"),
-        (("x.h5", "--bases", "4"), "'4' is not one of"),
         (("x.h5", "--sweeps", "0"), "not in the range"),
         (("x.h5", "--sweeps", "nan"), "not a finite number"),
         (("x.h5", "--sweeps", "inf"), "not a finite number"),

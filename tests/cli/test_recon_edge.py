@@ -117,11 +117,12 @@ def test_gadolinium_is_named_where_the_file_knows_no_edge(gadolinium):
     assert "K edge at 50.24 keV (Gd)" in choice.sentences[-1]
 
 
-def test_a_weak_edge_is_kept_where_neighbouring_rays_agree_on_it(weak):
+def test_a_weak_edge_is_kept(weak):
+    """Most of its drop in deviance is below the model error that a fit concedes, and far above noise."""
     with open_dataset(weak) as dataset:
         choice = choose_basis(dataset)
         assert choice.basis == dataset.spectra.basis
-    assert "agree on it by" in choice.judgements[0].reason
+    assert choice.judgements[0].noise < choice.judgements[0].saved < 0.5
 
 
 def test_an_edge_that_is_not_there_is_not_agreed_on(plain):

@@ -1,5 +1,6 @@
 """Elements found by their curves, and weak edges by neighbouring rays: counts are drawn from known functions."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from phantomgen.dataset_spectra import Spectra
 from recon.edge_agreement import agreement, between_channels
 from recon.edge_elements import elements_within, plain_alternatives, scan_elements, settle_elements
+from recon.edge_noise import null_law
 from recon.edge_profile import EdgeLikelihood
 from recon.edge_rays import Rays
 from recon.edge_search import WARRANTED, judge, judge_weak, likeliest_edge, refine_together
@@ -98,36 +100,42 @@ def test_other_plain_functions_are_left_as_they_are():
     assert [len(functions) for functions in plain_alternatives((*PLAIN, STEP))] == [3, 3]
 
 
-def test_of_noise_alone_neighbours_agree_by_one_standard_deviation():
-    scores = [agreement(likelihood(TISSUE, {}, seed, side=20), TISSUE, STEP) for seed in range(24)]
+@pytest.mark.parametrize("dispersion", [0.0, 0.02])
+def test_of_noise_alone_neighbours_agree_by_one_standard_deviation(monkeypatch, dispersion):
+    monkeypatch.setattr("recon.edge_agreement.pairs_without_edge", lambda functions: (functions,))
+    monkeypatch.setattr("recon.edge_noise.MISFIT", 0.0)
+    models = [likelihood(TISSUE, {}, seed, side=20, dispersion=dispersion) for seed in range(24)]
+    scores = [agreement(model, TISSUE, STEP) for model in models]
     assert np.std(scores) == pytest.approx(1.0, abs=0.45)
     assert abs(np.mean(scores)) < 0.8
     assert max(scores) < WARRANTED
 
 
-def test_neighbours_show_an_edge_that_single_rays_do_not_and_no_better_than_the_bound():
+def test_neighbours_show_a_weak_edge_and_no_better_than_the_bound(monkeypatch):
+    monkeypatch.setattr("recon.edge_noise.MISFIT", 0.0)
     model = likelihood(PLAIN, {STEP: 0.006}, side=48, dispersion=0.01, photons=3e5)
-    before = judge(model, PLAIN, STEP)
+    before = replace(judge(model, PLAIN, STEP), warranted=False)
     after = judge_weak(model, PLAIN, STEP, before)
     information = model.last_length((*PLAIN, STEP))[1]
+    information /= null_law(model, PLAIN, STEP, model.deviances(PLAIN)[1]).variance
     visible = 0.0046 * np.sqrt(information.sum())  # root mean square of uniform(0.5, 1) * 0.006
-    assert not before.warranted
     assert after.warranted
     assert WARRANTED < after.score < visible + 2
     assert "neighbours among 2304 rays agree" in after.reason
 
 
-def test_what_tissues_are_is_no_edge():
+def test_what_tissues_are_is_no_edge(monkeypatch):
     """Beside photoelectric effect and Compton scattering alone, real tissues look like an edge on many rays."""
     model, edges = (
         likelihood(TISSUE, {}, side=32, photons=4e6),
         [BasisFunction("step", edge_energy=e) for e in (50, 57)],
     )
-    without_water_and_bone = PLAIN[::-1]
-    assert min(agreement(model, without_water_and_bone, edge) for edge in edges) > WARRANTED
-    assert max(agreement(model, PLAIN, edge) for edge in edges) < 1
+    assert max(agreement(model, PLAIN, edge) for edge in edges) < WARRANTED
+    monkeypatch.setattr("recon.edge_agreement.pairs_without_edge", lambda functions: (functions,))
+    monkeypatch.setattr("recon.edge_noise.MISFIT", 0.0)
+    assert min(agreement(model, PLAIN, edge) for edge in edges) > WARRANTED
 
 
-@pytest.mark.parametrize(("edge", "shown"), [(33.17, False), (33.2, True), (63.0, True), (80.0, True), (80.7, False)])
-def test_whole_channels_lie_below_and_above_an_edge_or_not(edge, shown):
+@pytest.mark.parametrize(("edge", "shown"), [(31.0, False), (33.17, True), (63.0, True), (80.7, True), (85.0, False)])
+def test_channels_lie_below_and_above_an_edge_or_not(edge, shown):
     assert between_channels(spectra(), edge) == shown

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from phantomgen.dataset_spectra import Spectra
+from recon.edge_noise import MISFIT, _direction, excess_score, null_law
 from recon.edge_profile import EdgeLikelihood, moved_edge, scan_edge, scanned_energies
 from recon.edge_rays import Rays
 from recon.edge_search import WARRANTED, judge, next_edge, refine_together
@@ -31,10 +32,10 @@ def spectra(thresholds=THRESHOLDS, photons=2e5):
     )  # fmt: skip
 
 
-def likelihood(contents, seed=0, side=16, thresholds=THRESHOLDS, dispersion=0.0):
+def likelihood(contents, seed=0, side=16, thresholds=THRESHOLDS, dispersion=0.0, photons=2e5):
     """Rays of one square view with random tissue and `contents`: largest line integral of each edge by its energy."""
     rng = np.random.default_rng(seed)
-    source = spectra(thresholds)
+    source = spectra(thresholds, photons)
     places = np.stack(np.meshgrid([0], range(side), range(side), indexing="ij")).reshape(3, -1)
     rays = Rays(np.ones((side**2, 1)), np.ones((side**2, 1)), None, places)
     functions = (*PLAIN, *(moved_edge(STEP, energy) for energy in contents))
@@ -82,12 +83,34 @@ def test_the_scatter_of_estimates_is_that_of_the_bound():
     assert np.mean(found) == pytest.approx(57.0, abs=4 * np.mean(bounds) / np.sqrt(24))
 
 
-def test_noise_alone_gives_scores_of_a_normal_distribution():
-    """At a known energy, without the element: mean 0, deviation 1."""
-    scores = [judge(likelihood({}, seed, side=16), PLAIN, moved_edge(STEP, 63.0)).score for seed in range(40)]
+@pytest.mark.parametrize("dispersion", [0.0, 0.02])
+def test_noise_alone_gives_scores_of_a_normal_distribution(dispersion):
+    """At a known energy, without the element: mean 0, deviation 1, whatever model error the deviances concede."""
+    scores, edge = [], moved_edge(STEP, 63.0)
+    for seed in range(40):
+        model = likelihood({}, seed, side=16, dispersion=dispersion)
+        saved, lengths = model.saving(PLAIN)(edge)
+        law = null_law(model, PLAIN, edge, model.deviances(PLAIN)[1], misfit=0.0)
+        scores.append(excess_score(np.where(lengths > 0, saved, 0.0), law))
     assert abs(np.mean(scores)) < 0.7
     assert np.std(scores) == pytest.approx(1.0, abs=0.4)
     assert max(scores) < WARRANTED
+
+
+@pytest.mark.parametrize("content", [0.0, 0.02])
+def test_a_conceded_misfit_is_no_edge_and_one_step_more_is(content):
+    """Counts that err by `MISFIT` of them, each channel as it looks most like the edge."""
+    model, edge = likelihood({63.0: content}, 3, side=40, photons=2e7, dispersion=0.02), moved_edge(STEP, 63.0)
+    lengths = model.deviances(PLAIN)[1]
+    signs = _direction(model, PLAIN, edge, lengths)[0]
+    counts = model.rays.counts * (1 + MISFIT * np.sign(signs))
+    wrong = model.with_rays(Rays(counts, model.rays.gains, None, model.rays.places))
+    saved, lengths = wrong.saving(PLAIN)(edge)
+    one_sided = np.where(lengths > 0, saved, 0.0)
+    law = null_law(wrong, PLAIN, edge, wrong.deviances(PLAIN)[1])
+    bare = null_law(wrong, PLAIN, edge, wrong.deviances(PLAIN)[1], misfit=0.0)
+    assert excess_score(one_sided, bare) > WARRANTED
+    assert (excess_score(one_sided, law) > WARRANTED) == (content > 0)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -53,6 +53,14 @@ def test_slices_without_truth_and_of_nothing_are_drawn(tmp_path, volumes):
     figures.profiles(empty, empty, ("compton",), Grid.cube(1, 2.0), tmp_path / "c.png")
 
 
+def test_a_basis_that_the_truth_lacks_is_drawn_without_it(tmp_path, volumes, truth):
+    some = truth.copy()
+    some[2] = np.nan
+    path = figures.basis_slices(volumes, some, NAMES, GRID, tmp_path / "a.png", left_out=("kedge_50.2",))
+    assert read_png_size(path)[0] == 1050
+    figures.profiles(volumes, some, NAMES, GRID, tmp_path / "b.png")
+
+
 def test_profiles_pass_through_both_regions_of_the_last_basis(tmp_path, volumes, truth):
     start, stop = figures.profile_line(volumes[-1], GRID)
     along = (stop - start) / np.linalg.norm(stop - start)

@@ -75,6 +75,24 @@ def test_a_saved_fit_is_a_run_folder(fit, tmp_path):
         fit.save(folder)
 
 
+def test_a_fit_is_saved_when_its_scores_fail(fit, tmp_path, monkeypatch):
+    monkeypatch.setattr("recon.run.score_truth", lambda *_: 1 / 0)
+    with pytest.warns(RuntimeWarning, match="scoring against the truth failed.*the model and its volumes are written"):
+        folder = fit.save(tmp_path / "run")
+    assert set(json.loads((folder / "metrics.json").read_text(encoding="utf-8"))["failed"]) == {
+        "scoring against the truth"
+    }
+    np.testing.assert_array_equal(open_run(folder).gaussians.centres, fit.gaussians.centres)
+
+
+def test_bases_are_chosen_by_name(path):
+    fit = recon.fit(path, SHORT, bases=("compton", "photoelectric"), callbacks=[Watching(last=1)])
+    assert fit.basis_names == ("photoelectric", "compton")
+    assert fit.left_out == ("kedge_63.3",)
+    with pytest.raises(InputError, match=r"no basis .bone.: choose from photoelectric, compton, kedge_63\.3"):
+        recon.fit(path, SHORT, bases=("bone",))
+
+
 def test_notebooks_show_a_slice_of_every_basis(fit):
     assert repr(fit).startswith("Fit(tiny.h5: ")
     assert fit._repr_html_().count("data:image/png;base64,") == 3
