@@ -1,6 +1,7 @@
 # make demo   scan the kedge phantom, reconstruct it, print the scores
 # make test   run the test suite
 # make check  formatting, lint, import contracts, types
+# make numbers  run the commands behind the numbers of README and docs; say which no longer hold (ONLY=readme, SLOW=1)
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -8,7 +9,7 @@ ifeq ($(OS),Windows_NT)
 BIN := $(VENV)/Scripts
 endif
 
-.PHONY: demo test check clean
+.PHONY: demo test check numbers clean
 
 demo: $(VENV)/installed
 	$(BIN)/phantomgen make --preset kedge --overwrite
@@ -22,6 +23,9 @@ check: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
 	$(BIN)/pyright --pythonpath $(BIN)/python
+
+numbers: $(VENV)/installed
+	$(BIN)/python benchmarks/check_numbers.py $(if $(ONLY),--only $(ONLY)) $(if $(SLOW),--slow) $(if $(SCRATCH),--scratch $(SCRATCH) --resume)
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info
