@@ -110,7 +110,7 @@ def verdict(value: Value, shop: Workshop) -> tuple[str, str]:
     try:
         found = value.measured(text)
     except (LookupError, ValueError) as error:
-        shop.absent[value] = str(error).strip("\"'")
+        shop.absent[value] = str(error.args[0])
         return "absent", "no"
     if value.machine:
         return f"{found:.4g}", "machine"

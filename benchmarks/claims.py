@@ -12,6 +12,7 @@ import yaml
 ROOT = Path(__file__).parents[1]
 NUMBERS = ROOT / "benchmarks" / "numbers.yaml"
 USUAL = {"psnr": "0.1", "psnr_zero": "0.05", "ssim": "0.002", "chi_square_away": "0.02", "chi_square_all": "5%"}
+_PLACES = ("columns", "machine")
 _NUMBER = re.compile(r"(?<![\w.^])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.]*\w)")
 
 
@@ -152,6 +153,8 @@ class Table:
     below : line of the results that must come before the rows
     columns : which numbers of a row of results the table shows; the first ones where none are given
     labels : first cells of rows that have another name in the results
+    before : what the results have before the first cell
+    machine : which of the numbers shown depend on the machine
     """
 
     document: str
@@ -160,6 +163,8 @@ class Table:
     below: str = ""
     columns: tuple[int, ...] = ()
     labels: dict[str, str] = field(default_factory=dict)
+    before: str = ""
+    machine: tuple[int, ...] = ()
 
     def claims(self, text: str) -> Iterator[Claim]:
         """A claim for every row."""
@@ -167,9 +172,11 @@ class Table:
             label, *cells = (plain(cell) for cell in row.strip().strip("|").split("|"))
             stated = [number for cell in cells for number in numbers_of(cell)]
             columns = self.columns or tuple(range(len(stated)))
-            pairs = zip(stated, columns, strict=False)
-            line = self.labels.get(label, label)
-            values = (Value(n, self.run, line=line, number=i, below=self.below) for n, i in pairs)
+            line = f"{self.before} {self.labels.get(label, label)}".strip()
+            values = (
+                Value(n, self.run, line=line, number=i, below=self.below, machine=place in self.machine)
+                for place, (n, i) in enumerate(zip(stated, columns, strict=False))
+            )
             yield Claim(self.document, row, tuple(values), tuple(numbers_of(label)))
 
 
@@ -212,7 +219,9 @@ def ledger(path: Path = NUMBERS) -> Ledger:
         for document, found in entries["claims"].items()
         for c in found
     )
-    tables = tuple(Table(**{**t, "columns": tuple(map(int, t.get("columns", ())))}) for t in entries["tables"])
+    tables = tuple(
+        Table(**{**t, **{key: tuple(map(int, t.get(key, ()))) for key in _PLACES}}) for t in entries["tables"]
+    )
     return Ledger(runs, claims, tables, tuple(Same(**s) for s in entries["same"]))
 
 

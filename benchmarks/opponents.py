@@ -56,7 +56,8 @@ class Setting:
 
     def name(self, iterations: int | None = None) -> str:
         """What differs, in words."""
-        words = [f"{key} {value}" for key, value in self.changes.items() if key not in ("iterations", "levels")]
+        unsaid = ("iterations", "levels", "tolerance")
+        words = [f"{key} {value}" for key, value in self.changes.items() if key not in unsaid]
         passes = f"{self.changes['levels'][-1][1]} passes" if "levels" in self.changes else ""
         times = f"{iterations} iterations" if iterations else passes
         return ", ".join(word for word in [*words, times] if word) or "defaults"
@@ -80,7 +81,7 @@ SETTINGS = (
     *(Setting("one-step", {"dispersion": dispersion}) for dispersion in (0.02, 0.05)),
     *(
         Setting("pdhg-tv", {"strength": strength, "iterations": 100, "tolerance": 0.0}, (100,))
-        for strength in (1.0, 2.0, 3.0, 4.0)
+        for strength in (1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
     ),
 )
 
