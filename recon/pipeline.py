@@ -135,7 +135,7 @@ def _starting(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
 
 def _mean_information(measured: Measurements, voxel: float, recipe: Recipe) -> Float[np.ndarray, "basis basis"]:
     """Fisher matrix of line integrals, averaged over rays of some views."""
-    some = measured[np.arange(0, len(measured), _FISHER_VIEWS)].completed()
+    some = measured.completed()[np.arange(0, len(measured), _FISHER_VIEWS)]  # of some views a channel may lack all
     return decompose_views(some.binned(matching_bin(measured.geometry, voxel)), recipe.dispersion)[1]
 
 
