@@ -2,6 +2,7 @@
 # make test   run the test suite
 # make test-isa  the same as processors with other instructions run it; ISA_TESTS="tests/recon" for a part
 # make check  formatting, lint, import contracts, types
+# make numbers  run the commands behind the numbers of README and docs; say which no longer hold (ONLY=readme, SLOW=1)
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -13,7 +14,7 @@ endif
 INSTRUCTIONS := NUMBA_CPU_NAME=x86-64 NUMBA_CPU_NAME=x86-64-v3 ATEN_CPU_CAPABILITY=default ATEN_CPU_CAPABILITY=avx2
 ISA_TESTS ?= tests
 
-.PHONY: demo test test-isa check clean
+.PHONY: demo test test-isa check numbers clean
 
 demo: $(VENV)/installed
 	$(BIN)/phantomgen make --preset kedge --overwrite
@@ -32,6 +33,9 @@ check: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
 	$(BIN)/pyright --pythonpath $(BIN)/python
+
+numbers: $(VENV)/installed
+	$(BIN)/python benchmarks/check_numbers.py $(if $(ONLY),--only $(ONLY)) $(if $(SLOW),--slow) $(if $(SCRATCH),--scratch $(SCRATCH) --resume)
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info

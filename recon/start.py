@@ -28,7 +28,7 @@ def starting_method(geometry: Geometry, grid: Grid) -> LinearMethod:
         circle_of(geometry, grid)
     except GeometryError:
         return SWEEPS
-    return Fdk() if min(geometry.panel.rows, geometry.panel.columns) > 1 else SWEEPS
+    return Fdk("hann") if min(geometry.panel.rows, geometry.panel.columns) > 1 else SWEEPS
 
 
 def start_volumes(

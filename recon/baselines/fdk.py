@@ -26,7 +26,7 @@ from spectra.errors import InputError
 class Fdk:
     """Filtered back-projection as a method; parameters as of `fdk`. Every ray counts alike, whatever its weight."""
 
-    window: str = "hann"
+    window: str = "cosine"
     cutoff: float = 1.0
 
     @property

@@ -60,7 +60,7 @@ class PdhgTv:
 
     iterations: int = 400
     tolerance: float = 5e-3
-    strength: float = 2.0
+    strength: float = 6.0
     balance: float = 1.0
     relaxation: float = 1.8
 

@@ -21,7 +21,7 @@ from recon.baselines.pair import Pair, inverse_or_zero
 class Sirt:
     """SIRT as a method; parameters as of `sirt`."""
 
-    iterations: int = 60
+    iterations: int = 80
     relaxation: float = 1.9
     non_negative: bool = True
 
@@ -47,7 +47,7 @@ def sirt(
     line_integrals: Images,
     geometry: Geometry,
     grid: Grid,
-    iterations: int = 60,
+    iterations: int = 80,
     relaxation: float = 1.9,
     non_negative: bool = True,
     weights: Weights | None = None,

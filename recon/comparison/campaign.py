@@ -169,7 +169,7 @@ def pseudo_truth(dataset: Dataset) -> np.ndarray | None:
     try:
         measured = read_measurements(dataset, views, 1)
         coarse = measured.completed().binned(matching_bin(measured.geometry, min(dataset.grid.spacing)))
-        return Fdk().reconstruct(log_projections(coarse), None, coarse.geometry, dataset.grid)
+        return Fdk("hann").reconstruct(log_projections(coarse), None, coarse.geometry, dataset.grid)
     except Error:
         return None
 

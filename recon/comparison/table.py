@@ -12,6 +12,7 @@ from spectra.basis import pretty
 
 Result = dict[str, Any]
 ABSENT = "-"
+EARLY = 0.95  # of a budget; a run that ends before has stopped by itself, and is said to
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -66,18 +67,29 @@ def _section(title: str, table: str) -> str:
 
 
 def run_table(results: Sequence[Result]) -> str:
-    """Seconds, memory and size of every run; what failed says why."""
+    """Seconds, memory and size of every run; what failed says why.
+
+    A run that stopped by itself long before its budget says so: its budget is not the time that it had use for.
+    """
     header = ("method, budget", "seconds", "iterations", "peak memory [MiB]", "size")
     rows = []
     for r in results:
         if "error" in r:
             rows.append((name_of(r), ABSENT, ABSENT, ABSENT, r["error"]))
             continue
-        end = "" if r["finished"] else " (stopped)"
         size = f"{r['primitives']} {r['kind']}"
-        steps = f"{r['done']} of {r['total']}{end}"
+        steps = f"{r['done']} of {r['total']}{ending(r)}"
         rows.append((name_of(r), f"{r['seconds']:.1f}", steps, number(r["peak_memory_mib"], ".0f"), size))
     return markdown_table(header, rows)
+
+
+def ending(result: Result) -> str:
+    """How a run ended: by its budget, by itself well before that, or just in time."""
+    if not result["finished"]:
+        return " (stopped by the budget)"
+    if result["seconds"] < EARLY * result["budget"]:
+        return f" (stopped by itself after {result['seconds']:.0f} of {result['budget']:g} s)"
+    return ""
 
 
 def basis_table(results: Sequence[Result], protocol: str) -> str:

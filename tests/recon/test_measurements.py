@@ -9,6 +9,8 @@ from gaussian_scenes import NAMES, SDD, SOD, circular, small_model, small_scan, 
 from phantomgen.geometry import Geometry
 from phantomgen.panel import Panel
 from recon.measurements import matching_bin, read_measurements
+from recon.pipeline import _mean_information
+from recon.recipe import FAST
 from spectra.errors import GeometryError, InputError
 
 
@@ -77,6 +79,14 @@ def test_channels_that_views_lack_are_interpolated_between_their_neighbours(scan
         np.broadcast_to(logs[1:5], found.counts[1:5].shape), atol=1e-5,
     )  # fmt: skip
     np.testing.assert_allclose(found.counts[0, 2], found.counts[1, 2] / 2, rtol=1e-6)  # nothing before: the nearest
+
+
+def test_rays_tell_their_information_where_the_views_that_are_asked_lack_channels(scan):
+    """One view of eight is asked: where sources take turns, all of those may be of the same source."""
+    turns = (np.arange(6)[:, None] % 2 == np.array([0, 0, 1, 1])).astype(float)
+    counts = (scan.counts * turns[:, :, None, None]).astype(np.float32)
+    found = _mean_information(replace(scan, counts=counts, exposure=turns), 1.0, FAST)
+    np.testing.assert_allclose(found, _mean_information(scan, 1.0, FAST), rtol=0.3)
 
 
 def test_compression_states_an_error_that_holds_for_the_rays_of_the_scan(scan):

@@ -99,6 +99,13 @@ def test_the_studies_are_those_of_the_papers_tables():
     assert left_out == {(name,) if name else () for name in TABLE_4C}
 
 
+@pytest.mark.parametrize(("channels", "losses"), [("abc", ["-2.94", "-0.88", "-8.17"]), ("abcd", ["-"] * 4)])
+def test_the_papers_losses_stand_only_beside_scans_of_as_many_channels(channels, losses):
+    header, *lines = STUDIES["held-out-channel"](Scan(tuple(channels), bases=2, views=9)).rows({}, "honest")
+    assert header[-1] == "in the paper"
+    assert [line[-1] for line in lines if line[0] == "gaussian+2"] == losses
+
+
 def test_no_channel_can_be_spared_where_there_are_no_more_than_bases():
     with pytest.raises(InputError, match="of 2 channels none can be left out: 2 bases need as many"):
         STUDIES["held-out-channel"](Scan(("low", "high"), bases=2, views=9))

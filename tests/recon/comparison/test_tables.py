@@ -7,7 +7,7 @@ import pytest
 from recon.comparison.contender import contenders
 from recon.comparison.figure import _ends, _lines, error_against_time
 from recon.comparison.outcome import requirements
-from recon.comparison.table import markdown_table, mean_psnr, report, standing, write_csv
+from recon.comparison.table import markdown_table, mean_psnr, report, run_table, standing, write_csv
 
 
 def result(who, budget, psnrs, seconds=1.0, **more):
@@ -48,7 +48,19 @@ def test_the_report_shows_scores_dashes_and_failures():
     assert "+1.000 ± 0.500" in text
     half = next(line for line in text.splitlines() if line.startswith("| sart+2, 10 s") and "35.00" in line)
     assert half.count(" - ") == 4  # three scores of Compton, and the mean
-    assert "4 of 8 (stopped)" in text
+    assert "4 of 8 (stopped by the budget)" in text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "finished", "words"),
+    [
+        (3.0, True, "4 of 8 (stopped by itself after 3 of 10 s)"),
+        (9.7, True, "4 of 8 |"),
+        (9.9, False, "4 of 8 (stopped by the budget)"),
+    ],
+)
+def test_a_run_that_did_not_use_its_budget_says_so(seconds, finished, words):
+    assert words in run_table([OURS | {"seconds": seconds, "finished": finished}])
 
 
 def test_the_report_shows_material_maps():
