@@ -94,7 +94,8 @@ def coverage(measured: Measurements, grid: Grid) -> Coverage:
             exits = np.quantile(far[seen], (0.002, 0.998)) + np.array([-block, block]) / 2
         ends[0] = min(ends[0], exits[0]) if low_end < faces[0] + room else ends[0]
         ends[1] = max(ends[1], exits[1]) if high_end > faces[1] - room else ends[1]
-    axial = float(sides[:, 2:].any(axis=1).mean()) if ends != [faces[0], faces[1]] else 0.0
+    hidden = height[1].max() < faces[1] - room or height[1].min() > faces[0] + room  # from all views, as of a helix
+    axial = float(sides[:, 2:].any(axis=1).mean()) if hidden or ends != [faces[0], faces[1]] else 0.0
     wide = radius if lateral or beside > FEW_RAYS else 0.0
     grown = _grown(grid, wide, (ends[0], ends[1]))
     outside = float(beside + above)

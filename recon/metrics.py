@@ -170,7 +170,7 @@ def score_projections(views: Iterable[HeldOutView], channel_names: Sequence[str]
             "chi_square_all": _ratio(chi_all, rays),
             "chi_square_away": _ratio(chi_away, rays_away),
             "away": _ratio(rays_away, rays),
-            "rays_away": int(rays_away),
+            "rays_away": int(rays_away) or None,
             "counts_away": _ratio(through, rays_away),
         }
     return scores

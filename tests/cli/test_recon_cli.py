@@ -25,7 +25,7 @@ BASES = ("photoelectric", "compton", "kedge_63.3")
 DATA = "entry/instrument/detector/data"
 FAST = ("--sweeps", "1", "--no-figures", "--quiet")
 SCORES = {"psnr", "psnr_scaled", "psnr_zero", "scale", "ssim", "bias", "rmse"}
-CHANNEL_SCORES = {"psnr", "psnr_noise", "chi_square_all", "chi_square_away", "away"}
+CHANNEL_SCORES = {"psnr", "psnr_noise", "chi_square_all", "chi_square_away", "away", "rays_away", "counts_away"}
 FIGURES = {
     f"{name}.{kind}" for name in ("profiles", "convergence", "residuals", "spectrum") for kind in ("png", "csv")
 } | {"axial.png", "coronal.png"}
