@@ -13,7 +13,7 @@ from itertools import accumulate, islice
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from recon.agreement import Agreement, agreement, agreement_and_gradients
@@ -26,7 +26,7 @@ from recon.measurements import Measurements, matching_bin
 from recon.ops.positive_step import positive_step
 from recon.processes import ALONE, Processes
 from recon.recipe import Recipe
-from recon.view_subsets import every, kinds_of
+from recon.view_subsets import every, kinds_of, parts_of, rounds_of
 from spectra.threads import without_other_pools
 
 SNAPSHOTS = 10  # models kept along the way, for error against time
@@ -96,16 +96,18 @@ def fit(
     coefficients = state.gaussians.coefficients
     rates = np.array([recipe.centre_rate * voxel, recipe.shape_rate, recipe.shape_rate])
     began = time.perf_counter() - state.seconds
-    lengths = recipe.steps(len(measurements))
+    kinds = kinds_of(measurements.exposure)
+    rounds = rounds_of(kinds)  # a step takes a view of each kind: one kind alone cannot tell bases apart
+    lengths = recipe.steps(rounds)
     steps, firsts = sum(lengths), accumulate(lengths, initial=0)
     for stage, first, length in zip(recipe.stages, firsts, lengths, strict=False):
         if state.done >= first + length:
             continue
         data = measurements.binned(matching_bin(measurements.geometry, stage.pixel * voxel))
         data = data.weighted(recipe.dispersion, store)
-        per_sweep = recipe.per_sweep(len(data))
-        for step, views in islice(enumerate(_subsets(len(data), per_sweep, length)), state.done - first, None):
-            if step % recipe.curvature_steps(len(data)) == 0:
+        per_sweep = recipe.per_sweep(rounds)
+        for step, views in islice(enumerate(_subsets(kinds, per_sweep, length)), state.done - first, None):
+            if step % recipe.curvature_steps(rounds) == 0:
                 state.inverse, state.weight = _inverse_curvature(state.gaussians, data, recipe, processes, anchor)
             fraction = state.done / steps
             ramp = min(1.0, (state.done + 1) / max(recipe.warm_up * per_sweep, 1.0))
@@ -143,11 +145,12 @@ def _judge(state: FitState, held_out: Measurements, recipe: Recipe, processes: P
     return found
 
 
-def _subsets(views: int, per_sweep: int, steps: int) -> Iterator[np.ndarray]:
+def _subsets(kinds: Int[np.ndarray, " view"], per_sweep: int, steps: int) -> Iterator[np.ndarray]:
     """Evenly spread subsets of the views, one after the other in an order that jumps around the orbit."""
+    parts = parts_of(kinds, per_sweep)
     stride = next(s for s in range(max(int(0.38 * per_sweep), 1), per_sweep + 1) if np.gcd(s, per_sweep) == 1)
     for step in range(steps):
-        yield np.arange(step * stride % per_sweep, views, per_sweep)
+        yield parts[step * stride % per_sweep]
 
 
 def _inverse_curvature(

@@ -9,6 +9,7 @@ from recon.fitting import Progress
 from recon.memory import MemoryPlan, plan_memory
 from recon.pipeline import reconstruct
 from recon.recipe import Recipe
+from recon.view_subsets import kinds_of, rounds_of
 
 TIMED_STEPS = 3
 
@@ -64,18 +65,19 @@ def forecast(dataset: Dataset, recipe: Recipe, bases: int | None, limit: float |
 
     result = reconstruct(dataset, recipe, bases, on_step=on_step, device=device)
     count = len(result.gaussians)
+    rounds = rounds_of(kinds_of(dataset.exposure[dataset.splits["train"][recipe.held_out :]]))
     start = sum(seconds for name, seconds in result.seconds.items() if name != "fit")
     return Forecast(
         count,
         timed[-1].steps,
         start,
-        seconds_of_steps(timed, recipe, len(dataset.splits["train"]) - recipe.held_out),
+        seconds_of_steps(timed, recipe, rounds),
         plan_memory(dataset, recipe, bases, limit, count),
     )
 
 
 def seconds_of_steps(timed: list[Progress], recipe: Recipe, views: int) -> float:
-    """Seconds of all steps over so many views, from the first, which also finds the curvature, and a few more."""
+    """Seconds of all steps over so many views of each kind, from the first, which finds curvature, too, and more."""
     first, last = timed[0].seconds, timed[-1].seconds
     plain = (last - first) / (len(timed) - 1) if len(timed) > 1 else first
     renewals = sum(ceil(steps / recipe.curvature_steps(views)) for steps in recipe.steps(views))

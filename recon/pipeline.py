@@ -30,7 +30,7 @@ from recon.processes import ALONE, Processes
 from recon.recipe import Recipe
 from recon.start import start_volumes, starting_method
 from recon.unseen_rays import UnseenRays, with_rays_apart
-from recon.view_subsets import every, kinds_of
+from recon.view_subsets import every, kinds_of, rounds_of
 from recon.voxels import Voxels
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
@@ -132,7 +132,7 @@ def reconstruct(
     state, volumes = _shared(state, processes).to(place), processes.from_first(volumes)
     anchor = None
     if recipe.prior:
-        along = recipe.prior_along_edges(len(fitted))
+        along = recipe.prior_along_edges(rounds_of(kinds_of(fitted.exposure)))
         filled = _filled_part(volumes, grid, _AIR if grid != dataset.grid else 0)
         anchor = Anchor.off_edges(*filled, fisher, recipe.prior, along).holding(measured.basis_names)
     with stage("fit"):

@@ -13,6 +13,11 @@ def kinds_of(exposure: Float[np.ndarray, "view channel"]) -> Int[np.ndarray, " v
     return np.unique(exposure > 0, axis=0, return_inverse=True)[1].reshape(-1)
 
 
+def rounds_of(kinds: Int[np.ndarray, " view"]) -> int:
+    """Views over kinds, at least 1: that many sets of views have every kind, and so every channel."""
+    return max(len(kinds) // len(_members(kinds)), 1)
+
+
 def every(kinds: Int[np.ndarray, " view"], step: float) -> Int[np.ndarray, " few"]:
     """One view of so many of each kind, at least one of each, in order.
 

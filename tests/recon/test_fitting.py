@@ -10,6 +10,7 @@ from recon.adam import Adam
 from recon.agreement import agreement
 from recon.fitting import _nearest_non_negative, _subsets, fit
 from recon.recipe import Recipe, Stage
+from recon.view_subsets import rounds_of
 from spectra.errors import InputError
 from spectra.threads import set_threads
 
@@ -94,8 +95,16 @@ def test_steps_of_the_geometry_grow_to_their_length(problem, warm_up, monkeypatc
 
 @pytest.mark.parametrize(("views", "per_sweep"), [(9, 3), (75, 25), (10, 3), (1, 1), (7, 2)])
 def test_a_sweep_uses_every_view_once(views, per_sweep):
-    seen = np.concatenate(list(_subsets(views, per_sweep, per_sweep)))
+    seen = np.concatenate(list(_subsets(np.zeros(views, int), per_sweep, per_sweep)))
     assert sorted(seen) == list(range(views))
+
+
+@pytest.mark.parametrize(("views", "kinds"), [(90, 2), (9, 3), (40, 4), (11, 2)])
+def test_every_step_sees_every_kind_of_view(views, kinds):
+    """One of two voltages alone cannot tell two bases apart, and a step that follows it leads astray."""
+    kind = np.arange(views) % kinds
+    for step in _subsets(kind, rounds_of(kind), 2 * rounds_of(kind)):
+        assert set(kind[step]) == set(range(kinds))
 
 
 @pytest.mark.parametrize("name", ["views_per_step", "spacing", "coefficient_rate", "curvature_sweeps"])
