@@ -14,6 +14,10 @@ from recon.gaussians import PARTS, Gaussians
 GEOMETRY = ("centres", "log_scales", "quaternions")
 
 
+_NUMBERS = ("done", "seconds", "unimproved", "sweep", "restraint")
+_LEAST = ("lowest", "last_sweep")  # infinite at first, which JSON does not know
+
+
 @dataclass(eq=False)
 class FitState:
     """A fit between two steps.
@@ -30,6 +34,8 @@ class FitState:
     seconds : spent on them
     lowest : smallest chi-square on held-out rays so far
     unimproved : snapshots since then
+    sweep, last_sweep : sum of the deviances of this sweep over the views so far, and that of the whole last one
+    restraint : of the steps of the coefficients, 1 where they have led nowhere worse
     """
 
     gaussians: Gaussians
@@ -42,6 +48,9 @@ class FitState:
     seconds: float = 0.0
     lowest: float = inf
     unimproved: int = 0
+    sweep: float = 0.0
+    last_sweep: float = inf
+    restraint: float = 1.0
 
     @classmethod
     def begin(cls, start: Gaussians) -> "FitState":
@@ -68,11 +77,8 @@ class FitState:
 
     def numbers(self) -> dict[str, Any]:
         """All else, for JSON."""
-        lowest = None if self.lowest == inf else self.lowest
-        names = list(self.gaussians.basis_names)
-        return {
-            "basis": names, "done": self.done, "seconds": self.seconds, "lowest": lowest, "unimproved": self.unimproved
-        }  # fmt: skip
+        least = {name: None if getattr(self, name) == inf else getattr(self, name) for name in _LEAST}
+        return {"basis": list(self.gaussians.basis_names)} | {name: getattr(self, name) for name in _NUMBERS} | least
 
     @classmethod
     def restore(cls, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> "FitState":
@@ -83,8 +89,10 @@ class FitState:
         state.velocity, state.inverse, state.weight = (
             tensors[name].clone() for name in ("velocity", "inverse", "weight")
         )
-        state.done, state.seconds, state.unimproved = (numbers[key] for key in ("done", "seconds", "unimproved"))
-        state.lowest = inf if numbers["lowest"] is None else numbers["lowest"]
+        for name in _NUMBERS:
+            setattr(state, name, numbers[name])
+        for name in _LEAST:
+            setattr(state, name, inf if numbers[name] is None else numbers[name])
         state.adam.means = [tensors[f"{name}.mean"].clone() for name in GEOMETRY]
         state.adam.squares = [tensors[f"{name}.square"].clone() for name in GEOMETRY]
         return state

@@ -3,7 +3,6 @@
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
-from pydantic_core import PydanticCustomError
 
 from phantomgen.schema.base import Model, NonNegative
 
@@ -31,7 +30,7 @@ class EdgeFunctionModel(Model):
         if not isinstance(values, dict) or "edge" not in values:
             return values
         if "edge_energy" in values:
-            raise PydanticCustomError("two_names", "edge is the earlier name of edge_energy: give one of them")
+            raise ValueError("edge is the earlier name of edge_energy: give one of them")
         return {"edge_energy" if key == "edge" else key: value for key, value in values.items()}
 
 

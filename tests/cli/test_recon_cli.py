@@ -320,7 +320,7 @@ def test_fewer_bases_than_the_dataset_has_are_fitted_and_named(dataset, tmp_path
     result = fit(dataset, "-o", tmp_path / "run", *options)
     assert result.exit_code == 0, result.output
     missing = "kedge_63.3" if bases == "2" else "compton"
-    assert f"Not fitted, though the file has it: {missing}" in result.stdout
+    assert f"Of the bases that the scan states, {missing} is not fitted" in result.stdout
     metrics = metrics_of(tmp_path / "run")
     assert metrics["bases_left_out"] == [missing]
     assert read_run(tmp_path / "run").basis_names == tuple(name for name in BASES if name != missing)

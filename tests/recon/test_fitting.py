@@ -1,3 +1,4 @@
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,8 @@ from scipy.optimize import nnls
 
 from recon.adam import Adam
 from recon.agreement import agreement
-from recon.fitting import _nearest_non_negative, _subsets, fit
+from recon.fit_state import FitState
+from recon.fitting import _nearest_non_negative, _restrain, _subsets, fit
 from recon.recipe import Recipe, Stage
 from recon.view_subsets import rounds_of
 from spectra.errors import InputError
@@ -105,6 +107,19 @@ def test_every_step_sees_every_kind_of_view(views, kinds):
     kind = np.arange(views) % kinds
     for step in _subsets(kind, rounds_of(kind), 2 * rounds_of(kind)):
         assert set(kind[step]) == set(range(kinds))
+
+
+def test_a_sweep_that_is_worse_than_the_last_shortens_steps_and_drops_momentum():
+    state = FitState.begin(small_model(1))
+    for deviance, restraint in ((5.0, 1.0), (5.2, 1.0), (6.0, 0.5), (3.0, 0.5), (9.0, 0.25)):
+        state.velocity += 1
+        _restrain(state, deviance, False)
+        assert bool(state.velocity.any())
+        _restrain(state, deviance, True)
+        assert state.restraint == restraint
+    assert not state.velocity.any()
+    again = FitState.restore(state.tensors(), json.loads(json.dumps(state.numbers())))
+    assert (again.restraint, again.last_sweep) == (0.25, 18.0)
 
 
 @pytest.mark.parametrize("name", ["views_per_step", "spacing", "coefficient_rate", "curvature_sweeps"])
