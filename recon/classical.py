@@ -27,6 +27,7 @@ from recon.basis_names import Asked, left_out, left_out_sentence, with_named
 from recon.coverage import coverage, inner_box
 from recon.decompose import decompose_views
 from recon.filling import filled
+from recon.margin import with_margin_found
 from recon.measurements import Measurements, matching_bin, read_measurements
 from recon.model_figures import draw_model
 from recon.plain_json import to_json, write_json
@@ -107,8 +108,9 @@ def run_classical(
     with clock("read"):
         measured = read_measurements(dataset, dataset.splits["train"], count)
         covered = coverage(measured, dataset.grid)
-        grid = covered.grid if isinstance(method, CountsMethod) else dataset.grid
         measured, node_error = measured.without_partial_volume().compressed(Recipe().node_tolerance)
+        covered = with_margin_found(measured, covered) if isinstance(method, CountsMethod) else covered
+    grid = covered.grid if isinstance(method, CountsMethod) else dataset.grid
 
     def on_iteration(iteration: Iteration) -> None:
         log.add(iteration)

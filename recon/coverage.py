@@ -72,7 +72,7 @@ def coverage(measured: Measurements, grid: Grid) -> Coverage:
     seen = shadow.attenuated
     count = max(int(seen.sum()), 1)
     beside, above = ((seen & miss).sum() / count for miss in (missed_beside, missed & ~missed_beside))
-    edges = _border_distances(some.geometry)
+    edges = border_distances(some.geometry)
     reach = float(np.median(edges.max(axis=1)))
     outer = edges >= 0.9 * edges.max(axis=1, keepdims=True)  # of a half-fan, the other side is seen from opposite
     lateral = float((sides[:, :2] & outer).any(axis=1).mean())
@@ -97,7 +97,7 @@ def coverage(measured: Measurements, grid: Grid) -> Coverage:
     hidden = height[1].max() < faces[1] - room or height[1].min() > faces[0] + room  # from all views, as of a helix
     axial = float(sides[:, 2:].any(axis=1).mean()) if hidden or ends != [faces[0], faces[1]] else 0.0
     wide = radius if lateral or beside > FEW_RAYS else 0.0
-    grown = _grown(grid, wide, (ends[0], ends[1]))
+    grown = grown_to(grid, wide, (ends[0], ends[1]))
     outside = float(beside + above)
     return Coverage(
         tuple(map(float, share)),
@@ -190,7 +190,7 @@ def _paths(
     return across, (np.broadcast_to(source[..., 2], height.shape), height), beside, enter >= leave
 
 
-def _border_distances(geometry: Geometry) -> Float[np.ndarray, "view 2"]:
+def border_distances(geometry: Geometry) -> Float[np.ndarray, "view 2"]:
     """Distance of the rays through the middle of the left and of the right border from the axis of rotation [mm]."""
     panel = geometry.panel
     columns = np.array([-0.5, panel.columns - 0.5])
@@ -219,7 +219,7 @@ def _beyond(shadow: _Shadow, leaving: Bool[np.ndarray, "view side"]) -> float:
     return float(np.quantile(found[1:], 0.5)) if len(found) > 1 else 1.0
 
 
-def _grown(grid: Grid, radius: float, ends: tuple[float, float]) -> Grid:
+def grown_to(grid: Grid, radius: float, ends: tuple[float, float]) -> Grid:
     """The grid with voxels added, so that it holds a circle about the axis and reaches from one height to another."""
     wanted = (ends, (-radius, radius), (-radius, radius))
     shape, origin = [], []

@@ -25,6 +25,7 @@ from recon.fit_state import FitState
 from recon.fitting import Progress, fit
 from recon.gaussians import Gaussians
 from recon.initialize import initialize
+from recon.margin import with_margin_found
 from recon.measurements import Measurements, matching_bin, read_measurements
 from recon.processes import ALONE, Processes
 from recon.recipe import Recipe
@@ -110,9 +111,10 @@ def reconstruct(
     with stage("read"):
         whole = read_measurements(dataset, dataset.splits["train"], bases, store)
         covered = coverage(whole, grid)
-        grid = covered.grid  # with a margin where the object leaves the panel or the grid; it is cut off in the end
         whole = whole.without_partial_volume(store)
         measured, node_error = whole.compressed(recipe.node_tolerance)
+        covered = with_margin_found(measured, covered)
+        grid = covered.grid  # with a margin where the object leaves the panel or the grid; it is cut off in the end
         if recipe.prior:
             measured = with_rays_apart(measured, voxel, recipe.seed)
         fitted, held_out = _set_apart(measured, recipe)
