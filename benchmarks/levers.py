@@ -107,7 +107,7 @@ LEVERS = (
     fast("coefficients alone, geometry held", **HELD),
     fast("coefficients without momentum", momentum=0.0),
     fast("curvature of each basis alone, without what they share", BASIS_BY_BASIS),
-    fast("half as many evaluations as Gaussians follow", approximation=20),
+    fast("half as many evaluations as Gaussians follow", approximation=30),
     fast("2 views per step", views_per_step=2),
     fast("fewer Gaussians, spacing 1.2", spacing=1.2),
     Lever("best", BEST),

@@ -64,7 +64,7 @@ class Recipe:
     most_turns: float = 1.0
     spacing: float = 1.0
     voxel_passes: int = 8
-    approximation: int = 40
+    approximation: int = 60
     dispersion: float = 0.02
     node_tolerance: float = 1e-3
     centre_rate: float = 0.02
