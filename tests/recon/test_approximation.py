@@ -143,7 +143,7 @@ def test_few_gaussians_take_more_evaluations():
 
 
 def test_noise_as_small_as_rounding_moves_the_error_by_less_than_a_tenth_of_a_decibel():
-    """Limited-memory BFGS, which comes as far, moves it by 0.9 dB."""
+    """Limited-memory BFGS moves it by 0.9 dB."""
     volumes, rng = ball_and_rod(), np.random.default_rng(0)
     z, y, x = np.meshgrid(*(GRID.axis(name) for name in "zyx"), indexing="ij")
     ball, rod = np.sqrt(x * x + y * y + z * z) < 12, np.sqrt((x - 2) ** 2 + y * y) + 0 * z < 3
