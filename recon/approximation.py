@@ -4,10 +4,11 @@ A least-squares problem without any rays: every evaluation voxelizes the model a
 volumes, which costs a few per cent of a sweep over all views. It is solved by accelerated gradient steps (Nesterov
 1983), divided by the diagonal of the curvature that single Gaussians would have, in a frame of each Gaussian's own;
 momentum is dropped where it leads uphill (O'Donoghue & Candes 2015, doi:10.1007/s10208-013-9150-3). Limited-memory BFGS
-wants two thirds of the evaluations on large models, but its path depends on the last digits: noise of 1e-6 in the volumes, as much as the rounding of another
-processor, moved fits of small scans by up to 0.3 dB, and with these steps by less than 0.1 dB. Coefficients stay
-non-negative: one at 0 that would sink further is held. So is the length of a Gaussian at twice what it began with: a
-needle through even tissue hardly shows in voxels, while a view along it sees all of what sticks out at its ends.
+wants two thirds of the evaluations on large models, but its path depends on the last digits: noise of 1e-6 in the
+volumes, as much as the rounding of another processor, moved fits of small scans by up to 0.3 dB, and with these steps
+by less than 0.1 dB. Coefficients stay non-negative: one at 0 that would sink further is held. So is the length of a
+Gaussian at twice what it began with: a needle through even tissue hardly shows in voxels, while a view along it sees
+all of what sticks out at its ends.
 """
 
 import math
