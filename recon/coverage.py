@@ -24,6 +24,7 @@ ATTENUATED = 0.05  # log projection; scatter and drift make up less
 CERTAIN = 5.0  # standard deviations of its noise that it must exceed
 FEW_BLOCKS = 0.05  # of a border; what is less may be a defect
 FEW_RAYS = 0.005  # of those through the object
+NEAR = 0.1  # rad; of an opposite view
 LARGEST = 2.0  # times the field of view that an object is taken to fill, at most
 SIDES = ("left", "right", "top", "bottom")
 
@@ -75,11 +76,12 @@ def coverage(measured: Measurements, grid: Grid) -> Coverage:
     edges = border_distances(some.geometry)
     reach = float(np.median(edges.max(axis=1)))
     outer = edges >= 0.9 * edges.max(axis=1, keepdims=True)  # of a half-fan, the other side is seen from opposite
-    lateral = float((sides[:, :2] & outer).any(axis=1).mean())
+    alone = ~_met_from_opposite(some.geometry, measured.geometry)  # or should be
+    lateral = float((sides[:, :2] & (outer | alone)).any(axis=1).mean())
     distance = np.linalg.norm(frames[:, 0, :2], axis=1)[:, None, None]
     radius = float(np.quantile(across[seen], 0.995)) if seen.any() else 0.0
-    if lateral:
-        radius = max(radius, min(_beyond(shadow, sides[:, :2] & outer) * reach, LARGEST * reach))
+    if (sides[:, :2] & outer).any():
+        radius = max(radius, min(_beyond(shadow, sides[:, :2] & outer, across) * reach, LARGEST * reach))
     nearest = height[1][seen] if seen.any() else np.zeros(1)
     far = height[0] + (height[1] - height[0]) * (1 + radius / np.maximum(distance, radius + 1e-9))
     low_end, high_end = (float(np.quantile(nearest, q)) for q in (0.002, 0.998))
@@ -197,6 +199,22 @@ def border_distances(geometry: Geometry) -> Float[np.ndarray, "view 2"]:
     return _paths(geometry.ray_frames(), columns, np.array([(panel.rows - 1) / 2]), Grid.cube(1, 1.0))[0][:, 0]
 
 
+def _met_from_opposite(some: Geometry, every: Geometry) -> Bool[np.ndarray, "view 2"]:
+    """Whether the rays of some views through the left and the right border have a view at their other end.
+
+    That is where they leave the circle on which the source moves; a view counts that is near in azimuth, by the gaps
+    that so many views leave on a circle.
+    """
+    source, first, step, down = (part[:, None, :2] for part in np.moveaxis(some.ray_frames(), 1, 0))
+    columns = np.array([-0.5, some.panel.columns - 0.5])[None, :, None]
+    direction = first + columns * step + (some.panel.rows - 1) / 2 * down
+    flat = np.maximum(np.sum(direction**2, axis=-1, keepdims=True), 1e-30)
+    x, y = np.moveaxis(source - 2 * np.sum(source * direction, axis=-1, keepdims=True) / flat * direction, -1, 0)
+    wanted, there = np.arctan2(y, x), np.arctan2(every.source[:, 1], every.source[:, 0])
+    turned = np.abs((wanted[..., None] - there + np.pi) % (2 * np.pi) - np.pi).min(axis=-1)
+    return turned <= max(4 * np.pi / len(every), NEAR)
+
+
 def _pixel_height(geometry: Geometry) -> Float[np.ndarray, " view"]:
     """Distance of two rows, seen at the axis [mm]."""
     panel = geometry.panel
@@ -205,18 +223,30 @@ def _pixel_height(geometry: Geometry) -> Float[np.ndarray, " view"]:
     return np.abs(np.diff(heights[:, :, 0], axis=1))[:, 0]
 
 
-def _beyond(shadow: _Shadow, leaving: Bool[np.ndarray, "view side"]) -> float:
-    """Radius of the object over that of the field of view, as if it were round and even: chords are sqrt(R^2 - s^2)."""
-    found = [1.0]
+def _beyond(
+    shadow: _Shadow, leaving: Bool[np.ndarray, "view side"], across: Float[np.ndarray, "view row column"]
+) -> float:
+    """Radius of the object over that of the field of view, as if it were round and even: chords are sqrt(R^2 - s^2).
+
+    The middle of the object is the inner half of the field of view, which is beside the middle of a half-fan's panel.
+    """
+    found, near = [1.0], _inner_half(across)
     for side, column in enumerate((0, -1)):
-        for logs in shadow.logs[leaving[:, side]]:
-            half = logs.shape[1] // 4
-            inside = logs[:, half:-half] if half else logs
+        for logs, middle_half in zip(shadow.logs[leaving[:, side]], near[leaving[:, side]], strict=True):
+            inside = logs[:, middle_half]
             rows = np.argsort(inside.mean(axis=1))[-max(len(logs) // 2, 1) :]  # through the object
             middle, border = float(np.median(inside[rows])), float(np.median(logs[rows, column]))
             part = np.clip(border / max(middle, 1e-6), 0, 0.99)
             found.append(1 / np.sqrt(1 - part**2))
     return float(np.quantile(found[1:], 0.5)) if len(found) > 1 else 1.0
+
+
+def _inner_half(across: Float[np.ndarray, "view row column"]) -> Bool[np.ndarray, "view column"]:
+    """Blocks that lie within half the distance of the outermost from the axis, at least one of each view."""
+    distance = across[:, across.shape[1] // 2]
+    step = np.median(np.abs(np.diff(distance, axis=1)), axis=1) if distance.shape[1] > 1 else np.zeros(len(distance))
+    half = (distance.max(axis=1) + step / 2) / 2 + step / 2  # from the axis to the border, and half a block more
+    return distance <= np.maximum(half * (1 - 1e-6), distance.min(axis=1))[:, None]
 
 
 def grown_to(grid: Grid, radius: float, ends: tuple[float, float]) -> Grid:

@@ -21,12 +21,14 @@ class Forecast:
     Parameters
     ----------
     gaussians : that it starts with
+    voxels : along z, y and x of the grid that is fitted, with the margin of a truncated scan
     steps : that it makes
     start_seconds, fit_seconds : of the start, and of all steps; without scores and figures
     memory : expected peak
     """
 
     gaussians: int
+    voxels: tuple[int, int, int]
     steps: int
     start_seconds: float
     fit_seconds: float
@@ -39,7 +41,7 @@ class Forecast:
     def __str__(self) -> str:
         total = self.start_seconds + self.fit_seconds
         return (
-            f"{self.gaussians} Gaussians, {self.steps} steps\n"
+            f"{self.gaussians} Gaussians, {self.steps} steps, {' x '.join(map(str, self.voxels))} voxels\n"
             f"about {total:.0f} s: start {self.start_seconds:.0f} s, steps {self.fit_seconds:.0f} s\n"
             f"about {self.memory}"
         )
@@ -64,15 +66,16 @@ def forecast(dataset: Dataset, recipe: Recipe, bases: int | None, limit: float |
         return len(timed) == TIMED_STEPS
 
     result = reconstruct(dataset, recipe, bases, on_step=on_step, device=device)
-    count = len(result.gaussians)
+    count, grid = len(result.gaussians), result.coverage.grid if result.coverage else dataset.grid
     rounds = rounds_of(kinds_of(dataset.exposure[dataset.splits["train"][recipe.held_out :]]))
     start = sum(seconds for name, seconds in result.seconds.items() if name != "fit")
     return Forecast(
         count,
+        grid.shape,
         timed[-1].steps,
         start,
         seconds_of_steps(timed, recipe, rounds),
-        plan_memory(dataset, recipe, bases, limit, count),
+        plan_memory(dataset, recipe, bases, limit, count, grid),
     )
 
 

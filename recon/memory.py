@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from math import prod
 
 from phantomgen.dataset import Dataset
+from phantomgen.grid import Grid
 from recon.measurements import matching_bin
 from recon.recipe import Recipe
 from spectra.errors import InputError
@@ -50,7 +51,12 @@ MOVABLE = ("counts", "line integrals")
 
 
 def plan_memory(
-    dataset: Dataset, recipe: Recipe, bases: int | None, limit: float | None, gaussians: int | None = None
+    dataset: Dataset,
+    recipe: Recipe,
+    bases: int | None,
+    limit: float | None,
+    gaussians: int | None = None,
+    grid: Grid | None = None,
 ) -> MemoryPlan:
     """Expected peak, with large arrays on disk where it would exceed `limit` [GiB] otherwise.
 
@@ -61,24 +67,28 @@ def plan_memory(
     bases : how many basis functions are fitted, default all
     limit : largest memory to take [GiB]; None for no limit
     gaussians : how many there are, where somebody knows
+    grid : that is fitted, see `recon.fitted_grid`; default that of the dataset, which a margin makes larger
 
     Raises
     ------
     InputError
         When the limit cannot be kept.
     """
-    plan = MemoryPlan(_parts(dataset, recipe, bases, gaussians), on_disk=False)
+    grid = grid or dataset.grid
+    plan = MemoryPlan(_parts(dataset, recipe, bases, gaussians, grid), on_disk=False)
     if limit is None or plan.peak <= limit:
         return plan
     plan = MemoryPlan(plan.parts, on_disk=True)
     if plan.peak > limit:
-        raise InputError(f"a fit of {dataset.path} needs at least {plan}, more than --memory {limit:g} allows")
+        of = f"a fit of {dataset.path} on {' x '.join(map(str, grid.shape))} voxels"
+        margin = "" if grid == dataset.grid else ", a margin around the truncated object included,"
+        raise InputError(f"{of}{margin} needs at least {plan}, more than --memory {limit:g} allows")
     return plan
 
 
-def _parts(dataset: Dataset, recipe: Recipe, bases: int | None, gaussians: int | None) -> dict[str, float]:
+def _parts(dataset: Dataset, recipe: Recipe, bases: int | None, gaussians: int | None, grid: Grid) -> dict[str, float]:
     _, channels, rows, columns = dataset.counts.shape
-    views, pixels, voxels = len(dataset.splits["train"]), rows * columns, prod(dataset.grid.shape)
+    views, pixels, voxels = len(dataset.splits["train"]), rows * columns, prod(grid.shape)
     m = bases or len(dataset.spectra.basis)
     factor = matching_bin(dataset.geometry, min(dataset.grid.spacing)) ** 2
     if gaussians is None:

@@ -17,16 +17,16 @@ from recon.array_store import IN_MEMORY, ArrayStore
 from recon.baselines.grids import occupied
 from recon.baselines.method import CountsMethod, Method, OnIteration, unwatched
 from recon.baselines.one_step import OneStep
-from recon.coverage import Coverage, coverage, inner_box
+from recon.coverage import Coverage, inner_box
 from recon.decompose import decompose_views
 from recon.devices import device_named
 from recon.filling import filled
 from recon.fit_state import FitState
+from recon.fitted_grid import read_with_coverage
 from recon.fitting import Progress, fit
 from recon.gaussians import Gaussians
 from recon.initialize import initialize
-from recon.margin import with_margin_found
-from recon.measurements import Measurements, matching_bin, read_measurements
+from recon.measurements import Measurements, matching_bin
 from recon.processes import ALONE, Processes
 from recon.recipe import Recipe
 from recon.start import start_volumes, starting_method
@@ -109,11 +109,7 @@ def reconstruct(
     starting_method(dataset.geometry[dataset.splits["train"]], grid)  # refuses scans that show no depth
     stage = Stopwatch(on_stage)
     with stage("read"):
-        whole = read_measurements(dataset, dataset.splits["train"], bases, store)
-        covered = coverage(whole, grid)
-        whole = whole.without_partial_volume(store)
-        measured, node_error = whole.compressed(recipe.node_tolerance)
-        covered = with_margin_found(measured, covered)
+        measured, node_error, covered = read_with_coverage(dataset, recipe, bases, store)
         grid = covered.grid  # with a margin where the object leaves the panel or the grid; it is cut off in the end
         if recipe.prior:
             measured = with_rays_apart(measured, voxel, recipe.seed)

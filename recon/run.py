@@ -18,6 +18,7 @@ from recon.baselines.method import Iteration
 from recon.basis_choice import choose_basis
 from recon.basis_names import Asked, left_out, left_out_sentence, with_named
 from recon.edge_report import draw_choice
+from recon.fitted_grid import fitted_grid
 from recon.fitting import Progress
 from recon.gaussians import Gaussians
 from recon.interruption import Interruption
@@ -125,6 +126,10 @@ def run(
             result = reconstruct_paper(dataset, recipe, bases, watcher.stage, on_step)
         else:
             plan = plan_memory(dataset, recipe, bases, memory)
+            if memory is not None:  # a margin may need more
+                with clock("check"):
+                    grid = fitted_grid(dataset, recipe, bases, folder or Path())
+                plan = plan_memory(dataset, recipe, bases, memory, grid=grid)
             with array_store(folder or Path(), plan.on_disk) as store:
                 result = reconstruct(
                     dataset, recipe, bases, watcher.stage, on_step, keeper, processes, store, watcher.iterated, device

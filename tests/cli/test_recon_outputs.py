@@ -252,7 +252,7 @@ def test_a_bound_on_memory_changes_no_byte(dataset, tmp_path, monkeypatch):
     monkeypatch.setattr("recon.array_store.ArrayStore.__init__", spied)
     monkeypatch.setattr("recon.memory.MemoryPlan.peak", property(lambda plan: 1.0 if plan.on_disk else 2.0))
     assert command("fit", dataset, "-o", tmp_path / "bound", *common, "--memory", "1.5").exit_code == 0
-    assert len(folders) == 1
+    assert len(folders) == 2  # to see which grid is fitted, and for the fit
     for name in ("model.safetensors", "volumes.h5"):
         assert (tmp_path / "free" / name).read_bytes() == (tmp_path / "bound" / name).read_bytes()
     assert sorted(p.name for p in (tmp_path / "bound").iterdir()) == sorted(
@@ -272,6 +272,7 @@ def test_a_dry_run_writes_nothing_and_counts_what_a_run_counts(dataset, tmp_path
     found = json.loads(result.stdout)
     assert found["steps"] == 24
     assert found["gaussians"] > 10
+    assert found["voxels"] == [16, 16, 16]
     assert found["memory"]["peak_gib"] == pytest.approx(sum(found["memory"]["parts"].values()))
     assert list(tmp_path.iterdir()) == []
 

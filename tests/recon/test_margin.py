@@ -6,7 +6,7 @@ from tiny_scans import make
 from phantomgen.dataset import open_dataset
 from phantomgen.dataset_truth import read_truth
 from recon.baselines.one_step import OneStep
-from recon.coverage import coverage, inner_box
+from recon.coverage import _beyond, _Shadow, coverage, inner_box
 from recon.margin import margins, with_margin_found
 from recon.measurements import read_measurements
 
@@ -58,3 +58,15 @@ def test_scans_without_truncation_keep_their_grid(tmp_path):
     covered = coverage(measured, grid)
     assert with_margin_found(measured, covered) is covered
     assert covered.grid == grid
+
+
+def test_a_panel_beside_the_axis_finds_a_round_object_as_wide_as_a_centred_one_does():
+    """Chords of a cylinder of radius 50 mm, seen to 40 mm from the axis on both sides, or on one."""
+    widths = []
+    for first in (-40.0, -2.0):
+        places = np.arange(first + 1, 40, 2)
+        across = np.broadcast_to(np.abs(places), (1, 8, len(places)))
+        shadow = _Shadow(0.02 * np.sqrt(50**2 - across**2), np.ones(across.shape, bool), np.zeros(across.shape, bool))
+        widths.append(_beyond(shadow, np.array([[False, True]]), across))
+    assert abs(widths[0] - 50 / 40) < 0.05
+    assert abs(widths[1] - widths[0]) < 0.01

@@ -49,6 +49,9 @@ def scans(tmp_path_factory):
             "--set", "objects=[{type: cylinder, material: soft_tissue, radius: 20, length: 60, center: [25, 0, 0]}]",
         ),
         "half-fan": make(folder / "half.h5", *views, "--set", f"panel={panel(28, 30.0)}"),
+        "half-fan, short": make(
+            folder / "short.h5", *views, "--set", f"panel={panel(28, 30.0)}", "--set", "geometry.arc=200"
+        ),
         "grid": make(folder / "grid.h5", *views, "--set", "volume={voxels: 10, size: 80}"),
         "axial": make(
             folder / "axial.h5", *views, "--set", "objects=[{type: cylinder, material: soft_tissue, radius: 25, "
@@ -138,6 +141,12 @@ def test_a_panel_beside_the_axis_is_no_truncation_where_its_far_side_sees_the_bo
     found, _ = covered(scans["half-fan"])
     assert found.lateral == 0
     assert found.sides[0] + found.sides[1] > 0
+
+
+def test_a_panel_beside_the_axis_is_truncation_where_no_opposite_view_makes_up_for_it(scans):
+    found, grid = covered(scans["half-fan, short"])
+    assert 0.3 < found.lateral < 1
+    assert found.grid == grid
 
 
 def test_a_fit_of_a_truncated_scan_says_so(scans, tmp_path):
