@@ -81,26 +81,32 @@ def fitted(scan: Scan, path: Path, recipe: str, prior: bool) -> Found:
 
 def filled(truth: Truth, material: str) -> Bool[np.ndarray, "z y x"]:
     """Voxels that hold any of a material."""
-    return truth.fractions[truth.material_names.index(material)] > 0
+    return np.asarray(truth.fractions[truth.material_names.index(material)] > 0)
 
 
 def pure(truth: Truth, material: str) -> Bool[np.ndarray, "z y x"]:
     """Voxels of a material alone, whose neighbours are so, too."""
-    return binary_erosion(truth.fractions[truth.material_names.index(material)] == FULL_FRACTION)
+    full = truth.fractions[truth.material_names.index(material)] == FULL_FRACTION
+    return np.asarray(binary_erosion(full), bool)
+
+
+def grown(where: Bool[np.ndarray, "z y x"], voxels: int) -> Bool[np.ndarray, "z y x"]:
+    """The same voxels and those so many steps away."""
+    return np.asarray(binary_dilation(where, iterations=voxels), bool)
 
 
 def regions(truth: Truth) -> dict[str, Bool[np.ndarray, "z y x"]]:
     """Voxels whose values are looked at, by their name."""
     vial, acrylic, spacing = pure(truth, "iodine"), pure(truth, "acrylic"), truth.grid.spacing
-    inside = vial.any(axis=(1, 2))[:, None, None]
+    inside = np.asarray(vial.any(axis=(1, 2)))[:, None, None]
     y, x = np.meshgrid(truth.grid.axis("y"), truth.grid.axis("x"), indexing="ij")
     ends = [[float(values[some.any(axis=0)].mean()) for values in (y, x)] for some in (filled(truth, "steel"), vial)]
     pin, middle = np.array(ends)
     along = (middle - pin) / np.linalg.norm(middle - pin)
     away = np.abs((y - pin[0]) * along[1] - (x - pin[1]) * along[0])
     part = ((y - pin[0]) * along[0] + (x - pin[1]) * along[1]) / np.linalg.norm(middle - pin)
-    beside = ~binary_dilation(filled(truth, "steel"), iterations=1 + BESIDE)
-    around = binary_dilation(filled(truth, "iodine"), iterations=round(RING / spacing[1]))
+    beside = ~grown(filled(truth, "steel"), 1 + BESIDE)
+    around = grown(filled(truth, "iodine"), round(RING / spacing[1]))
     return {
         "iodine vial": vial,
         "acrylic around it": acrylic & around & inside & beside,
@@ -112,7 +118,7 @@ def rows(found: dict[str, Found]) -> list[str]:
     """Lines of the tables."""
     scene = found["prior on"].truth
     metal = filled(scene, "steel")
-    without = ~binary_dilation(metal, iterations=BESIDE)
+    without = ~grown(metal, BESIDE)
     core = scene.fractions[scene.material_names.index("steel")] > FULL_FRACTION / 2
     names = "".join(f"{pretty(name)[:13]:>15}" for name in scene.basis_names)
     out = [f"{'PSNR [dB]':<34}{names}   chi-square all, off edges    CPU s"]
