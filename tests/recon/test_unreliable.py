@@ -15,7 +15,7 @@ from recon.baselines.voxel_likelihood import forward
 from recon.cli import main
 from recon.metrics import HeldOutView, score_elsewhere, score_projections
 from recon.report_page.page import run_report
-from recon.unreliable import METAL, STARVED, sentence, unreliable_voxels
+from recon.unreliable import METAL, STARVED, relative_deviations, sentence, unreliable_voxels
 from recon.verdict import misfit_marked
 
 GRID = Grid.cube(12, 12.0)
@@ -73,6 +73,14 @@ def test_what_hardly_a_photon_passes_is_marked_though_it_is_no_metal():
     assert not starved[:, :2].any()
     assert not (found.flags & METAL).any()
     assert "hardly any photon" in sentence(found.record())
+
+
+def test_slabs_of_voxels_are_as_the_whole(monkeypatch):
+    dense = volumes(0.3, 0.5, 0.0)
+    scan, held = scan_of(dense), np.ones(GRID.shape, bool)
+    whole = relative_deviations(dense, held, scan, GRID, 0.02)
+    monkeypatch.setattr("recon.unreliable.SLAB_VALUES", 5 * 9 * 12**2)
+    np.testing.assert_array_equal(relative_deviations(dense, held, scan, GRID, 0.02), whole)
 
 
 def test_scores_elsewhere_leave_marked_voxels_out():
