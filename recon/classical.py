@@ -37,6 +37,7 @@ from recon.run_folder import write_scan
 from recon.salvage import Guard, Salvage
 from recon.scoring import psnr_of_bases, score_test_views, score_truth
 from recon.start import check_directions
+from recon.unreliable import Unreliable, unreliable_voxels
 from recon.verdict import record, verdict_of
 from recon.view_synthesis import Watcher, run_views
 from recon.voxels import Voxels
@@ -120,8 +121,10 @@ def run_classical(
     with_margin = Voxels(volumes, grid, measured.basis_names)  # it takes part in views, and is not written
     volumes = np.ascontiguousarray(volumes[:, *inner_box(dataset.grid, grid)])
     model = Voxels(volumes, dataset.grid, measured.basis_names)
+    with clock("mark"):
+        unreliable = unreliable_voxels(volumes, measured, dataset.grid, Recipe().dispersion)
     with clock("write"):
-        write_volumes(folder / "volumes.h5", volumes, model.basis_names, model.grid, {})
+        write_volumes(folder / "volumes.h5", volumes, model.basis_names, model.grid, {}, unreliable)
         spectra = dataset.spectra
         write_scan(folder, model.grid, spectra.basis, measured.transmission, spectra.channels)
         recipe = yaml.safe_dump(_settings(method, pipeline), sort_keys=False)
@@ -134,11 +137,13 @@ def run_classical(
     with clock("score"):
         with guard("reading the truth"):
             truth = read_truth(dataset.path)
-        metrics = _metrics(dataset, truth, model, with_margin, method, pipeline, guard)
+        metrics = _metrics(dataset, truth, model, with_margin, unreliable, method, pipeline, guard)
         metrics |= {"node_error": node_error, "bases_left_out": list(missing)}
         with guard("the verdict"):
             views, concedes = len(dataset.splits["train"]), Recipe().dispersion
-            said = verdict_of(metrics["channels"], concedes, covered, volumes, views, model.basis_names, stated)
+            said = verdict_of(
+                metrics["channels"], concedes, covered, volumes, views, model.basis_names, stated, (), unreliable
+            )
             metrics["verdict"] = record(said)
         with guard("scoring the volumes along the way"):
             log.write(folder / "log.jsonl", truth, model.basis_names, model.grid)
@@ -212,6 +217,7 @@ def _metrics(
     truth: Truth | None,
     model: Voxels,
     with_margin: Voxels,
+    unreliable: Unreliable | None,
     method: Method,
     pipeline: str,
     guard: Guard,
@@ -219,10 +225,12 @@ def _metrics(
     metrics: dict[str, Any] = {"dataset": dataset.path.name, "method": _settings(method, pipeline)}
     if truth is not None:
         with guard("scoring against the truth"):
-            metrics.update(score_truth(truth, model))
+            metrics.update(score_truth(truth, model, unreliable))
     metrics["channels"] = {}
     if len(dataset.splits["test"]):
         with guard("scoring the test views"):
-            metrics["channels"] = score_test_views(dataset, with_margin)
+            metrics["channels"] = score_test_views(dataset, with_margin, unreliable)
+    if unreliable is not None:
+        metrics["unreliable"] = unreliable.record()
     metrics["versions"] = environment()
     return metrics

@@ -62,6 +62,28 @@ def score_basis_volumes(
     return {name: score_volume(v, t) for name, v, t in zip(names, volumes, truth, strict=True)}
 
 
+def score_elsewhere(
+    volumes: Real[np.ndarray, "basis z y x"],
+    truth: Real[np.ndarray, "basis z y x"],
+    names: Sequence[str],
+    marked: Bool[np.ndarray, "z y x"],
+) -> dict[str, Scores]:
+    """``psnr_elsewhere``, ``bias_elsewhere`` and ``rmse_elsewhere`` of every basis in the voxels that are not marked.
+
+    The peak of the PSNR is the largest true value among these.
+    """
+    scores = {}
+    for name, volume, true in zip(names, volumes, truth, strict=True):
+        error = np.asarray(volume[~marked], np.float64) - true[~marked]
+        mean_square = _mean_square(error) if error.size else None
+        scores[name] = {
+            "psnr_elsewhere": psnr(float(true[~marked].max(initial=0.0)), mean_square),
+            "bias_elsewhere": _ratio(error.sum(), error.size),
+            "rmse_elsewhere": None if mean_square is None else float(np.sqrt(mean_square)),
+        }
+    return scores
+
+
 def score_materials(
     volumes: Real[np.ndarray, "basis z y x"],
     fractions: Real[np.ndarray, "material z y x"],
@@ -126,12 +148,14 @@ class HeldOutView:
     expected : modelled Y
     open_beam : counts without an object; a pixel that counts nothing even then is left out
     away : rays away from edges
+    marked : rays through voxels whose bases the counts do not tell; None where there are none
     """
 
     counts: Real[np.ndarray, "channel row column"]
     expected: Real[np.ndarray, "channel row column"]
     open_beam: Real[np.ndarray, "channel row column"]
     away: Bool[np.ndarray, "row column"]
+    marked: Bool[np.ndarray, "row column"] | None = None
 
     @classmethod
     def of(
@@ -140,11 +164,12 @@ class HeldOutView:
         expected: Real[np.ndarray, "channel row column"],
         open_beam: Real[np.ndarray, "channel row column"],
         distance: float = 2.0,
+        marked: Bool[np.ndarray, "row column"] | None = None,
     ) -> "HeldOutView":
         """With the rays more than `distance` pixels from the edges that the model's own log projections show."""
         logs = log_projections(expected, open_beam)
         whole = np.stack([filled(image, air <= 0) for image, air in zip(logs, open_beam, strict=True)])
-        return cls(counts, expected, open_beam, edge_mask(whole, distance))
+        return cls(counts, expected, open_beam, edge_mask(whole, distance), marked)
 
 
 def score_projections(views: Iterable[HeldOutView], channel_names: Sequence[str]) -> dict[str, Scores]:
@@ -156,14 +181,15 @@ def score_projections(views: Iterable[HeldOutView], channel_names: Sequence[str]
     the true model would score, from var(log y) = 1 / Y; ``chi_square_all`` mean of (y - Y)^2 / Y over all rays and
     ``chi_square_away`` over rays away from edges, both 1 for Poisson counts of the true model; ``away`` the part of the
     rays that are, ``rays_away`` how many, and ``counts_away`` the mean of what the model expects of them, rays beside
-    the object as 0: a relative model error e inside the object adds e^2 times that to ``chi_square_away``. In
-    logarithms counts below 0.5 are taken as 0.5. A channel that sees no photons scores None.
+    the object as 0: a relative model error e inside the object adds e^2 times that to ``chi_square_away``. Where rays
+    are marked, also ``chi_square_marked``, ``rays_marked`` and ``counts_marked`` of these. In logarithms counts below
+    0.5 are taken as 0.5. A channel that sees no photons scores None.
     """
-    table = np.array([_sums_of_view(view) for view in views]).reshape(-1, 8, len(channel_names))
-    peaks = table[:, 7].max(axis=0, initial=0.0)
+    table = np.array([_sums_of_view(view) for view in views]).reshape(-1, 11, len(channel_names))
+    peaks = table[:, -1].max(axis=0, initial=0.0)
     scores = {}
-    for name, peak, sums in zip(channel_names, peaks, table[:, :7].sum(axis=0).T, strict=True):
-        rays, rays_away, chi_all, chi_away, square, variance, through = sums
+    for name, peak, sums in zip(channel_names, peaks, table[:, :-1].sum(axis=0).T, strict=True):
+        rays, rays_away, chi_all, chi_away, square, variance, through, rays_marked, chi_marked, counts_marked = sums
         scores[name] = {
             "psnr": psnr(peak, _ratio(square, rays)),
             "psnr_noise": psnr(peak, _ratio(variance, rays)),
@@ -173,6 +199,12 @@ def score_projections(views: Iterable[HeldOutView], channel_names: Sequence[str]
             "rays_away": int(rays_away) or None,
             "counts_away": _ratio(through, rays_away),
         }
+        if rays_marked:
+            scores[name] |= {
+                "chi_square_marked": _ratio(chi_marked, rays_marked),
+                "rays_marked": int(rays_marked),
+                "counts_marked": _ratio(counts_marked, rays_marked),
+            }
     return scores
 
 
@@ -225,7 +257,7 @@ def log_projections(expected: np.ndarray, open_beam: np.ndarray) -> np.ndarray:
 
 
 def _sums_of_view(view: HeldOutView) -> np.ndarray:
-    """Rays, rays away from edges, chi-square of both, squared log error, its variance, counts, largest log.."""
+    """Rays, rays away from edges, chi-square of both, squared log error, its variance, counts; marked; largest log.."""
     seen = view.open_beam > 0
     counts = np.asarray(view.counts, dtype=np.float64)
     expected = np.maximum(np.asarray(view.expected, dtype=np.float64), _FEWEST_EXPECTED)
@@ -237,4 +269,6 @@ def _sums_of_view(view: HeldOutView) -> np.ndarray:
     sums = [(w * v).sum(axis=(1, 2)) for w, v in ((seen, 1), (away, 1), (seen, chi_square), (away, chi_square))]
     sums += [(seen * log_error**2).sum(axis=(1, 2)), (seen / logged).sum(axis=(1, 2))]
     sums.append(((away & (projection > SHALLOW)) * expected).sum(axis=(1, 2)))
+    marked = np.zeros_like(seen) if view.marked is None else seen & view.marked
+    sums += [(marked * v).sum(axis=(1, 2)) for v in (1, chi_square, expected)]
     return np.array([*sums, projection.max(axis=(1, 2))])

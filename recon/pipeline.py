@@ -30,6 +30,7 @@ from recon.measurements import Measurements, matching_bin
 from recon.processes import ALONE, Processes
 from recon.recipe import Recipe
 from recon.start import start_volumes, starting_method
+from recon.unreliable import Unreliable, unreliable_voxels
 from recon.unseen_rays import UnseenRays, with_rays_apart
 from recon.view_subsets import every, kinds_of, rounds_of
 from recon.voxels import Voxels
@@ -55,6 +56,7 @@ class Reconstruction:
     seconds : time per stage
     notes : what a user should know of how the fit went, in sentences
     coverage : what the scan covers of its object; None where nobody has looked
+    unreliable : voxels whose bases the counts do not tell; None where there are none, or nobody has looked
     """
 
     gaussians: Gaussians
@@ -65,6 +67,7 @@ class Reconstruction:
     seconds: dict[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     coverage: Coverage | None = None
+    unreliable: Unreliable | None = None
 
 
 class Keeper(Protocol):
@@ -141,8 +144,12 @@ def reconstruct(
             rays = UnseenRays.of(measured, voxel, recipe)
             gaussians, notes = rays.better_of(state.begun, gaussians, Voxels(volumes, grid, measured.basis_names))
     volumes = np.ascontiguousarray(volumes[:, *inner_box(dataset.grid, grid)])
+    gaussians, unreliable = gaussians.to("cpu"), None
+    if processes.first:
+        with stage("mark"):
+            unreliable = unreliable_voxels(gaussians.volume(dataset.grid), measured, dataset.grid, recipe.dispersion)
     return Reconstruction(
-        gaussians.to("cpu"), name, volumes, node_error, measured.transmission, stage.seconds, notes, covered
+        gaussians, name, volumes, node_error, measured.transmission, stage.seconds, notes, covered, unreliable
     )
 
 

@@ -13,6 +13,7 @@ from phantomgen.dataset_truth import write_grid
 from phantomgen.grid import Grid
 from recon.partial_run import clear, is_partial
 from recon.run_folder import MODEL
+from recon.unreliable import Unreliable
 from spectra.errors import InputError
 
 
@@ -98,8 +99,12 @@ def write_volumes(
     names: tuple[str, ...],
     grid: Grid,
     others: dict[str, Float[np.ndarray, "basis z y x"]],
+    unreliable: Unreliable | None = None,
 ) -> None:
-    """Write ``/basis/data`` [1/mm] as a NeXus plot with axes in mm, and `others` beside it, by their name."""
+    """Write ``/basis/data`` [1/mm] as a NeXus plot with axes in mm, and `others` beside it, by their name.
+
+    Flags of `unreliable` voxels are ``/unreliable/data``, which is left out where there are none.
+    """
     import h5py  # noqa: PLC0415
 
     with h5py.File(path, "w") as file:
@@ -112,6 +117,12 @@ def write_volumes(
             )  # fmt: skip
             data.attrs["units"] = "1/mm"
             put(group, "basis_name", np.array(names, dtype=object))
+            for axis in "zyx":
+                put(group, axis, grid.axis(axis), "mm")
+        if unreliable is not None:
+            group = new_group(file, "unreliable", "NXdata", signal="data", axes=("z", "y", "x"))
+            chunks = (1, *unreliable.flags.shape[1:])
+            group.create_dataset("data", data=unreliable.flags, chunks=chunks, compression="gzip", compression_opts=1)
             for axis in "zyx":
                 put(group, axis, grid.axis(axis), "mm")
         write_grid(new_group(file, "grid", "NXcollection"), grid)
@@ -129,12 +140,15 @@ def _basis_table(metrics: dict[str, Any]) -> str:
     method = metrics.get("start", "")
     start = metrics.get(method, {})
     shown = f"{method:>10}" if method else ""
-    header = f"{'basis':<16}{'PSNR':>8}{'SSIM':>8}{shown}{'zero volume':>13}{'bias':>12}{'RMSE':>11}"
-    units = f"dB, -, {'dB, ' if method else ''}dB, 1/mm, 1/mm"
+    rest = any("psnr_elsewhere" in s for s in metrics["basis"].values())
+    header = f"{'basis':<16}{'PSNR':>8}{'elsewhere' if rest else '':>{11 * rest}}{'SSIM':>8}{shown}"
+    header += f"{'zero volume':>13}{'bias':>12}{'RMSE':>11}"
+    units = f"{'dB, ' * rest}dB, -, {'dB, ' if method else ''}dB, 1/mm, 1/mm"
     lines = [f"{header}   [{units}]"]
     for name, s in metrics["basis"].items():
         lines.append(
-            f"{name:<16}{_number(s['psnr'], '8.2f')}{_number(s['ssim'], '8.3f')}"
+            f"{name:<16}{_number(s['psnr'], '8.2f')}{_number(s.get('psnr_elsewhere'), '11.2f') if rest else ''}"
+            f"{_number(s['ssim'], '8.3f')}"
             f"{_number(start.get(name, {}).get('psnr'), '10.2f') if method else ''}{_number(s['psnr_zero'], '13.1f')}"
             f"{_number(s['bias'], '12.1e')}{_number(s['rmse'], '11.1e')}"
         )

@@ -201,7 +201,7 @@ def write_result(dataset: Dataset, result: Reconstruction, folder: Path) -> None
     """Write the volumes of the model and those that it started from."""
     volumes = result.gaussians.volume(dataset.grid)
     others = {result.start: result.start_volumes}
-    write_volumes(folder / "volumes.h5", volumes, result.gaussians.basis_names, dataset.grid, others)
+    write_volumes(folder / "volumes.h5", volumes, result.gaussians.basis_names, dataset.grid, others, result.unreliable)
 
 
 def _stopped(progress: Progress, keeper: PartialRun, folder: Path) -> Stopped:
@@ -231,12 +231,14 @@ def metrics_of(
     metrics["start"] = result.start
     if truth is not None:
         with guard("scoring against the truth"):
-            metrics.update(score_truth(truth, gaussians))
+            metrics.update(score_truth(truth, gaussians, result.unreliable))
             metrics.update(score_start(result.start, truth, result.start_volumes, gaussians.basis_names, dataset.grid))
     metrics["channels"] = {}
     if len(dataset.splits["test"]):
         with guard("scoring the test views"):
-            metrics["channels"] = score_test_views(dataset, gaussians)
+            metrics["channels"] = score_test_views(dataset, gaussians, result.unreliable)
+    if result.unreliable is not None:
+        metrics["unreliable"] = result.unreliable.record()
     with guard("the verdict"):
         metrics["verdict"] = verdict.record(verdict_of_fit(dataset, result, metrics["channels"]))
     metrics["node_error"] = result.node_error
@@ -251,7 +253,9 @@ def verdict_of_fit(dataset: Dataset, result: Reconstruction, channels: dict[str,
         names = stated.spectra.basis.names
     volumes, views = result.gaussians.volume(dataset.grid), len(dataset.splits["train"])
     fitted, concedes = result.gaussians.basis_names, Recipe().dispersion
-    return verdict.verdict_of(channels, concedes, result.coverage, volumes, views, fitted, names, result.notes)
+    return verdict.verdict_of(
+        channels, concedes, result.coverage, volumes, views, fitted, names, result.notes, result.unreliable
+    )
 
 
 def _psnr_along_the_way(keeper: PartialRun, truth: Truth | None) -> dict[int, dict[str, float]]:

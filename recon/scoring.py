@@ -4,46 +4,66 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from phantomgen.dataset import Dataset
 from phantomgen.dataset_truth import Truth
 from phantomgen.grid import Grid
 from recon.gaussians import Gaussians
 from recon.measurements import Measurements, read_measurements
-from recon.metrics import HeldOutView, psnr, score_basis_volumes, score_materials, score_projections
+from recon.metrics import (
+    HeldOutView,
+    psnr,
+    score_basis_volumes,
+    score_elsewhere,
+    score_materials,
+    score_projections,
+)
+from recon.unreliable import Unreliable
 from recon.voxels import Voxels
 
 FULL_FRACTION = 65535  # as the truth stores a voxel that one material fills
 VIEWS_AT_ONCE = 2
 
 
-def held_out_views(dataset: Dataset, model: Gaussians | Voxels) -> Iterator[HeldOutView]:
-    """Test views of a dataset and what the model expects there, in order."""
+def held_out_views(
+    dataset: Dataset, model: Gaussians | Voxels, unreliable: Unreliable | None = None
+) -> Iterator[HeldOutView]:
+    """Test views of a dataset and what the model expects there, in order; rays through unreliable voxels are marked."""
     test = dataset.splits["test"]
     for first in range(0, len(test), VIEWS_AT_ONCE):
         views = test[first : first + VIEWS_AT_ONCE]
         measured = read_measurements(dataset, views, len(model.basis_names))
-        yield from _predict(measured, model)
+        yield from _predict(measured, model, unreliable)
 
 
-def _predict(measured: Measurements, model: Gaussians | Voxels) -> Iterator[HeldOutView]:
+def _predict(measured: Measurements, model: Gaussians | Voxels, unreliable: Unreliable | None) -> Iterator[HeldOutView]:
     lengths = model.line_integrals(measured.geometry).numpy()
     lengths = measured.with_profile(np.moveaxis(lengths, 1, -1))
     expected = np.moveaxis(measured.transmission.expected(lengths), -1, 1)
     open_beam = measured.gains * measured.open_beam
+    marked = None if unreliable is None else _rays_through(unreliable, measured)
     for view, (counts, exposure) in enumerate(zip(measured.counts, measured.exposure, strict=True)):
         scale = exposure[:, None, None]
-        yield HeldOutView.of(counts, expected[view] * measured.gains * scale, open_beam * scale)
+        through = None if marked is None else marked[view]
+        yield HeldOutView.of(counts, expected[view] * measured.gains * scale, open_beam * scale, marked=through)
 
 
-def score_test_views(dataset: Dataset, model: Gaussians | Voxels) -> dict[str, Any]:
+def _rays_through(unreliable: Unreliable, measured: Measurements) -> Bool[np.ndarray, "view row column"]:
+    """Rays that lie in marked voxels for more than half the edge of one."""
+    one = Voxels(unreliable.marked[None].astype(np.float32), unreliable.grid, ("marked",))
+    return one.line_integrals(measured.geometry).numpy()[:, 0] > 0.5 * min(unreliable.grid.spacing)
+
+
+def score_test_views(
+    dataset: Dataset, model: Gaussians | Voxels, unreliable: Unreliable | None = None
+) -> dict[str, Any]:
     """Per channel: PSNR of log projections and chi-square, see `recon.metrics.score_projections`."""
-    return score_projections(held_out_views(dataset, model), dataset.spectra.channels)
+    return score_projections(held_out_views(dataset, model, unreliable), dataset.spectra.channels)
 
 
-def score_truth(truth: Truth, model: Gaussians | Voxels) -> dict[str, Any]:
-    """Per basis and per material, on the grid and in the basis of the truth.
+def score_truth(truth: Truth, model: Gaussians | Voxels, unreliable: Unreliable | None = None) -> dict[str, Any]:
+    """Per basis and per material, on the grid and in the basis of the truth; also without unreliable voxels.
 
     A basis that the model lacks is scored as a volume of zeros.
     """
@@ -51,7 +71,11 @@ def score_truth(truth: Truth, model: Gaussians | Voxels) -> dict[str, Any]:
     materials = score_materials(
         volumes, truth.fractions, truth.coefficients, truth.material_names, truth.basis_names, FULL_FRACTION
     )
-    return {"basis": score_basis_volumes(volumes, truth.volumes, truth.basis_names), **materials}
+    basis = score_basis_volumes(volumes, truth.volumes, truth.basis_names)
+    if unreliable is not None and unreliable.grid == truth.grid:
+        elsewhere = score_elsewhere(volumes, truth.volumes, truth.basis_names, unreliable.marked)
+        basis = {name: scores | elsewhere[name] for name, scores in basis.items()}
+    return {"basis": basis, **materials}
 
 
 def psnr_of_bases(truth: Truth, model: Gaussians | Voxels) -> dict[str, float]:

@@ -117,7 +117,9 @@ class Fit:
     def verdict(self) -> Verdict:
         """What to know of it, in sentences, without the truth; see `recon.verdict`."""
         with self._dataset() as dataset:
-            channels = score_test_views(dataset, self.gaussians) if len(dataset.splits["test"]) else {}
+            channels: dict[str, Any] = {}
+            if len(dataset.splits["test"]):
+                channels = score_test_views(dataset, self.gaussians, self.result.unreliable)
             return verdict_of_fit(dataset, self.result, channels)
 
     def score(self) -> dict[str, Any]:

@@ -12,6 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.coverage import SIDES, Coverage
+from recon.unreliable import Unreliable
+from recon.unreliable import sentence as which_unreliable
 
 CERTAIN = 5.0  # standard deviations by which chi-square must exceed what it should be
 STARVED = 0.01  # of the rays through the object
@@ -25,7 +27,8 @@ class Remark:
 
     Parameters
     ----------
-    key : ``misfit``, ``truncated``, ``outside_grid``, ``starved``, ``few_views``, ``note`` or ``bases_left_out``
+    key : ``misfit``, ``misfit_marked``, ``truncated``, ``outside_grid``, ``starved``, ``unreliable``, ``few_views``,
+        ``note`` or ``bases_left_out``
     sentence : for the user
     failed : whether a check failed; otherwise it is good to know
     """
@@ -47,6 +50,7 @@ def verdict_of(
     fitted: Sequence[str],
     stated: Sequence[str],
     notes: Sequence[str] = (),
+    unreliable: Unreliable | None = None,
 ) -> Verdict:
     """All remarks on a run.
 
@@ -59,8 +63,14 @@ def verdict_of(
     views : that were fitted
     fitted, stated : names of the bases of the result, and of the dataset
     notes : sentences of the fit
+    unreliable : voxels whose bases the counts do not tell
     """
-    found = [misfit(channels, dispersion), few_views(volumes, views), bases_left_out(fitted, stated)]
+    marked = None if unreliable is None else unreliable.record()
+    found = [misfit(channels, dispersion)]
+    if marked is not None:
+        told = Remark("unreliable", which_unreliable(marked), failed=False)
+        found += [misfit_marked(channels, marked, dispersion), told]
+    found += [few_views(volumes, views), bases_left_out(fitted, stated)]
     if coverage is not None:
         found = [truncated(coverage), outside_grid(coverage), starved(coverage), *found]
     return tuple(remark for remark in (*found, *(Remark("note", note) for note in notes)) if remark is not None)
@@ -72,13 +82,7 @@ def misfit(channels: Mapping[str, Mapping[str, Any]], dispersion: float) -> Rema
     Off edges chi-square has the mean 1 + dispersion^2 Y of counts Y whose variance is Y + (dispersion Y)^2, and of n
     rays a standard deviation of sqrt(2 / n) times that.
     """
-    far = []
-    for name, scores in channels.items():
-        found, rays, counts = (scores.get(key) for key in ("chi_square_away", "rays_away", "counts_away"))
-        if found is None or not rays or counts is None:
-            continue
-        if found > (1 + dispersion**2 * counts) * (1 + CERTAIN * sqrt(2 / rays)):
-            far.append((name, found))
+    far = _unexplained(channels, "away", dispersion)
     if not far:
         return None
     named = ", ".join(f"{value:.3g} in {name}" for name, value in far)
@@ -87,6 +91,40 @@ def misfit(channels: Mapping[str, Mapping[str, Any]], dispersion: float) -> Rema
         f"The model does not explain the test views: away from edges chi-square is {named}, where noise leaves 1; "
         "do not trust the volumes before the cause is found (truncation, scatter, motion, or a wrong spectrum).",
     )
+
+
+def misfit_marked(
+    channels: Mapping[str, Mapping[str, Any]], marked: Mapping[str, Any], dispersion: float
+) -> Remark | None:
+    """Rays through marked voxels are explained worse than noise and the conceded model error would leave them.
+
+    The limit is that of `misfit`. These rays lie at edges, which `misfit` leaves out, as the rims of ordinary things
+    are in no pixel exactly; but metal spoils what is beside it by what it leaves unexplained.
+    """
+    far = _unexplained(channels, "marked", dispersion)
+    if not far:
+        return None
+    name, worst = max(far, key=lambda pair: pair[1])
+    which = " or ".join(word for key, word in (("metal", "metal"), ("starved", "few photons")) if marked[key])
+    return Remark(
+        "misfit_marked",
+        f"The model does not explain the test views through the {marked['voxels']} voxels of {which}: chi-square of "
+        f"these rays is up to {worst:.3g} ({name}), where noise leaves 1; what is missing there becomes "
+        "streaks and wrong bases beside them: do not trust values near them, and take smaller pixels and voxels to "
+        "come closer.",
+    )
+
+
+def _unexplained(channels: Mapping[str, Mapping[str, Any]], rays: str, dispersion: float) -> list[tuple[str, float]]:
+    """Channels, and their chi-square, where it exceeds what noise and a conceded model error leave of some rays."""
+    far = []
+    for name, scores in channels.items():
+        found, number, counts = (scores.get(f"{key}_{rays}") for key in ("chi_square", "rays", "counts"))
+        if found is None or not number or counts is None:
+            continue
+        if found > (1 + dispersion**2 * counts) * (1 + CERTAIN * sqrt(2 / number)):
+            far.append((name, found))
+    return far
 
 
 def truncated(coverage: Coverage) -> Remark | None:

@@ -127,7 +127,8 @@ def test_metrics_have_the_documented_keys(complete):
     assert all(set(scores) == CHANNEL_SCORES for scores in metrics["channels"].values())
     assert (metrics["dataset"], metrics["seed"]) == ("tiny.h5", 0)
     assert set(metrics["seconds"]) == {
-        "check", "basis", "read", "one-step", "initialize", "approximate", "fit", "judge", "score", "write", "figures",
+        "check", "basis", "read", "one-step", "initialize", "approximate", "fit", "judge", "mark", "score", "write",
+        "figures",
     }  # fmt: skip
     documented = (Path(__file__).parents[2] / "docs" / "file_format.md").read_text(encoding="utf-8")
     sections = (metrics, metrics["seconds"], metrics["basis"]["compton"], metrics["channels"]["bin0"])
