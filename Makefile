@@ -26,7 +26,7 @@ test: $(VENV)/installed-test
 test-isa: $(VENV)/installed-test
 	set -e; for setting in $(INSTRUCTIONS); do echo "$$setting"; \
 		env $$setting $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile $(ISA_TESTS); done
-	$(BIN)/python benchmarks/processors.py
+	$(BIN)/python -m benchmarks.reconstruction.processors
 
 check: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .
@@ -35,7 +35,7 @@ check: $(VENV)/installed-dev
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 numbers: $(VENV)/installed
-	$(BIN)/python benchmarks/check_numbers.py $(if $(ONLY),--only $(ONLY)) $(if $(SLOW),--slow) $(if $(SCRATCH),--scratch $(SCRATCH) --resume)
+	$(BIN)/python -m benchmarks.check_numbers $(if $(ONLY),--only $(ONLY)) $(if $(SLOW),--slow) $(if $(SCRATCH),--scratch $(SCRATCH) --resume)
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info

@@ -1,6 +1,6 @@
 """Which numbers of the documents still hold: runs their commands, and compares.
 
-    python benchmarks/check_numbers.py [--only WORD ...] [--list] [--slow] [--stored] [--scratch FOLDER [--resume]]
+    python -m benchmarks.check_numbers [--only WORD ...] [--list] [--slow] [--stored] [--scratch FOLDER [--resume]]
 
 `numbers.yaml` says what is stated where, and which command gives it. Commands run in a scratch folder, one after the
 other, each once. Those that take hours run with --slow only; without it what they stored in `results` is compared. With
@@ -19,7 +19,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from claims import ROOT, Claim, Ledger, Run, Same, Value, ledger, read
+from benchmarks.claims import ROOT, Claim, Ledger, Run, Same, Value, ledger, read
 
 UNRUN, FAILED = "not run", "failed"
 

@@ -1,8 +1,8 @@
 """Hashes of what small scans and fits compute: a change of the code that should not change results is checked by them.
 
-    python benchmarks/result_hashes.py /tmp/before.txt                   record
-    python benchmarks/result_hashes.py /tmp/after.txt --against /tmp/before.txt
-    python benchmarks/result_hashes.py /tmp/part.txt --only kedge --only effects.blur
+    python -m benchmarks.result_hashes /tmp/before.txt                   record
+    python -m benchmarks.result_hashes /tmp/after.txt --against /tmp/before.txt
+    python -m benchmarks.result_hashes /tmp/part.txt --only kedge --only effects.blur
 
 One line per array or group of arrays: case, what was hashed, the first digits of SHA-256. Cases are every preset and
 every effect, coarsened to 9 views of 32 x 32 pixels and 16^3 voxels; of each, counts, truth and the volumes of four
@@ -27,8 +27,8 @@ import yaml
 from click.testing import CliRunner
 from tqdm import tqdm
 
-from phantomgen.cli import main as phantomgen
-from recon.cli import main as recon
+from phantomgen.cli.main import main as phantomgen
+from recon.cli.main import main as recon
 
 METHODS = ("gaussian", "one-step", "sart", "fdk")
 COARSE = ("geometry.test_views=3", "flats=5")
@@ -81,7 +81,7 @@ def main() -> None:
 
 
 def _presets() -> list[str]:
-    folder = resources.files("phantomgen").joinpath("presets")
+    folder = resources.files("phantomgen").joinpath("scene", "presets")
     return sorted(path.name.removesuffix(".yaml") for path in folder.iterdir() if path.name.endswith(".yaml"))
 
 
@@ -93,7 +93,7 @@ def _setting(key: str) -> tuple[str, ...]:
 
 
 def _hashes(case: str, preset: str, overrides: tuple[str, ...], folder: Path) -> list[str]:
-    text = resources.files("phantomgen").joinpath("presets", f"{preset}.yaml").read_text()
+    text = resources.files("phantomgen").joinpath("scene", "presets", f"{preset}.yaml").read_text()
     panel = yaml.safe_load(text)["panel"]
     width = panel["columns"] * np.ravel(panel["pitch"])[-1]
     scan = folder / f"{case}.h5"

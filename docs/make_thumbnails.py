@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from phantomgen.grid import Grid
+from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.trace import trace
 from phantomgen.ops.voxelize_shapes import fractions
-from phantomgen.scene import Scan, load_scene
-from phantomgen.scene_yaml import preset_names
+from phantomgen.scene.file.scene_file import preset_names
+from phantomgen.scene.scan import Scan, load_scene
 
 FOLDER = Path(__file__).parent / "images" / "presets"
 PIXELS, GAP = 216, 6

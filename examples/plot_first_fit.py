@@ -13,10 +13,10 @@ from pathlib import Path
 
 import phantomgen
 import recon
-from phantomgen.page import write_page
-from recon.recipe import Stage
-from recon.report import score_table
-from recon.report_page.page import run_report
+from phantomgen.display.html import write_page
+from recon.gaussians.recipe import Stage
+from recon.output.report.page import run_report
+from recon.runs.write_run import score_table
 
 QUICK = "--quick" in sys.argv[1:]
 FOLDER = Path("first-fit")

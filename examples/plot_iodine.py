@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 
 import phantomgen
-from phantomgen.stopwatch import Stopwatch
-from recon.baselines import method_named
-from recon.classical import reconstruct_volumes
-from recon.measurements import read_measurements
-from recon.metrics import pure_voxels
-from spectra.attenuation import mass_attenuation
+from phantomgen.runtime.stopwatch import Stopwatch
+from recon.data.measurements import read_measurements
+from recon.evaluation.metrics import pure_voxels
+from recon.runs.methods import method_named
+from recon.runs.run_voxels import reconstruct_volumes
+from spectra.elements.attenuation import mass_attenuation
 
 QUICK = "--quick" in sys.argv[1:]
 FOLDER = Path("iodine-example")

@@ -19,20 +19,20 @@ from pathlib import Path
 import numpy as np
 
 import phantomgen
-from phantomgen.dataset_truth import read_truth
-from phantomgen.geometry import Geometry
-from phantomgen.grid import Grid
-from phantomgen.orbits import spread_angles
-from phantomgen.panel import Panel
-from phantomgen.scene import Scan, Scene
+from phantomgen.dataset.truth import read_truth
+from phantomgen.geometry.orbits import spread_angles
+from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.poses import Geometry
+from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.scene.scan import Scan, Scene
 from phantomgen.shapes import Cylinder
-from recon import figures
-from recon.pipeline import reconstruct
-from recon.recipe import Recipe
-from recon.report import score_table
-from recon.scoring import held_out_views, score_test_views, score_truth
+from recon.evaluation.scoring import held_out_views, score_test_views, score_truth
+from recon.figures import run_figures as figures
+from recon.gaussians.recipe import Recipe
+from recon.gaussians.reconstruct import reconstruct
+from recon.runs.write_run import score_table
 from spectra import Basis, BasisFunction, Detector, Material, Source
-from spectra.source import Filter
+from spectra.source.source import Filter
 
 FOLDER = Path("kedge-example-run")
 

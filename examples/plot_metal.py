@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 import phantomgen
-from phantomgen.stopwatch import Stopwatch
-from recon.baselines import method_named
-from recon.classical import reconstruct_volumes
-from recon.measurements import read_measurements
-from recon.report_page.slices import hounsfield, mono_figure
+from phantomgen.runtime.stopwatch import Stopwatch
+from recon.data.measurements import read_measurements
+from recon.output.report.slices import hounsfield, mono_figure
+from recon.runs.methods import method_named
+from recon.runs.run_voxels import reconstruct_volumes
 
 QUICK = "--quick" in sys.argv[1:]
 FOLDER = Path("metal-example")

@@ -8,8 +8,8 @@ makes the items 0 to 2 as ``training/item0000.h5`` and so on, and skips those th
 import sys
 from pathlib import Path
 
-from phantomgen.scene import load_scene
-from phantomgen.simulate import simulate
+from phantomgen.scene.scan import load_scene
+from phantomgen.simulation.run import simulate
 
 ITEMS = int(sys.argv[1]) if len(sys.argv) > 1 else 3
 FOLDER = Path("training")

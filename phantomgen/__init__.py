@@ -12,15 +12,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from phantomgen.dataset import Dataset, open_dataset
-    from phantomgen.dataset import open_dataset as open  # noqa: A004
-    from phantomgen.dataset_truth import Truth, read_truth
-    from phantomgen.geometry import Geometry
-    from phantomgen.grid import Grid
-    from phantomgen.panel import Panel
-    from phantomgen.scene import Scan, Scene
-    from phantomgen.scene import load_scene as load
-    from phantomgen.session import make, plan
+    from phantomgen.api import make, plan
+    from phantomgen.dataset.reader import Dataset, open_dataset
+    from phantomgen.dataset.reader import open_dataset as open  # noqa: A004
+    from phantomgen.dataset.truth import Truth, read_truth
+    from phantomgen.geometry.panel import Panel
+    from phantomgen.geometry.poses import Geometry
+    from phantomgen.geometry.voxel_grid import Grid
+    from phantomgen.scene.scan import Scan, Scene
+    from phantomgen.scene.scan import load_scene as load
 
 __all__ = [
     "Dataset",
@@ -39,19 +39,19 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Dataset": ("dataset", "Dataset"),
-    "Geometry": ("geometry", "Geometry"),
-    "Grid": ("grid", "Grid"),
-    "Panel": ("panel", "Panel"),
-    "Scan": ("scene", "Scan"),
-    "Scene": ("scene", "Scene"),
-    "Truth": ("dataset_truth", "Truth"),
-    "load": ("scene", "load_scene"),
-    "make": ("session", "make"),
-    "open": ("dataset", "open_dataset"),
-    "open_dataset": ("dataset", "open_dataset"),
-    "plan": ("session", "plan"),
-    "read_truth": ("dataset_truth", "read_truth"),
+    "Dataset": ("dataset.reader", "Dataset"),
+    "Geometry": ("geometry.poses", "Geometry"),
+    "Grid": ("geometry.voxel_grid", "Grid"),
+    "Panel": ("geometry.panel", "Panel"),
+    "Scan": ("scene.scan", "Scan"),
+    "Scene": ("scene.scan", "Scene"),
+    "Truth": ("dataset.truth", "Truth"),
+    "load": ("scene.scan", "load_scene"),
+    "make": ("api", "make"),
+    "open": ("dataset.reader", "open_dataset"),
+    "open_dataset": ("dataset.reader", "open_dataset"),
+    "plan": ("api", "plan"),
+    "read_truth": ("dataset.truth", "read_truth"),
 }
 
 

@@ -13,24 +13,24 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from recon.baselines.fdk import fdk
-    from recon.gaussians import Gaussians
-    from recon.pipeline import Reconstruction, reconstruct
-    from recon.recipe import Recipe, Stage
-    from recon.session import Fit, fit, segment
+    from recon.api import Fit, fit, segment
+    from recon.gaussians.model import Gaussians
+    from recon.gaussians.recipe import Recipe, Stage
+    from recon.gaussians.reconstruct import Reconstruction, reconstruct
+    from recon.voxel.filtered.fdk import fdk
 
 __all__ = ["Fit", "Gaussians", "Recipe", "Reconstruction", "Stage", "fdk", "fit", "reconstruct", "segment"]
 
 _HOMES = {
-    "Fit": "session",
-    "Gaussians": "gaussians",
-    "Recipe": "recipe",
-    "Reconstruction": "pipeline",
-    "Stage": "recipe",
-    "fdk": "baselines.fdk",
-    "fit": "session",
-    "reconstruct": "pipeline",
-    "segment": "session",
+    "Fit": "api",
+    "Gaussians": "gaussians.model",
+    "Recipe": "gaussians.recipe",
+    "Reconstruction": "gaussians.reconstruct",
+    "Stage": "gaussians.recipe",
+    "fdk": "voxel.filtered.fdk",
+    "fit": "api",
+    "reconstruct": "gaussians.reconstruct",
+    "segment": "api",
 }
 
 

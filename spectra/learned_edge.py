@@ -1,6 +1,6 @@
 """K edges whose energy and width can be learned: basis columns as torch tensors with gradients.
 
-The columns are those of `spectra.basis` for ``sigmoid`` and ``step``; E_n is kept at the value given, so that the
+The columns are those of `spectra.basis.basis` for ``sigmoid`` and ``step``; E_n is kept at the value given, so that the
 meaning of coefficients does not move with the edge.
 """
 

@@ -20,12 +20,12 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float
 
-from spectra.basis import Basis
-from spectra.compression import sample_box
-from spectra.energies import Energies
+from spectra.basis.basis import Basis
+from spectra.energy.grid import Energies
+from spectra.energy.node_reduction import sample_box
 from spectra.errors import InputError
-from spectra.materials import Material
-from spectra.source import Source
+from spectra.materials.material import Material
+from spectra.source.source import Source
 from spectra.transmission import Transmission
 
 RULES = ("midpoint", "snapped", "gauss", "compressed")

@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int64
 
-from spectra.bounds import least_covariance
-from spectra.compression import choose_nodes, compress_channel
+from spectra.cramer_rao import least_covariance
+from spectra.energy.node_reduction import choose_nodes, compress_channel
 from spectra.errors import InputError
 from spectra.ops.transmit import expected_and_jacobian, expected_counts, log_counts_and_slopes
 from spectra.threads import run_parallel

@@ -18,8 +18,8 @@ from click.testing import CliRunner
 from numba.core.dispatcher import Dispatcher
 from packaging.requirements import Requirement
 
-from phantomgen.cli import main as phantomgen
-from recon.cli import main as recon
+from phantomgen.cli.main import main as phantomgen
+from recon.cli.main import main as recon
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("spectra", "phantomgen", "recon")
@@ -63,10 +63,10 @@ def test_everything_imported_is_a_dependency(imports):
 
 
 def test_tables_of_physics_and_files_of_meshes_have_one_door_each(imports):
-    assert imports.find_modules_that_directly_import("xraylib") == {"spectra.attenuation"}
-    assert imports.find_modules_that_directly_import("spekpy") == {"spectra.tube"}
-    assert imports.find_modules_that_directly_import("trimesh") == {"phantomgen.shapes.mesh"}
-    assert imports.find_modules_that_directly_import("SimpleITK") == {"phantomgen.voxel_files"}
+    assert imports.find_modules_that_directly_import("xraylib") == {"spectra.elements.attenuation"}
+    assert imports.find_modules_that_directly_import("spekpy") == {"spectra.source.tube"}
+    assert imports.find_modules_that_directly_import("trimesh") == {"phantomgen.shapes.meshes.mesh"}
+    assert imports.find_modules_that_directly_import("SimpleITK") == {"phantomgen.scene.input_files.voxel_volume"}
 
 
 def test_no_file_is_longer_than_600_lines():
@@ -123,7 +123,9 @@ def test_commands_in_the_documentation_are_understood(page, monkeypatch):
     targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
     for command in leaves(phantomgen) + leaves(recon):
         monkeypatch.setattr(command, "callback", lambda *args, **kwargs: None)
-    monkeypatch.setattr("recon.cli_run.RunFolder.convert", lambda self, value, *_: value)  # there are no runs here
+    monkeypatch.setattr(
+        "recon.cli.run_argument.RunFolder.convert", lambda self, value, *_: value
+    )  # there are no runs here
     for program, *arguments in commands(page):
         if program == "make":
             assert set(arguments) <= set(targets), arguments

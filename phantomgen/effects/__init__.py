@@ -1,7 +1,8 @@
 """What a real scan has beyond exposure and photon noise: one file for each effect, each off unless a scene asks for it.
 
 Effects meet a frame in the order of physics: the tube's output, then what happens on the way to the panel, then what
-the detector makes of it. `phantomgen.simulate_views` applies them; an effect that is off costs nothing.
+the detector makes of it. `phantomgen.simulation.forward_model.frames` applies them; an effect that is off costs
+nothing.
 """
 
 from dataclasses import dataclass
@@ -9,13 +10,13 @@ from dataclasses import dataclass
 from phantomgen.effects.aperture import Aperture
 from phantomgen.effects.blur import Blur
 from phantomgen.effects.defects import Defects
-from phantomgen.effects.electronics import Electronics
+from phantomgen.effects.electronic_noise import Electronics
 from phantomgen.effects.focal_spot import FocalSpot
-from phantomgen.effects.gain import Gain
 from phantomgen.effects.lag import Lag
+from phantomgen.effects.pixel_gain import Gain
+from phantomgen.effects.scatter import ScatterKernel
 from phantomgen.effects.scatter_compton import ComptonScatter
-from phantomgen.effects.scatter_kernel import ScatterKernel
-from phantomgen.effects.tube_output import TubeOutput
+from phantomgen.effects.tube_fluctuation import TubeOutput
 
 __all__ = [
     "Aperture",

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from scipy.ndimage import correlate1d
 from scipy.optimize import brentq
 
-from phantomgen.panel import Panel
+from phantomgen.geometry.panel import Panel
 from spectra.errors import InputError
 
 _REACH = 5  # standard deviations at which the kernel ends

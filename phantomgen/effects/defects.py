@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Int64, Shaped, UInt32
 
-from phantomgen.noise import Stream, generator
+from phantomgen.effects.random_streams import Stream, generator
 from spectra.errors import InputError
 
 DEAD, HOT, CLUSTER = 1 << 1, 1 << 3, 1 << 6

@@ -27,7 +27,7 @@ SHAPES = ("uniform", "gaussian")
 _LARGEST = 50.0
 # Points of a lattice, and its second generator: the best ones of each size that look alike after a quarter turn.
 LATTICES = {1: 0, 5: 2, 13: 5, 29: 12, 53: 23, 89: 34, 169: 70, 233: 89, 985: 408}
-# Points for a blur of one pixel, and the most that are taken unasked; measured by benchmarks/focal_spot.py.
+# Points for a blur of one pixel, and the most that are taken unasked; measured by benchmarks/simulator/focal_spot.py.
 _POINTS, _MOST = 15.0, 233
 # A normal spot wants as many points as an even one of so many times its width.
 _TAILS = 2.0

@@ -11,7 +11,7 @@ Left out: photons that scatter more than once, coherent scatter, the binding of 
 panel's beam or the volume. There is no grid against scatter. Flats hold no scatter.
 
 One random point stands for all electrons in each cell of a coarse grid, which errs less than their centre does, as
-photons are weakened by very different amounts within a cell; `phantomgen.ops.scatter` sums over them. The result is
+photons are weakened by very different amounts within a cell; `phantomgen.ops.compton` sums over them. The result is
 smooth: it is computed at few places of the panel, and splines give the pixels.
 """
 
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from phantomgen.grid import Grid
+from phantomgen.geometry.voxel_grid import Grid
 
 
 @dataclass(frozen=True)

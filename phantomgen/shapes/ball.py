@@ -6,8 +6,8 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.geometry.rotation import rotation_matrix
 from phantomgen.ops.primitives import BALL
-from phantomgen.rotation import rotation_matrix
 from phantomgen.shapes.base import Primitive, Triple, checked_lengths, checked_triple
 
 

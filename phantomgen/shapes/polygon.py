@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.rotation import rotation_matrix
+from phantomgen.geometry.rotation import rotation_matrix
 from phantomgen.shapes.base import Shape, Term, Triple, checked_lengths, checked_triple
 from phantomgen.shapes.boolean import HalfSpace, Placed
 from phantomgen.shapes.box import Box

@@ -1,7 +1,7 @@
 """A comparison as a folder of results: what is missing is run, a process per contender, and one failure stops nothing.
 
-The folder holds ``settings.json``, ``results/<contender>/<budget>s.json`` and what `recon.comparison.table` and
-`recon.comparison.figure` make of them.
+The folder holds ``settings.json``, ``results/<contender>/<budget>s.json`` and what `recon.comparison.tables.table` and
+`recon.comparison.tables.figure` make of them.
 """
 
 import hashlib
@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from phantomgen.dataset import Dataset, open_dataset
-from recon.baselines.fdk import Fdk
-from recon.baselines.image_domain import log_projections
-from recon.comparison.contender import Contender
+from phantomgen.dataset.reader import Dataset, open_dataset
+from recon.comparison.contenders.contender import Contender
 from recon.comparison.job import Job, read_result, result_file, write_result
-from recon.measurements import matching_bin, read_measurements
+from recon.data.measurements import matching_bin, read_measurements
+from recon.voxel.filtered.fdk import Fdk
+from recon.voxel.image_domain import log_projections
 from spectra.errors import Error, InputError
 from spectra.threads import set_threads, without_other_pools
 

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from recon.checkpoint import write_whole
+from recon.runs.checkpoint import write_whole
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from typing import Any
 
+from phantomgen.runtime.plain_json import write_json
 from recon.comparison.campaign import Campaign
-from recon.comparison.contender import GAUSSIAN, Contender
-from recon.comparison.figure import error_against_time
-from recon.comparison.perceptual import missing
+from recon.comparison.contenders.contender import GAUSSIAN, Contender
+from recon.comparison.scoring.lpips import missing
 from recon.comparison.studies import Study
-from recon.comparison.table import mean_psnr, report, write_csv
-from recon.plain_json import write_json
+from recon.comparison.tables.figure import error_against_time
+from recon.comparison.tables.table import mean_psnr, report, write_csv
 from spectra.errors import InputError
 
 Result = dict[str, Any]

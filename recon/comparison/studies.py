@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from phantomgen.dataset import open_dataset
-from recon.comparison.contender import GAUSSIAN, PAPER, Contender, contender
-from recon.comparison.paper_numbers import TABLE_1, TABLE_2, TABLE_3, TABLE_4A, TABLE_4B, TABLE_4C, Printed
-from recon.comparison.table import ABSENT, markdown_table, mean_psnr, mean_score, number
-from spectra.basis import pretty
+from phantomgen.dataset.reader import open_dataset
+from recon.comparison.contenders.contender import GAUSSIAN, PAPER, Contender, contender
+from recon.comparison.tables.published_numbers import TABLE_1, TABLE_2, TABLE_3, TABLE_4A, TABLE_4B, TABLE_4C, Printed
+from recon.comparison.tables.table import ABSENT, markdown_table, mean_psnr, mean_score, number
+from spectra.basis.basis import pretty
 from spectra.errors import InputError
 
 Result = dict[str, Any]

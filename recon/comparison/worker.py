@@ -15,19 +15,19 @@ from typing import Any
 
 import numpy as np
 
-from phantomgen.dataset import Dataset, open_dataset
-from phantomgen.dataset_truth import Truth, read_truth
-from phantomgen.stopwatch import peak_memory_mib
-from recon.baselines.grids import coarser
-from recon.comparison.clock import Clock
-from recon.comparison.contender import GAUSSIAN, PAPER, Contender, contender
-from recon.comparison.gaussian_run import run_gaussian, run_paper
+from phantomgen.dataset.reader import Dataset, open_dataset
+from phantomgen.dataset.truth import Truth, read_truth
+from phantomgen.runtime.stopwatch import peak_memory_mib
+from recon.comparison.contenders.clock import Clock
+from recon.comparison.contenders.contender import GAUSSIAN, PAPER, Contender, contender
+from recon.comparison.contenders.model import Runs
+from recon.comparison.contenders.recorder import Moment, Recorder
+from recon.comparison.contenders.timed_gaussians import run_gaussian, run_paper
+from recon.comparison.contenders.timed_voxels import run_voxels
 from recon.comparison.job import Job, write_result
-from recon.comparison.model import Runs
-from recon.comparison.recorder import Moment, Recorder
-from recon.comparison.scores import score
-from recon.comparison.voxel_run import run_voxels
-from recon.scoring import psnr_of_bases
+from recon.comparison.scoring.scores import score
+from recon.evaluation.scoring import psnr_of_bases
+from recon.voxel.iterative.multigrid import coarser
 from spectra.errors import Error
 from spectra.threads import set_threads, without_other_pools
 

@@ -2,7 +2,7 @@
 
 Each feature is measured in its noise, or in a small part of its range where the noise is less: then one bandwidth does
 for all scenes. Modes come from at most 10000 samples on seeds that are binned; everything else is assigned to them.
-So the time hardly grows with the model (`benchmarks/clustering.py`).
+So the time hardly grows with the model (`benchmarks/reconstruction/clustering.py`).
 """
 
 import numpy as np

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.segmentation.features import SIGNIFICANT
-from spectra.basis import pretty
+from spectra.basis.basis import pretty
 
 BONE, METAL = 9.5, 21.0  # effective atomic numbers from which on: fat 6, water 7.5, muscle 7.6, bone 11 to 14, iron 26
 _FALLBACK = (0.25, 0.8)  # kappa from which on, where there is no atomic number

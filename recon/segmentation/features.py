@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from phantomgen.grid import Grid
-from spectra.basis import Basis, BasisFunction
-from spectra.materials import Material
+from phantomgen.geometry.voxel_grid import Grid
+from spectra.basis.basis import Basis, BasisFunction
+from spectra.materials.material import Material
 
 MECHANISMS = Basis((BasisFunction("photoelectric"), BasisFunction("compton")))
 EPSILON = 0.005  # of the Compton coefficient of water, so that kappa stays finite where there is none

@@ -12,7 +12,7 @@ from recon.segmentation.features import Mechanisms, at_points, flat_inside, nois
 from recon.segmentation.labelling import label_edges, nearest_voxels, ordered, rims
 from recon.segmentation.result import Options
 from recon.segmentation.subject import Subject
-from recon.segmentation.thin import with_thin_materials
+from recon.segmentation.thin_materials import with_thin_materials
 from spectra.errors import InputError
 
 

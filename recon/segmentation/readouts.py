@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.segmentation.features import MECHANISMS, Mechanisms
-from spectra.attenuation import electrons_per_gram, symbol
-from spectra.basis import Basis
+from spectra.basis.basis import Basis
+from spectra.elements.attenuation import electrons_per_gram, symbol
 from spectra.errors import InputError
-from spectra.materials import Material
+from spectra.materials.material import Material
 
 HEAVIEST = 40  # K edges of heavier elements begin to lie within spectra
 WATER = Material("water", composition="Water, Liquid")

@@ -11,11 +11,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-from phantomgen.geometry import Geometry
-from phantomgen.grid import Grid
+from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.poses import Geometry
+from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.project import project
-from phantomgen.panel import Panel
-from recon.gaussians import Gaussians
+from recon.gaussians.model import Gaussians
 from recon.ops.rasterize import rasterize
 from recon.ops.voxelize import voxelize
 from spectra.errors import InputError

@@ -8,10 +8,10 @@ import h5py
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.grid import Grid
-from recon.gaussians import Gaussians
-from recon.run_folder import MODEL, SCAN, open_run, open_scan
-from spectra.basis import Basis
+from phantomgen.geometry.voxel_grid import Grid
+from recon.gaussians.model import Gaussians
+from recon.runs.run_folder import MODEL, SCAN, open_run, open_scan
+from spectra.basis.basis import Basis
 from spectra.errors import DatasetError
 from spectra.transmission import Transmission
 

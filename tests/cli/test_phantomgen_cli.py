@@ -8,8 +8,8 @@ import time
 import pytest
 from click.testing import CliRunner
 
-from phantomgen.cli import main
-from phantomgen.dataset import open_dataset
+from phantomgen.cli.main import main
+from phantomgen.dataset.reader import open_dataset
 
 SCENE = """\
 version: 1
@@ -253,7 +253,7 @@ def test_a_look_at_a_dataset_without_truth_says_so(made, tmp_path):
 
 def test_presets_are_listed_and_shown_as_scenes_that_can_be_made(tmp_path):
     names = [line.split()[0] for line in run("presets").stdout.splitlines()]
-    from phantomgen.scene_yaml import SceneFile, preset_names
+    from phantomgen.scene.file.scene_file import SceneFile, preset_names
 
     assert names == preset_names()
     assert {"contrast-vials", "kedge", "kedge-small", "multi-energy"} <= set(names)

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from safetensors.numpy import load_file
-from tiny_scans import make, one_sentence
+from support.tiny_scans import make, one_sentence
 
-from phantomgen.dataset import open_dataset
-from recon.cli import main as recon
-from recon.recipe import RECIPES
-from recon.stored_run import read_run
+from phantomgen.dataset.reader import open_dataset
+from recon.cli.main import main as recon
+from recon.gaussians.recipe import RECIPES
+from recon.runs.read_run import read_run
 from spectra.threads import set_threads
 
 VOXELS, PIXELS, VIEWS = 16, 32, 9
@@ -262,7 +262,7 @@ def _without(name):
     ],
 )
 def test_a_bad_dataset_is_one_sentence_before_any_work(edit, words, copy, tmp_path, monkeypatch):
-    monkeypatch.setattr("recon.pipeline.decompose_views", lambda *_: pytest.fail("the work had begun"))
+    monkeypatch.setattr("recon.gaussians.reconstruct.decompose_views", lambda *_: pytest.fail("the work had begun"))
     assert words.format(path=copy) in one_sentence(fit(edited(copy, edit), "-o", tmp_path / "run", *FAST))
     assert names(tmp_path) == {"copy.h5"}
 
@@ -332,7 +332,9 @@ def test_fewer_bases_than_the_dataset_has_are_fitted_and_named(dataset, tmp_path
 
 def test_bases_that_were_fitted_stand_beside_their_truth(dataset, tmp_path, monkeypatch):
     drawn = []
-    monkeypatch.setattr("recon.figures.basis_slices", lambda *args, **options: drawn.append((args, options)))
+    monkeypatch.setattr(
+        "recon.figures.run_figures.basis_slices", lambda *args, **options: drawn.append((args, options))
+    )
     options = ("--bases", "2", "--method", "sirt", "--sweeps", "1", "-q")
     assert fit(dataset, "-o", tmp_path / "run", *options).exit_code == 0
     with h5py.File(dataset) as file:
@@ -368,7 +370,7 @@ def failing(*_, **__):
 
 @pytest.mark.parametrize("method", ["gaussian", "sirt"])
 def test_a_figure_that_fails_is_a_warning(dataset, tmp_path, monkeypatch, method):
-    monkeypatch.setattr("recon.figures.profiles", failing)
+    monkeypatch.setattr("recon.figures.run_figures.profiles", failing)
     options = ("--sweeps", "1", "--method", method)
     result = fit(dataset, "-o", tmp_path / "run", "-q", *options)
     assert result.exit_code == 0, result.output

@@ -4,9 +4,9 @@ import json
 
 import pytest
 from click.testing import CliRunner
-from tiny_scans import make, one_sentence
+from support.tiny_scans import make, one_sentence
 
-from recon.cli import main as recon
+from recon.cli.main import main as recon
 from recon.comparison.job import read_result, write_result
 from spectra.threads import set_threads
 

@@ -5,12 +5,12 @@ import json
 import h5py
 import pytest
 from click.testing import CliRunner
-from tiny_scans import make, one_sentence
+from support.tiny_scans import make, one_sentence
 
-from phantomgen.dataset import open_dataset
-from recon.basis_choice import choose_basis, find_edges
-from recon.cli import main as recon
-from spectra.basis import Basis, BasisFunction
+from phantomgen.dataset.reader import open_dataset
+from recon.cli.main import main as recon
+from recon.kedge.choose_basis import choose_basis, find_edges
+from spectra.basis.basis import Basis, BasisFunction
 
 LAID = "panel={rows: 48, columns: 48, pitch: 4.2}"
 PLAIN = "objects=[{type: cylinder, material: soft_tissue, radius: 50, length: 100}]"

@@ -6,9 +6,9 @@ import h5py
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from tiny_scans import make as tiny
+from support.tiny_scans import make as tiny
 
-from recon.cli import main as recon
+from recon.cli.main import main as recon
 from spectra.threads import set_threads
 
 FAST = ("--no-figures", "--quiet")

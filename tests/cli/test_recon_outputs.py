@@ -14,17 +14,17 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
-from gaussian_scenes import small_model
-from tiny_scans import make
+from support.gaussian_scenes import small_model
+from support.tiny_scans import make
 
-from phantomgen.dataset import open_dataset
-from phantomgen.grid import Grid
-from recon.cli import main as recon
-from recon.geometry_file import read_geometry_file
-from recon.run_folder import MODEL, open_run, write_scan
-from recon.scoring import held_out_views
-from recon.volume_file import chosen_grid
-from spectra.basis import Basis, BasisFunction
+from phantomgen.dataset.reader import open_dataset
+from phantomgen.geometry.config import read_geometry_file
+from phantomgen.geometry.voxel_grid import Grid
+from recon.cli.main import main as recon
+from recon.evaluation.scoring import held_out_views
+from recon.output.volume_file import chosen_grid
+from recon.runs.run_folder import MODEL, open_run, write_scan
+from spectra.basis.basis import Basis, BasisFunction
 from spectra.errors import InputError
 from spectra.threads import set_threads
 from spectra.transmission import Transmission
@@ -78,7 +78,7 @@ def test_a_run_folder_gives_back_what_was_written(run):
 
 @pytest.mark.parametrize("slab", [1, 2, 1000])
 def test_volumes_do_not_depend_on_the_size_of_slabs(slab, run, tmp_path, monkeypatch):
-    monkeypatch.setattr("recon.volume_file.SLAB_VALUES", slab * 6 * 7 * 3)
+    monkeypatch.setattr("recon.output.volume_file.SLAB_VALUES", slab * 6 * 7 * 3)
     result = command("volume", run, "-o", tmp_path / "v.h5", "--quiet")
     assert result.exit_code == 0, result.output
     with h5py.File(tmp_path / "v.h5") as file:
@@ -168,8 +168,8 @@ def test_a_scene_file_says_from_where_to_render(run, tmp_path):
 @pytest.mark.parametrize("orbit", ORBITS)
 @pytest.mark.parametrize("mount", ["", ", offset: {columns: 3}, tilt: {in_plane: 5, rows: 2}"])
 def test_geometry_files_give_the_views_of_the_simulator(orbit, mount, tmp_path):
-    from phantomgen.scene_geometry import scene_geometry
-    from phantomgen.scene_yaml import SceneFile
+    from phantomgen.scene.file.scene_file import SceneFile
+    from phantomgen.scene.geometry import scene_geometry
 
     scene = yaml.safe_load(SceneFile.preset("kedge-small").text)
     scene |= yaml.safe_load(f"geometry: {{{ORBITS[orbit]}}}\npanel: {{rows: 4, columns: 6, pitch: 2{mount}}}\n")
@@ -249,8 +249,8 @@ def test_a_bound_on_memory_changes_no_byte(dataset, tmp_path, monkeypatch):
 
     common = ("--sweeps", "2", "--no-figures", "--quiet")
     assert command("fit", dataset, "-o", tmp_path / "free", *common).exit_code == 0
-    monkeypatch.setattr("recon.array_store.ArrayStore.__init__", spied)
-    monkeypatch.setattr("recon.memory.MemoryPlan.peak", property(lambda plan: 1.0 if plan.on_disk else 2.0))
+    monkeypatch.setattr("recon.data.array_store.ArrayStore.__init__", spied)
+    monkeypatch.setattr("recon.runs.memory_plan.MemoryPlan.peak", property(lambda plan: 1.0 if plan.on_disk else 2.0))
     assert command("fit", dataset, "-o", tmp_path / "bound", *common, "--memory", "1.5").exit_code == 0
     assert len(folders) == 2  # to see which grid is fitted, and for the fit
     for name in ("model.safetensors", "volumes.h5"):

@@ -9,14 +9,14 @@ import pytest
 import torch
 import yaml
 from click.testing import CliRunner
-from tiny_scans import make
+from support.tiny_scans import make
 
-from phantomgen.dataset import open_dataset
-from recon.cli import main as recon
-from recon.gaussians import Gaussians
-from recon.paper.components import COMPONENTS
-from recon.paper.pipeline import reconstruct_paper
-from recon.paper.recipe import PaperRecipe, Rate
+from phantomgen.dataset.reader import open_dataset
+from recon.cli.main import main as recon
+from recon.gaussians.model import Gaussians
+from recon.published_methods.paper.components import COMPONENTS
+from recon.published_methods.paper.recipe import PaperRecipe, Rate
+from recon.published_methods.paper.reconstruct import reconstruct_paper
 from spectra.threads import set_threads
 
 # Few Gaussians and ten times the learning rates. Schedules are those of a fit of 30 000 steps: density control comes
@@ -83,8 +83,8 @@ def test_every_component_can_be_left_out_and_then_matters(scan, name):
 
 
 def test_any_number_of_threads_gives_the_same_bits(scan, monkeypatch):
-    monkeypatch.setattr("recon.ops.rasterize.on_cpu.CHUNK", 50)
-    monkeypatch.setattr("recon.ops.voxelize.scene.CHUNK", 50)
+    monkeypatch.setattr("recon.ops.rasterize.cpu_calls.CHUNK", 50)
+    monkeypatch.setattr("recon.ops.voxelize.cpu_calls.CHUNK", 50)
     results = []
     for threads in (1, 2):
         set_threads(threads)

@@ -4,7 +4,7 @@ import h5py
 import pytest
 from click.testing import CliRunner
 
-from recon.cli import main
+from recon.cli.main import main
 
 COMMANDS = {
     "view": ["--screenshot", "x.png"],

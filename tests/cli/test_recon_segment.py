@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import torch
 from click.testing import CliRunner
-from tiny_scans import make, one_sentence
+from support.tiny_scans import make, one_sentence
 
-from phantomgen.dataset import open_dataset
-from phantomgen.dataset_truth import read_truth
-from recon.cli import main as recon
-from recon.gaussians import Gaussians
-from recon.report import write_volumes
-from recon.run_folder import MODEL, SCAN, write_scan
-from recon.segmentation.files import POINTS, TABLE, VOLUMES
-from recon.session import segment
+from phantomgen.dataset.reader import open_dataset
+from phantomgen.dataset.truth import read_truth
+from recon.api import segment
+from recon.cli.main import main as recon
+from recon.gaussians.model import Gaussians
+from recon.runs.run_folder import MODEL, SCAN, write_scan
+from recon.runs.write_run import write_volumes
+from recon.segmentation.output.files import POINTS, TABLE, VOLUMES
 from spectra.threads import set_threads
 from spectra.transmission import Transmission
 

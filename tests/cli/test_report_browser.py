@@ -7,8 +7,8 @@ import subprocess
 import numpy as np
 import pytest
 
-from phantomgen.figure_style import figure_file
-from phantomgen.page import Code, Page, Section, Table, picture, write_page
+from phantomgen.display.figures.style import figure_file
+from phantomgen.display.html import Code, Page, Section, Table, picture, write_page
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 # The page in a frame as wide as a screen; what it measures is written where --dump-dom shows it.

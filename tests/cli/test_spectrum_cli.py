@@ -5,7 +5,7 @@ import json
 import pytest
 from click.testing import CliRunner
 
-from phantomgen.cli import main
+from phantomgen.cli.main import main
 
 
 def run(*arguments: str):

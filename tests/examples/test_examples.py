@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phantomgen.dataset import open_dataset
-from phantomgen.dataset_truth import read_truth
-from phantomgen.scene import load_scene
-from phantomgen.scene_yaml import SceneFile
-from phantomgen.simulate import simulate
-from phantomgen.simulate_check import MeasuredError
+from phantomgen.dataset.reader import open_dataset
+from phantomgen.dataset.truth import read_truth
+from phantomgen.scene.file.scene_file import SceneFile
+from phantomgen.scene.scan import load_scene
+from phantomgen.simulation.checks.verification import MeasuredError
+from phantomgen.simulation.run import simulate
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -42,7 +42,7 @@ def test_the_example_draws_and_scores_what_it_promises(run):
 
 
 def test_script_and_scene_file_give_the_same_counts_and_truth(kedge, run, tmp_path, monkeypatch):
-    monkeypatch.setattr("phantomgen.simulate.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
+    monkeypatch.setattr("phantomgen.simulation.run.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
     size, path = kedge.QUICK, tmp_path / "twin.h5"
     overrides = [
         f"geometry.views={size.views}",
@@ -71,7 +71,7 @@ def test_by_default_script_and_scene_file_have_the_same_size(kedge):
 
 def test_the_training_set_skips_items_that_are_there(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("phantomgen.simulate.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
+    monkeypatch.setattr("phantomgen.simulation.run.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
     monkeypatch.setattr(sys, "argv", ["training_set.py", "2"])
     for _ in range(2):
         runpy.run_path(str(EXAMPLES / "training_set.py"))
@@ -91,7 +91,7 @@ def test_the_dual_energy_scan_has_a_signal_for_each_voltage(tmp_path):
 
 
 def test_the_flat_panel_has_darks_and_a_mask(tmp_path, monkeypatch):
-    monkeypatch.setattr("phantomgen.simulate.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
+    monkeypatch.setattr("phantomgen.simulation.run.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
     small = ["panel.rows=24", "panel.columns=96", "geometry.views=3", "geometry.test_views=1", "volume.voxels=8"]
     simulate(load_scene(EXAMPLES / "flat_panel.yaml", small), tmp_path / "panel.h5")
     with open_dataset(tmp_path / "panel.h5") as dataset:
@@ -105,7 +105,7 @@ def test_the_flat_panel_has_darks_and_a_mask(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["plot_first_fit", "plot_iodine", "plot_metal"])
 def test_articles_run_from_top_to_bottom(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("phantomgen.simulate.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
+    monkeypatch.setattr("phantomgen.simulation.run.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
     monkeypatch.setattr(sys, "argv", [f"{name}.py", "--quick"])
     found = runpy.run_path(str(EXAMPLES / f"{name}.py"))
     if name == "plot_first_fit":

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spectra import tube
-from spectra.attenuation import mass_attenuation
-from spectra.basis import klein_nishina
-from spectra.materials import Material
-from spectra.quality import ALUMINIUM, COPPER, BeamQuality, half_value_layers
-from spectra.source import Filter, Source
+from spectra.basis.basis import klein_nishina
+from spectra.elements.attenuation import mass_attenuation
+from spectra.materials.material import Material
+from spectra.source import tube
+from spectra.source.beam_quality import ALUMINIUM, COPPER, BeamQuality, half_value_layers
+from spectra.source.source import Filter, Source
 
 HERE = Path(__file__).parent
 METALS = {name: Material(name, composition=name) for name in ("Al", "Cu", "Sn")}

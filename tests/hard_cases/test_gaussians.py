@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from gaussian_scenes import (
+from support.gaussian_scenes import (
     GEOMETRIES,
     PIXEL,
     circular,
@@ -16,16 +16,16 @@ from gaussian_scenes import (
     small_scan,
     spectral_model,
 )
-from tolerances import TOLERANCES
+from support.tolerances import TOLERANCES
 
-from phantomgen.grid import Grid
-from recon.curvature import coefficient_curvature
-from recon.fitting import fit
-from recon.initialize import initialize
+from phantomgen.geometry.voxel_grid import Grid
+from recon.gaussians.fisher import coefficient_curvature
+from recon.gaussians.initial.initialize import initialize
+from recon.gaussians.optimize import fit
+from recon.gaussians.recipe import Recipe, Stage
 from recon.ops.decompose import decompose
 from recon.ops.rasterize import rasterize, reference
 from recon.ops.voxelize import voxelize
-from recon.recipe import Recipe, Stage
 from spectra.transmission import Transmission
 
 PARTS = ("centres", "log_scales", "quaternions", "coefficients")

@@ -5,12 +5,12 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from phantomgen.geometry import Geometry
-from phantomgen.grid import Grid
-from phantomgen.ops.expose import CROSSED, KINKED, expose, expose_brute
+from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.poses import Geometry
+from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.ops.expected_counts import CROSSED, KINKED, expose, expose_brute
 from phantomgen.ops.trace import trace
 from phantomgen.ops.voxelize_shapes import fractions
-from phantomgen.panel import Panel
 from phantomgen.shapes import (
     Box,
     Capsule,

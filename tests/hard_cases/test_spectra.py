@@ -7,13 +7,13 @@ import pytest
 import spekpy
 import xraylib
 
-from spectra.attenuation import atomic_number, edge_energy, mass_attenuation, mass_fractions
-from spectra.detector import Detector
-from spectra.energies import Energies
+from spectra.detector.detector import Detector
+from spectra.elements.attenuation import atomic_number, edge_energy, mass_attenuation, mass_fractions
+from spectra.energy.grid import Energies
 from spectra.errors import InputError
-from spectra.materials import Material
-from spectra.quality import BeamQuality, half_value_layers, mean_energy
-from spectra.source import Filter, Source
+from spectra.materials.material import Material
+from spectra.source.beam_quality import BeamQuality, half_value_layers, mean_energy
+from spectra.source.source import Filter, Source
 
 ALUMINIUM, LEAD, TIN = (Material(symbol, composition=symbol) for symbol in ("Al", "Pb", "Sn"))
 EDGES = ("I", "Ba", "Gd", "Yb", "Lu", "W", "Au", "Pb", "Bi", "Sn")

@@ -2,10 +2,10 @@
 
 import pytest
 
-from spectra.basis import Basis, BasisFunction
-from spectra.detector import Detector
-from spectra.materials import Material
-from spectra.source import Filter, Source
+from spectra.basis.basis import Basis, BasisFunction
+from spectra.detector.detector import Detector
+from spectra.materials.material import Material
+from spectra.source.source import Filter, Source
 from spectra.transmission import Transmission
 
 ALUMINIUM = Material("aluminium", composition="Al")

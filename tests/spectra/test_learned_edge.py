@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from spectra.basis import Basis, BasisFunction
+from spectra.basis.basis import Basis, BasisFunction
 from spectra.errors import InputError
 from spectra.learned_edge import edge_column, steepest_width, transmit_with_edges
 from spectra.ops.transmit import transmit

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from spectra.basis import Basis, BasisFunction
-from spectra.detector import Channel, Detector
-from spectra.energies import Energies
+from spectra.basis.basis import Basis, BasisFunction
+from spectra.detector.detector import Channel, Detector
+from spectra.energy.grid import Energies
 from spectra.errors import InputError
-from spectra.materials import Material
+from spectra.materials.material import Material
 from spectra.quadrature import RULES, Integrand, cheapest, fine, gauss, log_error, midpoint, snapped
-from spectra.source import Filter, Source
+from spectra.source.source import Filter, Source
 
 WATER, BONE = Material("water", composition="water"), Material("bone", composition="Bone, Cortical (ICRP)")
 IODINE, TITANIUM = Material("iodine", composition="I"), Material("titanium", composition="Ti")

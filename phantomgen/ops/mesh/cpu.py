@@ -17,7 +17,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from phantomgen.ops.device import called, inlined
+from phantomgen.ops.kernel_decorators import called, inlined
 
 # Columns of a table of corners: the homogeneous coordinates of a vertex.
 A, B, W, T = 0, 1, 2, 3

@@ -5,7 +5,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from phantomgen.ops.device import inlined
+from phantomgen.ops.kernel_decorators import inlined
 from phantomgen.ops.mesh.cpu import MARGIN, NEAR, A, B, W, clip, span
 from phantomgen.ops.mesh.edges import CREASE, PLAIN, SILHOUETTE
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int64
 from numba import njit
 
-from phantomgen.ops.device import called, inlined
+from phantomgen.ops.kernel_decorators import called, inlined
 
 # Bound on the rounding of a determinant, relative to the sum of its terms' sizes.
 _ROUNDING = 1e-15

@@ -1,8 +1,8 @@
 """Line integrals of voxel volumes, and the exact transpose: a matched pair for any flat panel, cone or parallel.
 
-Of the projectors that were compared (`benchmarks/voxel_projector.py`), this one errs least per time: where pixels are
-no wider than voxels it is Joseph's, and wider pixels are averaged over their area. Arrays give arrays. Torch tensors
-give tensors on their device, a GPU included, and carry gradients.
+Of the projectors that were compared (`benchmarks/operators/voxel_projector.py`), this one errs least per time: where
+pixels are no wider than voxels it is Joseph's, and wider pixels are averaged over their area. Arrays give arrays. Torch
+tensors give tensors on their device, a GPU included, and carry gradients.
 """
 
 import sys
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from jaxtyping import Float, Float32
 
-from phantomgen.grid import Grid
+from phantomgen.geometry.voxel_grid import Grid
 from spectra.errors import InputError
 
 if TYPE_CHECKING:
@@ -66,8 +66,8 @@ def values_of_averages(volume: Float[np.ndarray, "... z y x"]) -> Float[np.ndarr
 
     Interpolated as they are, averages are blurred by the voxel twice: when they were taken, and between voxels. The
     average of a linear interpolant over voxel i is v_i + (v_(i-1) - 2 v_i + v_(i+1)) / 8 along each axis; this is its
-    inverse to first order. `project` errs less of what was averaged (`benchmarks/peers.py`), but at edges values
-    overshoot, also below 0.
+    inverse to first order. `project` errs less of what was averaged (`benchmarks/peers/simulators.py`), but at edges
+    values overshoot, also below 0.
     """
     bends = np.zeros_like(volume)
     for axis in (-3, -2, -1):
@@ -83,9 +83,9 @@ def _home(values: object) -> Any:
     """Module that computes with such values. Who has a tensor has imported torch; others need not wait for it."""
     torch = sys.modules.get("torch")
     if torch is not None and isinstance(values, torch.Tensor):
-        from phantomgen.ops.project import tensors as home  # noqa: PLC0415
+        from phantomgen.ops.project import torch_pair as home  # noqa: PLC0415
     else:
-        from phantomgen.ops.project import arrays as home  # noqa: PLC0415 - numba is only worth its import where used
+        from phantomgen.ops.project import numpy_pair as home  # noqa: PLC0415 - numba is only worth its import where used
     return home
 
 

@@ -13,7 +13,7 @@ from typing import no_type_check
 
 from numba import njit
 
-from phantomgen.ops.device import inlined
+from phantomgen.ops.kernel_decorators import inlined
 
 
 @inlined

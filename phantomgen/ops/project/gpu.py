@@ -1,8 +1,9 @@
 """Voxel projector and its transpose in Triton, with the weights of `phantomgen.ops.project.cpu`.
 
-Both directions gather: a pixel from the voxels that its beam meets, a voxel from the pixels whose beams may meet it.
-So nothing is added atomically, and results repeat bit by bit. The tests compile the kernels for GPUs but run them in
-Triton's interpreter; on a GPU, `benchmarks/voxel_projector.py --device cuda` times them and compares them with numba.
+Both directions gather: a pixel from the voxels that its beam meets, a voxel from the pixels whose beams may meet it. So
+nothing is added atomically, and results repeat bit by bit. The tests compile the kernels for GPUs but run them in
+Triton's interpreter; on a GPU, `benchmarks/operators/voxel_projector.py --device cuda` times them and compares them
+with numba.
 """
 
 from collections.abc import Iterator

@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.grid import Grid
+from phantomgen.geometry.voxel_grid import Grid
 
 
 def matrix_of_view(

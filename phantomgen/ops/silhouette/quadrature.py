@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 from numba import njit
 
-from phantomgen.ops.device import called, inlined
+from phantomgen.ops.kernel_decorators import called, inlined
 
 # Conics per square that are split exactly; a square with more is sampled on a regular grid.
 CONICS = 8

@@ -4,7 +4,7 @@ from typing import no_type_check
 
 import numpy as np
 
-from phantomgen.ops.device import inlined
+from phantomgen.ops.kernel_decorators import inlined
 from phantomgen.ops.silhouette.tiles import TILE
 
 

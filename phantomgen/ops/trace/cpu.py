@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit
 
-from phantomgen.ops.device import called, inlined
+from phantomgen.ops.kernel_decorators import called, inlined
 from phantomgen.ops.primitives import BALL, BOX, CONE, CYLINDER, HALFSPACE, MESH
 from phantomgen.ops.trace.grazing import grazing_discriminant
 from phantomgen.ops.trace.table import ALONE, KIND, MATERIAL, NEAR, NEED, OWNER, SURFACE, TERM, set_origin

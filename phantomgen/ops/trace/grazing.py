@@ -8,7 +8,7 @@ Rump and Oishi 2005, doi:10.1137/030601818).
 
 from typing import no_type_check
 
-from phantomgen.ops.device import called, inlined
+from phantomgen.ops.kernel_decorators import called, inlined
 from phantomgen.ops.primitives import BALL, CONE, CYLINDER
 from phantomgen.ops.trace.table import KIND, SHIFT, START
 

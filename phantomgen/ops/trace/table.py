@@ -9,7 +9,7 @@ from typing import no_type_check
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.ops.device import inlined
+from phantomgen.ops.kernel_decorators import inlined
 from phantomgen.ops.solids import Solids
 
 # A discriminant is computed anew below this part of its terms; above it, the error of a chord is below 1e-12.

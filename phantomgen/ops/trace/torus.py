@@ -8,7 +8,7 @@ does not cancel like the quartic does.
 from math import sqrt
 from typing import no_type_check
 
-from phantomgen.ops.device import called, inlined
+from phantomgen.ops.kernel_decorators import called, inlined
 
 _STEPS = 60  # of safeguarded Newton iterations; bisection alone would reach rounding
 

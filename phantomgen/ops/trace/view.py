@@ -10,7 +10,7 @@ from typing import no_type_check
 
 from numba import njit
 
-from phantomgen.ops.device import inlined
+from phantomgen.ops.kernel_decorators import inlined
 from phantomgen.ops.silhouette.tiles_cpu import list_active
 from phantomgen.ops.trace.cpu import ENTER, HIT, LEAVE, add_pieces, collect, owned_pieces
 from phantomgen.ops.trace.table import MATERIAL, set_origin

@@ -5,7 +5,7 @@ from typing import no_type_check
 
 import numpy as np
 
-from phantomgen.ops.device import called
+from phantomgen.ops.kernel_decorators import called
 
 
 @called

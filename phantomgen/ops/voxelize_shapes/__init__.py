@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Float32
 
-from phantomgen.grid import Grid
+from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.mesh import mesh_view
 from phantomgen.ops.solids import Solids
 from phantomgen.ops.voxel_maps import VoxelMaps
@@ -24,7 +24,7 @@ def fractions(
 
     Exact along z. Across (y, x), columns that a silhouette or a sloped surface passes are averaged over Gauss nodes,
     split along the silhouettes and refined until they agree: cylinders and boxes along z come out to rounding, other
-    solids to some 1e-4 of a voxel (`benchmarks/partial_volume.py`), and far better in sums.
+    solids to some 1e-4 of a voxel (`benchmarks/operators/volume_fractions.py`), and far better in sums.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from phantomgen.ops.device import called
+from phantomgen.ops.kernel_decorators import called
 from phantomgen.ops.mesh.cpu import list_pieces
 from phantomgen.ops.silhouette.quadrature import CONICS, may_vanish, shift_form, square_nodes
 from phantomgen.ops.silhouette.tiles_cpu import list_active

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.grid import Grid
+from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.solids import Solids
 from phantomgen.ops.trace.reference import owner_at
 

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int32
 from scipy.sparse import csr_array
 
-from phantomgen.grid import Grid
+from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.solids import Solids
 from phantomgen.ops.voxel_maps import VoxelMaps
 from spectra.threads import run_parallel

@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.geometry import Geometry
-from phantomgen.grid import Grid
+from phantomgen.geometry.poses import Geometry
+from phantomgen.geometry.voxel_grid import Grid
 from recon.ops.backproject import cpu
 from spectra.errors import InputError
 from spectra.threads import run_parallel

@@ -4,8 +4,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.ops.chords.scene import ChordScene, fill
-from recon.ops.rasterize.on_cpu import Settings
+from recon.ops.chords.kernel_calls import ChordScene, fill
+from recon.ops.rasterize.cpu_calls import Settings
 from spectra.errors import InputError
 
 SMOOTH = 0.02  # 1 - q, with q the squared distance of a ray from the centre over the radius, below which chords bend
@@ -31,7 +31,7 @@ def chords(
     log_axes : logarithm of the semi-axes [log mm]
     quaternions : orientation (w, x, y, z); normalised here
     coefficients : attenuation inside per basis [1/mm]; it adds up where ellipsoids overlap
-    frames : per view source, d0, column step and row step [mm], as `phantomgen.geometry.Geometry.ray_frames` gives
+    frames : per view source, d0, column step and row step [mm], as `phantomgen.geometry.poses.Geometry.ray_frames` gives
     rows, columns : size of the panel
     smooth : rays that pass the centre at more than sqrt(1 - smooth) radii get a shorter chord whose slope is finite
 

@@ -12,7 +12,7 @@ from numba import njit
 
 from phantomgen.ops.simd import WIDTH, load, minimum, ramp, splat, square_root, store, total, where_less
 from recon.ops.rasterize.cpu import SCRATCH, chain, look, write_footprint
-from recon.ops.rasterize.table import (
+from recon.ops.rasterize.footprint_table import (
     AMPLITUDE,
     E1,
     E2,
@@ -28,7 +28,7 @@ from recon.ops.rasterize.table import (
     YC,
     row_span,
 )
-from spectra.ops.extremes import larger, smaller
+from spectra.ops.min_max import larger, smaller
 
 f4 = np.float32
 UNIT = np.float32(2 / math.sqrt(2 * math.pi))

@@ -9,7 +9,7 @@ from spectra.threads import run_parallel
 from spectra.transmission import Transmission
 
 BLOCK = 64  # rays that go through the energy nodes together
-LEAST = 1e-12  # counts; a channel that expects fewer has no say, as in `recon.losses.deviance`
+LEAST = 1e-12  # counts; a channel that expects fewer has no say, as in `recon.ops.deviance.deviance`
 
 
 def likelihood(
@@ -36,14 +36,14 @@ def likelihood(
     Parameters
     ----------
     lengths : line integrals of every basis [no unit]
-    counts, gains, exposure, profile, shares : as `recon.measurements.Measurements` keeps them
+    counts, gains, exposure, profile, shares : as `recon.data.measurements.Measurements` keeps them
     transmission : columns are the bases, and after them the parts of `profile`
     dispersion : relative model error; 0 for Poisson counts
     information : whether curvatures are wanted
 
     Returns
     -------
-    sum of `recon.losses.deviance` over each view; derivative of half of it in the line integrals; (J / Y)^T
+    sum of `recon.ops.deviance.deviance` over each view; derivative of half of it in the line integrals; (J / Y)^T
     diag(M / (1 + dispersion^2 M)) (J / Y) with M the larger of y and Y, the upper triangle row by row, or None
 
     Raises

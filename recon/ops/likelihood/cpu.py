@@ -6,15 +6,15 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from phantomgen.ops.device import inlined
-from spectra.ops.extremes import smaller
+from phantomgen.ops.kernel_decorators import inlined
 from spectra.ops.fast_exp import FLAGS, fast_exp
+from spectra.ops.min_max import smaller
 
 
 @inlined
 @no_type_check
 def _half_deviance(counted, expected, dispersion):
-    """Half the deviance of one count, see `recon.losses.deviance`."""
+    """Half the deviance of one count, see `recon.ops.deviance.deviance`."""
     ratio = counted * log(counted / expected) if counted > 0.0 else 0.0
     if dispersion == 0.0:
         return ratio - counted + expected

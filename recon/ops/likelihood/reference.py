@@ -3,7 +3,7 @@
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.losses import deviance
+from recon.ops.deviance import deviance
 from spectra.ops.transmit import reference
 
 

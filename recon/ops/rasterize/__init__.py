@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.ops.rasterize.on_cpu import Scene, Settings
+from recon.ops.rasterize.cpu_calls import Scene, Settings
 from spectra.errors import InputError
 
 CUTOFF = 3.7  # standard deviations; beyond it a footprint is below 1.1e-3 of its peak
@@ -35,13 +35,13 @@ def rasterize(
     log_scales : logarithm of the standard deviations along the principal axes [log mm]
     quaternions : orientation (w, x, y, z); normalised here
     coefficients : value at the centre per basis [1/mm]
-    frames : per view source, d0, column step and row step [mm], as `phantomgen.geometry.Geometry.ray_frames` gives;
+    frames : per view source, d0, column step and row step [mm], as `phantomgen.geometry.poses.Geometry.ray_frames` gives;
         any poses, a source as far as 1e9 mm included
     rows, columns : size of the panel
     footprint : edge of the square that a pixel averages over, in pixels; 0 samples the pixel centre
     cutoff : where a footprint ends, in standard deviations, at most 5; `cutoff_for` gives that of an error
     projector : ``exact``; or ``local-affine``, which takes rays near a Gaussian for parallel to the one through its
-        centre, as splatting methods do, to compare with: errors are in ``benchmarks/results/projector_error.txt``
+        centre, as splatting methods do, to compare with: errors are in ``benchmarks/results/gaussian_projector.txt``
 
     Returns
     -------
@@ -82,7 +82,7 @@ def rasterize(
         raise InputError(f"rasterize: projector must be {' or '.join(PROJECTORS)}, got {projector}")
     settings = Settings(rows, columns, footprint, cutoff, projector == "local-affine")
     if centres.device.type == "cuda" and find_spec("triton") is not None:
-        from recon.ops.rasterize.on_gpu import rasterize_on_gpu  # noqa: PLC0415 - Triton only where there is a GPU
+        from recon.ops.rasterize.gpu_calls import rasterize_on_gpu  # noqa: PLC0415 - Triton only where there is a GPU
 
         return rasterize_on_gpu(centres, log_scales, quaternions, coefficients, frames, settings)
     return _Rasterize.apply(centres, log_scales, quaternions, coefficients, frames, settings)  # type: ignore[return-value]

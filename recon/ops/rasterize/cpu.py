@@ -29,8 +29,8 @@ from phantomgen.ops.simd import (
     total,
     where_less,
 )
-from recon.ops.rasterize import near
-from recon.ops.rasterize.table import (
+from recon.ops.rasterize import near_field as near
+from recon.ops.rasterize.footprint_table import (
     AMPLITUDE,
     E1,
     E2,
@@ -50,7 +50,7 @@ from recon.ops.rasterize.table import (
     lattice_mass,
     row_span,
 )
-from spectra.ops.extremes import larger, smaller
+from spectra.ops.min_max import larger, smaller
 
 SCRATCH = 15  # rows of the scratch array of one Gaussian in one view
 HIDDEN, NEAR = near.HIDDEN, near.NEAR

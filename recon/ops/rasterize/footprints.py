@@ -7,10 +7,10 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
+from recon.ops.rasterize.cpu_calls import Settings
+from recon.ops.rasterize.footprint_table import NARROWEST
 from recon.ops.rasterize.gpu import Footprints
-from recon.ops.rasterize.near import REACH
-from recon.ops.rasterize.on_cpu import Settings
-from recon.ops.rasterize.table import NARROWEST
+from recon.ops.rasterize.near_field import REACH
 
 
 class ExactFootprints(NamedTuple):
@@ -116,7 +116,7 @@ def near_images(
     frame: Float[Tensor, "4 3"],
     settings: Settings,
 ) -> Float[Tensor, "basis row column"]:
-    """Sum of Gaussians near an end of the rays, without |d|: the formula of `recon.ops.rasterize.near`."""
+    """Sum of Gaussians near an end of the rays, without |d|: the formula of `recon.ops.rasterize.near_field`."""
     view, _ = _look(centres, matrices, frame)
     box, depth, square = settings.footprint**2 / 12, view.place[:, 2], _dot(view.u, view.u).clamp(min=1e-300)
     jacobian = torch.stack([view.a, view.b], -1)

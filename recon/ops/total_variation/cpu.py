@@ -8,8 +8,8 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from phantomgen.ops.device import REORDER, reordered
-from spectra.ops.extremes import larger, smaller
+from phantomgen.ops.kernel_decorators import REORDER, reordered
+from spectra.ops.min_max import larger, smaller
 
 
 @reordered

@@ -8,8 +8,8 @@ from jaxtyping import Float
 from scipy.stats import chi2
 from torch import Tensor
 
-from phantomgen.grid import Grid
-from recon.ops.voxelize.scene import Scene
+from phantomgen.geometry.voxel_grid import Grid
+from recon.ops.voxelize.cpu_calls import Scene
 
 CUTOFF = 4.5  # standard deviations; a Gaussian is below 4e-5 of its peak there
 
@@ -60,7 +60,7 @@ def voxelize_tensor(
 ) -> Float[Tensor, "basis z y x"]:
     """`voxelize` as a tensor on the device of the Gaussians, differentiable once in the first four arguments."""
     if _on_gpu(centres):
-        from recon.ops.voxelize.on_gpu import voxelize_on_gpu  # noqa: PLC0415 - Triton only where there is a GPU
+        from recon.ops.voxelize.gpu_calls import voxelize_on_gpu  # noqa: PLC0415 - Triton only where there is a GPU
 
         return voxelize_on_gpu(centres, log_scales, quaternions, coefficients, grid, footprint, cutoff)
     return _Voxelize.apply(centres, log_scales, quaternions, coefficients, grid, footprint, cutoff)  # type: ignore[return-value]

@@ -42,7 +42,7 @@ from recon.ops.voxelize.cpu import (
     place,
     span,
 )
-from spectra.ops.extremes import larger
+from spectra.ops.min_max import larger
 
 f4 = np.float32
 

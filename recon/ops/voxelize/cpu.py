@@ -14,9 +14,9 @@ import numpy as np
 from numba import njit
 
 from phantomgen.ops.simd import WIDTH, count_from, exp_negative, load, minimum, one_more, splat, store, where_less
-from recon.ops.rasterize.table import NARROWEST, NEGLIGIBLE
+from recon.ops.rasterize.footprint_table import NARROWEST, NEGLIGIBLE
 from recon.ops.rounding import round_down, round_up
-from spectra.ops.extremes import larger, smaller
+from spectra.ops.min_max import larger, smaller
 
 X, Y, Z, U11, U12, U13, U22, U23, U33, AMPLITUDE, HALF_Z, HALF_Y, VOXEL_X, VOXEL_Y, VOXEL_Z = range(15)
 SHAPE_SIZE = 15

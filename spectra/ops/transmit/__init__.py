@@ -67,7 +67,7 @@ def transmit(lengths: "torch.Tensor", transmission: "Transmission") -> "torch.Te
     The result is on the device of `lengths`. On a GPU it is computed by Triton in float32 or float64, as `lengths` is;
     elsewhere, and where Triton is not installed, by numba in float64.
     """
-    from spectra.ops.transmit.autograd import Transmit, TransmitOnGpu  # noqa: PLC0415 - torch takes seconds to import
+    from spectra.differentiable import Transmit, TransmitOnGpu  # noqa: PLC0415 - torch takes seconds to import
 
     on_gpu = lengths.device.type == "cuda" and find_spec("triton") is not None
     return (TransmitOnGpu if on_gpu else Transmit).apply(lengths, transmission)

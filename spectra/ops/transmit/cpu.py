@@ -10,8 +10,8 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from spectra.ops.extremes import larger, smaller
 from spectra.ops.fast_exp import FLAGS, LANES, attenuated_lanes, fast_exp
+from spectra.ops.min_max import larger, smaller
 
 # Sums may be reordered; NaN and infinity keep their meaning.
 _REORDER = {"reassoc", "contract", "nsz"}

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from phantomgen.effects import Aperture
-from phantomgen.geometry import Geometry
-from phantomgen.noise import Stream
-from phantomgen.ops.expose import CROSSED, NEAR, SMOOTH, expose, expose_brute
-from phantomgen.panel import Panel
-from phantomgen.scene import load_scene
+from phantomgen.effects.random_streams import Stream
+from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.poses import Geometry
+from phantomgen.ops.expected_counts import CROSSED, NEAR, SMOOTH, expose, expose_brute
+from phantomgen.scene.scan import load_scene
 from phantomgen.shapes import Box, Cylinder, Sphere, solids_of
-from phantomgen.simulate_noise import Exposure
-from phantomgen.simulate_views import Views
+from phantomgen.simulation.forward_model.exposure import Exposure
+from phantomgen.simulation.forward_model.frames import Views
 from spectra.errors import InputError, SceneError
 
 SOD, SDD, PITCH, PIXELS = 500.0, 800.0, 1.6, 32

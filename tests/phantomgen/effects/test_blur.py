@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from detector_scenes import counting, flats, frames, integrating, views_of
 from scipy.special import erf
+from support.detector_scenes import counting, flats, frames, integrating, views_of
 
 from phantomgen.effects import Blur
 from phantomgen.effects.blur import blurred, sampled_gaussian
-from phantomgen.noise import Stream
-from phantomgen.panel import Panel
+from phantomgen.effects.random_streams import Stream
+from phantomgen.geometry.panel import Panel
 from spectra.errors import InputError, SceneError
 
 WIDE = "effects.blur.fwhm=3.5"  # 1.5 pixels

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from detector_scenes import counting, frames, integrating, views_of
+from support.detector_scenes import counting, frames, integrating, views_of
 
 from phantomgen.effects import Defects
 from phantomgen.effects.defects import CLUSTER, DEAD, HOT
-from phantomgen.noise import Stream
+from phantomgen.effects.random_streams import Stream
 from spectra.errors import InputError, SceneError
 
 SOME = "effects.defects={dead: 0.02, hot: 0.01, level: 1.5, rows: [3], clusters: 1, radius: 2}"

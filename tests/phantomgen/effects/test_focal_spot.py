@@ -8,15 +8,15 @@ from scipy.special import ndtr
 
 from phantomgen.effects import FocalSpot
 from phantomgen.effects.focal_spot import FWHM, LATTICES, spot_lattice
-from phantomgen.geometry import Geometry
-from phantomgen.ops.expose import expose
-from phantomgen.panel import Panel
-from phantomgen.scene import load_scene
-from phantomgen.settings import Settings
+from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.poses import Geometry
+from phantomgen.ops.expected_counts import expose
+from phantomgen.scene.scan import load_scene
 from phantomgen.shapes import Box, solids_of
-from phantomgen.simulate_check import SPOT_RAYS, quick_check
-from phantomgen.simulate_noise import Exposure
-from phantomgen.simulate_views import expected_view
+from phantomgen.simulation.checks.verification import SPOT_RAYS, quick_check
+from phantomgen.simulation.forward_model.discretization import Settings
+from phantomgen.simulation.forward_model.exposure import Exposure
+from phantomgen.simulation.forward_model.frames import expected_view
 from spectra.errors import InputError, SceneError
 
 SOD, SDD, PITCH = 500.0, 800.0, 0.5

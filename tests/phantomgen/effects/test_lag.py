@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from detector_scenes import counting, integrating, views_of
+from support.detector_scenes import counting, integrating, views_of
 
-from phantomgen.dataset import open_dataset
+from phantomgen.dataset.reader import open_dataset
 from phantomgen.effects import Lag
-from phantomgen.simulate import simulate
-from phantomgen.simulate_readings import projections
+from phantomgen.simulation.forward_model.readout import projections
+from phantomgen.simulation.run import simulate
 from spectra.errors import InputError, SceneError
 from spectra.threads import set_threads
 

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from phantomgen.effects import Aperture, ComptonScatter
+from phantomgen.effects.random_streams import Stream
 from phantomgen.effects.scatter_compton import scatterers, spline_weights
-from phantomgen.grid import Grid
-from phantomgen.noise import Stream
-from phantomgen.scene import Scan, load_scene
-from phantomgen.settings import Settings
-from phantomgen.simulate_noise import Exposure
-from phantomgen.simulate_scatter import SingleScatter
-from phantomgen.simulate_views import Views
-from spectra.basis import klein_nishina
-from spectra.electrons import ELECTRON_RADIUS, electron_density
+from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.scene.scan import Scan, load_scene
+from phantomgen.simulation.forward_model.discretization import Settings
+from phantomgen.simulation.forward_model.exposure import Exposure
+from phantomgen.simulation.forward_model.frames import Views
+from phantomgen.simulation.forward_model.scatter import SingleScatter
+from spectra.basis.basis import klein_nishina
 from spectra.errors import SceneError
+from spectra.materials.electron_density import ELECTRON_RADIUS, electron_density
 
 ENERGY, PHOTONS, PIXELS, PITCH, SOD, SDD = 100.0, 1e6, 16, 20.0, 500.0, 800.0
 REST = 510.99895

@@ -5,11 +5,11 @@ import pytest
 
 from phantomgen.effects import ScatterKernel
 from phantomgen.effects.focal_spot import FWHM
-from phantomgen.noise import Stream
-from phantomgen.panel import Panel
-from phantomgen.scene import load_scene
-from phantomgen.simulate_noise import Exposure
-from phantomgen.simulate_views import Views
+from phantomgen.effects.random_streams import Stream
+from phantomgen.geometry.panel import Panel
+from phantomgen.scene.scan import load_scene
+from phantomgen.simulation.forward_model.exposure import Exposure
+from phantomgen.simulation.forward_model.frames import Views
 from spectra.errors import InputError, SceneError
 
 

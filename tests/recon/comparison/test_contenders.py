@@ -4,13 +4,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recon.baselines import METHODS, method_named
-from recon.baselines.method import CountsMethod, ViewMethod
-from recon.comparison.contender import GAUSSIAN, PAPER, Contender, contender, contenders
+from recon.comparison.contenders.contender import GAUSSIAN, PAPER, Contender, contender, contenders
 from recon.comparison.outcome import parse_budgets
-from recon.comparison.paper_numbers import TABLE_4C
 from recon.comparison.studies import STUDIES, Scan
-from recon.paper.components import COMPONENTS
+from recon.comparison.tables.published_numbers import TABLE_4C
+from recon.published_methods.paper.components import COMPONENTS
+from recon.runs.methods import METHODS, method_named
+from recon.voxel.method import CountsMethod, ViewMethod
 from spectra.errors import InputError
 
 KEDGE = Scan(("bin0", "bin1", "bin2", "bin3"), bases=3, views=75)

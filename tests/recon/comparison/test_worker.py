@@ -8,20 +8,21 @@ from itertools import count
 
 import numpy as np
 import pytest
-from tiny_scans import make
+from support.tiny_scans import make
 
-from phantomgen.dataset import open_dataset
-from recon.baselines import method_named
-from recon.comparison import clock as clocks
-from recon.comparison import gaussian_run, voxel_run
+from phantomgen.dataset.reader import open_dataset
 from recon.comparison.campaign import fingerprint, pseudo_truth
-from recon.comparison.contender import contender
+from recon.comparison.contenders import clock as clocks
+from recon.comparison.contenders import timed_gaussians as gaussian_run
+from recon.comparison.contenders import timed_voxels as voxel_run
+from recon.comparison.contenders.contender import contender
 from recon.comparison.job import Job, read_result
 from recon.comparison.worker import restricted, run, work
-from recon.measurements import read_measurements
-from recon.metrics import psnr
-from recon.paper.recipe import PaperRecipe
-from recon.recipe import Recipe, Stage
+from recon.data.measurements import read_measurements
+from recon.evaluation.metrics import psnr
+from recon.gaussians.recipe import Recipe, Stage
+from recon.published_methods.paper.recipe import PaperRecipe
+from recon.runs.methods import method_named
 from spectra.errors import InputError
 from spectra.threads import set_threads
 

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
-from gaussian_scenes import GEOMETRIES, SDD, SOD, circular
 from scipy.ndimage import map_coordinates
-from tolerances import TOLERANCES
+from support.gaussian_scenes import GEOMETRIES, SDD, SOD, circular
+from support.tolerances import TOLERANCES
 
-from phantomgen.grid import Grid
+from phantomgen.geometry.voxel_grid import Grid
 from recon.ops.backproject import backproject
 from spectra.errors import InputError
 from spectra.threads import set_threads

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 import torch
-from gaussian_scenes import GEOMETRIES, PIXEL, REGIMES, circular, frames_of, one_gaussian, random_gaussians
 from scipy.spatial.transform import Rotation
-from tolerances import TOLERANCES
+from support.gaussian_scenes import GEOMETRIES, PIXEL, REGIMES, circular, frames_of, one_gaussian, random_gaussians
+from support.tolerances import TOLERANCES
 
-from phantomgen.grid import Grid
+from phantomgen.geometry.voxel_grid import Grid
 from recon.ops.chords import SMOOTH, chords, fill, reference
 from spectra.errors import InputError
 from spectra.threads import set_threads

@@ -3,12 +3,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from gaussian_scenes import spectral_model
-from tolerances import TOLERANCES
+from support.gaussian_scenes import spectral_model
+from support.tolerances import TOLERANCES
 
 from recon.ops.likelihood import BLOCK, likelihood
 from recon.ops.likelihood.reference import half_deviance
-from recon.ops.positive_step import as_matrices
+from recon.ops.nonnegative_newton import as_matrices
 from spectra.errors import InputError
 from spectra.threads import set_threads
 from spectra.transmission import Transmission

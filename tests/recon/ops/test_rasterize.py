@@ -1,9 +1,18 @@
 import numpy as np
 import pytest
 import torch
-from gaussian_scenes import GEOMETRIES, PIXEL, REGIMES, circular, frames_of, one_gaussian, random_gaussians, tilted
 from scipy.spatial.transform import Rotation
-from tolerances import TOLERANCES
+from support.gaussian_scenes import (
+    GEOMETRIES,
+    PIXEL,
+    REGIMES,
+    circular,
+    frames_of,
+    one_gaussian,
+    random_gaussians,
+    tilted,
+)
+from support.tolerances import TOLERANCES
 
 from recon.ops.rasterize import rasterize, reference
 from spectra.errors import InputError
@@ -124,7 +133,7 @@ def test_truncation_costs_a_thousandth_of_the_peak(sigma):
 
 @pytest.mark.parametrize("where", GEOMETRIES)
 def test_any_number_of_threads_gives_the_same_bits(where, monkeypatch):
-    monkeypatch.setattr("recon.ops.rasterize.on_cpu.CHUNK", 7)
+    monkeypatch.setattr("recon.ops.rasterize.cpu_calls.CHUNK", 7)
     geometry, parts = GEOMETRIES[where], [p.float() for p in random_gaussians(9, count=60)]
     view = (frames_of(geometry), geometry.panel.rows, geometry.panel.columns)
     results = []

@@ -7,11 +7,11 @@ import sys
 import numpy as np
 import pytest
 import torch
-from gaussian_scenes import GEOMETRIES, REGIMES, circular, frames_of, one_gaussian, random_gaussians
-from tolerances import TOLERANCES
+from support.gaussian_scenes import GEOMETRIES, REGIMES, circular, frames_of, one_gaussian, random_gaussians
+from support.tolerances import TOLERANCES
 
 from recon.ops.rasterize import rasterize, reference
-from recon.ops.rasterize.on_cpu import Settings
+from recon.ops.rasterize.cpu_calls import Settings
 
 DEVICE = "cuda" if os.environ["TRITON_INTERPRET"] == "0" else "cpu"
 COMPILE = """
@@ -32,7 +32,7 @@ for target in GPUTarget("cuda", 80, 32), GPUTarget("hip", "gfx942", 64):
 @pytest.fixture(scope="module")
 def on_gpu():
     pytest.importorskip("triton")
-    from recon.ops.rasterize.on_gpu import rasterize_on_gpu
+    from recon.ops.rasterize.gpu_calls import rasterize_on_gpu
 
     def image_and_gradients(parts, geometry, footprint=1.0, cutoff=5.0, projector="exact", dtype=torch.float64):
         panel, leaves = geometry.panel, [part.to(DEVICE, dtype, copy=True).requires_grad_() for part in parts]

@@ -5,18 +5,20 @@ import math
 import numpy as np
 import pytest
 import torch
-from gaussian_scenes import GEOMETRIES, PITCH, PIXEL, circular, frames_of, one_gaussian, random_gaussians
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from tolerances import TOLERANCES
+from support.gaussian_scenes import GEOMETRIES, PITCH, PIXEL, circular, frames_of, one_gaussian, random_gaussians
+from support.tolerances import TOLERANCES
 
-from phantomgen import orbits
-from phantomgen.geometry import Geometry
-from phantomgen.jitter import Jitter, jittered
-from phantomgen.mount import Mount, mounted
-from phantomgen.panel import Panel
-from recon.ops.rasterize import cutoff_for, near, on_cpu, rasterize, reference
+from phantomgen.effects.pose_jitter import Jitter, jittered
+from phantomgen.geometry import orbits
+from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.panel_mount import Mount, mounted
+from phantomgen.geometry.poses import Geometry
+from recon.ops.rasterize import cpu_calls as on_cpu
+from recon.ops.rasterize import cutoff_for, rasterize, reference
+from recon.ops.rasterize import near_field as near
 from spectra.errors import InputError
 
 ROWS, COLUMNS, NEARLY_UNCUT = 5, 6, 5.0

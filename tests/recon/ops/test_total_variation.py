@@ -3,9 +3,9 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tolerances import TOLERANCES
+from support.tolerances import TOLERANCES
 
-from phantomgen.grid import Grid
+from phantomgen.geometry.voxel_grid import Grid
 from recon.ops.total_variation import ascend, neighbour_sums, pull, total_variation
 from recon.ops.total_variation.reference import differences
 from recon.ops.total_variation.reference import total_variation as reference

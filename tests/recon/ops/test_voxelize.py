@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 import torch
-from gaussian_scenes import REGIMES, one_gaussian, random_gaussians
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
-from tolerances import TOLERANCES
+from support.gaussian_scenes import REGIMES, one_gaussian, random_gaussians
+from support.tolerances import TOLERANCES
 
-from phantomgen.grid import Grid
+from phantomgen.geometry.voxel_grid import Grid
 from recon.ops.rasterize.reference import lattice_mass
 from recon.ops.voxelize import reference, voxelize
 from spectra.threads import set_threads

@@ -7,10 +7,10 @@ import sys
 import numpy as np
 import pytest
 import torch
-from gaussian_scenes import REGIMES, one_gaussian, random_gaussians
-from tolerances import TOLERANCES
+from support.gaussian_scenes import REGIMES, one_gaussian, random_gaussians
+from support.tolerances import TOLERANCES
 
-from phantomgen.grid import Grid
+from phantomgen.geometry.voxel_grid import Grid
 from recon.ops.voxelize import reference, voxelize_tensor
 
 DEVICE = "cuda" if os.environ["TRITON_INTERPRET"] == "0" else "cpu"
@@ -34,7 +34,7 @@ for target in GPUTarget("cuda", 80, 32), GPUTarget("hip", "gfx942", 64):
 @pytest.fixture(scope="module")
 def on_gpu():
     pytest.importorskip("triton")
-    from recon.ops.voxelize.on_gpu import voxelize_on_gpu
+    from recon.ops.voxelize.gpu_calls import voxelize_on_gpu
 
     def volume_and_gradients(parts, grid=OBLONG, footprint=1.0, cutoff=5.0, dtype=torch.float64):
         leaves = [part.to(DEVICE, dtype, copy=True).requires_grad_() for part in parts]

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 import torch
-from gaussian_scenes import REGIMES, one_gaussian, random_gaussians
-from tolerances import TOLERANCES
+from support.gaussian_scenes import REGIMES, one_gaussian, random_gaussians
+from support.tolerances import TOLERANCES
 
-from phantomgen.grid import Grid
+from phantomgen.geometry.voxel_grid import Grid
 from recon.ops.voxelize import reference, voxelize, voxelize_tensor
 from spectra.threads import set_threads
 
@@ -106,7 +106,7 @@ def test_the_mass_of_a_narrow_gaussian_does_not_change_with_its_place(sigma):
 
 
 def test_any_number_of_threads_gives_the_same_bits(monkeypatch):
-    monkeypatch.setattr("recon.ops.voxelize.scene.CHUNK", 7)
+    monkeypatch.setattr("recon.ops.voxelize.cpu_calls.CHUNK", 7)
     parts, results = [p.float() for p in random_gaussians(9, count=40)], []
     try:
         for threads in (1, 2, 3):

@@ -1,0 +1,164 @@
+"""What each part of a fit is worth: one change at a time, error and processor time.
+
+    python -m benchmarks.reconstruction.ablation [upright | metal | implant | pin] [WORD ...]
+
+Fits of `development.yaml`, the scene on which recipes were chosen, or of one of its siblings,
+`development_z_aligned.yaml` and so on; rows whose name is one of the words, or has it after the recipe's name; all
+where there are none. Scores are PSNR [dB] of the basis volumes; times are processor time of both threads from reading
+to the last step, so that they do not depend on what else the machine does. Rows take the place of those in
+`results/levers.txt`, `results/levers_upright.txt` and so on.
+"""
+
+import platform
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+import torch
+
+import phantomgen
+from benchmarks.result_rows import store
+from phantomgen.dataset.reader import Dataset
+from phantomgen.dataset.truth import read_truth
+from recon.evaluation.scoring import psnr_of_bases
+from recon.gaussians.fisher import coefficient_curvature
+from recon.gaussians.recipe import BEST, FAST, Recipe, Stage
+from recon.gaussians.reconstruct import reconstruct
+from spectra.threads import thread_count
+
+FOLDER = Path(__file__).parents[1]
+OTHERS = ("upright", "metal", "implant", "pin")  # flat sides on faces of voxels; thin and thick metal; metal in tissue
+NAMED = 66  # characters of a row for its lever
+HEADER = f"{'lever':<66}PE     Compton  K edge  CPU s  Gaussians"
+
+
+@dataclass(frozen=True)
+class Lever:
+    """A fit that differs from another in one thing.
+
+    Parameters
+    ----------
+    name : what differs
+    recipe : how it is fitted
+    patches : constants and functions that are replaced, by where they are
+    """
+
+    name: str
+    recipe: Recipe
+    patches: tuple[tuple[str, Any], ...] = ()
+
+
+def fast(name: str, *patches: tuple[str, Any], **changes: Any) -> Lever:
+    return Lever(f"fast, {name}", replace(FAST, **changes), patches)
+
+
+def best(name: str, *patches: tuple[str, Any], **changes: Any) -> Lever:
+    return Lever(f"best, {name}", replace(BEST, **changes), patches)
+
+
+HELD = {"centre_rate": 1e-9, "shape_rate": 1e-9}
+FROM_RAYS = {"prior": 0.0, "centre_rate": 0.06, "shape_rate": 0.015}
+BY_INFORMATION = ("recon.gaussians.reconstruct.metric_of", lambda volumes, fisher: fisher)
+SUMMED = ("recon.data.measurements.excess_of_blocks", lambda counts, air, factor: 0.0)
+UNCORRECTED = ("recon.data.measurements.excess_of_pixels", lambda counts, air: 0.0)
+UNEVEN = ("recon.data.measurements.even_shares", lambda counts, air: 1.0)
+UNDOUBTED = ("recon.data.measurements.doubtful_shares", lambda counts, air, dispersion: 1.0)
+EVEN_PACE = ("recon.voxel.iterative.likelihood.relative_density", lambda volumes: np.ones_like(volumes[0]))
+NO_DENSITY = ("recon.gaussians.voxel_prior.over_metal", lambda volumes: np.ones_like(volumes[0]))
+EVEN_SAY = ("recon.voxel.iterative.one_step._say", lambda curvatures, density: np.ones_like(density))
+HELD_BACK = ("recon.voxel.iterative.one_step.UNMET", 1e-3)
+NODES = ("recon.voxel.iterative.one_step.means_in_metal", lambda volumes: volumes)
+UP_TO_METAL = ("recon.data.volume_edges.LARGEST", np.inf)
+BASIS_BY_BASIS = (
+    "recon.gaussians.optimize.coefficient_curvature",
+    lambda *scene: torch.diag_embed(torch.diagonal(coefficient_curvature(*scene), dim1=1, dim2=2)),
+)
+UNSHARPENED = ("recon.voxel.iterative.one_step.sharpened", lambda volumes: volumes)
+
+LEVERS = (
+    Lever("fast", FAST),
+    fast("from decomposed rays and FDK, no prior, 3 sweeps", **FROM_RAYS, stages=(Stage(0.5, 3.0),)),
+    fast("coarse voxels not sharpened", UNSHARPENED),
+    fast("pixels summed to match voxels by their sums", SUMMED),
+    fast("partial volume of single pixels left in", UNCORRECTED),
+    fast("every ray with the say of its counts", UNEVEN),
+    fast("corrections for partial volume taken for exact", UNDOUBTED),
+    fast("dense voxels at the pace of others", EVEN_PACE),
+    fast("total variation with the same say everywhere", EVEN_SAY),
+    fast("steps held back where rays know less than a thousandth", HELD_BACK),
+    fast("empty is what has less than a tenth of the densest", UP_TO_METAL),
+    fast("voxels in metal as they fit the rays, no means", NODES),
+    fast("bases count by the rays' information as Gaussians follow", BY_INFORMATION),
+    fast("Gaussians do not follow the voxels first", approximation=1),
+    fast("Gaussians follow the voxels, and are not fitted", stages=(Stage(0.5, 1e-9),)),
+    fast("no prior after the start", prior=1e-9),
+    fast("prior as strong along edges", steps_along_edges=1e9),
+    fast("prior a tenth as strong along edges", steps_along_edges=1.8),
+    fast("pixels summed to the size of voxels", stages=(Stage(1.0, 1.0),)),
+    fast("half the rates of the geometry, falling to 0.3", centre_rate=0.01, shape_rate=0.0025, final_rate=0.3),
+    fast("weights of pure Poisson noise", dispersion=0.0),
+    fast("coefficients alone, geometry held", **HELD),
+    fast("coefficients without momentum", momentum=0.0),
+    fast("curvature of each basis alone, without what they share", BASIS_BY_BASIS),
+    fast("half as many evaluations as Gaussians follow", approximation=30),
+    fast("2 views per step", views_per_step=2),
+    fast("fewer Gaussians, spacing 1.2", spacing=1.2),
+    Lever("best", BEST),
+    best("bases count by the rays' information as Gaussians follow", BY_INFORMATION),
+    best("steps of the geometry at full length at once", warm_up=0.0),
+    best("2 views per step", views_per_step=2),
+    best("3 sweeps", stages=(Stage(0.5, 3.0),)),
+    best("fewer Gaussians, spacing 1.2", spacing=1.2),
+    best("prior three times as strong along edges", steps_along_edges=54.0),
+    best("voxels in metal as they fit the rays, no means", NODES),
+    best("prior as strong at metal as along other edges", NO_DENSITY),
+)
+
+
+@contextmanager
+def patched(patches: tuple[tuple[str, Any], ...]) -> Iterator[None]:
+    """With the first patch of `patches` and all others."""
+    if not patches:
+        yield
+        return
+    with patch(*patches[0]), patched(patches[1:]):
+        yield
+
+
+def row_of(lever: Lever, dataset: Dataset) -> str:
+    """One line of the results."""
+    with patched(lever.patches):
+        began = time.process_time()
+        gaussians = reconstruct(dataset, lever.recipe).gaussians
+        seconds = time.process_time() - began
+    truth = read_truth(dataset.path)
+    assert truth is not None
+    scores = "  ".join(f"{score:5.2f}" for score in psnr_of_bases(truth, gaussians).values())
+    return f"{lever.name:<66}{scores}  {seconds:6.1f}  {len(gaussians):8d}"
+
+
+def main(words: list[str]) -> None:
+    suffix = f"_{words[0]}" if words and words[0] in OTHERS else ""
+    words = words[1:] if suffix else words
+    scan = phantomgen.load(FOLDER / "scenes" / f"development{suffix}.yaml")
+    table = FOLDER / "results" / f"ablation{suffix}.txt"
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        phantomgen.make(scan, out=Path(folder) / "scan.h5") as dataset,
+    ):
+        for lever in LEVERS:
+            if not words or lever.name in words or any(word in lever.name.partition(", ")[2] for word in words):
+                row = row_of(lever, dataset)
+                store(table, [f"{platform.machine()}, {thread_count()} threads", HEADER], row, NAMED)
+                print(row, flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

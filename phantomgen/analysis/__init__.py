@@ -1,0 +1,1 @@
+"""What can be said of a scan or material without simulating: beam quality, thresholds, single-ray Cramer-Rao bound."""

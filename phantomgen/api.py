@@ -1,0 +1,55 @@
+"""The short way from Python: a scene to its plan, or to an open dataset."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from phantomgen.dataset.reader import Dataset, open_dataset
+from phantomgen.dataset.writing.writer import check_dataset_name
+from phantomgen.scene.scan import Scan, load_scene
+from phantomgen.simulation.planning.make_plan import TOLERANCE, Plan, make_plan
+from phantomgen.simulation.run import simulate
+
+
+def plan(scan: Scan | str | Path, *, tolerance: float = TOLERANCE) -> Plan:
+    """How finely a scan will be computed, and how wrong that is.
+
+    Parameters
+    ----------
+    scan : what to simulate, or a preset or scene file
+    tolerance : worst error of log projections that is wanted
+    """
+    return make_plan(_scan(scan), tolerance)
+
+
+def make(
+    scan: Scan | str | Path,
+    out: Path | str | None = None,
+    *,
+    seed: int | None = None,
+    **options: Any,
+) -> Dataset:
+    """Simulate a scan and open its dataset.
+
+    Parameters
+    ----------
+    scan : what to simulate, or a preset or scene file
+    out : name of the dataset; ``<name of the scene>.h5`` where left out
+    seed : of the noise; that of the scene where left out
+    options : of `phantomgen.simulation.run.simulate`, such as ``tolerance=1e-4`` or ``overwrite=True``; that function says
+        what a simulation took and how exact its counts are
+
+    Returns
+    -------
+    the dataset, to be closed or used in a ``with`` statement
+    """
+    scan = _scan(scan)
+    if seed is not None:
+        scan = replace(scan, seed=seed)
+    path = Path(out or f"{scan.name}.h5")
+    check_dataset_name(path)
+    return open_dataset(simulate(scan, path, **options).path)
+
+
+def _scan(scan: Scan | str | Path) -> Scan:
+    return scan if isinstance(scan, Scan) else load_scene(scan)

@@ -1,0 +1,1 @@
+"""The command phantomgen, one file per command: parse, call, print."""

@@ -1,0 +1,52 @@
+"""Pixels that do not measure, as a dataset stores them: the field ``pixel_mask`` of each NXdetector_channel."""
+
+import h5py
+import numpy as np
+from jaxtyping import Bool, UInt32
+
+from phantomgen.dataset.layout import group_at
+from spectra.errors import DatasetError
+
+_DETECTOR = "/entry/instrument/detector"
+_REJECTING = 0x0000FFFF  # bits that reject a pixel; those above only say something about it (NXdetector)
+
+
+def write_mask(file: h5py.File, channels: tuple[str, ...], mask: UInt32[np.ndarray, "row column"] | None) -> None:
+    """Write the same mask for every channel; nothing where there is none."""
+    if mask is None:
+        return
+    for name in channels:
+        group = group_at(file, f"{_DETECTOR}/{name}_channel")
+        group.create_dataset("pixel_mask", data=mask, compression="gzip", shuffle=True)
+
+
+def mask_of(file: h5py.File, channel: str) -> h5py.Dataset | None:
+    """The stored mask of a channel, where it has one."""
+    found = file.get(f"{_DETECTOR}/{channel}_channel/pixel_mask")
+    return found if isinstance(found, h5py.Dataset) else None
+
+
+def read_mask(
+    file: h5py.File, channels: tuple[str, ...], pixels: tuple[int, int]
+) -> Bool[np.ndarray, "channel row column"]:
+    """Pixels of each channel that are not to be used.
+
+    Raises
+    ------
+    DatasetError
+        When a mask does not fit the panel, or leaves nothing of a channel.
+    """
+    masks = np.zeros((len(channels), *pixels), bool)
+    for mask, name in zip(masks, channels, strict=True):
+        stored = mask_of(file, name)
+        if stored is None:
+            continue
+        if stored.shape != pixels or stored.dtype.kind not in "iu":
+            raise DatasetError(
+                f"{file.filename}: {stored.name} holds {stored.dtype} of shape {stored.shape}, expected integers of "
+                f"shape {pixels}"
+            )
+        mask[:] = stored[()].astype(np.int64) & _REJECTING != 0
+        if mask.all():
+            raise DatasetError(f"{file.filename}: {stored.name} leaves no pixel that measures")
+    return masks

@@ -1,0 +1,475 @@
+"""Reading a dataset: measured counts, geometry and spectra, lazily; never the truth.
+
+Errors are sentences, also for files that are cut off, of a newer schema, or without a flat field. `Truth` has a module
+of its own, so that a reconstructor which imports this one cannot see it by accident.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int, Shaped
+
+from phantomgen.dataset.beam_profile import read_profile
+from phantomgen.dataset.compression import check_readable
+from phantomgen.dataset.dataset_basis import in_basis
+from phantomgen.dataset.geometry import read_geometry
+from phantomgen.dataset.layout import SCHEMA, SCHEMA_VERSION, array_at, group_at, text_of
+from phantomgen.dataset.pixel_mask import read_mask
+from phantomgen.dataset.spectral_model import Spectra
+from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.poses import Geometry
+from phantomgen.geometry.voxel_grid import Grid
+from spectra.basis.basis import Basis
+from spectra.detector.dead_time import DeadTime
+from spectra.errors import DatasetError, Error, InputError
+
+if TYPE_CHECKING:
+    from xarray import DataArray
+
+    from phantomgen.dataset.adapters.to_torch import ViewSet
+
+Region = tuple[slice, slice]
+DETECTOR = "/entry/instrument/detector"
+FLAT, DARK = "/entry/instrument/flat/data", "/entry/instrument/dark/data"
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """An open dataset; close it, or use it in a ``with`` statement.
+
+    Parameters
+    ----------
+    path, file : the file
+    air : rows and columns of the panel that see nothing but air, used in place of flats
+    """
+
+    path: Path
+    file: h5py.File = field(repr=False)
+    air: Region | None = None
+
+    def __enter__(self) -> "Dataset":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self.file.close()
+
+    def __repr__(self) -> str:
+        views, channels, rows, columns = self.counts.shape
+        edges = self.spectra.edges
+        shape = f"{views} views x {channels} channels x {rows} x {columns}"
+        return f"Dataset({self.name}: {shape}, {edges[0]:g}..{edges[-1]:g} keV)"
+
+    def with_basis(self, basis: Basis) -> "Dataset":
+        """The same open file, read in other basis functions than those it states."""
+        return self._with(spectra=in_basis(self.spectra, basis))
+
+    def with_training_views(self, count: int) -> "Dataset":
+        """The same open file with some of the training views, evenly spread.
+
+        Raises
+        ------
+        InputError
+            When there are not so many.
+        """
+        train = self.splits["train"]
+        if not 1 <= count <= len(train):
+            raise InputError(f"{self.path} has {len(train)} training views: {count} cannot be used")
+        return self._with(splits=self.splits | {"train": train[np.arange(count) * len(train) // count]})
+
+    def without_channel(self, name: str) -> "Dataset":
+        """The same open file with a channel whose pixels count as masked.
+
+        Raises
+        ------
+        InputError
+            When there is no such channel.
+        """
+        channels = self.spectra.channels
+        if name not in channels:
+            raise InputError(f"{self.path} has no channel {name!r} to leave out: it has {', '.join(channels)}")
+        return self._with(mask=self.mask | (np.array(channels) == name)[:, None, None])
+
+    def with_grid(self, grid: Grid) -> "Dataset":
+        """The same open file that asks for another volume."""
+        return self._with(grid=grid)
+
+    def _with(self, **changed: Any) -> "Dataset":
+        """The same open file with values in place of those that it states."""
+        other = replace(self)
+        vars(other).update(vars(self) | changed)
+        return other
+
+    @property
+    def name(self) -> str:
+        """Title of the scan."""
+        return str(self._value("/entry/title"))
+
+    @property
+    def counts(self) -> h5py.Dataset:
+        """Measured counts, (view, channel, row, column), still in the file; `load` checks what it reads."""
+        return array_at(self.file, f"{DETECTOR}/data")
+
+    @cached_property
+    def mask(self) -> Bool[np.ndarray, "channel row column"]:
+        """Pixels that do not measure: where a low bit of ``pixel_mask`` is set, as NeXus defines it."""
+        with damaged_file(self.path):
+            return read_mask(self.file, self.spectra.channels, self.counts.shape[2:])
+
+    @property
+    def signed(self) -> bool:
+        """Whether signals may be negative, as noise of electronics makes those that are no counts."""
+        return self.spectra.units != "counts"
+
+    def load(
+        self, views: Sequence[int] | Int[np.ndarray, " view"] | None = None
+    ) -> Shaped[np.ndarray, "v c row column"]:
+        """Counts of some views (default all) in memory.
+
+        Raises
+        ------
+        DatasetError
+            When a count is negative or not a number, or the file is damaged.
+        """
+        chosen = range(self.counts.shape[0]) if views is None else [int(v) for v in views]
+        loaded = np.empty((len(chosen), *self.counts.shape[1:]), self.counts.dtype)
+        for i, view in enumerate(chosen):
+            loaded[i] = self._image(self.counts, view)
+            check_counts(loaded[i], f"view {view} of {self.path}", self.signed)
+        return loaded
+
+    def line_integrals(self, view: int) -> Float32[np.ndarray, "channel row column"]:
+        """Log projections of one view, -log(counts / open beam), darks subtracted and dead time corrected [no unit].
+
+        Counts below half a count are taken as that; NaN where a pixel or a channel of this view does not measure.
+        """
+        if not -len(self.exposure) <= view < len(self.exposure):
+            raise InputError(f"{self.path} has views 0 to {len(self.exposure) - 1}, there is no view {view}")
+        view = view % len(self.exposure)
+        signal, air = self.load([view])[0] - self.dark, self.flat
+        if self.spectra.dead_time is not None:
+            signal, air = self.spectra.dead_time.corrected(signal), self.spectra.dead_time.corrected(air)
+        air = air * self.exposure[view][:, None, None]
+        least = 0.5 * self.spectra.quantum[:, None, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            logs = np.log(air / np.maximum(signal, least))
+        return np.where(self.mask | (air <= 0), np.nan, logs).astype(np.float32)
+
+    def to_xarray(self, views: Sequence[int] | None = None) -> "DataArray":
+        """Counts of some views (default all) in memory as an `xarray.DataArray` with named axes and coordinates."""
+        from phantomgen.dataset.adapters.to_xarray import to_xarray  # noqa: PLC0415 - an extra
+
+        return to_xarray(self, views)
+
+    def torch(self, split: str = "train") -> "ViewSet":
+        """The views of a split (``train``, ``test``, ``val`` or ``all``) as a `torch.utils.data.Dataset`."""
+        from phantomgen.dataset.adapters.to_torch import ViewSet  # noqa: PLC0415 - torch takes seconds
+
+        return ViewSet.of(self, split)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        from phantomgen.runtime.thumbnails import dataset_html  # noqa: PLC0415 - draws
+
+        return dataset_html(self)
+
+    @cached_property
+    def geometry(self) -> Geometry:
+        """Poses of all views, as the scan was meant to have them."""
+        panel = Panel(
+            *self.counts.shape[2:],
+            pitch=(float(self._value(f"{DETECTOR}/y_pixel_size")), float(self._value(f"{DETECTOR}/x_pixel_size"))),
+        )
+        angles = 0.0 - np.deg2rad(self._value("/entry/sample/rotation_angle"))
+        with damaged_file(self.path):
+            return read_geometry(group_at(self.file, "/entry/geometry"), panel, angles)
+
+    @cached_property
+    def spectra(self) -> Spectra:
+        """Energy grid, source, response and basis."""
+        table = {name: self._value(f"/entry/spectra/{name}") for name in _SPECTRA}
+        if _COMPOSITION in self.file:
+            table["basis_composition"] = self._value(_COMPOSITION)
+        channels = tuple(text_of(name) for name in self._value("/entry/data/channel"))
+        limits = [f"{DETECTOR}/{name}_channel" for name in channels]
+        return Spectra(
+            energy=table["energy"],
+            edges=table["energy_edges"],
+            source=table["source"],
+            response=table["response"],
+            basis=Basis.from_table(table),
+            basis_values=table["basis"],
+            channels=channels,
+            lower=np.array([float(self._value(f"{group}/threshold_energy")) for group in limits]),
+            upper=np.array([float(self._value(f"{group}/upper_energy")) for group in limits]),
+            units=text_of(self.counts.attrs.get("units", "counts")),
+            variance=self._value("/entry/spectra/variance") if "entry/spectra/variance" in self.file else None,
+            profile=read_profile(self.file),
+            dead_time=self._dead_time(),
+        )
+
+    def _dead_time(self) -> DeadTime | None:
+        """Dead time of the pixels, where the file has one."""
+        if f"{DETECTOR}/dead_time" not in self.file:
+            return None
+        tau, exposure = (float(self._value(f"{DETECTOR}/{name}")) for name in ("dead_time", "count_time"))
+        return DeadTime(tau, exposure, str(self._value(f"{DETECTOR}/dead_time_model")))  # type: ignore[arg-type]
+
+    @cached_property
+    def grid(self) -> Grid:
+        """The volume asked for."""
+        shape, spacing, origin = (
+            self._value(f"/entry/reconstruction_grid/{n}") for n in ("shape", "spacing", "origin")
+        )
+        return Grid(tuple(map(int, shape)), tuple(map(float, spacing)), tuple(map(float, origin)))  # type: ignore[arg-type]
+
+    @cached_property
+    def splits(self) -> dict[str, Int[np.ndarray, " view"]]:
+        """Indices of the views in ``train``, ``test`` and ``val`` of the default scheme."""
+        group = group_at(self.file, "/entry/splits")
+        scheme = text_of(group.attrs.get("default", next(iter(group), "")))
+        parts = {name: self._value(f"/entry/splits/{scheme}/{name}") for name in ("train", "test", "val")}
+        for name, views in parts.items():
+            if len(views) and not (views.min() >= 0 and views.max() < self.counts.shape[0]):
+                raise DatasetError(
+                    f"{self.path}: split {scheme}/{name} names a view outside 0..{self.counts.shape[0] - 1}"
+                )
+        return {name: views.astype(np.int64) for name, views in parts.items()}
+
+    @cached_property
+    def exposure(self) -> Float[np.ndarray, "view channel"]:
+        """Tube output per view and channel, relative to the flats; 0 where a view was not taken in a channel."""
+        scale = np.asarray(self._value("/entry/exposure/scale"), dtype=np.float64)
+        views, channels = self.counts.shape[:2]
+        if scale.shape not in {(views,), (views, channels)}:
+            raise DatasetError(
+                f"{self.path}: /entry/exposure/scale has shape {scale.shape} for {views} views x {channels} channels"
+            )
+        return np.broadcast_to(scale.reshape(views, -1), (views, channels))
+
+    @cached_property
+    def dark(self) -> Float[np.ndarray, "channel row column"]:
+        """Mean counts without beam."""
+        frames = self.file.get(DARK)
+        if not isinstance(frames, h5py.Dataset) or frames.shape[0] == 0:
+            return np.zeros(self.counts.shape[1:])
+        return self._mean(frames, "dark")
+
+    @cached_property
+    def dark_variance(self) -> Float[np.ndarray, " channel"]:
+        """Variance of a pixel between dark frames, mean over the pixels that measure; 0 for less than two frames."""
+        frames = self.file.get(DARK)
+        if not isinstance(frames, h5py.Dataset) or frames.shape[0] < 2:
+            return np.zeros(self.counts.shape[1])
+        squares = sum(np.square(self._image(frames, frame) - self.dark) for frame in range(frames.shape[0]))
+        return np.mean(squares / (frames.shape[0] - 1), axis=(1, 2), where=~self.mask)
+
+    @cached_property
+    def flat(self) -> Float[np.ndarray, "channel row column"]:
+        """Mean open-beam counts at exposure 1, dark counts subtracted.
+
+        Raises
+        ------
+        DatasetError
+            When the file has no flats and no region of air was named.
+        """
+        if self.air is not None:
+            return self._air_level(self.air)
+        return self._mean(array_at(self.file, FLAT), "flat") - self.dark
+
+    def _air_level(self, air: Region) -> Float[np.ndarray, "channel row column"]:
+        """One open-beam level per channel from a region of air in all views."""
+        if self.spectra.profile is not None:
+            parts = ", ".join(self.spectra.profile.names)
+            raise InputError(
+                f"{self.path}: the open beam differs over the panel ({parts}), so that a region of air cannot stand in "
+                "for flats: leave --air out"
+            )
+        total = np.zeros(self.counts.shape[1])
+        measuring = np.zeros(self.mask.shape, bool)
+        measuring[:, air[0], air[1]] = ~self.mask[:, air[0], air[1]]
+        if not measuring.any(axis=(1, 2)).all():
+            raise InputError(f"{self.path}: no pixel of the region of air measures: name another by --air")
+        for view in range(len(self.exposure)):
+            counts = self._image(self.counts, view)
+            check_counts(counts, f"view {view} of {self.path}", self.signed)
+            total += np.mean(counts - self.dark, axis=(1, 2), where=measuring)
+        level = total / self.exposure.sum(axis=0)
+        return np.broadcast_to(level[:, None, None], self.counts.shape[1:]).copy()
+
+    def _mean(self, frames: h5py.Dataset, what: str) -> Float[np.ndarray, "channel row column"]:
+        """Mean of all frames."""
+        total = np.zeros(frames.shape[1:])
+        for frame in range(frames.shape[0]):
+            counts = self._image(frames, frame)
+            check_counts(counts, f"{what} {frame} of {self.path}", self.signed)
+            total += counts
+        return total / frames.shape[0]
+
+    def _image(self, frames: h5py.Dataset, frame: int) -> Shaped[np.ndarray, "channel row column"]:
+        """All channels of one frame."""
+        with damaged_file(self.path):
+            return frames[frame]
+
+    def _value(self, name: str) -> Any:
+        """Content of a small dataset; text as ``str``."""
+        dataset = array_at(self.file, name)
+        with damaged_file(self.path):
+            value = dataset[()]
+        return text_of(value) if isinstance(value, bytes) else value
+
+
+_COMPOSITION = "/entry/spectra/basis_composition"  # of bases of materials only
+_SPECTRA = (
+    "energy",
+    "energy_edges",
+    "source",
+    "response",
+    "basis",
+    "basis_name",
+    "basis_kind",
+    "edge_energy",
+    "edge_width",
+    "element",
+    "reference_energy",
+)
+
+
+def open_dataset(path: Path | str, air: Region | str | None = None) -> Dataset:
+    """Open a dataset for reading.
+
+    Parameters
+    ----------
+    path : of the file
+    air : ``"r0:r1,c0:c1"`` or two slices: a part of the panel that sees only air, in place of missing flats
+
+    Raises
+    ------
+    DatasetError
+        When the file is missing, cut off, of another kind or a newer schema, inconsistent, or without flats.
+    """
+    path = Path(path)
+    file = open_file(path)
+    try:
+        dataset = Dataset(path, file, parse_region(air) if isinstance(air, str) else air)
+        _check_consistent(dataset)
+    except BaseException:
+        file.close()
+        raise
+    return dataset
+
+
+def open_file(path: Path) -> h5py.File:
+    """Open the file and check that it is one of ours, of a version that can be read."""
+    scene = path.suffix.lower() in {".yaml", ".yml"}
+    if path.is_dir():
+        raise DatasetError(f"{path} is a folder and no dataset")
+    if not path.is_file():
+        hint = f"; `phantomgen make {path}` makes one of a scene file or preset" if scene or not path.suffix else ""
+        raise DatasetError(f"there is no dataset {path}{hint}")
+    if scene:
+        raise DatasetError(f"{path} is no dataset: `phantomgen make {path}` makes one of a scene file")
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        reason = "it is cut off" if "truncated" in str(error) else "it is damaged or not an HDF5 file"
+        raise DatasetError(f"{path} cannot be read: {reason}") from None
+    try:
+        _check_version(file, path)
+        check_readable(file, f"{DETECTOR}/data")
+    except Error:
+        file.close()
+        raise
+    return file
+
+
+def parse_region(text: str) -> Region:
+    """``"r0:r1,c0:c1"`` as two slices of rows and columns."""
+    try:
+        (r0, r1), (c0, c1) = ((int(n) for n in part.split(":")) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"a region of air is written r0:r1,c0:c1, such as 0:16,0:256, got {text!r}") from None
+    if not (0 <= r0 < r1 and 0 <= c0 < c1):
+        raise InputError(f"a region of air needs rows and columns that ascend from at least 0, got {text!r}")
+    return slice(r0, r1), slice(c0, c1)
+
+
+def check_counts(counts: Shaped[np.ndarray, "..."], where: str, signed: bool = False) -> None:
+    """Refuse counts that cannot be counts, or signals that cannot be signals, which may be negative."""
+    smallest = counts.min(initial=0)
+    if np.isnan(smallest) or np.isinf(counts.max(initial=0)):
+        raise DatasetError(f"{where} holds a value that is not a number; repair or leave out that view")
+    if smallest < 0 and not signed:
+        raise DatasetError(f"{where} holds negative counts, down to {smallest:g}; store raw counts, with darks apart")
+
+
+@contextmanager
+def damaged_file(path: Path) -> Iterator[None]:
+    """Turn what HDF5 says about unreadable bytes into one sentence."""
+    try:
+        yield
+    except OSError:
+        raise DatasetError(f"{path} is damaged: a part of it cannot be read") from None
+
+
+def _check_version(file: h5py.File, path: Path) -> None:
+    """Refuse other files and newer major versions; a newer minor version only adds things."""
+    if text_of(file.attrs.get("schema", "")) != SCHEMA:
+        raise DatasetError(f"{path} is not a {SCHEMA} dataset: its root has no attribute schema={SCHEMA!r}")
+    version = text_of(file.attrs.get("schema_version", ""))
+    major = version.split(".")[0]
+    if not major.isdigit():
+        raise DatasetError(f"{path} states no schema version")
+    if int(major) > SCHEMA_VERSION[0]:
+        known = ".".join(map(str, SCHEMA_VERSION))
+        raise DatasetError(
+            f"{path} has schema version {version}, this program knows {known}: update it by "
+            "'pip install --upgrade spectral-ct'"
+        )
+
+
+def _check_consistent(dataset: Dataset) -> None:
+    """Refuse arrays that do not belong together, before any long work."""
+    shape = dataset.counts.shape
+    if len(shape) != 4 or 0 in shape[1:]:
+        raise DatasetError(f"{dataset.path}: counts have shape {shape}, expected (view, channel, row, column)")
+    spectra, views = dataset.spectra, shape[0]
+    if len(dataset.geometry.source) != views:
+        raise DatasetError(f"{dataset.path}: there are {views} views but {len(dataset.geometry.source)} source points")
+    if spectra.response.shape != (shape[1], len(spectra.energy)) or len(spectra.channels) != shape[1]:
+        raise DatasetError(f"{dataset.path}: the response has shape {spectra.response.shape} for {shape[1]} channels")
+    if spectra.profile is not None:
+        spectra.profile.check(dataset.path, shape[2:], len(spectra.energy))
+    exposed = dataset.exposure > 0
+    if not (dataset.exposure >= 0).all() or not exposed.any(axis=1).all() or not exposed.any(axis=0).all():
+        raise DatasetError(f"{dataset.path}: the exposure scale of a view is not positive")
+    _ = dataset.mask  # is checked as it is read
+    _check_open_beam(dataset)
+
+
+def _check_open_beam(dataset: Dataset) -> None:
+    """Refuse a file without flats, unless a region of air on the panel was named."""
+    _, channels, rows, columns = dataset.counts.shape
+    if dataset.air is not None:
+        if dataset.air[0].stop > rows or dataset.air[1].stop > columns:
+            raise InputError(f"the region of air reaches beyond the panel of {rows} x {columns} pixels")
+        return
+    flats = dataset.file.get(FLAT)
+    if not isinstance(flats, h5py.Dataset) or flats.shape[0] == 0:
+        raise DatasetError(
+            f"{dataset.path} has no flat field in {FLAT}: name a part of the panel that sees only air by "
+            "--air rows,columns, such as --air 0:16,0:256"
+        )
+    if flats.shape[1:] != (channels, rows, columns):
+        raise DatasetError(
+            f"{dataset.path}: flats have shape {flats.shape}, expected (F, {channels}, {rows}, {columns})"
+        )

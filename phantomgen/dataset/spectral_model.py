@@ -1,0 +1,70 @@
+"""What a dataset says about energies: source, channels and basis functions."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.dataset.beam_profile import StoredProfile
+from spectra.basis.basis import Basis
+from spectra.detector.dead_time import DeadTime
+from spectra.transmission import Transmission
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """All that a reconstructor may know about energies.
+
+    Parameters
+    ----------
+    energy : mean energy of each bin [keV]
+    edges : bin edges [keV]
+    source : incident photons per pixel and view at the panel centre, per bin
+    response : counts per photon
+    basis : raw basis functions
+    basis_values : the basis functions at `energy`, as stored
+    channels : channel names
+    lower, upper : limits of each channel [keV]
+    units : of the counts: ``counts``, or ``keV`` where a detector sums up energies
+    variance : what a photon adds to the variance of the signal; None where photons are counted, and it is the response
+    profile : how the open beam differs over the panel, None where it does not
+    dead_time : of the pixels; None where every event is recorded. Then `weights` are events, and counts are fewer
+    """
+
+    energy: Float[np.ndarray, " energy"]
+    edges: Float[np.ndarray, " energy_plus_1"]
+    source: Float[np.ndarray, " energy"]
+    response: Float[np.ndarray, "channel energy"]
+    basis: Basis
+    basis_values: Float[np.ndarray, "basis energy"]
+    channels: tuple[str, ...]
+    lower: Float[np.ndarray, " channel"]
+    upper: Float[np.ndarray, " channel"]
+    units: str = "counts"
+    variance: Float[np.ndarray, "channel energy"] | None = None
+    profile: StoredProfile | None = None
+    dead_time: DeadTime | None = None
+
+    @property
+    def weights(self) -> Float[np.ndarray, "channel energy"]:
+        """Counts per bin and channel with nothing in the beam, source x response."""
+        return self.source * self.response
+
+    @property
+    def effective_energy(self) -> Float[np.ndarray, " channel"]:
+        """Mean energy of what each channel counts in the open beam [keV]; NaN for a channel that counts nothing."""
+        counts = self.weights.sum(axis=1)
+        return np.where(counts > 0, self.weights @ self.energy, np.nan) / np.where(counts > 0, counts, 1.0)
+
+    @property
+    def quantum(self) -> Float[np.ndarray, " channel"]:
+        """Variance over mean of the open beam of each channel: 1 for counts, else a photon's part in the signal."""
+        signal = self.weights.sum(axis=1)
+        if self.variance is None:
+            return np.ones_like(signal)
+        return (self.source * self.variance).sum(axis=1) / np.where(signal > 0, signal, 1.0)
+
+    def transmission(self) -> Transmission:
+        """Line integrals of the basis coefficients, and after them lengths in the profile, to expected counts."""
+        parts = [] if self.profile is None else [self.profile.attenuation]
+        return Transmission.from_spectrum(self.weights, np.concatenate([self.basis_values, *parts]), self.channels)

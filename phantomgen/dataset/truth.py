@@ -1,0 +1,272 @@
+"""What was really scanned: basis volumes, material fractions and materials, in ``/truth`` of a dataset."""
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+from jaxtyping import Float, Float32, Int, UInt16
+
+from phantomgen.dataset.compression import Compression, filters
+from phantomgen.dataset.layout import (
+    FRACTION_SCALE,
+    array_at,
+    group_at,
+    new_frames,
+    new_group,
+    pack_image,
+    put,
+    put_note,
+    text_of,
+    write_image,
+)
+from phantomgen.dataset.reader import damaged_file, open_file
+from phantomgen.geometry.voxel_grid import Grid
+from spectra.materials.material import Material
+from spectra.threads import run_parallel
+
+# Fractions that are in memory at once; more voxels are computed slab by slab.
+_SLAB_VALUES = 1 << 25
+
+
+@dataclass(frozen=True, eq=False)
+class CoefficientFit:
+    """How the coefficients of compositions were found: the non-negative fit of least relative error of mu(E).
+
+    Parameters
+    ----------
+    window : energies that it covers [keV]
+    weights : what each energy weighs, in words
+    errors : weighted rms relative error of mu(E) per material; 0 for explicit coefficients
+    """
+
+    window: tuple[float, float]
+    weights: str
+    errors: Float[np.ndarray, " material"]
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Truth on a grid.
+
+    Parameters
+    ----------
+    grid : the voxels
+    basis_names : names of the basis functions
+    volumes : basis coefficients, averaged over each voxel [1/mm]
+    material_names : names of the materials, background left out
+    coefficients : of the materials in the basis [1/mm]
+    fractions : part of each voxel that each material fills, 65535 = all
+    scene : the scene as YAML
+    fit : of the coefficients; None where a file does not say
+    """
+
+    grid: Grid
+    basis_names: tuple[str, ...]
+    volumes: Float32[np.ndarray, "basis z y x"]
+    material_names: tuple[str, ...]
+    coefficients: Float[np.ndarray, "material basis"]
+    fractions: UInt16[np.ndarray, "material z y x"]
+    scene: str = ""
+    fit: CoefficientFit | None = None
+
+    @classmethod
+    def of(
+        cls,
+        grid: Grid,
+        basis_names: tuple[str, ...],
+        material_names: tuple[str, ...],
+        coefficients: Float[np.ndarray, "material basis"],
+        fractions: Float32[np.ndarray, "material z y x"],
+        scene: str,
+        fit: CoefficientFit | None = None,
+    ) -> "Truth":
+        """From fractions between 0 and 1."""
+        volumes = np.zeros((len(basis_names), *grid.shape), np.float32)
+        for row, fraction in zip(coefficients, fractions, strict=True):
+            for basis in np.flatnonzero(row):
+                volumes[basis] += np.float32(row[basis]) * fraction
+        scaled = np.empty(fractions.shape, np.uint16)
+        for part, fraction in zip(scaled, fractions, strict=True):
+            part[...] = np.rint(np.clip(fraction, 0.0, 1.0) * FRACTION_SCALE)
+        return cls(grid, basis_names, volumes, material_names, coefficients, scaled, scene, fit)
+
+    def __repr__(self) -> str:
+        return f"Truth({', '.join(self.basis_names)}: {' x '.join(map(str, self.grid.shape))} voxels)"
+
+    @property
+    def label_type(self) -> type:
+        """Numbers that labels are stored as."""
+        return _label_type(self.material_names)
+
+    def slabs(self) -> Iterator[tuple[int, "Truth"]]:
+        """Parts of it with their first slice: here, all at once."""
+        yield 0, self
+
+    @property
+    def labels(self) -> Int[np.ndarray, "z y x"]:
+        """What fills most of each voxel: 0 the background, i + 1 material i."""
+        filled = self.fractions.sum(axis=0, dtype=np.int32)
+        largest = np.maximum(FRACTION_SCALE - filled, 0)
+        labels = np.zeros(self.grid.shape, self.label_type)
+        for i, fraction in enumerate(self.fractions):
+            more = fraction > largest
+            labels[more] = i + 1
+            largest[more] = fraction[more]
+        return labels
+
+
+@dataclass(frozen=True, eq=False)
+class StreamedTruth:
+    """The same, computed slab by slab, so that volumes of any size take the same memory.
+
+    Parameters
+    ----------
+    grid, basis_names, material_names, coefficients, scene, fit : see `Truth`
+    filled : part of each voxel of a grid that each material fills
+    """
+
+    grid: Grid
+    basis_names: tuple[str, ...]
+    material_names: tuple[str, ...]
+    coefficients: Float[np.ndarray, "material basis"]
+    filled: Callable[[Grid], Float32[np.ndarray, "material z y x"]]
+    scene: str = ""
+    fit: CoefficientFit | None = None
+
+    def part(self, grid: Grid) -> Truth:
+        """Truth of a part of the grid."""
+        names = self.basis_names, self.material_names
+        return Truth.of(grid, *names, self.coefficients, self.filled(grid), self.scene, self.fit)
+
+    def slabs(self) -> Iterator[tuple[int, Truth]]:
+        """Slabs with their first slice; how many depends on the grid only, not on the machine."""
+        depth = self.grid.shape[0]
+        for first in range(0, depth, self.slab):
+            yield first, self.part(self.grid.slices(first, min(self.slab, depth - first)))
+
+    @property
+    def slab(self) -> int:
+        """Slices of a slab."""
+        _, rows, columns = self.grid.shape
+        return max(1, _SLAB_VALUES // (rows * columns * max(1, len(self.material_names))))
+
+    @property
+    def label_type(self) -> type:
+        """Numbers that labels are stored as."""
+        return _label_type(self.material_names)
+
+
+def write_truth(
+    file: h5py.File,
+    truth: Truth | StreamedTruth,
+    materials: tuple[Material, ...],
+    compression: Compression = "gzip",
+) -> None:
+    """Write ``/truth``."""
+    group = truth_group(file)
+    volumes = _new_volumes(group, truth, compression)
+    for first, slab in truth.slabs():
+        _write_slab(volumes, first, slab, compression)
+        del slab  # before the next one is made
+    table = new_group(group, "materials", "NXcollection")
+    put(table, "name", np.array([m.name for m in materials], dtype=object))
+    put(table, "density", np.array([m.density if m.density else np.nan for m in materials]), "g/cm^3")
+    put(table, "composition", np.array([_composition(m) for m in materials], dtype=object))
+    put(table, "coefficients", truth.coefficients, "1/mm")
+    put(table, "kind", np.array(["explicit" if m.composition is None else "fitted" for m in materials], dtype=object))
+    if truth.fit is not None:
+        put(table, "fit_error", truth.fit.errors, "1")
+        put(table, "fit_window", np.array(truth.fit.window), "keV")
+        put(table, "fit_weights", truth.fit.weights)
+    grid = new_group(group, "grid", "NXcollection")
+    write_grid(grid, truth.grid)
+    put(grid, "affine", truth.grid.affine, "mm")
+    put_note(group, "scene", truth.scene, "application/yaml")
+
+
+def write_grid(group: h5py.Group, grid: Grid) -> None:
+    """Write a grid, triples in array order (z, y, x)."""
+    put(group, "shape", np.array(grid.shape, dtype=np.int32))
+    put(group, "spacing", np.array(grid.spacing), "mm")
+    put(group, "origin", np.array(grid.origin), "mm")
+
+
+def truth_group(file: h5py.File) -> h5py.Group:
+    """``/truth`` of a file that is being written, made where it is missing."""
+    return group_at(file, "truth") if "truth" in file else new_group(file, "truth", "NXentry", default="basis")
+
+
+def read_truth(path: Path | str) -> Truth | None:
+    """The truth of a dataset, or None where the file has none."""
+    path = Path(path)
+    with open_file(path) as file, damaged_file(path):
+        if "truth" not in file:
+            return None
+        group = group_at(file, "truth")
+        shape, spacing, origin = (array_at(group, f"grid/{name}")[()] for name in ("shape", "spacing", "origin"))
+        return Truth(
+            grid=Grid(tuple(map(int, shape)), tuple(map(float, spacing)), tuple(map(float, origin))),  # type: ignore[arg-type]
+            basis_names=tuple(array_at(group, "basis/basis").asstr()[()]),
+            volumes=array_at(group, "basis/data")[()],
+            material_names=tuple(array_at(group, "materials/name").asstr()[()]),
+            coefficients=array_at(group, "materials/coefficients")[()],
+            fractions=array_at(group, "fractions")[()],
+            scene=text_of(array_at(group, "scene/data")[()]) if "scene" in group else "",
+            fit=read_fit(group_at(group, "materials")),
+        )
+
+
+def read_fit(materials: h5py.Group) -> CoefficientFit | None:
+    """How coefficients were fitted, or None where the file does not say."""
+    if "fit_error" not in materials:
+        return None
+    low, high = array_at(materials, "fit_window")[()]
+    weights = text_of(array_at(materials, "fit_weights")[()])
+    return CoefficientFit((float(low), float(high)), weights, array_at(materials, "fit_error")[()])
+
+
+def _new_volumes(
+    group: h5py.Group, truth: Truth | StreamedTruth, compression: Compression
+) -> tuple[h5py.Dataset, h5py.Dataset, h5py.Dataset]:
+    """Create empty basis volumes, which are the default plot, fractions and labels."""
+    data = new_group(group, "basis", "NXdata", signal="data", axes=("basis", "z", "y", "x"))
+    data.attrs["default_slice"] = [truth.basis_names[0], str(truth.grid.shape[0] // 2), ".", "."]
+    shape = truth.grid.shape
+    basis = new_frames(data, "data", (len(truth.basis_names), *shape), np.float32, "1/mm", compression)
+    put(data, "basis", np.array(truth.basis_names, dtype=object))
+    for axis in "zyx":
+        put(data, axis, truth.grid.axis(axis), "mm")
+    fractions = new_frames(group, "fractions", (len(truth.material_names), *shape), np.uint16, None, compression)
+    fractions.attrs["scale"] = 1 / FRACTION_SCALE
+    chunks = (1, *shape[1:])
+    labels = group.create_dataset("labels", shape, truth.label_type, chunks=chunks, **filters(compression))
+    return basis, fractions, labels
+
+
+def _write_slab(
+    volumes: tuple[h5py.Dataset, h5py.Dataset, h5py.Dataset], first: int, slab: Truth, compression: Compression
+) -> None:
+    """Write some slices of all volumes, packed in parallel."""
+    *parts, labels = volumes
+    for dataset, values in zip(parts, (slab.volumes, slab.fractions), strict=True):
+        places = list(np.ndindex(values.shape[:2]))
+        packed = run_parallel(lambda place, values=values: pack_image(values[place], compression), places)
+        for (i, z), image in zip(places, packed, strict=True):
+            write_image(dataset, i, first + z, image)
+    numbers = slab.labels
+    labels[first : first + len(numbers)] = numbers
+
+
+def _label_type(materials: tuple[str, ...]) -> type:
+    """The smallest numbers that name all materials and the background."""
+    return np.uint8 if len(materials) < 255 else np.uint16
+
+
+def _composition(material: Material) -> str:
+    """Composition as text, empty for explicit coefficients."""
+    if isinstance(material.composition, str) or material.composition is None:
+        return material.composition or ""
+    return json.dumps(dict(material.composition))

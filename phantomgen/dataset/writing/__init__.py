@@ -1,0 +1,1 @@
+"""Writing a dataset so that it is complete or absent: writer, NXtomo aliases, journal of finished frames."""

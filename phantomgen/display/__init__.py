@@ -1,0 +1,1 @@
+"""Everything that draws: one folder per kind of picture."""

@@ -1,0 +1,1 @@
+"""Static figures (PNG, PDF, SVG) and the style that all figures of the project share."""

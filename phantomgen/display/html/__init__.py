@@ -1,0 +1,19 @@
+"""Pages for people: figures, tables and words in one HTML file that needs nothing else."""
+
+from phantomgen.display.html.content import Code, Page, Part, Picture, Section, Table, Words, picture
+from phantomgen.display.html.output import check_page, write_page
+from phantomgen.display.html.render import render
+
+__all__ = [
+    "Code",
+    "Page",
+    "Part",
+    "Picture",
+    "Section",
+    "Table",
+    "Words",
+    "check_page",
+    "picture",
+    "render",
+    "write_page",
+]

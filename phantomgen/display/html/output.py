@@ -1,0 +1,38 @@
+"""Where a page goes."""
+
+import os
+from pathlib import Path
+
+from phantomgen.display.html.content import Page
+from phantomgen.display.html.render import render
+from spectra.errors import InputError
+
+
+def check_page(path: Path, overwrite: bool) -> None:
+    """Refuse a page that cannot be written, before any work.
+
+    Raises
+    ------
+    InputError
+        When the name does not end in .html, the file exists and `overwrite` is not given, or its folder does not exist.
+    """
+    if path.suffix.lower() not in {".html", ".htm"}:
+        raise InputError(f"a report ends in .html, got {path.name!r}")
+    if path.is_dir():
+        raise InputError(f"the output {path} is a folder: name a file that ends in .html")
+    if path.exists() and not overwrite:
+        raise InputError(f"the output {path} exists: choose another name by --out, or add --overwrite")
+    if not path.absolute().parent.is_dir():
+        raise InputError(f"the folder {path.parent} for the output {path.name} does not exist")
+
+
+def write_page(page: Page, path: Path) -> int:
+    """Write a page beside its name, then rename; returns its size [byte]."""
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_text(render(page), encoding="utf-8")
+        os.replace(part, path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise InputError(f"{path} cannot be written: {error.strerror}") from None
+    return path.stat().st_size

@@ -1,0 +1,44 @@
+"""Tube output that varies from exposure to exposure.
+
+Model: every view and every flat has its own factor on all photons, normal around 1 with a standard deviation `sigma`,
+independent of all others. A monitor may record the factors; a reconstructor that is not told them has to find them in
+air.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.effects.random_streams import Stream, generator
+from spectra.errors import InputError
+
+_LARGEST = 0.2
+
+
+@dataclass(frozen=True)
+class TubeOutput:
+    """Factors on the photons of each exposure.
+
+    Parameters
+    ----------
+    sigma : standard deviation of the factors, at most 0.2
+    recorded : whether the dataset tells the factors of views
+
+    Raises
+    ------
+    InputError
+        When `sigma` is negative or so large that an output may be negative.
+    """
+
+    sigma: float
+    recorded: bool = True
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.sigma <= _LARGEST:
+            raise InputError(f"the standard deviation of tube output must lie in 0 .. {_LARGEST}, got {self.sigma:g}")
+
+    def factors(self, seed: int, stream: Stream, frames: int) -> Float[np.ndarray, " frame"]:
+        """Output of each frame, relative to the mean; those of one frame do not depend on how many there are."""
+        drawn = [generator(seed, Stream.TUBE, frame, int(stream)).standard_normal() for frame in range(frames)]
+        return np.maximum(1 + self.sigma * np.array(drawn), 0.0)

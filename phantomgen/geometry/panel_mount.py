@@ -1,0 +1,53 @@
+"""How a panel is mounted: shifted in its plane, tilted, turned in its plane."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.geometry.poses import FAR, Geometry
+from phantomgen.geometry.rotation import rotation_matrix
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Mount:
+    """Where a panel stands, compared with one whose centre is met at right angles by the central ray.
+
+    The panel's axes are u, along which columns count, v, along which rows count, and w = u x v, away from the source.
+
+    Parameters
+    ----------
+    offset : shift of the panel's centre along u and v [mm]
+    tilt : turns about the fixed axes u, then v, then w, through the panel's centre, right-handed [rad]
+    """
+
+    offset: tuple[float, float] = (0.0, 0.0)
+    tilt: Triple = (0.0, 0.0, 0.0)
+
+    @property
+    def turn(self) -> Float[np.ndarray, "3 3"]:
+        """Rotation of the panel, in coordinates along (u, v, w)."""
+        return rotation_matrix(self.tilt)
+
+
+def mounted(geometry: Geometry, mount: Mount) -> Geometry:
+    """The same scan with its panel shifted, tilted and turned."""
+    if mount == Mount():
+        return geometry
+    steps = np.stack([geometry.column_step, geometry.row_step], axis=1)
+    unit = steps / np.linalg.norm(steps, axis=2, keepdims=True)
+    frames = np.concatenate([unit, np.cross(unit[:, 0], unit[:, 1])[:, None]], axis=1)
+    pitches = np.array([geometry.panel.column_pitch, geometry.panel.row_pitch])
+    turned = np.einsum("p,kp,vki->vpi", pitches, mount.turn[:, :2], frames)
+    center = geometry.panel_center + np.einsum("p,vpi->vi", np.array(mount.offset), unit)
+    moved = replace(geometry, panel_center=center, column_step=turned[:, 0], row_step=turned[:, 1])
+    return with_parallel_source(moved)
+
+
+def with_parallel_source(geometry: Geometry) -> Geometry:
+    """The same views; in a parallel beam the far source stands behind the panel's centre, wherever that is."""
+    if geometry.ray_direction is None:
+        return geometry
+    return replace(geometry, source=geometry.panel_center - FAR * geometry.ray_direction)

@@ -1,0 +1,1 @@
+"""Phantom files of other programs become scenes."""

@@ -1,0 +1,77 @@
+"""Signal of photons that free electrons scatter once (Klein & Nishina 1929, doi:10.1007/BF01366453).
+
+Of N photons per solid angle that leave the source, those that a point with n electrons at the distance d scatters by
+the angle theta into a pixel that it sees under the solid angle Omega measure
+
+    N / d^2  exp(-way in)  n  d sigma / d Omega  Omega  exp(-way out)  signal(k E)
+    k = 1 / (1 + E / mc^2 (1 - cos theta))
+    d sigma / d Omega = r_e^2 / 2  k^2 (k + 1/k - sin^2 theta)
+
+and energy bins keep their photons evenly spread when k makes them narrower.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+ELECTRON_REST_ENERGY = 510.99895
+# Bins narrower than this are taken to be so wide [keV].
+NARROW = 1e-3
+
+
+class Points(NamedTuple):
+    """Where photons are scattered.
+
+    Parameters
+    ----------
+    place : of each point [mm]
+    strength : electrons times r_e^2 / 2 [mm^2]
+    photons : of each energy bin that come there, per solid angle of the source [1/sr]
+    """
+
+    place: Float[np.ndarray, "point 3"]
+    strength: Float[np.ndarray, " point"]
+    photons: Float[np.ndarray, "point bin"]
+
+
+class Energies(NamedTuple):
+    """What happens to photons of any energy.
+
+    Parameters
+    ----------
+    edges : of the bins before scatter [keV]
+    step : spacing of the tables, which start at 0 and end above the highest energy [keV]
+    attenuation : of each material [1/mm]
+    measured : signal per photon, integrated from 0 on [keV]
+    """
+
+    edges: Float[np.ndarray, " edge"]
+    step: float
+    attenuation: Float[np.ndarray, "energy material"]
+    measured: Float[np.ndarray, "energy group"]
+
+
+def scattered_to(
+    pixel: Float[np.ndarray, " 3"],
+    area: Float[np.ndarray, " 3"],
+    source: Float[np.ndarray, " 3"],
+    points: Points,
+    lengths: Float[np.ndarray, "point material"],
+    energies: Energies,
+) -> Float[np.ndarray, " group"]:
+    """Signal that all points scatter to a pixel.
+
+    Parameters
+    ----------
+    pixel, area : centre of the pixel [mm], and its normal, as long as its sensitive area [mm^2]
+    source : where photons come from [mm]
+    points : where they are scattered
+    lengths : path lengths in each material from each point to the pixel [mm]
+    energies : of photons
+    """
+    from phantomgen.ops.compton.cpu import add_scattered  # noqa: PLC0415 - numba only where it computes
+
+    out = np.zeros(energies.measured.shape[1])
+    add_scattered(pixel, area, source, *points, lengths, *energies, out)
+    return out

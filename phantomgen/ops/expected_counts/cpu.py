@@ -1,0 +1,585 @@
+"""Pixel averages of expected counts in numba, one view at a time.
+
+Every pixel gets the cheapest rule that is good enough there; `phantomgen.ops.expected_counts.pixel_classes` lists them.
+"""
+
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+from phantomgen.ops.expected_counts.pixel_classes import CROSSED, EMPTY, KINKED, NEAR, SMOOTH, VOXELS
+from phantomgen.ops.expected_counts.rectangles import begin_pixel, estimate, halve, measure, worst_of
+from phantomgen.ops.kernel_decorators import called, inlined
+from phantomgen.ops.mesh.cpu import list_pieces
+from phantomgen.ops.silhouette.quadrature import CONICS, grid_nodes, lattice_nodes, may_vanish, shift_form, square_nodes
+from phantomgen.ops.silhouette.tiles_cpu import list_active, touches
+from phantomgen.ops.trace.cpu import ORDER, add_pieces, owned_pieces
+from phantomgen.ops.trace.table import set_origin
+from spectra.ops.transmit.cpu import expected_ray
+
+# Ratios of counts in neighbouring pixels from which on the next stronger rule is taken; differences over neighbours
+# serve below the first one only.
+_CONTRASTS = (1.4, 2.2, 5.0, 25.0)
+# Second difference of the open beam's logarithm: a tenth of it at most is beam hardening, and of that 1/24 an error.
+_BEND = 1e-3
+
+
+@inlined
+@no_type_check
+def _pixel_range(low, high, count):
+    """Indices of pixels that the range low .. high touches, as a half-open range."""
+    return int(max(0.0, min(count, np.floor(low + 0.5)))), int(max(0.0, min(count, np.ceil(high + 0.5))))
+
+
+@inlined
+@no_type_check
+def _is_near(local, i, root, reach):
+    """Whether the pixel's centre lies inside a tangent conic and closer to it than `reach` (to first order)."""
+    slopes = local[i, 1] * local[i, 1] + local[i, 2] * local[i, 2]
+    return root > 0.0 and local[i, 0] > 0.0 and local[i, 0] * local[i, 0] < reach * reach * slopes
+
+
+@inlined
+@no_type_check
+def _narrow(local, i, aperture):
+    """Take the unit square of a local form for the sensitive part of a pixel, of some width and height."""
+    width, height = aperture
+    local[i, 1] *= width
+    local[i, 2] *= height
+    local[i, 3] *= width * width
+    local[i, 4] *= width * height
+    local[i, 5] *= height * height
+
+
+@inlined
+@no_type_check
+def _narrow_nodes(nodes, first, last, aperture):
+    """Draw nodes of the unit square together, to the sensitive part of a pixel."""
+    width, height = aperture
+    if width != 1.0 or height != 1.0:
+        for i in range(first, last):
+            nodes[i, 0] *= width
+            nodes[i, 1] *= height
+
+
+@called
+@no_type_check
+def _send_rays(
+    frame,
+    table,
+    tubes,
+    mesh,
+    maps,
+    tiles,
+    background,
+    profile,
+    spectrum,
+    jobs,
+    count,
+    nodes,
+    first,
+    ray,
+    target,
+    seen,
+):
+    """Write the average counts of pixels, or of parts of them.
+
+    Parameters
+    ----------
+    tiles : fields of `phantomgen.ops.silhouette.tiles.Tiles`
+    mesh : argument of `list_pieces`, or None
+    maps : fields of `VoxelMaps`, or None
+    profile : lengths that rays to each pixel have in the last materials beforehand (part, row, column), or None
+    jobs, count : row and column of each pixel, index after its last node, place in `target`; how many of these
+    nodes, first : offset from the centre in column and row, and weight, of each ray; index of the first one
+    ray : scratch: indices of shapes, events, path lengths, counts of one ray
+    target : counts (channel, place, place), written
+    seen : signature of each ray, written
+    """
+    attenuation, weights, starts, air = spectrum
+    active, events, lengths, counts = ray
+    shapes = np.int64(0)
+    for job in range(count):
+        row, column, last, at, place = jobs[job, 0], jobs[job, 1], jobs[job, 2], jobs[job, 3], jobs[job, 4]
+        if job == 0 or row != jobs[job - 1, 0] or column != jobs[job - 1, 1]:
+            shapes = list_active(tiles, row, column, active)
+        for c in range(counts.size):
+            target[c, at, place] = 0.0
+        for i in range(first, last):
+            u, v, weight = column + nodes[i, 0], row + nodes[i, 1], nodes[i, 2]
+            dx = frame[1, 0] + u * frame[2, 0] + v * frame[3, 0]
+            dy = frame[1, 1] + u * frame[2, 1] + v * frame[3, 1]
+            dz = frame[1, 2] + u * frame[2, 2] + v * frame[3, 2]
+            if mesh is None:
+                pieces = owned_pieces(table, tubes, None, dx, dy, dz, active, shapes, events)
+            else:
+                list_pieces(mesh, row * air.shape[2] + column, u, v)
+                pieces = owned_pieces(table, tubes, mesh[5:], dx, dy, dz, active, shapes, events)
+            signature = add_pieces(table, maps, background, dx, dy, dz, pieces, events, lengths)
+            if profile is None and signature == 0 and background < 0:
+                for c in range(counts.size):
+                    target[c, at, place] += weight * air[c, row, column]
+            else:
+                if profile is not None:
+                    for p in range(profile.shape[0]):
+                        lengths[lengths.size - profile.shape[0] + p] = profile[p, row, column]
+                expected_ray(lengths, attenuation, weights, starts, counts)
+                for c in range(counts.size):
+                    target[c, at, place] += weight * counts[c]
+            seen[i] = signature
+        first = last
+
+
+@called
+@no_type_check
+def _adapt(view, ray, pixel, squares, target):
+    """Write the average counts of one pixel, halved into rectangles until their errors sum to less than `tolerance`.
+
+    Errors are those of the worst channel, relative to its counts. Returns the number of rays.
+
+    Parameters
+    ----------
+    view : first arguments of `_send_rays`
+    pixel : row and column
+    squares : tolerance, sensitive width and height, and what `phantomgen.ops.expected_counts.rectangles.scratch` gives
+    target : counts (channel, row, column)
+    """
+    tolerance, aperture, rectangles, counts, averages, jobs, nodes, seen = squares
+    air, (row, column) = view[8][3], pixel
+    begin = worst = sent = np.int64(0)
+    known = np.int64(1)
+    asked = begin_pixel(rectangles, pixel, jobs, nodes)
+    _narrow_nodes(nodes, begin, asked, aperture)
+    for c in range(air.shape[0]):
+        target[c, row, column] = averages[c, 0] = 0.0
+    while True:
+        _send_rays(*view, jobs, asked, nodes, begin, ray, counts, seen)
+        sent += asked
+        for i in range(2 if known > 1 else 1):
+            at = known - 1 if i else worst
+            measure(rectangles, counts, averages, at)
+            for c in range(air.shape[0]):
+                target[c, row, column] += averages[c, at]
+        for i in range(2 if known > 1 else 1):
+            estimate(rectangles, counts, target, air, 1e-30, row, column, known - 1 if i else worst)
+        worst, total = worst_of(rectangles, known)
+        if total <= tolerance or known == rectangles.shape[0]:
+            return sent
+        for c in range(air.shape[0]):
+            target[c, row, column] -= averages[c, worst]
+        asked = halve(rectangles, counts, worst, known, pixel, jobs, nodes)
+        _narrow_nodes(nodes, begin, asked, aperture)
+        known += 1
+
+
+@inlined
+@no_type_check
+def _is_kinked(nodes, seen, first, last):
+    """Whether rays without a silhouette between them meet the same in another order: surfaces intersect there."""
+    for i in range(first + 1, last):
+        j = i - 1  # most often the one before lies in the same part
+        while j >= first and nodes[j, 3] != nodes[i, 3]:
+            j -= 1
+        if j >= first and seen[j] != seen[i] and (seen[j] ^ seen[i]) & ~ORDER == 0:
+            return True
+    return False
+
+
+@called
+@no_type_check
+def _settle(view, ray, outline, reach, rules, room, filled, pixel, squares, target):
+    """Mend the counts of one pixel that silhouettes cross and where surfaces intersect; return the number of rays.
+
+    The strongest Gauss rule does if it changes little; else the pixel is cut into rectangles. Parameters are those of
+    `_adapt` and of `expose_view`; nodes from index `filled` on are free.
+    """
+    forms, roots = outline[0], outline[2]
+    local, lines, nodes, seen = room
+    tolerance, aperture, _, counts, _, jobs, _, _ = squares
+    (row, column), one, sent = pixel, np.int64(1), np.int64(0)
+    conics = _gather(forms, roots, view[5], reach, aperture, row, column, ray[0], local)
+    if conics <= CONICS:
+        strongest = rules[0].shape[0] - 1
+        last = square_nodes(local, conics, rules[0][strongest], rules[1][strongest], lines, nodes, filled)
+        _narrow_nodes(nodes, filled, last, aperture)
+        sent = last - filled
+        jobs[0, 0], jobs[0, 1], jobs[0, 2], jobs[0, 3], jobs[0, 4] = row, column, last, 0, 0
+        _send_rays(*view, jobs, one, nodes, filled, ray, counts, seen)
+        change = 0.0
+        for c in range(target.shape[0]):
+            low = max(counts[c, 0, 0], 1e-30 * view[8][3][c, row, column])
+            change = max(change, abs(counts[c, 0, 0] - target[c, row, column]) / low)
+            target[c, row, column] = counts[c, 0, 0]
+        if change <= tolerance:
+            return sent
+    return sent + _adapt(view, ray, pixel, squares, target)
+
+
+@called
+@no_type_check
+def _flush(view, jobs, count, ray, outline, reach, rules, room, completing, classes, signatures, squares, target, rays):
+    """Send the rays of pixels; then keep the signatures of centres, or look for kinks between silhouettes.
+
+    Parameters are those of `_send_rays` and of `expose_view`.
+    """
+    nodes, seen = room[2], room[3]
+    first = np.int64(0)
+    _send_rays(*view, jobs, count, nodes, first, ray, target, seen)
+    filled = jobs[count - 1, 2] if count > 0 else first
+    for job in range(count):
+        row, column, last = jobs[job, 0], jobs[job, 1], jobs[job, 2]
+        kind = classes[row, column]
+        if not completing:
+            signatures[row, column] = seen[last - 1]
+        elif squares[0] > 0.0 and kind in (CROSSED, NEAR) and _is_kinked(nodes, seen, first, last):
+            pixel = (row, column)
+            rays[kind] += _settle(view, ray, outline, reach, rules, room, filled, pixel, squares, target)
+        first = last
+
+
+@inlined
+@no_type_check
+def _fill_open_beam(profile, spectrum, ray):
+    """Write the counts of a ray to each pixel that meets no object, where there is a profile."""
+    if profile is not None:
+        attenuation, weights, starts, air = spectrum
+        lengths, counts = ray[2], ray[3]
+        for m in range(lengths.size):
+            lengths[m] = 0.0
+        for row in range(air.shape[1]):
+            for column in range(air.shape[2]):
+                for p in range(profile.shape[0]):
+                    lengths[lengths.size - profile.shape[0] + p] = profile[p, row, column]
+                expected_ray(lengths, attenuation, weights, starts, counts)
+                for c in range(counts.size):
+                    air[c, row, column] = counts[c]
+
+
+@inlined
+@no_type_check
+def _classify(forms, shapes, roots, bounds, background, reach, aperture, local, classes):
+    """Raise the class of each pixel as far as bounds and silhouettes decide it."""
+    rows, columns = classes.shape
+    if background >= 0:
+        for row in range(rows):
+            for column in range(columns):
+                classes[row, column] = SMOOTH
+    for s in range(bounds.shape[0]):
+        first, last = _pixel_range(bounds[s, 0], bounds[s, 1], columns)
+        top, bottom = _pixel_range(bounds[s, 2], bounds[s, 3], rows)
+        for row in range(top, bottom):
+            for column in range(first, last):
+                classes[row, column] = max(classes[row, column], SMOOTH)
+    row_0 = np.int64(0)
+    for f in range(shapes.size):
+        s = shapes[f]
+        first, last = _pixel_range(bounds[s, 0], bounds[s, 1], columns)
+        top, bottom = _pixel_range(bounds[s, 2], bounds[s, 3], rows)
+        for row in range(top, bottom):
+            for column in range(first, last):
+                if classes[row, column] == CROSSED:
+                    continue
+                shift_form(forms, f, float(column), float(row), local, row_0)
+                _narrow(local, row_0, aperture)
+                if may_vanish(local, row_0):
+                    classes[row, column] = CROSSED
+                elif _is_near(local, row_0, roots[f], reach):
+                    classes[row, column] = NEAR
+
+
+@inlined
+@no_type_check
+def _mark_creases(creases, classes):
+    """Class of the pixels that a silhouette or a crease of a mesh passes."""
+    for row in range(classes.shape[0]):
+        for column in range(classes.shape[1]):
+            if creases[row, column]:
+                classes[row, column] = KINKED
+
+
+@inlined
+@no_type_check
+def _mark_maps(numbers, bounds, classes):
+    """Class of the pixels that a voxel map projects to, where no stronger rule is needed anyway."""
+    for s in range(numbers.size):
+        if numbers[s] >= 0:
+            first, last = _pixel_range(bounds[s, 0], bounds[s, 1], classes.shape[1])
+            top, bottom = _pixel_range(bounds[s, 2], bounds[s, 3], classes.shape[0])
+            for row in range(top, bottom):
+                for column in range(first, last):
+                    if classes[row, column] < CROSSED:
+                        classes[row, column] = VOXELS
+
+
+@inlined
+@no_type_check
+def _mark(creases, maps, bounds, classes):
+    """Raise the class of pixels because of meshes and voxel maps."""
+    if creases is not None:
+        _mark_creases(creases, classes)
+    if maps is not None:
+        _mark_maps(maps[0], bounds, classes)
+
+
+@inlined
+@no_type_check
+def _crossed_level(level, conics, strongest, maps, bounds, u, v):
+    """Level of Gauss rules in a pixel (u, v) that silhouettes cross: the strongest where there are voxels, too."""
+    level = max(level, min(conics, 2))
+    if maps is not None:
+        for s in range(maps[0].size):
+            if maps[0][s] >= 0 and touches(bounds, s, u, v):
+                level = strongest
+    return level
+
+
+@inlined
+@no_type_check
+def _gather(forms, roots, tiles, reach, aperture, row, column, active, local):
+    """Collect the conics that cross a pixel, and the tangents that pass near it; return how many."""
+    firsts, u, v = tiles[3], float(column), float(row)
+    found = np.int64(0)
+    for i in range(list_active(tiles, row, column, active)):
+        for f in range(firsts[active[i]], firsts[active[i] + 1]):
+            shift_form(forms, f, u, v, local, found)
+            _narrow(local, found, aperture)
+            if may_vanish(local, found) or _is_near(local, found, roots[f], reach):
+                local[found, 7] = roots[f]
+                found += 1
+                if found > CONICS:
+                    return found
+    return found
+
+
+@inlined
+@no_type_check
+def _settled(classes, signatures, level, row, column):
+    """Class of a pixel in the light of the rays through its and its neighbours' centres.
+
+    A pixel one of whose eight neighbours, not crossed either, passes surfaces in another order is KINKED; a smooth one
+    is NEAR if it lacks a neighbour to take differences with, or if its contrast is high.
+    """
+    rows, columns = classes.shape
+    kind = classes[row, column]
+    if kind in (EMPTY, CROSSED, KINKED, VOXELS):
+        return kind
+    if level > 0:
+        kind = NEAR
+    for i in range(9):
+        r, c = row + i // 3 - 1, column + i % 3 - 1
+        if not (0 <= r < rows and 0 <= c < columns) or classes[r, c] in (CROSSED, VOXELS):
+            if i % 2:  # the four that share a side, which differences are taken with
+                kind = max(kind, NEAR)
+        elif (signatures[r, c] ^ signatures[row, column]) & ORDER:
+            return KINKED
+    return kind
+
+
+@inlined
+@no_type_check
+def _contrast_level(centres, air, row, column):
+    """How many of the limits `_CONTRASTS` the counts of a pixel and its neighbours exceed in the worst channel."""
+    level = np.int64(0)
+    for channel in range(air.shape[0]):
+        low = high = centres[channel, row, column]
+        for i in range(4):
+            r, c = row + (i == 0) - (i == 1), column + (i == 2) - (i == 3)
+            if 0 <= r < centres.shape[1] and 0 <= c < centres.shape[2]:
+                low, high = min(low, centres[channel, r, c]), max(high, centres[channel, r, c])
+        low = max(low, 1e-30 * air[channel, row, column])
+        while level < 4 and high > low * _CONTRASTS[level]:
+            level += 1
+    return level
+
+
+@inlined
+@no_type_check
+def _bend_level(profile, air, row, column):
+    """1 where the open beam bends so much that neighbours do not tell about a pixel, as at a bowtie's knots; else 0."""
+    level = np.int64(0)
+    if profile is not None:
+        for channel in range(air.shape[0]):
+            limit = _BEND * air[channel, row, column] ** 2
+            for i in range(2):
+                r, c = i, 1 - i
+                if 0 < row < air.shape[1] - 1 and 0 < column < air.shape[2] - 1:
+                    around = air[channel, row - r, column - c] * air[channel, row + r, column + c]
+                    if abs(around - air[channel, row, column] ** 2) > limit:
+                        level = np.int64(1)
+    return level
+
+
+@inlined
+@no_type_check
+def _curved(centres, air, profile, aperture, channel, row, column):
+    """Average over a pixel of a function that is smooth over its four neighbours, known at their centres.
+
+    Midpoint value plus 1/24 of the second differences, times the square of the sensitive width or height: exact for
+    cubic polynomials. Where the open beam changes from pixel to pixel, neighbours count relative to theirs.
+    """
+    across, down = aperture[0] * aperture[0], aperture[1] * aperture[1]
+    middle = centres[channel, row, column]
+    if profile is None:
+        around = down * (centres[channel, row - 1, column] + centres[channel, row + 1, column])
+        around += across * (centres[channel, row, column - 1] + centres[channel, row, column + 1])
+    else:
+        if middle == 0.0:
+            return middle
+        around = 0.0
+        for i in range(4):
+            r, c = row + (i == 0) - (i == 1), column + (i == 2) - (i == 3)
+            share = down if i < 2 else across
+            around += share * (centres[channel, r, c] / air[channel, r, c] * air[channel, row, column])
+    return middle + (around - 2.0 * (across + down) * middle) / 24.0
+
+
+@inlined
+@no_type_check
+def _average_of_centres(centres, air, profile, aperture, kind, row, column, target):
+    """Write the counts of an empty or smooth pixel, which needs no rays but those through centres."""
+    for c in range(air.shape[0]):
+        smooth = kind == SMOOTH
+        if smooth:
+            target[c, row, column] = _curved(centres, air, profile, aperture, c, row, column)
+        else:
+            target[c, row, column] = air[c, row, column]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def expose_view(  # noqa: PLR0912 - the choice of a rule per pixel
+    frame,
+    table,
+    tubes,
+    mesh,
+    creases,
+    maps,
+    map_grid,
+    tiles,
+    background,
+    profile,
+    outline,
+    reach,
+    aperture,
+    sub_rays,
+    spectrum,
+    rules,
+    room,
+    ray,
+    pixels,
+    squares,
+    centres,
+    out,
+    rays,
+):
+    """Average expected counts over all pixels of one view.
+
+    Parameters
+    ----------
+    table, tubes, background : the shapes; table gets the source as origin
+    profile : lengths that rays to each pixel have in the last materials beforehand (part, row, column), or None
+    tiles : fields of `phantomgen.ops.silhouette.tiles.Tiles`
+    mesh, creases : argument of `list_pieces`, and which pixels a silhouette or a crease of a mesh passes; or None
+    maps, map_grid : fields of `VoxelMaps` or None; rays per pixel and axis that meet one
+    outline : forms, shapes and roots of the silhouettes
+    reach : width [pixel] of the band inside a tangent where pixels are near
+    aperture : width and height of the sensitive part of a pixel, 1 for all of it
+    sub_rays : 0, or send so many rays squared where more than the centre is needed; 1 for centres and nothing else
+    spectrum : attenuation per material and node, weights, starts, open-beam counts (channel, row, column), which
+        are written where there is a profile
+    rules, room : levels of Gauss rules; scratch for conics, splits, nodes and their signatures
+    ray : scratch of `_send_rays`
+    pixels : per pixel its class (written), a first guess of that (zero on entry), signature (zero on entry), and jobs
+    squares : how large an error is left where there are kinks, 0 with `sub_rays`; scratch of `_adapt`
+    centres : scratch: counts of the rays through centres (channel, row, column)
+    out : counts (channel, row, column), written
+    rays : number of rays traced per class, (class,), added to
+    """
+    forms, shapes, roots = outline
+    rule_nodes, rule_sizes = rules
+    local, lines, nodes, _ = room
+    classes, guess, signatures, jobs = pixels
+    air = spectrum[3]
+    view = (frame, table, tubes, mesh, maps, tiles, background, profile, spectrum)
+    _fill_open_beam(profile, spectrum, ray)
+    rows, columns = classes.shape
+    for s in range(table.shape[0]):
+        set_origin(table, s, frame[0, 0], frame[0, 1], frame[0, 2])
+    _classify(forms, shapes, roots, tiles[2], background, reach, aperture, local, guess)
+    _mark(creases, maps, tiles[2], guess)
+    # The first round sends rays through centres, the second one completes the pixels that need more.
+    for completing in range(1 if sub_rays == 1 else 2):
+        target = out if completing or sub_rays == 1 else centres
+        count = filled = np.int64(0)
+        for row in range(rows):
+            for column in range(columns):
+                kind = guess[row, column]
+                if completing and kind != EMPTY:
+                    level = _contrast_level(centres, air, row, column)
+                    level = max(level, _bend_level(profile, air, row, column))
+                    kind = _settled(guess, signatures, level, row, column)
+                classes[row, column] = kind
+                if kind == EMPTY or (completing and kind == SMOOTH):
+                    _average_of_centres(centres, air, profile, aperture, kind, row, column, target)
+                    continue
+                begun = filled
+                conics = np.int64(0)
+                if completing and sub_rays == 0 and kind in (CROSSED, NEAR):
+                    conics = _gather(forms, roots, tiles, reach, aperture, row, column, ray[0], local)
+                if completing and sub_rays == 0 and (kind == KINKED or conics > CONICS):
+                    pixel = (row, column)
+                    rays[kind] += _adapt(view, ray, pixel, squares, out)
+                    continue
+                if not completing or sub_rays > 0:
+                    filled = grid_nodes(nodes, begun, sub_rays if completing else np.int64(1))
+                elif maps is not None and kind == VOXELS:  # in this order, so that no code is compiled without maps
+                    filled = lattice_nodes(nodes, begun, map_grid * map_grid)
+                else:
+                    if kind == CROSSED:
+                        strongest = np.int64(rule_nodes.shape[0] - 1)
+                        level = _crossed_level(level, conics, strongest, maps, tiles[2], float(column), float(row))
+                    filled = square_nodes(local, conics, rule_nodes[level], rule_sizes[level], lines, nodes, begun)
+                _narrow_nodes(nodes, begun, filled, aperture)
+                rays[kind] += filled - begun
+                jobs[count, 0], jobs[count, 1], jobs[count, 2] = row, column, filled
+                jobs[count, 3], jobs[count, 4] = row, column
+                count += 1
+                if filled > nodes.shape[0] // 3:
+                    _flush(
+                        view,
+                        jobs,
+                        count,
+                        ray,
+                        outline,
+                        reach,
+                        rules,
+                        room,
+                        completing,
+                        classes,
+                        signatures,
+                        squares,
+                        target,
+                        rays,
+                    )
+                    count = filled = np.int64(0)
+        _flush(
+            view, jobs, count, ray, outline, reach, rules, room, completing, classes, signatures, squares, target, rays
+        )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def expose_pixels(
+    frame, table, tubes, mesh, maps, tiles, background, profile, spectrum, nodes, ray, pixels, scratch, out
+):
+    """Average over the same nodes in each of some pixels (row, column), written to ``out[:, row, column]``."""
+    job, seen = scratch
+    view = (frame, table, tubes, mesh, maps, tiles, background, profile, spectrum)
+    first, one = np.int64(0), np.int64(1)  # typed, as literals would compile `_send_rays` a second time
+    for s in range(table.shape[0]):
+        set_origin(table, s, frame[0, 0], frame[0, 1], frame[0, 2])
+    for i in range(pixels.shape[0]):
+        job[0, 0], job[0, 1], job[0, 2] = pixels[i, 0], pixels[i, 1], nodes.shape[0]
+        job[0, 3], job[0, 4] = pixels[i, 0], pixels[i, 1]
+        _send_rays(*view, job, one, nodes, first, ray, out, seen)

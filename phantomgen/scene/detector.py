@@ -1,0 +1,89 @@
+"""The detector of a scene."""
+
+from math import ceil
+from pathlib import Path
+
+from phantomgen.scene import schema
+from phantomgen.scene.file.scene_file import SceneFile
+from phantomgen.scene.input_files.response_matrix import read_response
+from phantomgen.scene.source import composition_name
+from spectra.detector.dead_time import DeadTime
+from spectra.detector.detector import AnyDetector, Detector
+from spectra.detector.pulse_height import PulseHeightDetector, Sharing
+from spectra.detector.scintillator import SCINTILLATORS, EnergyIntegrating
+from spectra.errors import InputError
+from spectra.materials.material import Material
+from spectra.source.source import Source
+
+# Channels that count less than this part of the photons see none.
+_LEAST = 1e-12
+
+
+def scene_detector(file: SceneFile, source: Source) -> AnyDetector:
+    """The detector; its last channel ends with the source.
+
+    Raises
+    ------
+    SceneError
+        Where a channel is empty or sees no photons, or a sensor is impossible.
+    """
+    with file.at("detector"):
+        detector = _detector(file, source)
+        _check_seen(detector, source)
+        return detector
+
+
+def scene_dead_time(file: SceneFile) -> DeadTime | None:
+    """Dead time of the detector's pixels."""
+    model = getattr(file.model.detector, "dead_time", None)
+    if model is not None and isinstance(file.model.source, schema.SeveralSourcesModel):
+        raise file.error(("detector", "dead_time"), "is known for a single source only, got several")
+    return None if model is None else DeadTime(model.tau_ns, model.exposure_ms, model.model)
+
+
+def _detector(file: SceneFile, source: Source) -> AnyDetector:
+    """The detector by its type."""
+    model = file.model.detector
+    if isinstance(model, schema.EnergyIntegratingModel):
+        return _energy_integrating(model, source)
+    if isinstance(model, schema.ResponseMatrixModel):
+        return read_response(model, Path(file.name).parent, source.maximum)
+    return _photon_counting(file, model, source)
+
+
+def _check_seen(detector: AnyDetector, source: Source) -> None:
+    """Refuse channels without photons; ideal channels of a single energy may be blind, as all but one are."""
+    if source.is_monochromatic and type(detector) is Detector:
+        return
+    width = max(source.maximum - detector.lowest, 1.0)
+    energies, photons = source.sampled(source.grid(detector.lowest, ceil(width), detector.breaks))
+    counts = (photons * detector.response(energies)).sum(axis=1)
+    for channel, level in zip(detector.channels, counts, strict=True):
+        if level <= _LEAST * source.photons:
+            raise InputError(
+                f"channel {channel.name} [{channel.lower:g}, {channel.upper:g}] keV sees no photons of a source that "
+                f"ends at {source.maximum:g} keV"
+            )
+
+
+def _photon_counting(file: SceneFile, model: schema.PhotonCountingModel, source: Source) -> AnyDetector:
+    """An ideal detector, or one whose pulses are not as high as the photon's energy."""
+    sensor = Material(composition_name(model.composition), model.density, model.composition)
+    with file.at("detector", "thresholds"):
+        ideal = Detector.photon_counting(model.thresholds, source.maximum, sensor, model.thickness)
+    if not (model.resolution or model.fluorescence or model.charge_sharing):
+        return ideal
+    shared = model.charge_sharing
+    sharing = None if shared is None else Sharing(shared.pitch, shared.cloud)
+    return PulseHeightDetector(ideal.channels, sensor, model.thickness, model.resolution, model.fluorescence, sharing)
+
+
+def _energy_integrating(model: schema.EnergyIntegratingModel, source: Source) -> AnyDetector:
+    """A scintillator; the usual ones by name, with their usual density and thickness."""
+    name = composition_name(model.composition)
+    usual = SCINTILLATORS.get(name)
+    if usual is None:
+        return EnergyIntegrating.behind(source, Material(name, model.density, model.composition), model.thickness)
+    density = usual.density if model.density is None else model.density
+    thickness = usual.thickness if model.thickness is None else model.thickness
+    return EnergyIntegrating.behind(source, Material(name, density, usual.composition), thickness)

@@ -1,0 +1,1 @@
+"""Reading the YAML text: models with line numbers for complaints, overrides, presets, random values and places."""

@@ -1,0 +1,68 @@
+"""Which file or preset a name means, and what a file is that is no scene."""
+
+from collections.abc import Sequence
+from difflib import get_close_matches
+from pathlib import Path
+
+from phantomgen.scene.file.scene_file import SceneFile, preset_names
+from spectra.errors import SceneError
+
+SUFFIXES = (".yaml", ".yml", ".json")
+_MESHES = (".stl", ".obj", ".ply", ".glb", ".3mf", ".step", ".stp")
+_VOXELS = (".npy", ".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".tif", ".tiff", ".dcm")
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+
+
+def find_scene(name: str | Path, overrides: Sequence[str] = ()) -> SceneFile:
+    """The scene file of that name, else the preset.
+
+    Raises
+    ------
+    SceneError
+        When there is neither, or the file is a dataset, a mesh or a volume.
+    """
+    path = Path(name)
+    if path.is_file():
+        refuse_other_files(path)
+        return SceneFile.read(path, overrides)
+    presets = preset_names()
+    if str(name) in presets:
+        return SceneFile.preset(str(name), overrides)
+    if path.is_dir():
+        raise SceneError(f"{path} is a folder: a scene is a YAML file in it, or a preset")
+    if path.parent == Path() and path.suffix.lower() in SUFFIXES and path.stem in presets:
+        raise SceneError(f"there is no scene file {path}; the preset is called {path.stem}, without {path.suffix}")
+    if path.suffix.lower() in SUFFIXES or path.parent != Path():
+        raise SceneError(f"there is no scene file {path}")
+    near = get_close_matches(str(name), presets, 3)
+    hint = f"; did you mean {' or '.join(near)}?" if near else ";"
+    raise SceneError(f"there is neither a scene file nor a preset {str(name)!r}{hint} `phantomgen presets` lists them")
+
+
+def refuse_other_files(path: Path) -> None:
+    """Refuse by its name or its first bytes a file that is something else than a scene."""
+    name = path.name.lower()
+    if _is_hdf5(path):
+        raise SceneError(
+            f"{path} is HDF5 and no scene: `phantomgen view {path}` shows a dataset, `recon fit {path}` fits one"
+        )
+    for suffixes, kind, keys in (
+        (_MESHES, "mesh", "unit: mm, material: Al"),
+        (_VOXELS, "voxels", "labels: {1: water}, spacing: [1, 1, 1]"),
+    ):
+        if name.endswith(suffixes):
+            what = "a mesh" if kind == "mesh" else "a volume"
+            raise SceneError(
+                f"{path} is {what} and no scene: write a scene that has it as an object, "
+                f"{{type: {kind}, file: {path.name}, {keys}}}; "
+                f"`phantomgen presets show kedge > my.yaml` gives one to start from, docs/scenes.md describes it"
+            )
+
+
+def _is_hdf5(path: Path) -> bool:
+    """Whether a file begins as HDF5 does."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_HDF5)) == _HDF5
+    except OSError:
+        return False

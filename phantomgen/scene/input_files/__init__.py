@@ -1,0 +1,1 @@
+"""Files that a scene file names: spectra, response matrices, voxel volumes."""

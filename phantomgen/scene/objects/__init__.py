@@ -1,0 +1,1 @@
+"""From object entries to shapes with materials: members, copies, voxel maps, added overlaps."""

@@ -1,0 +1,237 @@
+"""From a scene file to what `simulate` runs: objects, materials, geometry, source, detector and basis."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from phantomgen.effects import Effects
+from phantomgen.geometry.fan_angles import Profile
+from phantomgen.geometry.poses import Geometry
+from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.ops.solids import Solids
+from phantomgen.scene import schema
+from phantomgen.scene.basis import needed, scene_basis
+from phantomgen.scene.detector import scene_dead_time, scene_detector
+from phantomgen.scene.effects import scene_effects
+from phantomgen.scene.file.find_scene import find_scene
+from phantomgen.scene.file.scene_file import SceneFile, closest
+from phantomgen.scene.geometry import scene_geometry
+from phantomgen.scene.materials import check_material, scene_materials
+from phantomgen.scene.objects.build import Filling, has_curves, objects_of
+from phantomgen.scene.objects.overlap import added_up
+from phantomgen.scene.source import profile_of, source_fields, sources_of
+from phantomgen.shapes import Shape, solids_of
+from spectra.basis.basis import Basis
+from spectra.detector.dead_time import DeadTime
+from spectra.detector.detector import AnyDetector
+from spectra.detector.multi_source import SeveralSources, added
+from spectra.materials.material import Material
+from spectra.source.source import Source
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Objects; later ones override earlier ones where they overlap.
+
+    Parameters
+    ----------
+    objects : shapes with the index of their material; voxel maps with those of their parts
+    materials : those that an object or the background consists of, in the order of the file, then those known by name
+    background : index of the material around the objects, -1 for vacuum
+    """
+
+    objects: tuple[tuple[Shape, int | tuple[int, ...]], ...]
+    materials: tuple[Material, ...]
+    background: int = -1
+
+    @cached_property
+    def solids(self) -> Solids:
+        """The objects as arrays for kernels."""
+        return solids_of(self.objects)
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Everything that `simulate` needs.
+
+    Parameters
+    ----------
+    name : of the scene
+    scene : what is scanned
+    geometry : poses of all views, training views first
+    splits : indices of the views in ``train``, ``test`` and ``val``
+    source, detector : photons, and the channels that count them
+    basis : raw basis functions that the scene needs
+    grid : voxels of the truth and of the volume asked for
+    seed, noise : key of the Poisson noise, and whether there is any
+    flats, darks : number of open-beam frames and of frames without beam
+    source_fields : what a file says about the tube, as (value, unit)
+    text : the resolved scene as YAML
+    sub_rays : rays along each edge of a pixel, None where pixels are split along silhouettes
+    exposure : photons of each view and channel, relative to those of the source; None where all are 1
+    profile : how the beam differs over the panel, None where it does not
+    dead_time : of the detector's pixels, None where every event is recorded
+    effects : what a real scan has beyond exposure and photon noise
+    file : the scene that it was read from, where smooth surfaces may become finer triangles; else None
+    nominal : poses that a reconstructor is told; None where they are those of `geometry`, which are simulated
+    sample_poses : where a sample that moves is in each view, as matrices [mm]; None where it rests
+    """
+
+    name: str
+    scene: Scene
+    geometry: Geometry
+    splits: Mapping[str, Int[np.ndarray, " view"]]
+    source: Source
+    detector: AnyDetector
+    basis: Basis
+    grid: Grid
+    seed: int
+    noise: bool
+    flats: int
+    darks: int
+    source_fields: Mapping[str, tuple[float | str, str | None]]
+    text: str
+    sub_rays: int | None = None
+    exposure: Float[np.ndarray, "view channel"] | None = None
+    profile: Profile | None = None
+    dead_time: DeadTime | None = None
+    effects: Effects = field(default_factory=Effects)
+    file: SceneFile | None = None
+    nominal: Geometry | None = None
+    sample_poses: Float[np.ndarray, "view 4 4"] | None = None
+
+    def __repr__(self) -> str:
+        objects, channels = len(self.scene.objects), len(self.detector)
+        return f"Scan({self.name}: {objects} objects, {self.geometry!r}, {channels} channels, basis {self.basis.names})"
+
+    def tessellated(self, fineness: int) -> "Scan":
+        """The same scan with smooth surfaces of so many times finer triangles than usual."""
+        if self.file is None:
+            return self
+        return load_scene(replace(self.file, overrides=(*self.file.overrides, f"tessellation={fineness}")))
+
+    @property
+    def scheme(self) -> str:
+        """Name of the split of views, such as ``sparse75``."""
+        return f"sparse{len(self.splits['train'])}"
+
+
+def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> Scan:
+    """Read a scene.
+
+    Parameters
+    ----------
+    scene : path of a scene file, or name of a preset
+    overrides : ``path=value`` with dotted paths, such as ``geometry.views=180``
+
+    Raises
+    ------
+    SceneError
+        With file, line, column and key of what is wrong.
+    """
+    file = scene if isinstance(scene, SceneFile) else find_scene(scene, overrides)
+    model = file.model
+    objects = objects_of(file)
+    source, detector = _source_and_detector(file)
+    background = _background(file)
+    if model.overlap == "add":
+        objects, materials = added_up(file, objects)
+        filled = _filled(objects, background)
+    else:
+        filled = _filled(objects, background)
+        materials = scene_materials(file, filled)
+    used = [name for name in materials if name in filled]
+    basis = scene_basis(file, materials, used, source, detector)
+    _check_coefficients(file, basis)
+    geometry = scene_geometry(file)
+    return Scan(
+        name=model.name,
+        scene=Scene(
+            objects=tuple((shape, _indices(filling, used)) for shape, filling in objects),
+            materials=tuple(materials[name] for name in used),
+            background=-1 if background is None else used.index(background),
+        ),
+        geometry=geometry.true,
+        splits=geometry.splits,
+        source=source,
+        detector=detector,
+        basis=needed(basis, [materials[name] for name in used]),
+        grid=Grid.cube(model.volume.voxels, model.volume.size),
+        seed=model.seed,
+        noise=model.noise,
+        flats=model.flats,
+        darks=model.darks,
+        source_fields=source_fields(file),
+        text=file.resolved,
+        sub_rays=model.panel.sub_rays,
+        exposure=_exposure(file, geometry.splits, detector),
+        profile=profile_of(file, source),
+        dead_time=scene_dead_time(file),
+        effects=scene_effects(file),
+        file=file if model.tessellation == "auto" and has_curves(file) else None,
+        nominal=geometry.nominal,
+        sample_poses=geometry.sample,
+    )
+
+
+def _filled(objects: Sequence[tuple[Shape, Filling]], background: str | None) -> list[str]:
+    """Names of the materials that an object or the background consists of, each once."""
+    names = [name for _, filling in objects for name in _names(filling)]
+    return list(dict.fromkeys([*names, *([] if background is None else [background])]))
+
+
+def _names(filling: Filling) -> tuple[str, ...]:
+    """Names of an object's materials."""
+    return filling if isinstance(filling, tuple) else (filling,)
+
+
+def _indices(filling: Filling, used: list[str]) -> int | tuple[int, ...]:
+    """Indices of an object's materials."""
+    return tuple(map(used.index, filling)) if isinstance(filling, tuple) else used.index(filling)
+
+
+def _source_and_detector(file: SceneFile) -> tuple[Source, AnyDetector]:
+    """What sends photons, and what counts them."""
+    sources = sources_of(file)
+    detectors = tuple(scene_detector(file, source) for source in sources.values())
+    if len(sources) == 1:
+        return next(iter(sources.values())), detectors[0]
+    return added(tuple(sources.values())), SeveralSources.of(sources, detectors)
+
+
+def _background(file: SceneFile) -> str | None:
+    """Name of the material around the objects."""
+    name = file.model.background
+    if name is not None:
+        check_material(file, name, ("background",))
+    if name is not None and isinstance(file.model.geometry, schema.ParallelModel):
+        raise file.error(
+            ("background",), "a parallel beam has no source to reach from: put a box of it around the objects"
+        )
+    return name
+
+
+def _check_coefficients(file: SceneFile, basis: Basis) -> None:
+    """Refuse coefficients of functions that are not in the basis, also of materials that no object uses."""
+    for name, material in file.model.materials.items():
+        for function in material.coefficients or ():
+            if function not in basis.names:
+                raise file.error(
+                    ("materials", name, "coefficients", function),
+                    f"there is no basis function {function!r}{closest(function, basis.names)}",
+                )
+
+
+def _exposure(
+    file: SceneFile, splits: Mapping[str, Int[np.ndarray, " view"]], detector: AnyDetector
+) -> Float[np.ndarray, "view channel"] | None:
+    """Exposure of views that sources take in turn, training and test views each from the first source on."""
+    if not isinstance(detector, SeveralSources) or file.model.source.type != "switching":
+        return None
+    order = np.concatenate([np.arange(len(views)) for views in splits.values()])
+    turn = order % len(detector.sources)
+    return (turn[:, None] == np.asarray(detector.groups)).astype(np.float64)

@@ -1,0 +1,220 @@
+"""How wrong the expected counts are: against many rays per pixel and ten times finer energy bins.
+
+The yardstick shares the exact chords with the simulator, and neither its way of averaging over a pixel nor its energy
+nodes.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from phantomgen.ops.expected_counts import CROSSED, VOXELS, expose, expose_brute
+from phantomgen.ops.trace import trace
+from phantomgen.scene.scan import Scan
+from phantomgen.simulation.checks.field_of_view import sampled_lengths
+from phantomgen.simulation.checks.reference_rays import log_errors
+from phantomgen.simulation.forward_model.discretization import Settings
+from phantomgen.simulation.forward_model.energy_grids import STEP, compressed_transmission, fine_transmission
+from phantomgen.simulation.forward_model.frames import aperture_of, expected_view
+from spectra.threads import run_parallel
+from spectra.transmission import Transmission
+
+SUB_RAYS = 256
+# With a focal spot, fewer rays per pixel from so many of its points.
+SPOT_RAYS, SPOT_POINTS = 24, 985
+FINER = 10
+_QUICK_PIXELS, _QUICK_RAYS = 24, 2000
+_FULL_VIEWS, _FULL_RAYS = 3, 100_000
+_PIXELS_PER_PIECE = 8
+# Of the pixels that voxel maps project to, which may be all, no more than these are looked at per view.
+_MOST_VOXEL_PIXELS = 200
+# Nodes of the yardstick may err by this.
+_ENERGY_TOLERANCE = 1e-6
+
+Errors = Float[np.ndarray, " value"]
+Counts = Float[np.ndarray, "sample channel"]
+Pixels = Int[np.ndarray, "pixel 2"]
+# From a view, and the energies and channels of its signal, to that signal.
+Primary = Callable[[int, Transmission], np.ndarray]
+
+
+@dataclass(frozen=True)
+class MeasuredError:
+    """Error of the log projection.
+
+    Parameters
+    ----------
+    edge_rms, edge_worst : of edge pixels, against `sub_rays` x `sub_rays` rays and finer energies
+    edge_pixels, views : how many pixels, of how many views
+    ray_rms, ray_worst : of single rays, against `FINER` times finer energy bins
+    rays : how many rays
+    sub_rays : root of their number per pixel
+    """
+
+    edge_rms: float
+    edge_worst: float
+    edge_pixels: int
+    views: int
+    ray_rms: float
+    ray_worst: float
+    rays: int
+    sub_rays: int = SUB_RAYS
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return dict(vars(self))
+
+    def __str__(self) -> str:
+        return (
+            f"log projection against {self.sub_rays} x {self.sub_rays} sub-rays and {FINER}x energies:\n"
+            f"         {self.edge_pixels} edge pixels of {self.views} views rms {self.edge_rms:.1e}, worst "
+            f"{self.edge_worst:.1e}; {self.rays} random rays rms {self.ray_rms:.1e}, worst {self.ray_worst:.1e}"
+        )
+
+
+def quick_check(
+    scan: Scan, transmission: Transmission, settings: Settings, primary: Primary | None = None
+) -> MeasuredError:
+    """On a seeded sample of edge pixels and rays, in about a second; `primary` gives views where rays do not."""
+    return _check(scan, transmission, settings, _QUICK_PIXELS, _QUICK_RAYS, primary)
+
+
+def full_check(
+    scan: Scan, transmission: Transmission, settings: Settings, primary: Primary | None = None
+) -> MeasuredError:
+    """On all edge pixels of three views and 1e5 rays."""
+    return _check(scan, transmission, settings, None, _FULL_RAYS, primary)
+
+
+def _check(
+    scan: Scan,
+    transmission: Transmission,
+    settings: Settings,
+    pixels_per_scan: int | None,
+    rays: int,
+    primary: Primary | None = None,
+) -> MeasuredError:
+    """Errors of edge pixels and of rays; all edge pixels where no number of them is given."""
+    rng = np.random.default_rng([scan.seed, 6])
+    views = np.linspace(0, len(scan.geometry) - 1, min(_FULL_VIEWS, len(scan.geometry))).round().astype(int)
+    yardstick, _ = compressed_transmission(
+        scan, sampled_lengths(scan), _ENERGY_TOLERANCE, refine=False, step=STEP / FINER
+    )
+    share = None if pixels_per_scan is None else -(-pixels_per_scan // len(views))
+    edges = [_edge_errors(scan, transmission, settings, yardstick, int(view), share, rng, primary) for view in views]
+    edge = np.concatenate(edges)
+    ray = _ray_errors(scan, transmission, rays, rng)
+    counted = len(edge) // len(scan.detector)
+    return MeasuredError(*_rms_and_worst(edge), counted, len(views), *_rms_and_worst(ray), rays, _sub_rays(scan))
+
+
+def _edge_errors(
+    scan: Scan,
+    transmission: Transmission,
+    settings: Settings,
+    yardstick: Transmission,
+    view: int,
+    count: int | None,
+    rng: np.random.Generator,
+    primary: Primary | None = None,
+) -> Errors:
+    """Errors of all edge pixels of a view, or of `count` of them."""
+    frame, panel = scan.geometry.ray_frames()[view], scan.geometry.panel
+    found = expose(
+        frame,
+        panel.rows,
+        panel.columns,
+        *_arguments(scan, transmission),
+        profile=_profile(scan),
+        aperture=aperture_of(scan),
+        **settings.pixels,
+    )
+    if settings.sub_rays == 1:  # rays through centres know of no edges
+        edges = expose(
+            frame, panel.rows, panel.columns, *_arguments(scan, transmission), sub_rays=2, profile=_profile(scan)
+        )
+        found = found._replace(classes=edges.classes)
+    pixels, mapped = np.argwhere((found.classes >= CROSSED) & (found.classes != VOXELS)), found.classes == VOXELS
+    if mapped.any():
+        chosen = np.argwhere(mapped)
+        chosen = chosen[rng.choice(len(chosen), min(len(chosen), _MOST_VOXEL_PIXELS), replace=False)]
+        pixels = np.concatenate([pixels, chosen])
+    if count is not None and len(pixels) > count:
+        pixels = pixels[rng.choice(len(pixels), count, replace=False)]
+    brute = _brute(scan, yardstick, frame, pixels)
+    if primary is not None:
+        found = found._replace(counts=primary(view, transmission))
+    elif scan.effects.focal_spot is not None:
+        found = found._replace(counts=expected_view(scan, transmission, view, settings))
+    counts = found.counts[:, pixels[:, 0], pixels[:, 1]].T
+    left, wanted = counts / _level(scan, transmission, pixels), brute / _level(scan, yardstick, pixels)
+    return log_errors(left, wanted, 1 / _sub_rays(scan)).ravel()
+
+
+def _brute(scan: Scan, yardstick: Transmission, frame: Float[np.ndarray, "4 3"], pixels: Pixels) -> np.ndarray:
+    """Counts of pixels from a lattice of rays from each point of the source, in parallel pieces."""
+    spot = scan.effects.focal_spot
+    frames = [frame] if spot is None else spot.frames(frame, SPOT_POINTS)
+    kept = {"n": _sub_rays(scan), "profile": _profile(scan), "aperture": aperture_of(scan), "lattice": True}
+
+    def piece(part: Pixels) -> np.ndarray:
+        return np.mean([expose_brute(f, part, *_arguments(scan, yardstick), **kept) for f in frames], axis=0)
+
+    parts = [pixels[first : first + _PIXELS_PER_PIECE] for first in range(0, len(pixels), _PIXELS_PER_PIECE)]
+    return np.concatenate([np.empty((0, len(scan.detector))), *run_parallel(piece, parts)])
+
+
+def _sub_rays(scan: Scan) -> int:
+    """Root of the number of rays of the yardstick per pixel."""
+    return SUB_RAYS if scan.effects.focal_spot is None else SPOT_RAYS
+
+
+def _ray_errors(scan: Scan, transmission: Transmission, count: int, rng: np.random.Generator) -> Errors:
+    """Errors of random rays of random views, against all bins of the finer energy grid."""
+    frames, panel = scan.geometry.ray_frames(), scan.geometry.panel
+    frame = frames[rng.integers(len(frames), size=count)]
+    column, row = rng.uniform(-0.5, panel.columns - 0.5, count), rng.uniform(-0.5, panel.rows - 0.5, count)
+    directions = frame[:, 1] + column[:, None] * frame[:, 2] + row[:, None] * frame[:, 3]
+    lengths = trace(frame[:, 0], directions, scan.scene.solids, len(scan.scene.materials), scan.scene.background)
+    met = lengths.any(axis=1)
+    pixels = np.rint(np.stack([row[met], column[met]], axis=1)).astype(int)
+    lengths = _beside_profile(scan, lengths[met], pixels)
+    exact = fine_transmission(scan, step=STEP / FINER)
+    left, wanted = (t.expected(lengths) / _level(scan, t, pixels) for t in (transmission, exact))
+    return log_errors(left, wanted).ravel()
+
+
+def _arguments(scan: Scan, transmission: Transmission) -> Sequence[Any]:
+    """Shapes and energies as `expose` takes them."""
+    return scan.scene.solids, transmission.columns, transmission.weights, transmission.starts, scan.scene.background
+
+
+def _profile(scan: Scan) -> Float[np.ndarray, "part row column"] | None:
+    """Lengths of the beam's profile."""
+    return None if scan.profile is None else scan.profile.lengths
+
+
+def _beside_profile(
+    scan: Scan, lengths: Float[np.ndarray, "ray material"], pixels: Pixels
+) -> Float[np.ndarray, "ray material_and_part"]:
+    """Path lengths in materials, and those that rays to these pixels have in the beam's profile."""
+    if scan.profile is None:
+        return lengths
+    return np.hstack([lengths, scan.profile.lengths[:, pixels[:, 0], pixels[:, 1]].T])
+
+
+def _level(scan: Scan, transmission: Transmission, pixels: Pixels) -> Counts:
+    """Open-beam counts of pixels; infinite for a blind channel, whose counts then are nothing."""
+    air = transmission.open_beam[None]
+    if scan.profile is not None:
+        nothing = np.zeros((len(pixels), len(scan.scene.materials)))
+        air = transmission.expected(_beside_profile(scan, nothing, pixels))
+    return np.where(air > 0, air, np.inf)
+
+
+def _rms_and_worst(errors: Errors) -> tuple[float, float]:
+    """Root mean square and largest size."""
+    return float(np.sqrt(np.mean(errors**2))) if len(errors) else 0.0, float(np.abs(errors).max(initial=0.0))

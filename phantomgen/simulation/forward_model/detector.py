@@ -1,0 +1,112 @@
+"""What the detector makes of the photons that reach it, in the order of physics.
+
+1. `DetectorStages.registered`: what each frame leaves in the sensor.
+   Counters: blur of expected counts, gain, dead time and photon noise.
+   Energy-integrating detectors: photon noise, blur of the light, gain.
+2. afterglow, from view to view: `phantomgen.effects.lag`, which `phantomgen.simulation.forward_model.readout` applies in order.
+3. `DetectorStages.read`: offset and noise of the electronics, then dead and hot pixels.
+
+What a scene does not ask for is left out: then images pass as they are, bit by bit.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, Shaped, UInt32
+
+from phantomgen.effects.blur import Kernel, blurred
+from phantomgen.effects.defects import stuck
+from phantomgen.effects.random_streams import Stream
+from phantomgen.scene.scan import Scan
+from phantomgen.simulation.forward_model.exposure import Exposure, Groups, Images
+
+Frame = list[Shaped[np.ndarray, "row column"]]
+
+
+@dataclass(frozen=True, eq=False)
+class DetectorStages:
+    """Stages of a scan's detector, with the patterns that all of its frames share.
+
+    Parameters
+    ----------
+    scan : what is scanned
+    exposure : energies, and how noise is drawn
+    kernels : of the blur along columns and rows, None where there is none
+    gains : of every pixel in views and in flats, empty where there is no gain map
+    mask : what is wrong with each pixel, None where nothing is
+    """
+
+    scan: Scan
+    exposure: Exposure
+    kernels: tuple[Kernel, Kernel] | None = field(init=False)
+    gains: dict[Stream, Float[np.ndarray, "channel row column"]] = field(init=False)
+    mask: UInt32[np.ndarray, "row column"] | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        seed, effects, panel = self.scan.seed, self.scan.effects, self.scan.geometry.panel
+        shape, gain = (panel.rows, panel.columns), effects.gain
+        gains = (
+            {}
+            if gain is None
+            else {s: gain.maps(seed, len(self.scan.detector), *shape, s) for s in (Stream.PROJECTION, Stream.FLAT)}
+        )
+        object.__setattr__(self, "kernels", None if effects.blur is None else effects.blur.kernels(panel))
+        object.__setattr__(self, "gains", gains)
+        object.__setattr__(self, "mask", None if effects.defects is None else effects.defects.mask(seed, *shape))
+
+    @property
+    def recorded_mask(self) -> UInt32[np.ndarray, "row column"] | None:
+        """The mask that the dataset tells; None where there is none, or it is kept back."""
+        defects = self.scan.effects.defects
+        return self.mask if defects is not None and defects.masked else None
+
+    @property
+    def counts_photons(self) -> bool:
+        """Whether photons are counted; if not, their energies are summed up."""
+        return self.exposure.quanta is None
+
+    @property
+    def reads_zero(self) -> bool:
+        """Whether frames without beam hold nothing."""
+        return self.mask is None and self.scan.effects.electronics is None
+
+    def registered(self, expected: Groups, frame: int, stream: Stream, noise: bool) -> Frame:
+        """Signals that a frame leaves in the sensor, channel by channel, with photon noise or without."""
+        if self.counts_photons:
+            return self._exposed(self._shaped(expected, stream), frame, stream, noise)
+        signals = self._exposed(expected, frame, stream, noise)
+        return list(self._shaped(np.stack(signals), stream)) if self.kernels or self.gains else signals
+
+    def read(self, signals: Frame | Images, frame: int, stream: Stream, noise: bool) -> Frame:
+        """What the electronics make of signals; without noise where none is asked for."""
+        kind = np.int32 if noise and self.counts_photons else np.float32
+        images = [image.astype(kind, copy=False) for image in self._offset(signals, frame, stream, noise)]
+        return images if self.mask is None else [self._stuck(image, c) for c, image in enumerate(images)]
+
+    def _exposed(self, expected: Groups, frame: int, stream: Stream, noise: bool) -> Frame:
+        """Signals by photons."""
+        if noise:
+            return self.exposure.noisy(expected, self.scan.seed, frame, stream)
+        return list(self.exposure.mean(expected))
+
+    def _shaped(self, images: Groups, stream: Stream) -> Groups:
+        """Images blurred, and times the gain of each pixel."""
+        if self.kernels is not None:
+            images = np.stack([blurred(image, self.kernels) for image in images])
+        return images * self.gains[stream] if self.gains else images
+
+    def _offset(self, signals: Frame | Images, frame: int, stream: Stream, noise: bool) -> Frame:
+        """Signals after the amplifier."""
+        electronics = self.scan.effects.electronics
+        if electronics is None:
+            return list(signals)
+        if not noise:
+            return [image + electronics.offset for image in signals]
+        return [electronics.reading(s, self.scan.seed, frame, c, stream) for c, s in enumerate(signals)]
+
+    def _stuck(self, image: Shaped[np.ndarray, "row column"], channel: int) -> Shaped[np.ndarray, "row column"]:
+        """An image with the readings of defective pixels."""
+        defects = self.scan.effects.defects
+        if defects is None or self.mask is None:
+            return image
+        return stuck(image, self.mask, defects.level * float(self.exposure.transmission.open_beam[channel]))

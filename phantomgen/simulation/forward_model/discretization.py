@@ -1,0 +1,53 @@
+"""How finely a scan is computed: the numbers that trade time for accuracy, in one place.
+
+`phantomgen.simulation.planning.make_plan` finds the cheapest settings that meet a tolerance; the defaults are finer
+than most scans need.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from phantomgen.ops.expected_counts import KINK_TOLERANCE, RAYS_PER_VOXEL, RULES
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Discretisation of a simulation.
+
+    Parameters
+    ----------
+    rules : Gauss nodes across and along the silhouettes in a pixel, for growing contrast
+    kinks : error of log counts that is left in pixels where surfaces intersect or edges of a mesh pass
+    sub_rays : if given, a plain grid of so many rays along each edge of a pixel in place of these
+    rays_per_voxel : along each side of a pixel, for each voxel of a map that the side is long
+    spot : source points of a focal spot of finite size, up to 985; by default as many as its blur asks for
+    scatter : of Compton scatter, cells along each edge of the volume, and places along each edge of the panel
+    """
+
+    rules: tuple[tuple[int, int], ...] = RULES
+    kinks: float = KINK_TOLERANCE
+    sub_rays: int | None = None
+    rays_per_voxel: float = RAYS_PER_VOXEL
+    spot: int | None = None
+    scatter: tuple[int, int] = (12, 5)
+
+    @property
+    def pixels(self) -> dict[str, Any]:
+        """Those that `phantomgen.ops.expected_counts.expose` takes."""
+        return {
+            "rules": self.rules,
+            "kink_tolerance": self.kinks,
+            "sub_rays": self.sub_rays,
+            "rays_per_voxel": self.rays_per_voxel,
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> "Settings":
+        """From what `to_dict` gave, also by way of JSON."""
+        rules, scatter = tuple(map(tuple, values["rules"])), tuple(values["scatter"])
+        return cls(**{**values, "rules": rules, "scatter": scatter})

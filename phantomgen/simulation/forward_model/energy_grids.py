@@ -1,0 +1,323 @@
+"""The two energy grids of a scan: a fine one to simulate with, a coarse one to tell the reconstructor.
+
+The simulator works on attenuation curves of materials, exact ones where a composition is given; the reconstructor
+only gets bins and basis functions. Where all materials are explicit coefficients, nodes are sought in the space of
+basis functions, which has fewer dimensions, and then translated.
+"""
+
+from itertools import pairwise
+from math import ceil
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import block_diag
+
+from phantomgen.dataset.beam_profile import StoredProfile
+from phantomgen.dataset.spectral_model import Spectra
+from phantomgen.dataset.truth import CoefficientFit
+from phantomgen.scene.scan import Scan
+from spectra.detector.scintillator import energy_groups
+from spectra.energy.grid import Energies
+from spectra.energy.interpolative_decomposition import spanning_columns
+from spectra.transmission import Transmission
+
+# Widest bins of the simulator before nodes are sought [keV], and the most parts that one is cut into.
+STEP = 0.125
+_MOST_PARTS = 64
+# Bins are compared with so many times finer ones, on so many rays.
+_FINER, _BIN_RAYS = 2, 300
+NO_CUTS = np.empty(0)
+RECONSTRUCTOR_BINS = 128
+FIT_WEIGHTS = "open-beam counts of all channels together, in bins of at most 1 keV"
+# Worse fits [relative rms] are said aloud; those of tissues, plastics and metals up to iron stay below 2 %.
+_POOR_FIT = 0.05
+# Above so many columns the search for nodes samples its box too thinly: then it goes by way of fewer columns, as most
+# materials are combinations of a few; where even these are too many, bins are chosen along the rays of the scan.
+_MOST_COLUMNS = 6
+_MOST_SPANNING = 10
+_SPANNING_RAYS = 2000
+# Sampled rays may miss the longest path of all.
+_MARGIN = 1.1
+
+
+def fine_transmission(
+    scan: Scan, cuts: Float[np.ndarray, " cut"] = NO_CUTS, grouped: bool = False, step: float = STEP
+) -> Transmission:
+    """Path lengths per material, and those of the beam's profile [mm], to expected counts, on bins of `step` keV.
+
+    See `compressed_transmission`.
+    """
+    energies, weights, names = _rows(scan, step, cuts, grouped)
+    return Transmission.from_spectrum(weights, _curves(scan, energies.nodes), names)
+
+
+def fine_cuts(
+    scan: Scan, lengths: Float[np.ndarray, "ray material"], tolerance: float
+) -> tuple[Float[np.ndarray, " cut"], float]:
+    """Where bins of `STEP` keV are cut into finer ones, and the worst error of log counts that is left on some rays.
+
+    A bin across which the exponent of a ray changes by s makes an error of s^2 / 24 of its photons; n parts make
+    1 / n^2 of that. Parts are shared out so that the sum over bins meets the tolerance with the fewest of them.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    lengths : path lengths of rays that meet every object [mm]
+    tolerance : worst error of log counts that is wanted
+    """
+    rng, longest = np.random.default_rng(0), np.argsort(lengths.sum(axis=1), kind="stable")[-_BIN_RAYS // 4 :]
+    some = rng.integers(len(lengths), size=_BIN_RAYS if len(lengths) else 0)
+    rays = _with_profile_lengths(scan, lengths[np.append(some, longest)])
+    energies, weights = _weights(scan, STEP)
+    wide = energies.widths > STEP / 4  # the narrow bins of lines stay whole
+    shares = np.where(wide, _shares(scan, energies, weights, rays), 0.0)
+    best = NO_CUTS, np.inf
+    for aim in (np.inf, tolerance, tolerance / 4, tolerance / 16):
+        parts, more = 1.0, np.ones(len(energies))
+        while (shares / (24 * more**2)).sum() > aim and parts < _MOST_PARTS**3 / shares.max(initial=0.0):
+            parts *= 2
+            more = np.clip(np.ceil(np.cbrt(parts * shares)), 1, _MOST_PARTS)
+        cuts, finer = (_cut(energies.edges, np.where(wide, factor * more, 1)) for factor in (1, _FINER))
+        logs, exact = (fine_transmission(scan, c).log_projection(rays) for c in (cuts, finer))
+        # Midpoints err by the square of the width, so those of finer bins by a part of the same error.
+        error = float(np.abs(logs - exact).max(initial=0.0) / (1 - _FINER**-2))
+        best = min(best, (cuts, error), key=lambda found: found[1])
+        if error <= tolerance:
+            break
+    return best
+
+
+def _shares(
+    scan: Scan, energies: Energies, weights: Float[np.ndarray, "channel energy"], rays: Float[np.ndarray, "ray column"]
+) -> Float[np.ndarray, " energy"]:
+    """Square of each bin's change of the exponent, times its part of a channel's counts, for the worst ray."""
+    near = 1e-6 * energies.widths
+    low, high = (_curves(scan, nodes) for nodes in (energies.edges[:-1] + near, energies.edges[1:] - near))
+    change = (rays @ (high - low)) ** 2
+    left = np.exp(-rays @ _curves(scan, energies.nodes))
+    worst = np.zeros(len(energies))
+    for row in weights:
+        counts = left * row
+        total = np.maximum(counts.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+        worst = np.maximum(worst, (counts / total * change).max(axis=0, initial=0.0))
+    return worst
+
+
+def _cut(edges: Float[np.ndarray, " edge"], parts: Float[np.ndarray, " energy"]) -> Float[np.ndarray, " cut"]:
+    """Where bins that are cut into equal parts begin, are cut, and end; between cuts, grids are laid out anew."""
+    cuts = [np.linspace(a, b, int(n) + 1) for (a, b), n in zip(pairwise(edges), parts, strict=True) if n > 1]
+    return np.unique(np.concatenate([np.empty(0), *cuts]))
+
+
+def compressed_transmission(
+    scan: Scan,
+    lengths: Float[np.ndarray, "ray material"],
+    tolerance: float,
+    cuts: Float[np.ndarray, " cut"] = NO_CUTS,
+    refine: bool = True,
+    grouped: bool = False,
+    step: float = STEP,
+) -> tuple[Transmission, float]:
+    """The same with few nodes.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    lengths : path lengths of rays that meet every object [mm]; they span the box of what can be reached; those of the
+        beam's profile are added
+    tolerance : worst error of log counts that is wanted
+    cuts : where bins end besides [keV], see `fine_cuts`
+    refine : whether nodes are merged and moved, for the fewest of them, or chosen only
+    grouped : whether energy-integrating channels are split into the groups of `photon_quanta`, one channel each
+    step : bin width before nodes are sought [keV]
+
+    Returns
+    -------
+    the transmission, and the worst error of log counts that was found on fresh rays of the box
+    """
+    materials, lengths = scan.scene.materials, _with_profile_lengths(scan, lengths)
+    if any(m.composition is not None for m in materials) or len(materials) <= len(scan.basis):
+        return _compress(fine_transmission(scan, cuts, grouped, step), lengths, tolerance, refine)
+    energies, weights, names = _rows(scan, step, cuts, grouped)
+    columns = _with_profile(scan, scan.basis.evaluate(energies.nodes), energies.nodes)
+    fine = Transmission.from_spectrum(weights, columns, names)
+    coefficients = material_coefficients(scan)
+    if scan.profile is not None:
+        coefficients = block_diag(coefficients, np.eye(len(scan.profile.names)))
+    small, error = _compress(fine, lengths @ coefficients, tolerance, refine)
+    return Transmission(coefficients @ small.columns, small.weights, small.starts, small.channel_names), error
+
+
+def node_energies(
+    scan: Scan, transmission: Transmission, cuts: Float[np.ndarray, " cut"]
+) -> Float[np.ndarray, " node"]:
+    """Energy of each node that `compressed_transmission` chose without refinement [keV], by the attenuation there.
+
+    `cuts` are those of the bins that it chose from.
+
+    Energies at which all materials are alike cannot be told apart, and need not be.
+    """
+    energies, weights, _ = _rows(scan, STEP, cuts, grouped=True)
+    curves = np.stack([m.attenuation(energies.nodes, scan.basis) for m in scan.scene.materials])
+    found = []
+    for row, (first, last) in zip(weights > 0, pairwise(transmission.starts), strict=True):
+        own = transmission.columns[: len(curves), first:last]
+        apart = np.abs(own[:, None] / curves[:, row, None] - 1).max(axis=0)
+        found.append(energies.nodes[row][apart.argmin(axis=0)] if last > first else np.empty(0))
+    return np.concatenate(found)
+
+
+def photon_quanta(scan: Scan, cuts: Float[np.ndarray, " cut"] = NO_CUTS) -> list[Float[np.ndarray, " group"]] | None:
+    """Signal of one photon in each group of energies [keV], channel by channel; None where photons are counted.
+
+    `cuts` are those of the bins that are grouped.
+    """
+    energies, weights = _weights(scan, STEP, cuts)
+    if scan.detector.variance(energies) is None:
+        return None
+    return [energy_groups(energies.nodes, row)[1] for row in weights]
+
+
+def reconstructor_spectra(scan: Scan) -> Spectra:
+    """What a dataset tells about energies: bins, basis functions, source and response."""
+    energies, source, response = _sampled(scan, RECONSTRUCTOR_BINS, scan.basis.breaks)
+    profile = None
+    if scan.profile is not None:
+        profile = StoredProfile(scan.profile.names, scan.profile.lengths, scan.profile.attenuation(energies.nodes))
+    return Spectra(
+        energy=energies.nodes,
+        edges=energies.edges,
+        source=source,
+        response=response,
+        basis=scan.basis,
+        basis_values=scan.basis.evaluate(energies.nodes),
+        channels=scan.detector.names,
+        lower=np.array([channel.lower for channel in scan.detector.channels]),
+        upper=np.array([channel.upper for channel in scan.detector.channels]),
+        units=scan.detector.units,
+        variance=scan.detector.variance(energies),
+        profile=profile,
+        dead_time=scan.dead_time,
+    )
+
+
+def material_coefficients(scan: Scan) -> Float[np.ndarray, "material basis"]:
+    """Coefficients of all materials in the basis [1/mm]; for compositions fitted over the detected spectrum."""
+    energies, detected = _detected(scan)
+    return np.stack([m.coefficients_in(scan.basis, energies, detected) for m in scan.scene.materials])
+
+
+def material_fit(scan: Scan) -> CoefficientFit:
+    """How well `material_coefficients` describe the materials, and over which energies."""
+    energies, detected = _detected(scan)
+    errors = [m.fit_error(scan.basis, energies, detected) for m in scan.scene.materials]
+    window = (scan.detector.lowest, scan.source.maximum)
+    return CoefficientFit(window, FIT_WEIGHTS, np.array(errors))
+
+
+def fit_warnings(scan: Scan, fit: CoefficientFit) -> list[str]:
+    """Sentences about materials that the basis cannot describe."""
+    return [
+        f"the basis describes material {material.name!r} with an rms relative error of {error:.0%} only: the truth of "
+        "its coefficients means little; does its K edge lack a basis function, or lie below the lowest threshold?"
+        for material, error in zip(scan.scene.materials, fit.errors, strict=True)
+        if error > _POOR_FIT
+    ]
+
+
+def _detected(scan: Scan) -> tuple[Float[np.ndarray, " energy"], Float[np.ndarray, " energy"]]:
+    """Energies of bins of at most 1 keV in which photons are counted, and the open-beam counts of all channels."""
+    energies, weights = _weights(scan, 1.0)
+    detected = weights.sum(axis=0)
+    seen = detected > 0
+    return energies.nodes[seen], detected[seen]
+
+
+def _range(scan: Scan) -> float:
+    """Width of the energies that are counted [keV]; 1 for a single energy."""
+    return max(scan.source.maximum - scan.detector.lowest, 1.0)
+
+
+def _sampled(
+    scan: Scan, count: int, breaks: tuple[float, ...]
+) -> tuple[Energies, Float[np.ndarray, " energy"], Float[np.ndarray, "channel energy"]]:
+    """Grid, photons per bin and response."""
+    grid = scan.source.grid(scan.detector.lowest, count, (*scan.detector.breaks, *breaks))
+    energies, photons = scan.source.sampled(grid)
+    return energies, photons, scan.detector.response(energies)
+
+
+def _weights(
+    scan: Scan, step: float, cuts: Float[np.ndarray, " cut"] = NO_CUTS
+) -> tuple[Energies, Float[np.ndarray, "channel energy"]]:
+    """Bins of `step` keV that end at every edge of the scene and at `cuts`, and open-beam counts in each."""
+    low, high = scan.detector.lowest, scan.source.maximum
+    edges = (edge for material in scan.scene.materials for edge in material.k_edges(low, high))
+    energies, photons, response = _sampled(scan, ceil(_range(scan) / step), (*scan.basis.breaks, *edges, *cuts))
+    return energies, photons * response
+
+
+def _rows(
+    scan: Scan, step: float, cuts: Float[np.ndarray, " cut"], grouped: bool
+) -> tuple[Energies, Float[np.ndarray, "row energy"], tuple[str, ...]]:
+    """Bins, open-beam counts per bin of each channel, or of each group of photons, and their names."""
+    energies, weights = _weights(scan, step, cuts)
+    if not grouped or scan.detector.variance(energies) is None:
+        return energies, weights, scan.detector.names
+    rows = np.concatenate([energy_groups(energies.nodes, row)[0] for row in weights])
+    return energies, rows, tuple(f"group{i}" for i in range(len(rows)))
+
+
+def _curves(scan: Scan, energy: Float[np.ndarray, " energy"]) -> Float[np.ndarray, "material energy"]:
+    """Attenuation of the materials, and of what makes the beam differ over the panel [1/mm]."""
+    return _with_profile(scan, np.stack([m.attenuation(energy, scan.basis) for m in scan.scene.materials]), energy)
+
+
+def _with_profile(
+    scan: Scan, columns: Float[np.ndarray, "column energy"], energy: Float[np.ndarray, " energy"]
+) -> Float[np.ndarray, "column_and_part energy"]:
+    """Columns, and the curves of the beam's profile after them."""
+    return columns if scan.profile is None else np.concatenate([columns, scan.profile.attenuation(energy)])
+
+
+def _with_profile_lengths(
+    scan: Scan, lengths: Float[np.ndarray, "ray material"]
+) -> Float[np.ndarray, "ray material_and_part"]:
+    """Rays through objects, each on its way to some pixel, and rays without objects to the most extreme pixels."""
+    if scan.profile is None:
+        return lengths
+    parts = scan.profile.lengths.reshape(len(scan.profile.names), -1).T
+    pixels = np.random.default_rng(0).integers(len(parts), size=len(lengths))
+    extreme = parts[[*parts.argmin(axis=0), *parts.argmax(axis=0)]]
+    empty = np.zeros((len(extreme), lengths.shape[1]))
+    return np.concatenate([np.hstack([lengths, parts[pixels]]), np.hstack([empty, extreme])])
+
+
+def _compress(
+    fine: Transmission, integrals: Float[np.ndarray, "ray column"], tolerance: float, refine: bool
+) -> tuple[Transmission, float]:
+    """Fewer nodes for the box that `integrals` span."""
+    if len(fine.columns) > _MOST_COLUMNS:
+        return _compress_many(fine, integrals, tolerance, refine)
+    low, high = (_MARGIN * bound for bound in (integrals.min(axis=0, initial=0.0), integrals.max(axis=0, initial=0.0)))
+    return fine.compress(low, high, tolerance, refine=refine)
+
+
+def _compress_many(
+    fine: Transmission, integrals: Float[np.ndarray, "ray column"], tolerance: float, refine: bool
+) -> tuple[Transmission, float]:
+    """The same by way of a few columns that the others are combinations of, else a choice of bins."""
+    sample = integrals[:: max(1, len(integrals) // _SPANNING_RAYS)]
+    picked, mixture, _ = spanning_columns(fine.columns, sample, tolerance / 3)
+    if len(picked) > _MOST_SPANNING:
+        return fine.choose(np.concatenate([sample, _MARGIN * sample]), tolerance)
+    few = Transmission(fine.columns[picked], fine.weights, fine.starts, fine.channel_names)
+    along = integrals @ mixture
+    low, high = (_MARGIN * bound for bound in (along.min(axis=0, initial=0.0), along.max(axis=0, initial=0.0)))
+    small, error = few.compress(low, high, tolerance, refine=refine)
+    columns = mixture @ small.columns
+    if len(small.weights) == len(fine.weights) or columns.min() < 0:
+        return fine, 0.0
+    found = Transmission(columns, small.weights, small.starts, small.channel_names)
+    missed = np.abs(found.log_projection(sample) - fine.log_projection(sample)).max(initial=0.0)
+    return found, max(error, float(missed))

@@ -1,0 +1,103 @@
+"""What views are exposed with, and how noise is drawn for it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+
+from phantomgen.effects.random_streams import Stream, compound_signal, dead_time_counts, poisson_counts
+from phantomgen.scene.scan import Scan
+from phantomgen.simulation.forward_model.energy_grids import NO_CUTS, compressed_transmission, photon_quanta
+from spectra.detector.dead_time import DeadTime
+from spectra.transmission import Transmission
+
+Images = Float[np.ndarray, "channel row column"]
+Groups = Float[np.ndarray, "group row column"]
+
+
+@dataclass(frozen=True, eq=False)
+class Exposure:
+    """Expected signals and their noise.
+
+    Parameters
+    ----------
+    groups : path lengths to expected signals; one channel for each channel of the detector where photons are counted,
+        one for each group of energies where their energy is summed up
+    names : of the detector's channels
+    channels : of the detector, that each group belongs to
+    quanta : signal of one photon of each group [keV]; None where photons are counted
+    dead_time : of the pixels, None where every event is recorded
+    """
+
+    groups: Transmission
+    names: tuple[str, ...]
+    channels: Int[np.ndarray, " group"]
+    quanta: Float[np.ndarray, " group"] | None
+    dead_time: DeadTime | None = None
+
+    @classmethod
+    def of(
+        cls,
+        scan: Scan,
+        lengths: Float[np.ndarray, "ray material"],
+        tolerance: float,
+        refine: bool = True,
+        cuts: Float[np.ndarray, " cut"] = NO_CUTS,
+    ) -> tuple["Exposure", float]:
+        """For rays with such path lengths [mm], and the worst error of log signals from few energy nodes.
+
+        Parameters
+        ----------
+        scan : what is simulated
+        lengths : path lengths of rays that meet every object [mm]
+        tolerance : worst error of log signals that is wanted
+        refine : whether nodes may be of no single energy, and fewer
+        cuts : of the bins that nodes replace [keV], see `fine_cuts`; the error is that against these
+        """
+        groups, error = compressed_transmission(scan, lengths, tolerance, cuts, refine, grouped=True)
+        quanta, aperture = photon_quanta(scan, cuts), scan.effects.aperture
+        if aperture is not None:
+            groups = replace(groups, weights=groups.weights * aperture.area)
+        if quanta is None:
+            return cls(groups, scan.detector.names, np.arange(len(scan.detector)), None, scan.dead_time), error
+        channels = np.repeat(np.arange(len(quanta)), [len(own) for own in quanta])
+        return cls(groups, scan.detector.names, channels, np.concatenate(quanta)), error
+
+    @property
+    def firsts(self) -> Int[np.ndarray, " channel"]:
+        """First group of each channel."""
+        return np.searchsorted(self.channels, np.arange(len(self.names)))
+
+    @property
+    def transmission(self) -> Transmission:
+        """The same nodes with the channels of the detector."""
+        starts = self.groups.starts[[*self.firsts, -1]]
+        return Transmission(self.groups.columns, self.groups.weights, starts, self.names)
+
+    @property
+    def warnings(self) -> list[str]:
+        """A sentence where dead time makes counts of the open beam useless."""
+        if self.dead_time is None:
+            return []
+        load = self.dead_time.per_count * float(self.groups.open_beam.sum())
+        if load <= self.dead_time.highest_load:
+            return []
+        return [
+            f"a pixel in the open beam has {load:.3g} events per dead time, more than {self.dead_time.highest_load:g}: "
+            "such counts cannot be corrected; use a longer exposure, smaller pixels or fewer photons"
+        ]
+
+    def mean(self, expected: Groups) -> Images:
+        """Expected signal of each channel."""
+        if self.dead_time is not None:
+            return self.dead_time.recorded(expected)
+        return expected if self.quanta is None else np.add.reduceat(expected, self.firsts, axis=0)
+
+    def noisy(self, expected: Groups, seed: int, frame: int, stream: Stream) -> list[Shaped[np.ndarray, "row column"]]:
+        """One frame with noise, channel by channel."""
+        if self.dead_time is not None:
+            return list(dead_time_counts(expected, self.dead_time, seed, frame, stream))
+        if self.quanta is None:
+            return [poisson_counts(image, seed, frame, c, stream) for c, image in enumerate(expected)]
+        parts = zip(np.split(expected, self.firsts[1:]), np.split(self.quanta, self.firsts[1:]), strict=True)
+        return [compound_signal(mean, quanta, seed, frame, c, stream) for c, (mean, quanta) in enumerate(parts)]

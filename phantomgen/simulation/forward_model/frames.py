@@ -1,0 +1,163 @@
+"""The frames of a scan: expected signals, and what the detector makes of them.
+
+A frame passes these stages, in this order. What a scene does not ask for is left out and costs nothing.
+
+1. `Views.expected`: rays through the objects, averaged over pixels and focal spot; scatter; tube output
+2. `Views.registered`: photon noise, blur and gain of the detector (`phantomgen.simulation.forward_model.detector`)
+3. afterglow, the only stage in which frames depend on each other (`phantomgen.simulation.forward_model.readout`)
+4. `Views.read`: the electronics, then dead and hot pixels
+"""
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.effects.random_streams import Stream
+from phantomgen.ops.expected_counts import expose
+from phantomgen.scene.scan import Scan
+from phantomgen.simulation.forward_model.detector import DetectorStages, Frame
+from phantomgen.simulation.forward_model.discretization import Settings
+from phantomgen.simulation.forward_model.exposure import Exposure, Groups, Images
+from phantomgen.simulation.forward_model.scatter import Scatter, scatter_of
+from spectra.transmission import Transmission
+
+if TYPE_CHECKING:
+    from phantomgen.simulation.projection_cache.cache import KeptViews
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """Projections and flats of a scan, one frame at a time; frames are independent of each other.
+
+    Parameters
+    ----------
+    scan : what is scanned
+    exposure : energies, and how noise is drawn
+    settings : how finely views are computed
+    output : of the tube, in each view and in each flat, relative to the exposure that is asked for
+    detector : what it makes of expected signals
+    scatter : from a view and its primary signal to what is scattered; None where nothing is
+    kept : projections that views are computed from, in place of rays through objects
+    """
+
+    scan: Scan
+    exposure: Exposure
+    settings: Settings = field(default_factory=Settings)
+    output: dict[Stream, Float[np.ndarray, " frame"]] = field(init=False)
+    detector: DetectorStages = field(init=False)
+    scatter: Scatter | None = field(init=False)
+    kept: "KeptViews | None" = None
+
+    def __post_init__(self) -> None:
+        frames = {Stream.PROJECTION: len(self.scan.geometry), Stream.FLAT: self.scan.flats}
+        tube = self.scan.effects.tube_output
+        ones = {stream: np.ones(count) for stream, count in frames.items()}
+        output = ones if tube is None else {s: tube.factors(self.scan.seed, s, count) for s, count in frames.items()}
+        object.__setattr__(self, "output", output)
+        object.__setattr__(self, "detector", DetectorStages(self.scan, self.exposure))
+        object.__setattr__(self, "scatter", self._scatter())
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """Views, channels, rows, columns."""
+        scan = self.scan
+        return len(scan.geometry), len(scan.detector), scan.geometry.panel.rows, scan.geometry.panel.columns
+
+    @property
+    def recorded_exposure(self) -> Float[np.ndarray, " view"] | Float[np.ndarray, "view channel"] | None:
+        """Exposure of each view [and channel] that the dataset tells; None where all are 1."""
+        tube = self.scan.effects.tube_output
+        if tube is None or not tube.recorded:
+            return self.scan.exposure
+        output = self.output[Stream.PROJECTION]
+        return output if self.scan.exposure is None else self.scan.exposure * output[:, None]
+
+    def expected(self, frame: int, stream: Stream = Stream.PROJECTION) -> Groups:
+        """Expected signals of one view, or of one flat, before the detector."""
+        groups = self.exposure.groups
+        if stream is Stream.FLAT:
+            return open_beam(self.scan, groups) * self.output[stream][frame]
+        primary = self.primary(frame, groups)
+        if self.scatter is not None:
+            primary += self.scatter(frame, primary)
+        if self.scan.exposure is not None:
+            primary *= self.scan.exposure[frame][self.exposure.channels][:, None, None]
+        primary *= self.output[stream][frame]
+        return primary
+
+    def primary(self, view: int, transmission: Transmission) -> Groups:
+        """Expected signals of what reaches a pixel straight, by the groups of the exposure or by its channels."""
+        if self.kept is not None:
+            return self.kept.primary(view, transmission)
+        return expected_view(self.scan, transmission, view, self.settings)
+
+    def _scatter(self) -> Scatter | None:
+        """Model of scatter, whose strength the first view decides."""
+        if self.scan.effects.scatter is None:
+            return None
+        groups = self.exposure.groups
+        first = self.primary(0, groups)
+        return scatter_of(self.scan, self.exposure, self.settings, first, open_beam(self.scan, groups))
+
+    def registered(
+        self, expected: Groups, frame: int, stream: Stream = Stream.PROJECTION, noise: bool | None = None
+    ) -> Frame:
+        """Signals that a frame leaves in the sensor; `noise` is as the scan has it where not given."""
+        return self.detector.registered(expected, frame, stream, self.scan.noise if noise is None else noise)
+
+    def read(
+        self, signals: Frame | Images, frame: int, stream: Stream = Stream.PROJECTION, noise: bool | None = None
+    ) -> Frame:
+        """Readings of signals, channel by channel."""
+        return self.detector.read(signals, frame, stream, self.scan.noise if noise is None else noise)
+
+
+def expected_view(scan: Scan, transmission: Transmission, view: int, settings: Settings) -> Groups:
+    """Expected signals of one view and group of photons, averaged over each pixel's area and the focal spot."""
+    frame, spot = scan.geometry.ray_frames()[view], scan.effects.focal_spot
+    if spot is None:
+        return exposed_frame(scan, transmission, frame, settings)
+    points = settings.spot or spot.points_for(spot.blur(frame, scan.scene.solids.balls[:, :3]))
+    frames = spot.frames(frame, points)
+    total = exposed_frame(scan, transmission, frames[0], settings)
+    for moved in frames[1:]:
+        total += exposed_frame(scan, transmission, moved, settings)
+    return total / len(frames)
+
+
+def exposed_frame(
+    scan: Scan, transmission: Transmission, frame: Float[np.ndarray, "4 3"], settings: Settings
+) -> Groups:
+    """The same for rays of one source point."""
+    panel = scan.geometry.panel
+    return expose(
+        frame,
+        panel.rows,
+        panel.columns,
+        scan.scene.solids,
+        transmission.columns,
+        transmission.weights,
+        transmission.starts,
+        scan.scene.background,
+        profile=None if scan.profile is None else scan.profile.lengths,
+        aperture=aperture_of(scan),
+        **settings.pixels,
+    ).counts
+
+
+def aperture_of(scan: Scan) -> tuple[float, float]:
+    """Width and height of the sensitive part of pixels, in pixels."""
+    aperture = scan.effects.aperture
+    return (1.0, 1.0) if aperture is None else (aperture.width, aperture.height)
+
+
+def open_beam(scan: Scan, transmission: Transmission) -> Groups:
+    """Expected signals of one view without any object."""
+    pixels = (scan.geometry.panel.rows, scan.geometry.panel.columns)
+    if scan.profile is None:
+        return np.broadcast_to(transmission.open_beam[:, None, None], (len(transmission), *pixels))
+    lengths = np.zeros((*pixels, len(transmission.columns)))
+    lengths[:, :, -len(scan.profile.names) :] = np.moveaxis(scan.profile.lengths, 0, -1)
+    return np.moveaxis(transmission.expected(lengths), -1, 0)

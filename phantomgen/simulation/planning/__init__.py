@@ -1,0 +1,1 @@
+"""The cheapest settings that meet a tolerance, and what the scan will cost."""

@@ -1,0 +1,414 @@
+"""Which rule averages expected counts over pixels well enough, at the least cost: measured on parts of some views.
+
+Where silhouettes pass, or nothing does, the yardstick is the same splitting with several times as many Gauss nodes, on
+all pixels of the sampled windows. Where surfaces meet, or voxel maps lie, it is a regular grid of rays, on a sample of
+pixels. Both share the energy nodes with what they judge, so that pixels are judged alone.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from phantomgen.ops.expected_counts import CROSSED, EMPTY, KINKED, RULES, VOXELS, Exposed, expose, expose_brute
+from phantomgen.scene.scan import Scan
+from phantomgen.simulation.checks.reference_rays import RayGrid, split_grid, worst_error
+from phantomgen.simulation.forward_model.discretization import Settings
+from phantomgen.simulation.forward_model.frames import aperture_of
+from spectra.threads import run_parallel
+from spectra.transmission import Transmission
+
+# From cheap to fine: plain grids, then silhouettes that are split. A rule is compared with the one `_FINER` steps on.
+GRIDS = (1, 2, 3, 4)
+RULE_LADDER = (
+    ((1, 1), (2, 1), (2, 2), (3, 2), (4, 3)),
+    ((2, 1), (2, 2), (3, 2), (4, 3), (6, 4)),
+    RULES,
+    ((3, 2), (4, 3), (6, 4), (9, 6), (12, 8)),
+    ((4, 3), (6, 4), (9, 6), (12, 8), (18, 12)),
+    ((8, 6), (10, 8), (14, 10), (18, 12), (24, 16)),
+    ((12, 9), (15, 12), (20, 14), (25, 17), (32, 22)),
+    ((18, 14), (22, 18), (28, 20), (34, 24), (42, 30)),
+    ((26, 20), (30, 25), (38, 28), (46, 33), (56, 40)),
+)
+_FINER = 2
+VOXEL_LADDER = (1.0, 2.0, 4.0, 8.0, 16.0)
+# Parts of the share that rectangles of a pixel where surfaces meet may err by, as they estimate it themselves.
+KINK_LADDER = (1.0, 0.3, 0.1, 0.03)
+# For faint objects alone, so many steps of these ladders are tried at most.
+_FAINT_STEPS = 4
+VIEWS = 3
+_WINDOW = 48
+_MOST_WINDOWS = 4
+# Crossed pixels per view, and pixels per view and kind that are compared with a grid of rays.
+_MOST_CROSSED = 800
+_BRUTE_PIXELS = 12
+_SEED = 5
+
+Image = Float[np.ndarray, "channel row column"]
+Frame = Float[np.ndarray, "4 3"]
+Counts = Float[np.ndarray, "..."]
+Faint = Callable[[Settings], str | None]
+
+
+def _nothing_faint(_: Settings) -> str | None:
+    """No object is faint."""
+    return None
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A setting that was tried: what it is, its worst error of log counts, and its cost: rays per pixel, or nodes."""
+
+    setting: str
+    error: float
+    cost: float
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The cheapest setting of a part that meets its share of the tolerance, or the finest one.
+
+    Parameters
+    ----------
+    part : of the simulation
+    setting : what was chosen
+    error : worst error of log counts against a much finer computation
+    share : of the tolerance
+    trials : settings that were tried, the cheapest first
+    of_pixels : whether it is about one kind of pixels; errors of such parts never meet
+    decided : the faint object that made it finer than the share asks for; empty where the share decided
+    """
+
+    part: str
+    setting: str
+    error: float
+    share: float
+    trials: tuple[Trial, ...] = ()
+    of_pixels: bool = False
+    decided: str = ""
+
+    @property
+    def met(self) -> bool:
+        """Whether the error is no larger than wished."""
+        return self.error <= self.share
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> "Choice":
+        """From what `to_dict` gives."""
+        return cls(**{**values, "trials": tuple(Trial(**trial) for trial in values["trials"])})
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A part of a view, as a panel of its own.
+
+    Parameters
+    ----------
+    frame : of the part
+    size : rows and columns
+    classes : of the pixels
+    profile : lengths in the beam's profile, or None
+    """
+
+    frame: Frame
+    size: tuple[int, int]
+    classes: UInt8[np.ndarray, "row column"]
+    profile: Float[np.ndarray, "part row column"] | None
+
+
+@dataclass(frozen=True, eq=False)
+class PixelSample:
+    """Windows of a scan, and grids of rays for pixels where surfaces meet or maps lie.
+
+    Parameters
+    ----------
+    scan, transmission : what is computed
+    windows : parts of views that hold edges
+    grids : some such pixels, and grids of rays through them, per window
+    known : what was computed of all windows before, by its settings
+    """
+
+    scan: Scan
+    transmission: Transmission
+    windows: tuple[Window, ...]
+    grids: tuple[RayGrid, ...]
+    known: dict[Settings, list[Exposed]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, scan: Scan, transmission: Transmission) -> "PixelSample":
+        """Draw windows, always by the same seed."""
+        rng = np.random.default_rng(_SEED)
+        windows = windows_of(scan, transmission, rng)
+        grids = tuple(
+            RayGrid(_hard_pixels(window, rng), partial(_brute, scan, transmission, window)) for window in windows
+        )
+        return cls(scan, transmission, windows, grids)
+
+    def has(self, kind: int) -> bool:
+        """Whether some sampled pixel is of a kind."""
+        return any((window.classes == kind).any() for window in self.windows)
+
+    def rays(self, settings: Settings) -> float:
+        """Rays per pixel."""
+        return sum(e.rays.sum() for e in self._found(settings)) / max(sum(w.classes.size for w in self.windows), 1)
+
+    def easy_error(self, settings: Settings, finer: Settings) -> float:
+        """Worst difference to finer settings, of pixels where no surfaces meet and no maps lie."""
+        worst = 0.0
+        for window, found, fine in zip(self.windows, self._found(settings), self._found(finer), strict=True):
+            easy = (window.classes != KINKED) & (window.classes != VOXELS)
+            level = fine.counts.max(axis=(1, 2), keepdims=True)[:, :, 0]
+            worst = max(worst, worst_error(found.counts[:, easy], fine.counts[:, easy], level))
+        return worst
+
+    def hard_error(self, settings: Settings, kinds: tuple[int, ...], share: float) -> float:
+        """Worst difference to grids of rays, of pixels of some kinds; finer grids where it exceeds `share`."""
+        worst = 0.0
+        for window, found, grid in zip(self.windows, self._found(settings), self.grids, strict=True):
+            chosen = np.isin(window.classes[grid.pixels[:, 0], grid.pixels[:, 1]], kinds)
+            worst = max(worst, grid.worst(found.counts, chosen, found.counts.max(axis=(1, 2)), share))
+        return worst
+
+    def _found(self, settings: Settings) -> list[Exposed]:
+        """Counts of all windows."""
+        if settings not in self.known:
+            task = partial(exposed, self.scan, self.transmission, settings=settings)
+            self.known[settings] = list(run_parallel(task, self.windows))
+        return self.known[settings]
+
+
+def choose_pixels(
+    scan: Scan, transmission: Transmission, settings: Settings, share: float, faint: Faint = _nothing_faint
+) -> tuple[Settings, list[Choice]]:
+    """The cheapest rules whose worst errors stay within `share`, and that faint objects are right with.
+
+    Parameters
+    ----------
+    scan : what is simulated; where its scene says how many sub-rays it wants, that is only judged
+    transmission : with the energy nodes that were chosen
+    settings : to be completed
+    share : of the tolerance, for log counts
+    faint : the faint object that some settings make too wrong for its own signal, None where none is
+    """
+    sample = PixelSample.of(scan, transmission)
+    settings = replace(settings, kinks=KINK_LADDER[0] * share)
+    if scan.sub_rays is not None:
+        trial = _plain(sample, settings, scan.sub_rays, share)
+        choice = Choice("pixels", f"{trial.setting}, as the scene says", trial.error, share, (trial,))
+        return replace(settings, sub_rays=scan.sub_rays), [choice]
+    tried: list[Trial] = []
+    coarse, blamed = None, ""
+    for n in GRIDS:
+        tried.append(_plain(sample, settings, n, share))
+        if tried[-1].error <= share:
+            grid = replace(settings, sub_rays=n)
+            choice = Choice("pixels", tried[-1].setting, tried[-1].error, share, tuple(tried), decided=blamed)
+            if (missed := faint(grid)) is None:
+                return grid, [choice]
+            coarse, blamed = coarse or (grid, [choice]), missed
+        elif tried[-1].error > 20 * share:  # errors fall by less than that from one grid to the next
+            break
+    found, choices = _split(sample, settings, share, tuple(tried), faint)
+    if coarse is not None:
+        if not all(choice.met for choice in choices):
+            return coarse
+        choices[0] = replace(choices[0], decided=choices[0].decided or blamed)
+    return found, choices
+
+
+def _plain(sample: PixelSample, settings: Settings, n: int, share: float) -> Trial:
+    """Error of a plain grid of rays in all kinds of pixels."""
+    grid = replace(settings, sub_rays=n)
+    error = max(sample.easy_error(grid, settings), sample.hard_error(grid, (KINKED, VOXELS), share))
+    name = "one ray through each pixel's centre" if n == 1 else f"{n} x {n} rays where edges pass"
+    return Trial(name, error, sample.rays(grid))
+
+
+def _split(
+    sample: PixelSample, settings: Settings, share: float, tried: tuple[Trial, ...], faint: Faint
+) -> tuple[Settings, list[Choice]]:
+    """Pixels split along silhouettes; other kinds of pixels have settings of their own."""
+    choices: list[Choice] = []
+    if sample.has(KINKED):
+        parts = [replace(settings, kinks=part * share) for part in KINK_LADDER]
+        steps = [(f"rectangles halved until they err by {s.kinks:.1e}", s) for s in parts]
+        settings, choice = _climb(
+            "meeting surfaces", steps, share, sample, lambda i: sample.hard_error(parts[i], (KINKED,), share), (), faint
+        )
+        choices.append(choice)
+    levels = [replace(settings, rules=rules) for rules in RULE_LADDER]
+    steps = [(_rule_name(level.rules), level) for level in levels[:-_FINER]]
+    settings, choice = _climb(
+        "silhouettes", steps, share, sample, lambda i: sample.easy_error(levels[i], levels[i + _FINER]), tried, faint
+    )
+    choices.insert(0, choice)
+    if sample.has(VOXELS):
+        rays = [replace(settings, rays_per_voxel=n) for n in VOXEL_LADDER]
+        steps = [(f"{s.rays_per_voxel:g} rays per voxel and side", s) for s in rays]
+        settings, choice = _climb(
+            "voxel maps", steps, share, sample, lambda i: sample.hard_error(rays[i], (VOXELS,), share)
+        )
+        choices.append(choice)
+    return settings, choices
+
+
+def _climb(
+    part: str,
+    steps: list[tuple[str, Settings]],
+    share: float,
+    sample: PixelSample,
+    error_of: Callable[[int], float],
+    tried: tuple[Trial, ...] = (),
+    faint: Faint = _nothing_faint,
+) -> tuple[Settings, Choice]:
+    """The first of some steps that meets the share and makes no faint object wrong.
+
+    Where there is none, the first that meets the share, else the best one. Steps beyond `_FAINT_STEPS` are not taken
+    for faint objects.
+    """
+    trials: list[Trial] = []
+    first, blamed = None, ""
+    for i, (name, settings) in enumerate(steps):
+        trials.append(Trial(name, error_of(i), sample.rays(settings)))
+        if trials[-1].error > share:
+            continue
+        first = i if first is None else first
+        missed = faint(settings) if i < max(_FAINT_STEPS, first + 1) else None
+        if missed is None:
+            first, blamed = (i, blamed) if i < _FAINT_STEPS else (first, "")
+            break
+        if i + 1 >= _FAINT_STEPS:
+            blamed = ""
+            break
+        blamed = missed
+    chosen = min(range(len(trials)), key=lambda i: trials[i].error) if first is None else first
+    trial = trials[chosen]
+    choice = Choice(part, trial.setting, trial.error, share, (*tried, *trials), of_pixels=True, decided=blamed)
+    return steps[chosen][1], choice
+
+
+def windows_of(scan: Scan, transmission: Transmission, rng: np.random.Generator) -> tuple[Window, ...]:
+    """Parts of some views that hold edges."""
+    views = np.unique(np.linspace(0, len(scan.geometry) - 1, VIEWS).round().astype(int))
+    return tuple(w for view in views for w in _windows(scan, transmission, int(view), rng))
+
+
+def _windows(scan: Scan, transmission: Transmission, view: int, rng: np.random.Generator) -> Iterator[Window]:
+    """Parts of a view around random edges; fewer where they hold many."""
+    classes = exposed(scan, transmission, whole(scan, view), Settings(sub_rays=2)).classes
+    edges = np.argwhere(classes >= CROSSED)
+    if not len(edges):
+        edges = np.argwhere(classes > EMPTY)
+    if not len(edges):
+        return
+    crossed, corners = 0, set()
+    for row, column in edges[rng.integers(len(edges), size=_MOST_WINDOWS)]:
+        if (corner := _corner(scan, row, column)) in corners:
+            continue
+        corners.add(corner)
+        window = around(scan, view, classes, row, column)
+        yield window
+        crossed += int((window.classes == CROSSED).sum())
+        if crossed > _MOST_CROSSED:
+            return
+
+
+def whole(scan: Scan, view: int) -> Window:
+    """All of a view, its classes not known."""
+    panel = scan.geometry.panel
+    size = (panel.rows, panel.columns)
+    return Window(scan.geometry.ray_frames()[view], size, np.empty((0, 0), np.uint8), _profile(scan))
+
+
+def around(scan: Scan, view: int, classes: UInt8[np.ndarray, "row column"], row: int, column: int) -> Window:
+    """The part of a view around a pixel; `classes` are those of the whole view."""
+    panel = scan.geometry.panel
+    top, left = _corner(scan, row, column)
+    size = (min(_WINDOW, panel.rows), min(_WINDOW, panel.columns))
+    part = (slice(top, top + size[0]), slice(left, left + size[1]))
+    frame = scan.geometry.ray_frames()[view].copy()
+    frame[1] += left * frame[2] + top * frame[3]
+    profile = None if scan.profile is None else np.ascontiguousarray(scan.profile.lengths[:, *part])
+    return Window(frame, size, classes[part], profile)
+
+
+def _corner(scan: Scan, row: int, column: int) -> tuple[int, int]:
+    """First row and column of the window around a pixel."""
+    panel = scan.geometry.panel
+    rows, columns = min(_WINDOW, panel.rows), min(_WINDOW, panel.columns)
+    top, left = (
+        np.clip(row - rows // 2, 0, panel.rows - rows),
+        np.clip(column - columns // 2, 0, panel.columns - columns),
+    )
+    return int(top), int(left)
+
+
+def exposed(scan: Scan, transmission: Transmission, window: Window, settings: Settings) -> Exposed:
+    """Counts of a window."""
+    return expose(
+        window.frame,
+        *window.size,
+        scan.scene.solids,
+        transmission.columns,
+        transmission.weights,
+        transmission.starts,
+        scan.scene.background,
+        profile=window.profile,
+        aperture=aperture_of(scan),
+        **settings.pixels,
+    )
+
+
+def _profile(scan: Scan) -> Float[np.ndarray, "part row column"] | None:
+    """Lengths of the beam's profile."""
+    return None if scan.profile is None else scan.profile.lengths
+
+
+def _hard_pixels(window: Window, rng: np.random.Generator) -> Int[np.ndarray, "pixel 2"]:
+    """Some pixels where surfaces meet or maps lie."""
+    found = [np.empty((0, 2), np.int64)]
+    for kind in (KINKED, VOXELS):
+        pixels = np.argwhere(window.classes == kind)
+        found.append(pixels[rng.permutation(len(pixels))[:_BRUTE_PIXELS]])
+    return np.concatenate(found)
+
+
+def _brute(
+    scan: Scan, transmission: Transmission, window: Window, pixels: Int[np.ndarray, "pixel 2"], rays: int
+) -> Float[np.ndarray, "pixel channel"]:
+    """Counts of pixels from a grid of rays."""
+    spectrum = transmission.columns, transmission.weights, transmission.starts
+
+    def expose_part(frame: Frame, aperture: tuple[float, float], n: int) -> Float[np.ndarray, "pixel channel"]:
+        return expose_brute(
+            frame,
+            pixels,
+            scan.scene.solids,
+            *spectrum,
+            scan.scene.background,
+            n=n,
+            profile=window.profile,
+            aperture=aperture,
+        )
+
+    return split_grid(expose_part, window.frame, aperture_of(scan), rays)
+
+
+def worst_difference(images: Sequence[Image], exact: Sequence[Image]) -> float:
+    """The same over whole windows."""
+    pairs = zip(images, exact, strict=True)
+    return max((worst_error(a, b, b.max(axis=(1, 2), keepdims=True)) for a, b in pairs), default=0.0)
+
+
+def _rule_name(rules: tuple[tuple[int, int], ...]) -> str:
+    """Rules in words."""
+    (a, b), (c, d) = rules[0], rules[-1]
+    return f"split, {a} x {b} to {c} x {d} nodes per part"

@@ -1,0 +1,155 @@
+"""From a scan to its dataset: expected counts view by view, noise, truth, and an error measured on the way."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from phantomgen.dataset.compression import Compression, check_compression
+from phantomgen.dataset.truth import StreamedTruth, Truth
+from phantomgen.dataset.writing.frame_journal import FrameJournal, check_journal
+from phantomgen.dataset.writing.writer import DatasetWriter
+from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.ops.voxelize_shapes import fractions
+from phantomgen.runtime.stopwatch import Stopwatch
+from phantomgen.scene.scan import Scan
+from phantomgen.simulation.checks.collisions import check_collisions
+from phantomgen.simulation.checks.field_of_view import coverage_warnings
+from phantomgen.simulation.checks.verification import full_check, quick_check
+from phantomgen.simulation.forward_model.energy_grids import (
+    fit_warnings,
+    material_coefficients,
+    material_fit,
+    reconstructor_spectra,
+)
+from phantomgen.simulation.forward_model.fingerprint import identity
+from phantomgen.simulation.forward_model.frames import Views
+from phantomgen.simulation.planning.make_plan import TOLERANCE, make_plan
+from phantomgen.simulation.projection_cache.cache import Keeper, usable
+from phantomgen.simulation.summary import Summary
+from phantomgen.simulation.write_frames import compute_frames, write_frames
+
+# From a grid to the part of each voxel that each material fills.
+Filled = Callable[[Grid], Float32[np.ndarray, "material z y x"]]
+
+
+def simulate(
+    scan: Scan,
+    out: Path | str,
+    *,
+    tolerance: float | None = None,
+    overwrite: bool = False,
+    keep_expected: bool = False,
+    keep_paths: bool = False,
+    paths: Path | str | None = None,
+    verify: bool = False,
+    progress: bool = False,
+    on_stage: Callable[[str], None] = lambda name: None,
+    resume: bool = False,
+    compression: Compression = "gzip",
+) -> Summary:
+    """Simulate a scan and write its dataset.
+
+    Parameters
+    ----------
+    scan : what is scanned, with what
+    out : name of the dataset; it appears there when complete
+    tolerance : worst error of log projections that is wanted; by default `phantomgen.simulation.planning.make_plan.TOLERANCE` as far as the
+        scene allows
+    overwrite : replace a file that exists
+    keep_expected : store the counts without noise in the truth as well
+    keep_paths : store the projections of each view at a few energies, so that `paths` of a later run may name this one
+    paths : dataset with such projections of the same objects, materials and geometry: views are computed from there,
+        with the spectra, doses, channels and noise of `scan`
+    verify : measure the error on all edge pixels of three views, not on a sample
+    progress : show a progress bar on stderr
+    on_stage : called with the name of each stage when it begins
+    resume : go on with the frames that an interrupted run left, if any; the dataset is the same as without interruption
+    compression : of the large arrays
+
+    Returns
+    -------
+    what it took, and the error of the expected counts
+
+    Raises
+    ------
+    GeometryError
+        When an object lies behind the source, or where the panel is.
+    InputError
+        When a tolerance is given that cannot be met, or projections are those of another scan.
+    """
+    kept = None if paths is None else usable(paths, scan, out, keep_paths)
+    check_collisions(scan)
+    watch = Stopwatch(on_stage)
+    writer = DatasetWriter(out, overwrite, compression)
+    check_journal(writer.path, resume, overwrite)
+    check_compression(compression)
+    with watch("spectrum"):
+        spectra = reconstructor_spectra(scan)
+    with watch("plan"):
+        wanted = TOLERANCE if tolerance is None else tolerance
+        plan, kept_views = (make_plan(scan, wanted), None) if kept is None else kept.planned(scan, wanted)
+        if tolerance is not None:
+            plan.check()
+        scan = plan.scan
+        views = Views(scan, plan.exposure, plan.settings, kept=kept_views)
+        keeper = Keeper.of(plan) if keep_paths else None
+        warnings = [*plan.warnings, *coverage_warnings(scan), *fit_warnings(scan, material_fit(scan))]
+        warnings += [*scan.detector.poor, *plan.exposure.warnings]
+    nominal, options = (
+        scan.nominal or scan.geometry,
+        {"compression": compression, "keep": f"{keep_expected}{' paths' * keep_paths}"},
+    )
+    if kept is not None:
+        options["projections"] = kept.identity
+    same = identity(scan, plan.settings, plan.exposure.groups, options)
+    with FrameJournal(writer.path, same, resume, overwrite) as journal:
+        with watch("views"):
+            compute_frames(journal, views, keep_expected, compression, progress, keeper)
+        with writer:
+            writer.write_scan(
+                scan.name, nominal, spectra, scan.grid, dict(scan.splits), scan.scheme, views.recorded_exposure
+            )
+            writer.write_instrument(nominal, spectra, dict(scan.source_fields))
+            writer.write_mask(spectra.channels, views.detector.recorded_mask)
+            writer.write_process("phantomgen make", scan.seed)
+            with watch("write"):
+                write_frames(writer, views, journal, keep_expected, keeper)
+            with watch("truth"):
+                filled = None if kept is None else kept.fractions(scan)
+                writer.write_truth(streamed_truth(scan, filled), scan.scene.materials)
+                if scan.nominal is not None:
+                    writer.write_true_geometry(scan.geometry, scan.sample_poses)
+            with watch("check"):
+                check, primary = full_check if verify else quick_check, None if kept is None else views.primary
+                error = check(scan, plan.exposure.transmission, plan.settings, primary)
+            writer.write_plan(json.dumps({**plan.to_dict(), "measured": error.to_dict()}, indent=1))
+            writer.finish(spectra)
+    return Summary(
+        path=writer.path,
+        shape=views.shape,
+        size=writer.path.stat().st_size,
+        seconds=watch.seconds,
+        plan=plan,
+        error=error,
+        warnings=warnings,
+    )
+
+
+def scan_truth(scan: Scan) -> Truth:
+    """Material fractions and basis volumes."""
+    return streamed_truth(scan).part(scan.grid)
+
+
+def streamed_truth(scan: Scan, filled: Filled | None = None) -> StreamedTruth:
+    """The same, for volumes that are larger than memory; `filled` says what materials fill where that is known."""
+    names = tuple(m.name for m in scan.scene.materials)
+    solids, background = scan.scene.solids, scan.scene.background
+    coefficients, fit = material_coefficients(scan), material_fit(scan)
+
+    def voxelized(grid: Grid) -> Float32[np.ndarray, "material z y x"]:
+        return fractions(grid, solids, len(names), background=background)
+
+    return StreamedTruth(scan.grid, scan.basis.names, names, coefficients, filled or voxelized, scan.text, fit)

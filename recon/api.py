@@ -1,0 +1,262 @@
+"""The short way from Python: a dataset to a fit that evaluates, renders, scores and saves itself, and its materials."""
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.dataset.reader import Dataset, Region, open_dataset
+from phantomgen.dataset.truth import Truth, read_truth
+from phantomgen.geometry.poses import Geometry
+from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.runtime.guarded import Guard, Salvage, unguarded
+from phantomgen.runtime.plain_json import to_json, write_json
+from phantomgen.runtime.stopwatch import peak_memory_mib
+from phantomgen.runtime.thumbnails import thumbnails
+from recon.evaluation.scoring import score_test_views
+from recon.evaluation.verdict import Verdict
+from recon.gaussians.model import Gaussians
+from recon.gaussians.optimize import Progress
+from recon.gaussians.recipe import RECIPES, Recipe
+from recon.gaussians.reconstruct import Reconstruction, reconstruct
+from recon.kedge.basis_names import Asked, left_out, with_named
+from recon.kedge.choose_basis import BasisChoice, choose_basis
+from recon.output.render_file import rendered, views_of_geometry
+from recon.published_methods.paper.recipe import PaperRecipe
+from recon.published_methods.paper.reconstruct import reconstruct_paper
+from recon.runs.run_folder import Run
+from recon.runs.run_gaussians import metrics_of, verdict_of_fit, write_model, write_result
+from recon.runs.unfinished_run import LOG, log_entry
+from recon.runs.write_run import RunFolder
+from recon.segmentation.result import Options, Segmentation
+from recon.segmentation.segment import segment_subject
+from recon.segmentation.subject import Subject, detected_spectrum, open_subject
+from spectra.basis.basis import Basis, pretty
+from spectra.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Projections:
+    """What a model expects in some views.
+
+    Parameters
+    ----------
+    line_integrals : of every basis [no unit]
+    counts : expected in every channel
+    """
+
+    line_integrals: Float[np.ndarray, "view basis row column"]
+    counts: Float[np.ndarray, "view channel row column"]
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A finished fit.
+
+    Parameters
+    ----------
+    result : model, what it started from, its spectral model, seconds per stage
+    basis : functions of energy that the dataset states or that were found; those of the model are the first
+    grid : the volume that the scan asked for
+    recipe : what steered it
+    path, air : the dataset, which is opened again for scores and names of channels
+    choice : of basis functions; None for the paper's method, which takes what it is told
+    left_out : names of the dataset's basis functions that are not fitted
+    log : one entry per step
+    """
+
+    result: Reconstruction
+    basis: Basis
+    grid: Grid
+    recipe: Recipe | PaperRecipe
+    path: Path
+    air: Region | None = None
+    choice: BasisChoice | None = None
+    left_out: tuple[str, ...] = ()
+    log: list[dict[str, Any]] = field(default_factory=list, repr=False)
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """The model."""
+        return self.result.gaussians
+
+    @property
+    def basis_names(self) -> tuple[str, ...]:
+        """Names of the model's bases."""
+        return self.gaussians.basis_names
+
+    def __repr__(self) -> str:
+        seconds = sum(self.result.seconds.values())
+        return f"Fit({self.path.name}: {len(self.gaussians)} Gaussians, {', '.join(self.basis_names)}, {seconds:.0f} s)"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        middle = self.grid.slices(self.grid.shape[0] // 2, 1)
+        images = [(pretty(n), v[0, ::-1]) for n, v in zip(self.basis_names, self.volume(middle), strict=True)]
+        return thumbnails(repr(self), images)
+
+    def volume(self, grid: Grid | None = None) -> Float[np.ndarray, "basis z y x"]:
+        """Every basis on a grid, that of the scan where left out: means over voxels [1/mm]."""
+        return self.gaussians.volume(grid or self.grid)
+
+    def render(self, geometry: Geometry) -> Projections:
+        """Line integrals and expected counts in any views, for ideal pixels that get as many photons as the scan's."""
+        transmission = self.result.transmission
+        columns = transmission.columns[: len(self.basis_names)]
+        run = Run(self.gaussians, self.grid, self.basis, replace(transmission, columns=columns))
+        views = views_of_geometry(run, geometry)
+        images = [rendered(run, views, view) for view in range(len(geometry))]
+        lengths, counts = (np.stack(parts) for parts in zip(*images, strict=True))
+        return Projections(lengths, counts.astype(np.float32))
+
+    @property
+    def verdict(self) -> Verdict:
+        """What to know of it, in sentences, without the truth; see `recon.evaluation.verdict`."""
+        with self._dataset() as dataset:
+            channels: dict[str, Any] = {}
+            if len(dataset.splits["test"]):
+                channels = score_test_views(dataset, self.gaussians, self.result.unreliable)
+            return verdict_of_fit(dataset, self.result, channels)
+
+    def score(self) -> dict[str, Any]:
+        """Scores as ``metrics.json`` has them: against the truth where the dataset has one, and on its test views."""
+        return self._metrics(unguarded)
+
+    def _metrics(self, guard: Guard) -> dict[str, Any]:
+        """The same, without what `guard` catches."""
+        with self._dataset() as dataset:
+            truth: Truth | None = None
+            with guard("reading the truth"):
+                truth = read_truth(self.path)
+            metrics = metrics_of(dataset, truth, self.result, self.recipe.seed, guard)
+        metrics["bases_left_out"] = list(self.left_out)
+        metrics |= {} if self.choice is None else {"basis_choice": self.choice.record()}
+        metrics["recipe"] = self.recipe.says if isinstance(self.recipe, PaperRecipe) else self.recipe.name
+        return metrics | {"seconds": self.result.seconds, "peak_memory_mib": peak_memory_mib()}
+
+    def save(self, folder: Path | str, *, overwrite: bool = False) -> Path:
+        """Write a run folder that every command of ``recon`` reads, scores included.
+
+        The model and its volumes are written first; scores that fail are left out and warned of.
+
+        Raises
+        ------
+        InputError
+            When the folder exists and `overwrite` is not given.
+        """
+        target = RunFolder(Path(folder), overwrite)
+        guard = Salvage(lambda sentence, error: warnings.warn(sentence, RuntimeWarning, stacklevel=5))
+        with target as part, self._dataset() as dataset:
+            write_model(dataset, self.recipe, self.result, part)
+            write_result(dataset, self.result, part)
+            (part / LOG).write_text("".join(to_json(entry) + "\n" for entry in self.log), encoding="utf-8")
+            metrics = self._metrics(guard)
+            write_json(part / "metrics.json", metrics | ({"failed": guard.failed} if guard.failed else {}))
+        return target.path
+
+    def _dataset(self) -> Dataset:
+        return open_dataset(self.path, self.air).with_basis(self.basis)
+
+
+def fit(
+    dataset: Dataset | str | Path,
+    recipe: Recipe | PaperRecipe | str = "fast",
+    *,
+    bases: Asked = None,
+    edges: Sequence[float] | None = None,
+    callbacks: Sequence[Any] = (),
+) -> Fit:
+    """Fit Gaussians to the training views of a dataset; its truth is not read.
+
+    Parameters
+    ----------
+    dataset : open, or where it is
+    recipe : numbers that steer it, or ``fast``, ``best`` or ``paper``
+    bases : how many basis functions to fit, or their names, such as ``("photoelectric", "compton", "kedge_I")``; those
+        that the counts warrant where left out
+    edges : where to look for K edges [keV], see `recon.kedge.choose_basis.choose_basis`; None to believe the dataset
+    callbacks : functions, or objects with a method ``on_step``, that get a `recon.gaussians.optimize.Progress` after every step
+        and end the fit by returning True; objects may have a method ``on_end`` that gets the finished `Fit`
+
+    Raises
+    ------
+    InputError
+        When there is no such recipe, or the data cannot be fitted as asked.
+    """
+    if not isinstance(dataset, Dataset):
+        with open_dataset(dataset) as opened:
+            return fit(opened, recipe, bases=bases, edges=edges, callbacks=callbacks)
+    how, log, stated = _recipe(recipe), [], dataset.spectra.basis.names
+    told = [_on_step(callback) for callback in callbacks]
+
+    def on_step(progress: Progress) -> bool:
+        log.append(log_entry(progress, dataset.spectra.channels))
+        return any([bool(tell(progress)) for tell in told])  # noqa: C419 - all of them are told
+
+    if isinstance(how, PaperRecipe):
+        chosen, count = with_named(dataset, bases)
+        choice, basis = None, chosen.spectra.basis
+        result = reconstruct_paper(chosen, how, count, on_step=on_step)
+    else:
+        choice = choose_basis(dataset, bases, edges)
+        basis = choice.basis
+        result = reconstruct(dataset.with_basis(basis), how, on_step=on_step)
+    missing = left_out(stated, result.gaussians.basis_names)
+    finished = Fit(result, basis, dataset.grid, how, dataset.path.absolute(), dataset.air, choice, missing, log)
+    for callback in callbacks:
+        if hasattr(callback, "on_end"):
+            callback.on_end(finished)
+    return finished
+
+
+def segment(run: Fit | Path | str, **options: Any) -> Segmentation:
+    """Find the materials of a finished fit, or of a run folder that ``recon fit`` wrote; their truth is not read.
+
+    Parameters
+    ----------
+    run : a fit, or a folder of any method
+    options : what `recon.segmentation.result.Options` has, such as ``energies=(50, 70)`` or ``domain="voxels"``
+
+    Raises
+    ------
+    DatasetError
+        When the folder is not a complete run of this version.
+    InputError
+        When there is no such option, it cannot be, or the run has no Gaussians to segment, or nothing but air.
+    """
+    known = [field.name for field in fields(Options)]
+    for name in options:
+        if name not in known:
+            raise InputError(f"there is no option {name!r} of a segmentation: choose from {', '.join(known)}")
+    chosen = Options(**options)
+    if not isinstance(run, Fit):
+        return segment_subject(open_subject(Path(run)), chosen)
+    basis = Basis(run.basis.functions[: len(run.basis_names)], run.basis.reference_energy)
+    spectrum = detected_spectrum(basis, run.result.transmission)
+    return segment_subject(Subject(run.volume(), run.grid, basis, *spectrum, run.gaussians, run.path.name), chosen)
+
+
+def _recipe(recipe: Recipe | PaperRecipe | str) -> Recipe | PaperRecipe:
+    if not isinstance(recipe, str):
+        return recipe
+    if recipe == "paper":
+        return PaperRecipe()
+    if recipe not in RECIPES:
+        known = ", ".join([*RECIPES, "paper"])
+        raise InputError(f"there is no recipe {recipe!r}: choose from {known}, or pass a recon.Recipe")
+    return RECIPES[recipe]
+
+
+def _on_step(callback: Any) -> Callable[[Progress], Any]:
+    """What to call after a step."""
+    if hasattr(callback, "on_step"):
+        return callback.on_step
+    if hasattr(callback, "on_end"):
+        return lambda progress: None
+    if not callable(callback):
+        raise InputError(f"a callback is a function or has a method on_step or on_end, got {callback!r}")
+    return callback

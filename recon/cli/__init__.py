@@ -1,0 +1,1 @@
+"""The command recon, one file per command: parse, call, print."""

@@ -1,0 +1,83 @@
+"""The command ``recon compare``: parse, call, print."""
+
+import json
+from pathlib import Path
+
+import click
+
+from phantomgen.cli.common import debug_option, json_option
+from recon.cli.run_argument import check_run_name
+
+CHECK_FAILED = 3  # exit code of a comparison that was made, and did not turn out as was required
+_METHODS = "fdk,cgls,pdhg-tv,one-step,gaussian"
+
+
+@click.command(
+    epilog="\b\nExamples:\n  recon compare kedge.h5 --budget 60s,240s\n"
+    "  recon compare kedge-small.h5 --methods fdk,sart+image,gaussian+2,gaussian --budget 20s --clock cpu --threads 1"
+)
+@click.argument("dataset", type=click.Path(dir_okay=False, path_type=Path))
+@click.option("--methods", metavar="NAME,...", help=f"What takes part; see docs/compare.md [default: {_METHODS}].")
+@click.option("--study", metavar="NAME", help="A table of the paper in place of --methods; see docs/compare.md.")
+@click.option("--budget", metavar="SECONDS,...", default="60s", show_default=True, help="Time of each method.")
+@click.option("--protocol", default="honest", show_default=True, help="Scores to show: honest, paper or r2.")
+@click.option("--clock", type=click.Choice(["wall", "cpu"]), default="wall", show_default=True, help="What is counted.")
+@click.option("--require", metavar="NAME", multiple=True, help="Exit with 3 unless gaussian is above it; repeatable.")
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder to write [default: <dataset>-compare].")
+@click.option("--resume", is_flag=True, help="Run what is missing in a folder that exists.")
+@click.option("--overwrite", is_flag=True, help="Replace a folder that exists.")
+@click.option("--threads", type=click.IntRange(min=1), help="Number of threads of each method [default: all].")
+@click.option("-q", "--quiet", is_flag=True, help="Say nothing on the way.")
+@json_option
+@debug_option
+def compare(
+    dataset: Path,
+    methods: str | None,
+    study: str | None,
+    budget: str,
+    protocol: str,
+    clock: str,
+    require: tuple[str, ...],
+    out: Path | None,
+    resume: bool,
+    overwrite: bool,
+    threads: int | None,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Run methods on DATASET at equal time budgets, and score them.
+
+    Every method runs in a process of its own, on the same training views and with the same projector. What it has when
+    a budget ends is scored; time spent on scores does not count. Writes compare.json, compare.csv, compare.md and a
+    figure of error against time.
+    """
+    from recon.comparison.campaign import Campaign
+    from recon.comparison.contenders.contender import contenders
+    from recon.comparison.outcome import parse_budgets, requirements, write_outcome
+    from recon.comparison.scoring.protocols import protocol_named
+    from recon.comparison.studies import study_named
+
+    if methods is not None and study is not None:
+        raise click.UsageError("Give either --methods or --study.")
+    if out is not None:
+        check_run_name(out)
+    protocol_named(protocol)
+    chosen = None if study is None else study_named(study, dataset)
+    who = contenders((methods or _METHODS).split(",")) if chosen is None else chosen.contenders
+    budgets = parse_budgets(budget)
+    required = contenders(require) if require else ()
+    folder = out or Path(f"{dataset.stem}-{study or 'compare'}")
+    campaign = Campaign(dataset, folder, clock, threads, resume, overwrite)
+    campaign.run(who, budgets, (lambda sentence: None) if quiet or as_json else lambda s: click.echo(s, err=True))
+    results = campaign.results(who, budgets)
+    text = write_outcome(campaign, results, protocol, chosen)
+    failed = requirements(results, required, budgets[-1], protocol)
+    if as_json:
+        click.echo(json.dumps({"compare": str(folder), "protocol": protocol, "failed": failed, "results": results}))
+    else:
+        click.echo(text)
+        for sentence in failed:
+            click.echo(sentence, err=True)
+        click.echo(f"Wrote {folder}; next: look at {folder / 'figures' / 'error-against-time.png'}")
+    if failed:
+        raise click.exceptions.Exit(CHECK_FAILED)

@@ -1,0 +1,67 @@
+"""The command ``recon export``: results in formats of other programs."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from phantomgen.cli.common import debug_option, json_option
+from recon.cli.run_argument import RunFolder
+
+
+@click.command(
+    epilog="\b\nExamples:\n  recon export kedge-run -o kedge.vti\n  recon export kedge-run -o kedge.ply --overwrite"
+)
+@click.argument("run", type=RunFolder())
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    required=True,
+    help="File: .vti, .nii or .nii.gz for volumes, .ply for Gaussians.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace a file that exists.")
+@json_option
+@debug_option
+def export(run: Path, out: Path, overwrite: bool, as_json: bool) -> None:
+    """Write the basis volumes of RUN, or its Gaussians, for ParaView, 3D Slicer, SuperSplat and others.
+
+    x, y and z are those of the scan, in mm; coefficients are in 1/mm. Other grids: `recon volume`.
+    """
+    from phantomgen.dataset.writing.writer import check_output
+    from phantomgen.exporters.volumes import FORMATS, suffix_of, writer_of
+    from recon.output.ply import check_ply
+
+    splats = suffix_of(out, {**FORMATS, ".ply": "ply"}) == ".ply"
+    _ = check_ply() if splats else writer_of(out)
+    check_output(out, overwrite)
+    found = _export_gaussians(run, out) if splats else _export_volumes(run, out)
+    click.echo(json.dumps({"file": str(out), **found}) if as_json else f"Wrote {out}: {_said(found)}")
+
+
+def _export_volumes(run: Path, out: Path) -> dict[str, Any]:
+    from phantomgen.exporters.volumes import basis_volumes, write_volumes
+    from recon.runs.read_run import read_run
+
+    stored = read_run(run)
+    write_volumes(out, basis_volumes(stored.grid, stored.basis_names, stored.volumes))
+    return {"volumes": list(stored.basis_names), "shape": list(stored.grid.shape)}
+
+
+def _export_gaussians(run: Path, out: Path) -> dict[str, Any]:
+    from recon.output.ply import write_ply
+    from recon.runs.read_run import read_run
+    from spectra.errors import InputError
+
+    gaussians = read_run(run).gaussians
+    if gaussians is None:
+        raise InputError(f"{run} is a run in voxels without Gaussians: export its volumes as .vti, .nii or .nii.gz")
+    write_ply(out, gaussians)
+    return {"gaussians": len(gaussians), "bases": list(gaussians.basis_names)}
+
+
+def _said(found: dict[str, Any]) -> str:
+    if "gaussians" in found:
+        return f"{found['gaussians']} Gaussians with {', '.join(found['bases'])}"
+    return f"{', '.join(found['volumes'])}, {' x '.join(map(str, found['shape']))} voxels"

@@ -1,0 +1,64 @@
+"""The command ``recon view``: a run in a window, a picture or a page."""
+
+from pathlib import Path
+
+import click
+
+from phantomgen.cli.common import debug_option
+from recon.cli.run_argument import RunFolder
+
+_FILE = click.Path(dir_okay=False, path_type=Path)
+
+
+@click.command(
+    epilog="\b\nExamples:\n  recon view kedge-run\n"
+    "  recon view kedge-run --truth kedge.h5 --screenshot run.png --html run.html"
+)
+@click.argument("run", type=RunFolder())
+@click.option(
+    "--truth", type=_FILE, metavar="DATASET", help="Compare with its truth [default: of the run, if it lies beside it]."
+)
+@click.option("--basis", metavar="NAME", help="Slices of one basis [default: all; in a window the first].")
+@click.option(
+    "--level", "levels", metavar="BASIS=VALUE", multiple=True, help="A surface at a value in 1/mm, not of materials."
+)
+@click.option("--at", metavar="X,Y,Z", help="Where the slices cut, in mm [default: the centre].")
+@click.option("--screenshot", type=_FILE, help="Write a PNG; needs no display.")
+@click.option("--html", type=_FILE, help="Write one page to turn in a browser; needs no display.")
+@click.option("--size", metavar="WIDTHxHEIGHT", help="Pixels [default: 1600x1000, wider for many bases].")
+@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
+@debug_option
+def view(
+    run: Path,
+    truth: Path | None,
+    basis: str | None,
+    levels: tuple[str, ...],
+    at: str | None,
+    screenshot: Path | None,
+    html: Path | None,
+    size: str | None,
+    overwrite: bool,
+) -> None:
+    """Look at a RUN: slices of truth, result and difference, surfaces, and Gaussians.
+
+    All panels turn together. In a window the keys Left and Right change the basis, x, y and z move a plane up, and
+    X, Y and Z down.
+    """
+    from phantomgen.display.viewer.options import point_of, size_of
+    from phantomgen.display.viewer.output import check_outputs
+    from recon.output.viewer.load import load_run
+    from recon.output.viewer.output import chosen_bases, show
+    from recon.output.viewer.surfaces import checked_levels, parse_levels
+    from recon.runs.read_run import check_run_folder
+
+    check_run_folder(run)
+    check_outputs(screenshot, html, overwrite)
+    pixels, chosen = size_of(size) if size else None, parse_levels(levels)
+    content = load_run(run, truth, point_of(at) if at else None)
+    bases = chosen_bases(content, basis)
+    checked_levels(content, chosen or {})
+    if content.truth is None:
+        click.echo("Note: the truth of the scan was not found, so only the result is shown; see --truth.", err=True)
+    show(content, bases, chosen, screenshot, html, pixels)
+    for path in filter(None, (screenshot, html)):
+        click.echo(path)

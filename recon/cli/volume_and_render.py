@@ -1,0 +1,161 @@
+"""The commands ``recon volume`` and ``recon render``: a fitted model on other grids, at energies, from other views."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from phantomgen.cli.common import debug_option, json_option
+from recon.cli.run_argument import RunFolder
+
+_RUN = RunFolder()
+_FILE = click.Path(dir_okay=False, path_type=Path)
+_SUFFIXES = (".h5", ".hdf5")
+_POSITIVE = click.FloatRange(min=0, min_open=True)
+
+
+def _common(command: Callable) -> Callable:
+    """Options that both commands have."""
+    options = (
+        click.option("--overwrite", is_flag=True, help="Replace a file that exists."),
+        click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all]."),
+        click.option("-q", "--quiet", is_flag=True, help="No progress bar."),
+        json_option,
+        debug_option,
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+@click.command(
+    epilog="\b\nExamples:\n  recon volume kedge-run --voxel 0.5 --size 160 -o fine.h5\n"
+    "  recon volume kedge-run --energy 60"
+)
+@click.argument("run", type=_RUN)
+@click.option("-o", "--out", type=_FILE, help="File to write [default: <run>-volume.h5].")
+@click.option("--grid", metavar="N|Z,Y,X", help="Number of voxels along each axis.")
+@click.option("--voxel", type=_POSITIVE, metavar="MM", help="Edge of a voxel [default: as in the scan].")
+@click.option("--size", metavar="MM|Z,Y,X", help="Size of the volume, in place of --grid.")
+@click.option("--center", metavar="Z,Y,X", help="Centre of the volume in mm [default: the isocentre].")
+@click.option("--like", type=_FILE, metavar="DATASET", help="Take the grid of a dataset.")
+@click.option("--energy", type=_POSITIVE, metavar="KEV", help="Attenuation at an energy, in place of basis volumes.")
+@_common
+def volume(
+    run: Path,
+    out: Path | None,
+    grid: str | None,
+    voxel: float | None,
+    size: str | None,
+    center: str | None,
+    like: Path | None,
+    energy: float | None,
+    overwrite: bool,
+    threads: int | None,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Write the basis volumes of a fitted RUN, or its attenuation at an energy, on any grid.
+
+    Without options for a grid it is that of the scan. The file is like volumes.h5 and is written slab by slab.
+    """
+    from recon.output.volume_file import chosen_grid, write_volume
+    from recon.runs.run_folder import open_run
+    from spectra.threads import set_threads
+
+    target = out or Path(f"{run.resolve().name}-volume.h5")
+    _check_free(target, overwrite)
+    fitted = open_run(run)
+    chosen = chosen_grid(fitted.grid, grid, voxel, size, center, like)
+    set_threads(threads)
+    bar = _Bar("voxelize", "slice", quiet or as_json)
+    write_volume(target, fitted, chosen, energy, bar.update)
+    bar.close()
+    shape = " x ".join(map(str, chosen.shape))
+    what = "basis volumes" if energy is None else f"attenuation at {energy:g} keV"
+    found = {"volume": str(target), "shape": list(chosen.shape), "spacing_mm": list(chosen.spacing), "energy": energy}
+    _report(as_json, found, f"Wrote {target}: {what}, {shape} voxels")
+
+
+@click.command(
+    epilog="\b\nExamples:\n  recon render kedge-run --like kedge.h5\n"
+    "  recon render kedge-run --scene-geometry helix.yaml -o helix.h5"
+)
+@click.argument("run", type=_RUN)
+@click.option("-o", "--out", type=_FILE, help="File to write [default: <run>-render.h5].")
+@click.option("--like", type=_FILE, metavar="DATASET", help="Views, flats and exposure of a dataset.")
+@click.option("--scene-geometry", type=_FILE, metavar="YAML", help="Views of a file with the keys geometry and panel.")
+@_common
+def render(
+    run: Path,
+    out: Path | None,
+    like: Path | None,
+    scene_geometry: Path | None,
+    overwrite: bool,
+    threads: int | None,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Write line integrals of a fitted RUN, and the counts expected in each channel, for any geometry.
+
+    With --like counts are those of the dataset's own pixels and exposures; with --scene-geometry those of ideal pixels,
+    each of which gets as many photons as those of the scan that was fitted.
+    """
+    from recon.output.render_file import views_of_dataset, views_of_file, write_render
+    from recon.runs.run_folder import open_run
+    from spectra.threads import set_threads
+
+    if (like is None) == (scene_geometry is None):
+        raise click.UsageError("Give either --like or --scene-geometry.")
+    target = out or Path(f"{run.resolve().name}-render.h5")
+    _check_free(target, overwrite)
+    fitted = open_run(run)
+    views = views_of_dataset(fitted, like) if like is not None else views_of_file(fitted, Path(str(scene_geometry)))
+    set_threads(threads)
+    bar = _Bar("render", "view", quiet or as_json)
+    write_render(target, fitted, views, bar.update)
+    bar.close()
+    panel = views.geometry.panel
+    shape = [len(views.geometry), len(views.channels), panel.rows, panel.columns]
+    bases = list(fitted.gaussians.basis_names)
+    found = {"render": str(target), "shape": shape, "channels": list(views.channels), "bases": bases}
+    _report(as_json, found, f"Wrote {target}: {shape[0]} views of {panel.rows} x {panel.columns} pixels")
+
+
+def _check_free(path: Path, overwrite: bool) -> None:
+    from phantomgen.dataset.writing.writer import check_output
+    from spectra.errors import InputError
+
+    if path.suffix.lower() not in _SUFFIXES:
+        raise InputError(
+            f"the output {path} is an HDF5 file, whose name ends in {' or '.join(_SUFFIXES)}; "
+            "`recon export` writes other formats"
+        )
+    check_output(path, overwrite)
+
+
+def _report(as_json: bool, found: dict[str, Any], text: str) -> None:
+    click.echo(json.dumps(found) if as_json else text)
+
+
+class _Bar:
+    """Progress on stderr."""
+
+    def __init__(self, what: str, unit: str, quiet: bool) -> None:
+        self.what, self.unit, self.quiet = what, unit, quiet
+        self.bar: Any = None
+
+    def update(self, done: int, total: int) -> None:
+        """So many are done."""
+        from tqdm.auto import tqdm
+
+        if self.bar is None:
+            self.bar = tqdm(total=total, desc=self.what, unit=self.unit, disable=True if self.quiet else None)
+        self.bar.update(done - self.bar.n)
+
+    def close(self) -> None:
+        """The end."""
+        if self.bar is not None:
+            self.bar.close()

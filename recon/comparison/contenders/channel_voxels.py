@@ -1,0 +1,39 @@
+"""A volume of attenuation per channel, the result of methods that take channels one by one."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.dataset.reader import Dataset
+from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.ops.project import project
+from recon.data.measurements import read_measurements
+from recon.evaluation.metrics import HeldOutView
+from recon.evaluation.scoring import VIEWS_AT_ONCE
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelVoxels:
+    """Attenuation of every channel on one grid.
+
+    Parameters
+    ----------
+    values : [1/mm]
+    grid : their voxels
+    """
+
+    values: Float[np.ndarray, "channel z y x"]
+    grid: Grid
+
+    def held_out_views(self, dataset: Dataset) -> Iterator[HeldOutView]:
+        """Test views of a dataset and what the volumes let one expect there: open beam times exp(-line integral)."""
+        test, panel = dataset.splits["test"], dataset.geometry.panel
+        for first in range(0, len(test), VIEWS_AT_ONCE):
+            measured = read_measurements(dataset, test[first : first + VIEWS_AT_ONCE], 1)
+            frames = measured.geometry.ray_frames()
+            lengths = np.moveaxis(project(self.values, self.grid, frames, panel.rows, panel.columns), 0, 1)
+            open_beam = measured.exposure[:, :, None, None] * (measured.gains * measured.open_beam)
+            for counts, air, length in zip(measured.counts, open_beam, lengths, strict=True):
+                yield HeldOutView.of(counts, air * np.exp(-length), air)

@@ -1,0 +1,52 @@
+"""Methods that predict views and have no volume, against the clock."""
+
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from phantomgen.dataset.reader import Dataset
+from phantomgen.geometry.poses import Geometry
+from recon.comparison.contenders.clock import Spent
+from recon.comparison.contenders.model import Model, Runs, StoredViews
+from recon.comparison.contenders.recorder import Recorder
+from recon.data.measurements import read_measurements
+from recon.voxel.image_domain import log_projections
+from recon.voxel.method import Iteration, ViewMethod, ViewModel
+
+
+def run_views(dataset: Dataset, method: ViewMethod, recorder: Recorder) -> Runs:
+    """Run until the largest budget is spent, or the method is done.
+
+    Parameters
+    ----------
+    dataset : an open dataset, restricted to what the contender may see; only ``/entry`` is read
+    method : predicts views
+    recorder : is given what every iteration expects in the test views
+    """
+    test = dataset.geometry[dataset.splits["test"]]
+
+    def record(iteration: Iteration) -> None:
+        assert iteration.views is not None
+        recorder.add(iteration.done, iteration.total, partial(_save, iteration.views, test))
+
+    recorder.clock.start()
+    measured = read_measurements(dataset, dataset.splits["train"]).completed()
+    unseen = measured.unseen
+    weights = np.broadcast_to(~unseen, measured.counts[:, 0].shape).astype(np.float32) if unseen.any() else None
+    with suppress(Spent):
+        method.learn_views(log_projections(measured), weights, measured.geometry, dataset.grid, record)
+        recorder.finished = True
+    recorder.clock.stop()
+    return Runs((recorder,), _load)
+
+
+def _save(views: ViewModel, geometry: Geometry, path: Path) -> None:
+    with path.open("wb") as file:
+        np.save(file, views(geometry).astype(np.float32))
+
+
+def _load(path: Path) -> Model:
+    with path.open("rb") as file:
+        return Model(None, views=StoredViews(np.load(file)))

@@ -1,0 +1,119 @@
+"""Methods of `recon.runs.methods` against the clock: one run, whose iterations serve all budgets."""
+
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from phantomgen.dataset.reader import Dataset
+from phantomgen.geometry.poses import Geometry
+from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.runtime.stopwatch import Stopwatch
+from recon.comparison.contenders.channel_voxels import ChannelVoxels
+from recon.comparison.contenders.clock import Spent
+from recon.comparison.contenders.contender import Contender
+from recon.comparison.contenders.model import Model, Runs
+from recon.comparison.contenders.recorder import Recorder
+from recon.comparison.contenders.timed_views import run_views
+from recon.data.measurements import read_measurements
+from recon.gaussians.recipe import Recipe
+from recon.runs.methods import method_named
+from recon.runs.run_voxels import check_method, reconstruct_volumes
+from recon.voxel.image_domain import linear_response
+from recon.voxel.iterative.multigrid import resampled
+from recon.voxel.method import (  # fmt: skip
+    Images,
+    Iteration,
+    LinearMethod,
+    OnIteration,
+    ViewMethod,
+    Volumes,
+    Weights,
+    unwatched,
+)
+from recon.voxel.model import Voxels
+
+
+def run_voxels(dataset: Dataset, contender: Contender, recorder: Recorder) -> Runs:
+    """Run until the largest budget is spent, or the method is done.
+
+    Parameters
+    ----------
+    dataset : an open dataset, restricted to what the contender may see; only ``/entry`` is read
+    contender : its method is one of `recon.runs.methods.METHODS`
+    recorder : is given every iteration
+    """
+    method = method_named(contender.method)
+    pipeline = "image" if contender.image else "two-step"
+    check_method(method, pipeline, dataset)
+    if isinstance(method, ViewMethod):
+        return run_views(dataset, method, recorder)
+    grid, told = dataset.grid, unwatched
+
+    def record(iteration: Iteration) -> None:
+        save = partial(_save, iteration.volumes, iteration.grid or grid, grid)
+        recorder.add(iteration.done, iteration.total, save)
+
+    if contender.image and isinstance(method, LinearMethod):
+        method = Overheard(method, record)
+    else:
+        told = record
+    recorder.clock.start()
+    measured = read_measurements(dataset, dataset.splits["train"], contender.bases).without_partial_volume()
+    measured = measured.compressed(Recipe().node_tolerance)[0]
+    with suppress(Spent):
+        reconstruct_volumes(measured, grid, method, pipeline, Stopwatch(), told)
+        recorder.finished = True
+    recorder.clock.stop()
+    names = measured.basis_names
+    if contender.image:
+        return Runs((recorder,), partial(_channels, grid=grid, names=names, response=linear_response(measured)))
+    return Runs((recorder,), partial(_bases, grid=grid, names=names))
+
+
+@dataclass(frozen=True, eq=False)
+class Overheard:
+    """A linear method whose own volumes are heard of, before anything is made of them."""
+
+    method: LinearMethod
+    record: OnIteration
+
+    @property
+    def name(self) -> str:
+        """That of the method."""
+        return self.method.name
+
+    def reconstruct(
+        self,
+        line_integrals: Images,
+        weights: Weights | None,
+        geometry: Geometry,
+        grid: Grid,
+        on_iteration: OnIteration = unwatched,
+    ) -> Volumes:
+        """What the method makes of them; `on_iteration` is not told."""
+        del on_iteration
+        return self.method.reconstruct(line_integrals, weights, geometry, grid, self.record)
+
+
+def _save(volumes: Volumes, here: Grid, grid: Grid, path: Path) -> None:
+    with path.open("wb") as file:
+        np.save(file, resampled(volumes, here, grid).astype(np.float32))
+
+
+def _load(path: Path) -> Volumes:
+    with path.open("rb") as file:
+        return np.load(file)
+
+
+def _bases(path: Path, grid: Grid, names: tuple[str, ...]) -> Model:
+    return Model(Voxels(_load(path), grid, names))
+
+
+def _channels(path: Path, grid: Grid, names: tuple[str, ...], response: np.ndarray) -> Model:
+    """Channels as they are, and the bases that explain them best in every voxel."""
+    channels = _load(path)
+    bases = np.einsum("mc,czyx->mzyx", np.linalg.pinv(response).astype(np.float32), channels)
+    return Model(Voxels(bases, grid, names), ChannelVoxels(channels, grid))

@@ -1,0 +1,1 @@
+"""All scores of one model of a comparison, by named protocols."""

@@ -1,0 +1,45 @@
+"""Scores of the material maps that a model leads to, see `recon.segmentation`."""
+
+from typing import Any
+
+import numpy as np
+
+from phantomgen.dataset.reader import Dataset
+from recon.data.measurements import read_measurements
+from recon.gaussians.model import Gaussians
+from recon.segmentation.result import Options
+from recon.segmentation.scoring.reference import read_reference
+from recon.segmentation.scoring.scores import score
+from recon.segmentation.segment import segment_subject
+from recon.segmentation.subject import Subject, detected_spectrum
+from recon.voxel.model import Voxels
+from spectra.basis.basis import Basis
+from spectra.errors import Error
+
+
+def score_maps(bases: Gaussians | Voxels, dataset: Dataset) -> dict[str, Any]:
+    """Dice by material and its mean, and how alike views and slices in colour are; empty where nothing can be scored.
+
+    Parameters
+    ----------
+    bases : volumes of some of the dataset's basis functions
+    dataset : with a truth
+    """
+    known = dataset.spectra.basis
+    functions = tuple(f for f in known.functions if f.name in bases.basis_names)
+    if tuple(f.name for f in functions) != bases.basis_names:
+        return {}
+    basis = Basis(functions, known.reference_energy)
+    transmission = read_measurements(dataset.with_basis(basis), np.array([0])).transmission
+    model = bases if isinstance(bases, Gaussians) else None
+    subject = Subject(bases.volume(dataset.grid), dataset.grid, basis, *detected_spectrum(basis, transmission), model)
+    try:
+        found = segment_subject(subject, Options())
+        reference = read_reference(dataset.path, found)
+    except Error:  # nothing but air, or a truth on another grid
+        return {}
+    if reference is None:
+        return {}
+    scores = score(found, reference)
+    dice = {name: row["dice"] for name, row in scores["materials"].items() if row["voxels"]}
+    return {"dice": dice, **{key: scores[key] for key in ("mean_dice", "rgb_views", "rgb_slices")}}

@@ -1,0 +1,1 @@
+"""Results of a comparison as Markdown, CSV and figures, beside published numbers."""

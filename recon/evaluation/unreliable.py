@@ -1,0 +1,147 @@
+"""Voxels whose bases the counts do not tell: metal, and what hardly a photon came through. The truth takes no part.
+
+No mixture of basis functions attenuates as metal does, and K edges are held at 0 in it (`recon.data.volume_edges`).
+Where rays are starved, channels no longer tell bases apart; how well they do follows from the Fisher information of the
+rays through a voxel. Marked voxels keep their values; scores are given over all voxels, and without these.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from scipy.ndimage import label
+
+from phantomgen.geometry.voxel_grid import Grid
+from recon.data.measurements import Measurements, matching_bin
+from recon.data.view_subsets import kinds_of, spread
+from recon.data.volume_edges import over_metal, relative_density
+from recon.ops.likelihood import likelihood
+from recon.ops.nonnegative_newton import as_matrices
+from recon.voxel.iterative.likelihood import forward, transpose
+from spectra.cramer_rao import least_deviations
+
+METAL, STARVED = 1, 2  # flags of a voxel
+LESS_SURE = 5.0  # times the typical standard deviation of a basis, from which on a voxel is starved; see `docs/fit.md`
+SOMETHING = 0.1  # of the typical density; voxels with more hold something
+VIEWS = 16  # at most, evenly spread, whose information is computed; that of the others is alike
+SLAB_VALUES = 1 << 26  # numbers of a slab of voxels that are held at once
+
+
+@dataclass(frozen=True, eq=False)
+class Unreliable:
+    """Marked voxels.
+
+    Parameters
+    ----------
+    flags : sum of `METAL` and `STARVED` in every voxel, 0 elsewhere
+    grid : their voxels
+    held : how many voxels hold something
+    """
+
+    flags: UInt8[np.ndarray, "z y x"]
+    grid: Grid
+    held: int
+
+    @property
+    def marked(self) -> Bool[np.ndarray, "z y x"]:
+        """Which voxels are marked."""
+        return self.flags > 0
+
+    def record(self) -> dict[str, Any]:
+        """How many, where and why, for ``metrics.json``."""
+        pieces, places = label(self.marked)  # type: ignore[misc]
+        largest = pieces == 1 + np.argmax(np.bincount(pieces.ravel())[1:])
+        axes = [self.grid.axis(name) for name in "zyx"]
+        ends = [
+            axis[np.flatnonzero(largest.any(axis=other))[[0, -1]]] for axis, other in zip(axes, _OTHERS, strict=True)
+        ]
+        return {
+            "voxels": int(self.marked.sum()),
+            "part": float(self.marked.sum() / max(self.held, 1)),
+            "metal": int(((self.flags & METAL) > 0).sum()),
+            "starved": int(((self.flags & STARVED) > 0).sum()),
+            "places": int(places),
+            "largest_mm": {name: [float(v) for v in end] for name, end in zip("zyx", ends, strict=True)},
+        }
+
+
+_OTHERS = ((1, 2), (0, 2), (0, 1))
+
+
+def unreliable_voxels(
+    volumes: Float[np.ndarray, "basis z y x"], measured: Measurements, grid: Grid, dispersion: float
+) -> Unreliable | None:
+    """Voxels of a result whose bases the counts do not tell; None where there are none.
+
+    Parameters
+    ----------
+    volumes : the result [1/mm]
+    measured : the views that were fitted
+    grid : of `volumes`
+    dispersion : relative model error added to the Poisson variance
+    """
+    values = np.maximum(volumes, 0)
+    edges = np.array([name.startswith("kedge") for name in measured.basis_names])
+    if not values.any():
+        return None
+    held = relative_density(values) > SOMETHING
+    metal = np.zeros(held.shape, bool) if edges.all() else over_metal(values[~edges]) > 1
+    starved = held & (relative_deviations(volumes, held, measured, grid, dispersion) > LESS_SURE)
+    flags = (METAL * metal + STARVED * starved).astype(np.uint8)
+    return Unreliable(flags, grid, int(np.count_nonzero(held))) if flags.any() else None
+
+
+def relative_deviations(
+    volumes: Float[np.ndarray, "basis z y x"],
+    held: Bool[np.ndarray, "z y x"],
+    measured: Measurements,
+    grid: Grid,
+    dispersion: float,
+) -> Float[np.ndarray, "z y x"]:
+    """Predicted standard deviation of the basis that is told worst, over the typical one of that basis; 0 outside.
+
+    With a_ri the length of ray r in voxel i and F_r the Fisher matrix of its line integrals, the information of a voxel
+    is taken as sum_r a_ri F_r times a length that is the same for all; bases are correlated, voxels are not.
+
+    Parameters
+    ----------
+    held : voxels that are looked at; typical is the median over those of them where bases are told at all
+    """
+    some = measured[spread(kinds_of(measured.exposure), VIEWS)]
+    some = some.binned(matching_bin(some.geometry, min(grid.spacing)))
+    lengths = forward(volumes.astype(np.float32), some.geometry, grid)
+    fisher = likelihood(
+        lengths, some.counts, some.gains, some.exposure, some.transmission, dispersion, some.profile, True
+    )[2]
+    assert fisher is not None
+    found = np.zeros((len(volumes), *grid.shape), np.float32)
+    slab = max(1, SLAB_VALUES // (len(volumes) ** 2 * grid.shape[1] * grid.shape[2]))
+    for first in range(0, grid.shape[0], slab):
+        part, inside = grid.slices(first, slab), held[first : first + slab]
+        blocks = transpose(fisher, some.geometry, part)[:, inside]
+        found[:, first : first + slab][:, inside] = np.moveaxis(least_deviations(as_matrices(blocks)), -1, 0)
+    values = found[:, held]
+    known = np.isfinite(values).all(axis=0)
+    if not known.any():
+        return np.zeros(grid.shape, np.float32)
+    return (found / np.median(values[:, known], axis=1)[:, None, None, None]).max(axis=0)
+
+
+def sentence(found: dict[str, Any]) -> str:
+    """How many, where and why, for a user, from `Unreliable.record`."""
+    where = ", ".join("{} {:.1f} to {:.1f}".format(name, *ends) for name, ends in found["largest_mm"].items())
+    place = "at" if found["places"] == 1 else f"in {found['places']} places, the largest at"
+    why = []
+    if found["metal"]:
+        why.append("they hold metal or lie beside it, which no mixture of the bases describes")
+    if found["starved"]:
+        why.append(
+            f"hardly any photon came through {found['starved']} of them" if why else "hardly any photon came through"
+        )
+    count = "1 voxel" if found["voxels"] == 1 else f"{found['voxels']} voxels"
+    return (
+        f"The counts do not tell the bases in {count} ({100 * found['part']:.2g} % of what the object fills) {place} "
+        f"{where} mm: {', and '.join(why)}; do not read values there. "
+        "Scores against a truth are given over all voxels, and without these as 'elsewhere'."
+    )

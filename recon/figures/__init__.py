@@ -1,0 +1,1 @@
+"""Static figures of a run, and colours of bases."""

@@ -1,0 +1,70 @@
+"""The figures that any model of a scan has: slices, profiles, spectrum, residuals of a test view."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.dataset.reader import Dataset
+from phantomgen.dataset.truth import Truth
+from phantomgen.runtime.guarded import Guard, unguarded
+from recon.evaluation.scoring import held_out_views
+from recon.figures import run_figures as figures
+from recon.gaussians.model import Gaussians
+from recon.voxel.model import Voxels
+
+
+def draw_model(
+    dataset: Dataset,
+    truth: Truth | None,
+    model: Gaussians | Voxels,
+    folder: Path,
+    left_out: Sequence[str] = (),
+    guard: Guard = unguarded,
+) -> None:
+    """Draw every figure that the data allow.
+
+    Parameters
+    ----------
+    dataset : the scan
+    truth : what was scanned, None where that is not known
+    model : what was reconstructed
+    folder : where figures go
+    left_out : bases of the file that the model lacks; pictures say so
+    guard : of each figure, so that one that fails does not cost the others
+    """
+    grid = dataset.grid if truth is None else truth.grid
+    names, volumes = model.basis_names, model.volume(grid)
+    true = None if truth is None else truth_of(truth, names)
+    for plane in ("axial", "coronal"):
+        with guard(f"drawing {plane}.png"):
+            figures.basis_slices(volumes, true, names, grid, folder / f"{plane}.png", plane, left_out=left_out)
+    with guard("drawing profiles.png"):
+        figures.profiles(volumes, true, names, grid, folder / "profiles.png")
+    s = dataset.spectra
+    with guard("drawing spectrum.png"):
+        figures.spectrum(
+            s.energy, s.edges, s.source, s.response, s.channels, s.basis.names, s.basis_values,
+            folder / "spectrum.png", s.basis.breaks,
+        )  # fmt: skip
+    with guard("drawing residuals.png"):
+        _draw_residuals(dataset, model, folder / "residuals.png")
+
+
+def truth_of(truth: Truth, names: Sequence[str]) -> Float[np.ndarray, "basis z y x"] | None:
+    """True volumes of these bases [1/mm], NaN for those that the truth lacks; None where it has none of them."""
+    known = truth.basis_names
+    if not set(names) & set(known):
+        return None
+    nothing = np.full(truth.grid.shape, np.nan, np.float32)
+    return np.stack([truth.volumes[known.index(name)] if name in known else nothing for name in names])
+
+
+def _draw_residuals(dataset: Dataset, model: Gaussians | Voxels, path: Path) -> None:
+    """Residuals of the first test view."""
+    for view in held_out_views(dataset, model):
+        taken = np.flatnonzero(view.open_beam.any(axis=(1, 2)))
+        channels = [dataset.spectra.channels[c] for c in taken]
+        figures.residuals(view.counts[taken], view.expected[taken], channels, path, view.away)
+        break

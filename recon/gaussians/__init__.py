@@ -1,0 +1,1 @@
+"""The reconstruction by Gaussians: model, likelihood, optimization, and the numbers that steer it."""

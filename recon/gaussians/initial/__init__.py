@@ -1,0 +1,1 @@
+"""First Gaussians from volumes: placement and fit to the volumes."""

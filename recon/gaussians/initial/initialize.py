@@ -1,0 +1,185 @@
+"""First Gaussians, placed by what volumes of the bases show: dense along edges, sparse inside."""
+
+from typing import no_type_check
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int, UInt64
+from numba import njit
+from scipy.ndimage import gaussian_filter, map_coordinates, minimum_filter
+from scipy.spatial import KDTree
+
+from phantomgen.geometry.voxel_grid import Grid
+from recon.data.volume_edges import SMOOTHING, Structure
+from recon.gaussians.model import Gaussians
+from recon.ops.voxelize import voxelize
+
+COARSEST = 3.5  # largest spacing over the smallest
+GROWTH = 0.3  # how fast the spacing may grow with the distance from an edge
+OVERLAP = 0.65  # standard deviation of a Gaussian over the distance to its neighbours
+FLATNESS = 0.25  # thickness of a Gaussian on a full edge over its width
+_GOLDEN = 0x9E3779B97F4A7C15  # odd, nearest to 2^64 over the golden ratio
+BLOCK = 8  # voxels along an edge; in no order, following voxels took three times as long
+
+
+def initialize(
+    volumes: Float[np.ndarray, "basis z y x"],
+    grid: Grid,
+    fisher: Float[np.ndarray, "basis basis"],
+    spacing: float,
+    basis_names: tuple[str, ...],
+    seed: int,
+) -> Gaussians:
+    """Place Gaussians where the volumes hold something.
+
+    Signal and edges are measured in units of noise (volumes whitened by the mean Fisher matrix), so that the choice of
+    bases does not matter. Points keep a distance of `spacing` along edges, growing inwards; scales come from the
+    distance to the neighbours; coefficients are the volumes' values divided by the sum of all Gaussians there.
+
+    Parameters
+    ----------
+    volumes : estimate of each basis [1/mm]
+    grid : grid of `volumes`
+    fisher : mean Fisher matrix of the rays' line integrals
+    spacing : distance between Gaussians along edges [mm]
+    basis_names : names of the bases
+    seed : of the placement
+    """
+    smooth = np.stack([gaussian_filter(v, SMOOTHING) for v in volumes])
+    structure = Structure.of(volumes, fisher)
+    distance = _sizing(structure, grid, spacing)
+    voxel = _blue_noise(structure.occupied, distance / min(grid.spacing), _places(grid), seed)
+    centres = (np.array(grid.origin) + voxel * np.array(grid.spacing))[:, ::-1].copy()
+    scales = _neighbour_distance(centres, default=spacing) * OVERLAP
+    normals, edge = _normals(structure, voxel)
+    thickness = FLATNESS**edge
+    flat = np.stack([thickness**-0.25, thickness**-0.25, thickness**0.75], axis=1)
+    parts = (
+        torch.from_numpy(centres).float(),
+        torch.log(torch.from_numpy(scales[:, None] * flat)).float(),
+        torch.from_numpy(_turn_z_to(normals)).float(),
+    )
+    values = np.stack([map_coordinates(v, voxel.T, order=1, mode="nearest") for v in np.maximum(smooth, 0)], axis=1)
+    crowd = voxelize(*parts, torch.ones(len(centres), 1), grid)[0]
+    overlap = map_coordinates(crowd, voxel.T, order=1, mode="nearest")
+    coefficients = values / np.maximum(overlap, 0.5)[:, None]
+    return Gaussians(*parts, torch.from_numpy(coefficients).float(), basis_names)
+
+
+def _sizing(structure: Structure, grid: Grid, finest: float) -> Float[np.ndarray, "z y x"]:
+    """Wanted distance between Gaussians [mm]: `finest` at edges, growing away from them."""
+    distance = finest / np.maximum(structure.strength, 1e-6)
+    distance = np.clip(distance, finest, COARSEST * finest)
+    step = GROWTH * min(grid.spacing)
+    for _ in range(int(np.ceil((COARSEST - 1) * finest / step))):
+        distance = np.minimum(distance, minimum_filter(distance, size=3) + step)
+    return distance
+
+
+def _normals(
+    structure: Structure, voxel: Float[np.ndarray, "point 3"]
+) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, " point"]]:
+    """Direction (x, y, z) across the edge at each point, and how much of an edge is there, 0 to 1."""
+    index = tuple(np.clip(np.round(voxel).astype(int).T, 0, np.array(structure.occupied.shape)[:, None] - 1))
+    xx, yy, zz, xy, xz, yz = (gaussian_filter(t, SMOOTHING)[index] for t in structure.tensor)
+    matrices = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
+    edge = np.clip(structure.strength[index], 0, 1)
+    return np.linalg.eigh(matrices)[1][:, :, 2], edge
+
+
+def _turn_z_to(normals: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 4"]:
+    """Quaternions (w, x, y, z) of the shortest rotation from +z to each normal."""
+    up = np.where(normals[:, 2:] < 0, -normals, normals)
+    quaternions = np.stack([1 + up[:, 2], -up[:, 1], up[:, 0], np.zeros(len(up))], axis=1)
+    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _throw_darts(voxels, offsets, distances, shape, taken):
+    """Accept points in order, unless one is already closer than the candidate's distance; all in voxels."""
+    accepted = np.empty(len(voxels), np.int64)
+    count = 0
+    for i in range(len(voxels)):
+        reach = int(np.ceil(distances[i])) + 1
+        z, y, x = voxels[i]
+        free = True
+        for a in range(max(z - reach, 0), min(z + reach + 1, shape[0])):
+            for b in range(max(y - reach, 0), min(y + reach + 1, shape[1])):
+                for c in range(max(x - reach, 0), min(x + reach + 1, shape[2])):
+                    j = taken[a, b, c]
+                    if j < 0:
+                        continue
+                    dz = a - z + offsets[j, 0] - offsets[i, 0]
+                    dy = b - y + offsets[j, 1] - offsets[i, 1]
+                    dx = c - x + offsets[j, 2] - offsets[i, 2]
+                    if dz * dz + dy * dy + dx * dx < distances[i] ** 2:
+                        free = False
+                        break
+                if not free:
+                    break
+            if not free:
+                break
+        if free:
+            taken[z, y, x] = i
+            accepted[count] = i
+            count += 1
+    return accepted[:count]
+
+
+def _blue_noise(
+    occupied: Bool[np.ndarray, "z y x"],
+    distance: Float[np.ndarray, "z y x"],
+    first: Int[np.ndarray, " 3"],
+    seed: int,
+) -> Float[np.ndarray, "point 3"]:
+    """Points (z, y, x) [voxels] in occupied voxels that keep their distance; the finest regions are filled first.
+
+    The random numbers of a voxel belong to its place, `first` being that of voxel (0, 0, 0): whether another voxel is
+    occupied, which may hang on rounding, changes the points near that one and no others. Points come block by block:
+    Gaussians that follow each other meet the same voxels, which are then in the cache.
+    """
+    voxels = np.argwhere(occupied)
+    numbers = _random_of_places(voxels + first, seed)
+    distances = distance[occupied]
+    order = np.lexsort([numbers[:, 3], np.round(distances, 1)])
+    taken = np.full(occupied.shape, -1)
+    voxels, offsets = voxels[order], numbers[order, :3] - 0.5
+    kept = _throw_darts(voxels, offsets, distances[order], np.array(occupied.shape), taken)
+    blocks = (voxels[kept] + first) // BLOCK
+    kept = kept[np.lexsort((*voxels[kept].T[::-1], *blocks.T[::-1]))]
+    return voxels[kept] + offsets[kept]
+
+
+def _places(grid: Grid) -> Int[np.ndarray, " 3"]:
+    """Place (z, y, x) of a grid's first voxel among all voxels of this size: the same for a part of the grid."""
+    return np.floor(np.array(grid.origin) / np.array(grid.spacing) + 0.25).astype(np.int64)  # centres lie at halves
+
+
+def _random_of_places(places: Int[np.ndarray, "voxel 3"], seed: int) -> Float[np.ndarray, "voxel 4"]:
+    """Four uniform random numbers in [0, 1) of each place.
+
+    References
+    ----------
+    The mixing function of SplitMix64: Steele, Lea & Flood 2014, doi:10.1145/2660193.2660195.
+    """
+    state = np.full(len(places), seed, np.uint64)
+    for index in places.T.astype(np.uint64):
+        state = _mixed(state + index * np.uint64(_GOLDEN))
+    counted = state[:, None] + np.arange(1, 5, dtype=np.uint64) * np.uint64(_GOLDEN)
+    return (_mixed(counted) >> np.uint64(11)) * 2.0**-53
+
+
+def _mixed(state: UInt64[np.ndarray, "..."]) -> UInt64[np.ndarray, "..."]:
+    state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    state = (state ^ (state >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return state ^ (state >> np.uint64(31))
+
+
+def _neighbour_distance(points: Float[np.ndarray, "point 3"], default: float) -> Float[np.ndarray, " point"]:
+    """Root mean square distance to the six nearest points [mm]; `default` for a lonely one."""
+    neighbours = min(6, len(points) - 1)
+    if neighbours == 0:
+        return np.full(len(points), default)
+    distances = KDTree(points).query(points, k=neighbours + 1)[0][:, 1:]
+    return np.sqrt((distances**2).mean(axis=1))

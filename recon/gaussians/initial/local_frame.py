@@ -1,0 +1,68 @@
+"""Steps of Gaussians, each in its own frame: nine of geometry, then one per basis.
+
+Along its own axes a Gaussian's curvature is close to diagonal, which an optimizer can use: moves along the axes [mm],
+changes of the log-scales, rotations about the axes [rad], and changes of the coefficients [1/mm].
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.gaussians.model import Gaussians
+
+SCALES = slice(3, 6)  # steps of the log-scales
+GEOMETRY = 9  # steps before those of the coefficients
+
+
+def gradient_of_steps(gaussians: Gaussians, gradients: Sequence[Tensor]) -> Float[Tensor, "gaussian step"]:
+    """Gradient with respect to steps, at none.
+
+    Parameters
+    ----------
+    gaussians : where
+    gradients : with respect to centres, log-scales, quaternions and coefficients
+    """
+    centres, log_scales, quaternions, coefficients = gradients
+    turned = _unit(gaussians.quaternions)
+    along = torch.einsum("gij,gi->gj", _rotations(turned), centres)
+    per_unit = quaternions * gaussians.quaternions.norm(dim=1, keepdim=True)
+    about = torch.einsum("gqk,gq->gk", _turns(turned), per_unit)
+    return torch.cat([along, log_scales, about, coefficients], dim=1)
+
+
+def moved(gaussians: Gaussians, steps: Float[Tensor, "gaussian step"]) -> Gaussians:
+    """Gaussians after steps; coefficients end at 0 at the least."""
+    turned = _unit(gaussians.quaternions)
+    turn = torch.einsum("gqk,gk->gq", _turns(turned), steps[:, 6:9])
+    return replace(
+        gaussians,
+        centres=gaussians.centres + torch.einsum("gij,gj->gi", _rotations(turned), steps[:, :3]),
+        log_scales=gaussians.log_scales + steps[:, SCALES],
+        quaternions=_unit(turned + turn),
+        coefficients=(gaussians.coefficients + steps[:, GEOMETRY:]).clamp(min=0),
+    )
+
+
+def _unit(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussian 4"]:
+    return quaternions / quaternions.norm(dim=1, keepdim=True)
+
+
+def _rotations(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussian 3 3"]:
+    """Matrices whose columns are the axes, of unit quaternions."""
+    w, x, y, z = quaternions.unbind(dim=1)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
+
+
+def _turns(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussian 4 3"]:
+    """Change of a unit quaternion per rotation about each of its own axes."""
+    w, x, y, z = quaternions.unbind(dim=1)
+    rows = ((-x, -y, -z), (w, -z, y), (z, w, -x), (-y, x, w))
+    return 0.5 * torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)

@@ -1,1 +1,0 @@
-"""Results in formats of other programs, one file per format; volumes have theirs in `phantomgen.io`."""

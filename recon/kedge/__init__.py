@@ -1,0 +1,1 @@
+"""Which basis the counts warrant, and the energies of K edges."""

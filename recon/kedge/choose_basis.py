@@ -1,0 +1,257 @@
+"""Which basis a fit uses: how many functions the data warrant, and where their K edges lie."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from phantomgen.dataset.reader import Dataset
+from recon.gaussians.recipe import Recipe
+from recon.kedge.basis_names import Asked, named_basis
+from recon.kedge.elements import plain_alternatives, settle_elements
+from recon.kedge.neighbour_agreement import between_channels
+from recon.kedge.profile_likelihood import EdgeLikelihood, EdgeProfile, Functions
+from recon.kedge.rays import rays_away_from_edges
+from recon.kedge.search import ROUNDS, WARRANTED, Judgement, judge, judge_weak, likeliest_edge, refine_together
+from spectra.basis.basis import Basis, BasisFunction
+from spectra.errors import InputError
+
+DISPERSION = Recipe().dispersion  # relative model error that a fit concedes, so that a misfit of that size is no K edge
+SAME = 2.0  # an edge so close to one that the file states is that one [keV]
+THINNED = 4  # one ray of so many chooses elements anew, while edges are still missing
+SURE = 3.0  # standard deviations within which an element's edge may lie from where it was found
+
+
+@dataclass(frozen=True, eq=False)
+class BasisChoice:
+    """What was decided, and on what grounds.
+
+    Parameters
+    ----------
+    basis : what the fit uses
+    judgements : one per function that was judged
+    profiles : of the K edges that were found, by the names of their functions
+    """
+
+    basis: Basis
+    judgements: tuple[Judgement, ...] = ()
+    profiles: tuple[tuple[str, EdgeProfile], ...] = ()
+
+    @property
+    def sentences(self) -> list[str]:
+        """What to tell a user."""
+        judged = [
+            f"{j.name} is {'warranted' if j.warranted else 'not warranted'} beside {', '.join(j.before)}: {j.reason} "
+            f"(deviance per ray {j.deviance_before:.3g} without it, {j.deviance_after:.3g} with it, {j.rays} rays)"
+            for j in self.judgements
+        ]
+        elements = {f.name: f" ({f.element})" for f in self.basis.functions if f.kind == "element"}
+        found = [
+            f"K edge at {p.best:.2f} keV{elements.get(name, '')}, 1 sigma from {p.low:.2f} to {p.high:.2f} keV, "
+            f"Cramer-Rao {p.bound:.2g} keV"
+            for name, p in self.profiles
+        ]
+        return judged + found
+
+    def record(self) -> dict[str, Any]:
+        """For ``metrics.json``."""
+        functions = {f.name: f for f in self.basis.functions}
+        return {
+            "names": list(self.basis.names),
+            "edges": [
+                {
+                    "name": name, "kind": functions[name].kind, "element": functions[name].element,
+                    "energy_keV": functions[name].edge_energy, "found_keV": p.best, "low_keV": p.low,
+                    "high_keV": p.high, "sigma_keV": p.sigma, "bound_keV": p.bound, "rays": p.rays,
+                }
+                for name, p in self.profiles
+            ],
+            "judgements": [asdict(j) for j in self.judgements],
+        }  # fmt: skip
+
+
+def choose_basis(dataset: Dataset, bases: Asked = None, edges: Sequence[float] | None = None) -> BasisChoice:
+    """The basis functions to fit a dataset with; only ``/entry`` is read.
+
+    Parameters
+    ----------
+    dataset : an open dataset
+    bases : how many, or names of the file's functions, which are not judged; None for those that the data warrant
+    edges : None to believe the K edges that the file states; else edges are looked for, at any energy. Numbers are
+        energies to try besides [keV], and say how many edges there are; none leave that to `bases` and the data
+
+    Raises
+    ------
+    InputError
+        When a K edge was asked for that the channels or the counts do not show, or a name that the file does not have.
+    """
+    stated = dataset.spectra.basis
+    if bases is not None and not isinstance(bases, int):
+        if edges is not None:
+            raise InputError("bases are named, and a K edge that is looked for has no name: give their number instead")
+        return BasisChoice(named_basis(stated, bases, dataset.path))
+    lowest, highest = dataset.spectra.edges[[0, -1]]
+    for energy in edges or ():
+        if not lowest < energy < highest:
+            raise InputError(
+                f"a K edge at {energy:g} keV cannot be seen by {dataset.path}: photons of {lowest:g} to {highest:g} "
+                "keV are detected"
+            )
+    if stated.signed:
+        return BasisChoice(stated)
+    known = [f for f in stated.functions if f.edge_energy is not None]
+    plain = tuple(f for f in stated.functions if f.edge_energy is None)
+    if edges is None and bases is not None and bases <= len(stated):
+        return BasisChoice(Basis(stated.functions[:bases], stated.reference_energy))
+    if edges is None and not known and bases is None:
+        return BasisChoice(stated)
+    if edges is None and bases is None:
+        return _warranted(dataset, plain, known)
+    kept = plain if edges is not None else (*plain, *known)
+    wanted = _wanted(dataset, bases, edges or (), kept)
+    return _searched(dataset, kept, known, wanted, edges or ())
+
+
+def find_edges(dataset: Dataset, starts: Sequence[float] = ()) -> BasisChoice:
+    """All K edges that the counts show beside the functions without an edge, at least one.
+
+    Parameters
+    ----------
+    dataset : an open dataset
+    starts : energies to try besides [keV], one per edge; none for as many edges as there are
+
+    Raises
+    ------
+    InputError
+        When there is none, or fewer than starts.
+    """
+    choice = choose_basis(dataset, None, starts)
+    if not choice.profiles:
+        raise InputError(_not_found(dataset, choice.judgements))
+    return choice
+
+
+def _wanted(dataset: Dataset, bases: int | None, starts: Sequence[float], kept: Functions) -> int | None:
+    """How many edges to find; None for those that the data warrant."""
+    if bases is None:
+        wanted = len(starts) or None
+    else:
+        wanted = bases - len(kept)
+        if wanted < 1 or len(starts) > wanted:
+            names = ", ".join(f.name for f in kept)
+            raise InputError(
+                f"{bases} bases leave room for {max(wanted, 0)} K edges beside {names}, but {len(starts) or 1} were "
+                "asked for: ask for more bases or fewer edges"
+            )
+    bins = len(dataset.spectra.channels)
+    least = len(kept) + (wanted or 1) + 1
+    if bins < least:
+        raise InputError(
+            f"{dataset.path} has the bases {', '.join(dataset.spectra.basis.names)}: {least - 1} were asked for, and a "
+            f"K edge whose energy is not known needs a channel more than there are bases, at least {least}, not {bins}"
+        )
+    return wanted
+
+
+def _likelihood(dataset: Dataset, plain: Functions, binned: bool = True) -> EdgeLikelihood:
+    """Of all rays that may be judged."""
+    reference = dataset.spectra.basis.reference_energy
+    rays = rays_away_from_edges(dataset.with_basis(Basis(plain, reference)), binned)
+    floor = dataset.dark_variance / dataset.spectra.quantum**2
+    return EdgeLikelihood(rays, dataset.spectra, floor, DISPERSION)
+
+
+def _warranted(dataset: Dataset, plain: Functions, known: Sequence[BasisFunction]) -> BasisChoice:
+    """Those of the file's functions that the data warrant, the most needed one first."""
+    stated = dataset.spectra.basis
+    if len(dataset.spectra.channels) <= len(plain):
+        return BasisChoice(stated)
+    likelihood = _likelihood(dataset, plain)
+    if likelihood.rays.channels <= len(plain):
+        return BasisChoice(stated)
+    pixels: EdgeLikelihood | None = None
+    taken, left, judgements = plain, list(known), []
+    while left and likelihood.rays.channels > len(taken):
+        judged = [judge(likelihood, taken, f) for f in left]
+        if not any(one.warranted for one in judged):
+            pixels = pixels or _likelihood(dataset, plain, binned=False)
+            judged = [_weak(pixels, taken, f, one) for f, one in zip(left, judged, strict=True)]
+        best = max(range(len(left)), key=lambda i: (judged[i].warranted, judged[i].score))
+        if not judged[best].warranted:
+            judgements += judged
+            break
+        judgements.append(judged[best])
+        taken = (*taken, left.pop(best))
+    order = [f for f in stated.functions if f in taken]
+    return BasisChoice(Basis(tuple(order), stated.reference_energy), tuple(judgements))
+
+
+def _weak(pixels: EdgeLikelihood, taken: Functions, function: BasisFunction, judged: Judgement) -> Judgement:
+    """The judgement after neighbouring rays were asked, where the counts can show the jump of an edge."""
+    shown = between_channels(pixels.spectra, float(function.edge_energy or 0.0))
+    return judge_weak(pixels, taken, function, judged) if shown else judged
+
+
+def _searched(
+    dataset: Dataset, kept: Functions, known: Sequence[BasisFunction], wanted: int | None, starts: Sequence[float]
+) -> BasisChoice:
+    """Edges found one after the other, then refined together."""
+    reference = dataset.spectra.basis.reference_energy
+    likelihood = _likelihood(dataset, kept)
+    like = next((f for f in known if f.kind in ("step", "sigmoid")), BasisFunction("step", edge_energy=reference))
+    choices = plain_alternatives(kept)
+    found: list[BasisFunction] = []
+    profiles: list[EdgeProfile] = []
+    judgements: list[Judgement] = []
+    seen = likelihood
+    while wanted is None or len(found) < wanted:
+        if likelihood.rays.channels < len(kept) + len(found) + 2:
+            break
+        edge = likeliest_edge(likelihood, choices, found, like, starts)
+        judgements.append(edge.judgement)
+        if not edge.judgement.warranted:
+            break
+        choices = (edge.plain,)
+        seen = likelihood.with_rays(seen.rays.joined(edge.rays) if found else edge.rays)
+        found.append(edge.function)
+        profiles.append(edge.profile)
+        if len(found) > 1:
+            found = settle_elements(seen.with_rays(seen.rays[::THINNED]), edge.plain, found, ROUNDS)
+    if wanted is not None and len(found) < wanted:
+        raise InputError(_not_found(dataset, judgements))
+    if len(found) > 1:
+        found, profiles = map(list, zip(*refine_together(seen, choices[0], found), strict=True))
+    functions = [_settled(f, p, known) for f, p in zip(found, profiles, strict=True)]
+    names = tuple((f.name, p) for f, p in zip(functions, profiles, strict=True))
+    return BasisChoice(Basis((*kept, *functions), reference), tuple(judgements), names)
+
+
+def _not_found(dataset: Dataset, judgements: Sequence[Judgement]) -> str:
+    """Why an edge that was asked for is not used, and what would help."""
+    if not judgements:
+        return (
+            f"no ray of {dataset.path} was measured in enough channels at once to find a K edge: leave --edge out, so "
+            "that the energies which the file states are used"
+        )
+    last = judgements[-1]
+    need = "a whole channel below and above it" if last.score >= WARRANTED else "a stronger contrast"
+    return (
+        f"no K edge shows in {dataset.path} beside {', '.join(last.before)}: the best one, at {last.edge:.4g} keV, is "
+        f"not taken since {last.reason}; more photons or {need} would help, or use --bases {len(last.before)}"
+    )
+
+
+def _settled(found: BasisFunction, profile: EdgeProfile, known: Sequence[BasisFunction]) -> BasisFunction:
+    """The function to fit with: that of the file where it names an element whose edge this is, else a moved one.
+
+    Within `SAME` of an edge that the file states the name stays, so that volumes and scores go by one name.
+    """
+    near = min(known, key=lambda f: abs(float(f.edge_energy or 0.0) - profile.best), default=None)
+    named = found if found.kind == "element" else replace(found, name=f"kedge_{profile.best:.1f}")
+    if near is None or abs(float(near.edge_energy or 0.0) - profile.best) > SAME:
+        return named
+    if found.kind == "element":
+        return near if near.element == found.element else replace(found, name=near.name)
+    if near.kind == "element":
+        off = abs(float(near.edge_energy or 0.0) - profile.best)
+        return near if off <= max(SURE * profile.sigma, SAME / 2) else named
+    return replace(near, edge_energy=profile.best)

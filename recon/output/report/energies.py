@@ -1,0 +1,55 @@
+"""The energies of a scan: photons, channels, K edges, and basis functions, raw and conditioned."""
+
+from pathlib import Path
+
+import numpy as np
+
+from phantomgen.dataset.spectral_model import Spectra
+from phantomgen.display.figures.dataset_energies import spectrum
+from phantomgen.display.figures.style import BASIS_LINES, PAGE_WIDTH, figure_file, write_csv
+from phantomgen.display.html import picture
+from recon.output.report.case import Case, Parts
+from spectra.basis.basis import pretty
+from spectra.basis.conditioning import conditioning_of
+from spectra.errors import InputError
+
+
+def parts(case: Case) -> Parts:
+    """Spectrum, channels and bases of the dataset."""
+    s = case.needs_dataset().spectra
+    path = spectrum(
+        s.energy, s.edges, s.source, s.response, s.channels, s.basis.names, s.basis_values, case.path("spectrum"),
+        s.basis.breaks, PAGE_WIDTH,
+    )  # fmt: skip
+    found = [picture(path, "Incident photons and what each channel counts of them, above the raw basis functions.")]
+    drawn = conditioned_basis(s, case.path("conditioned_basis"))
+    if drawn is not None:
+        caption = (
+            "The same functions made orthonormal over all detected photons, as solvers use them. Far apart here and "
+            "nearly alike above means that noise in one coefficient is made up for by another."
+        )
+        found.append(picture(drawn, caption))
+    return tuple(found)
+
+
+def conditioned_basis(spectra: Spectra, path: Path) -> Path | None:
+    """Basis functions after whitening over the detected spectrum; None where they cannot be told apart there."""
+    seen = spectra.weights.sum(axis=0)
+    kept = seen > 0
+    try:
+        columns = conditioning_of(spectra.basis_values, seen).columns(spectra.basis_values)
+    except InputError:
+        return None
+    energy = spectra.energy[kept]
+    write_csv(path, {"energy_keV": energy, **dict(zip(spectra.basis.names, columns[:, kept], strict=True))})
+    with figure_file(path, (PAGE_WIDTH, 2.9)) as figure:
+        ax = figure.subplots()
+        for i, (name, row) in enumerate(zip(spectra.basis.names, columns[:, kept], strict=True)):
+            colour, dashes = BASIS_LINES[i % len(BASIS_LINES)]
+            marker = "o" if len(energy) == 1 else None
+            ax.plot(energy, row, color=colour, linestyle=dashes, marker=marker, label=pretty(name))
+        limit = float(np.quantile(np.abs(columns[:, kept]), 0.995)) * 1.15
+        ax.axhline(0, color="0.6", linewidth=0.7, zorder=0)
+        ax.set(xlabel="energy [keV]", ylabel="conditioned functions [no unit]", ylim=(-limit, limit))
+        figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=3)
+    return path

@@ -1,0 +1,151 @@
+"""A run folder as a report reads it, whatever method wrote it."""
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.dataset.layout import array_at
+from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.runtime.versions import program_version
+from recon.gaussians.model import Gaussians
+from recon.runs.run_folder import MODEL
+from recon.voxel.model import Voxels
+from spectra.errors import DatasetError
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedRun:
+    """What a run left behind.
+
+    Parameters
+    ----------
+    folder : where
+    name : what to call it beside others
+    metrics : scores, seconds, memory
+    log : one entry per step or iteration
+    volumes : of the bases [1/mm]
+    grid : their voxels
+    basis_names : their names
+    """
+
+    folder: Path
+    name: str
+    metrics: dict[str, Any]
+    log: tuple[dict[str, Any], ...]
+    volumes: Float[np.ndarray, "basis z y x"]
+    grid: Grid
+    basis_names: tuple[str, ...]
+
+    @cached_property
+    def model(self) -> Gaussians | Voxels:
+        """What predicts projections: the Gaussians, or the voxels of a method without any."""
+        if (self.folder / MODEL).is_file():
+            return Gaussians.load(self.folder / MODEL)
+        return Voxels(self.volumes, self.grid, self.basis_names)
+
+    @property
+    def method(self) -> str:
+        """How it was reconstructed."""
+        settings = self.metrics.get("method")
+        if isinstance(settings, dict):
+            return " ".join(str(settings[key]) for key in ("method", "pipeline") if key in settings)
+        return "Gaussians"
+
+    @property
+    def recipe(self) -> str:
+        """What steered it, as YAML; empty where the folder does not say."""
+        path = self.folder / "recipe.yaml"
+        return path.read_text(encoding="utf-8") if path.is_file() else ""
+
+    def volume(self, name: str, grid: Grid) -> Float[np.ndarray, "z y x"]:
+        """One basis on a grid; zeros for a basis that the run does not have."""
+        if name not in self.basis_names:
+            return np.zeros(grid.shape, np.float32)
+        basis = self.basis_names.index(name)
+        if grid == self.grid:
+            return self.volumes[basis]
+        return Voxels(self.volumes[basis : basis + 1], self.grid, (name,)).volume(grid)[0]
+
+
+def open_finished_run(folder: Path, name: str | None = None) -> FinishedRun:
+    """Read a run folder.
+
+    Parameters
+    ----------
+    folder : that ``recon fit`` wrote, with any method
+    name : what to call it; that of the folder where left out
+
+    Raises
+    ------
+    DatasetError
+        When it is no run folder, not finished, written by a newer version, or damaged.
+    """
+    if not (folder / "metrics.json").is_file():
+        raise DatasetError(f"{folder} is not a run folder: it has no metrics.json; make one by recon fit")
+    metrics = _read_json(folder / "metrics.json")
+    if "interrupted" in metrics:
+        raise DatasetError(f"{folder} holds a fit that was interrupted and is not scored: finish it by --resume")
+    _check_version(folder, metrics)
+    volumes, grid, names = _read_volumes(folder / "volumes.h5", folder)
+    return FinishedRun(folder, name or folder.resolve().name, metrics, _read_log(folder), volumes, grid, names)
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise DatasetError(f"{path} is damaged: it is not JSON ({error})") from None
+    if not isinstance(content, dict):
+        raise DatasetError(f"{path} is not what recon fit writes there: expected an object, got {content!r:.40}")
+    return content
+
+
+def _check_version(folder: Path, metrics: dict[str, Any]) -> None:
+    """Refuse folders of newer versions, whose files may mean other things."""
+    wrote = str(metrics.get("versions", {}).get("spectral-ct", ""))
+    numbers = _numbers(wrote)
+    if not numbers:
+        raise DatasetError(f"{folder} is of another version: its metrics.json does not say which program wrote it")
+    if program_version() != "0" and numbers[:2] > _numbers(program_version())[:2]:
+        raise DatasetError(f"{folder} was written by version {wrote}, this program is {program_version()}: update it")
+
+
+def _numbers(version: str) -> list[int]:
+    return [int(part) for part in version.split(".")[:3] if part.isdigit()]
+
+
+def _read_volumes(path: Path, folder: Path) -> tuple[np.ndarray, Grid, tuple[str, ...]]:
+    """Basis volumes and where they are."""
+    if not path.is_file():
+        raise DatasetError(f"{folder} is incomplete: it has no volumes.h5; repeat recon fit with --overwrite")
+    try:
+        with h5py.File(path, "r") as file:
+            volumes = array_at(file, "basis/data")[()].astype(np.float32)
+            names = tuple(array_at(file, "basis/basis_name").asstr()[()])
+            shape, spacing, origin = (array_at(file, f"grid/{n}")[()].tolist() for n in ("shape", "spacing", "origin"))
+    except OSError:
+        raise DatasetError(f"{path} is damaged: it cannot be read as HDF5") from None
+    grid = Grid(tuple(shape), tuple(spacing), tuple(origin))
+    if volumes.shape != (len(names), *grid.shape):
+        raise DatasetError(f"{path}: volumes have shape {volumes.shape}, expected {(len(names), *grid.shape)}")
+    return volumes, grid, names
+
+
+def _read_log(folder: Path) -> tuple[dict[str, Any], ...]:
+    """Entries of the log; those that are no JSON are left out, as the last line of a run that died may be torn."""
+    path = folder / "log.jsonl"
+    if not path.is_file():
+        return ()
+    entries = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            entries.append(json.loads(line))
+        except ValueError:
+            continue
+    return tuple(entries)

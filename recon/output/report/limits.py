@@ -1,0 +1,126 @@
+"""Measured errors of materials against the least that counts allow anybody."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from phantomgen.dataset.reader import Dataset
+from phantomgen.dataset.truth import Truth
+from phantomgen.display.figures.style import MILLI, PAGE_WIDTH, UNIT, figure_file
+from phantomgen.display.html import picture
+from phantomgen.display.html.content import csv_of
+from phantomgen.ops.project import project
+from recon.data.measurements import matching_bin, read_measurements
+from recon.data.view_subsets import kinds_of, spread
+from recon.evaluation.scoring import FULL_FRACTION
+from recon.gaussians.fisher import ray_information
+from recon.output.report.case import LINES, Case, LeftOut, Parts
+from recon.output.report.materials import MARKERS
+from spectra.basis.basis import pretty
+from spectra.cramer_rao import least_deviations
+from spectra.errors import InputError
+
+MOST_VIEWS = 12  # whose information is computed; that of the others is alike
+COARSE = 2.0  # voxels that a pixel may be large
+
+
+def parts(case: Case) -> Parts:
+    """Errors of the means of all materials, and their limits."""
+    truth, dataset = case.needs_truth(), case.needs_dataset()
+    tables = {case.label(run): run.metrics["materials"] for run in case.runs if run.metrics.get("materials")}
+    if not tables:
+        raise LeftOut("the runs have no scores per material")
+    if tuple(dataset.spectra.basis.names) != truth.basis_names:
+        raise LeftOut("the dataset states other bases than its truth")
+    try:
+        limits = material_limits(dataset, truth)
+    except InputError as error:
+        raise LeftOut(f"counts do not say: {error}") from None
+    path = limit_figure(tables, limits, case.names, case.path("limits"))
+    caption = (
+        "Error of each material's mean against its Cramér-Rao limit: the least standard deviation that the counts of "
+        "the training views allow an unbiased estimate which even knows every shape. An error that stays well above "
+        "its limit is not noise, but the method or its model."
+    )
+    return (picture(path, caption, _numbers(tables, limits)),)
+
+
+def material_limits(dataset: Dataset, truth: Truth) -> dict[str, dict[str, float]]:
+    """Least standard deviation of every coefficient of every material if all shapes were known [1/mm].
+
+    With A_rk the length of ray r in material k and F_r the Fisher matrix of the ray's line integrals, the information
+    on coefficients (k, m) and (l, n) is sum_r A_rk A_rl (F_r)_mn. It is summed over some of the training views and
+    scaled to all.
+
+    Raises
+    ------
+    InputError
+        When the channels cannot tell the bases apart.
+    """
+    train = dataset.splits["train"]
+    picked = train[_spread(dataset.exposure[train])]
+    measured = read_measurements(dataset, picked)
+    measured = measured.binned(matching_bin(measured.geometry, COARSE * min(truth.grid.spacing)))
+    filled = np.flatnonzero(truth.fractions.any(axis=(1, 2, 3)))
+    panel = measured.geometry.panel
+    shares = (truth.fractions[filled] / np.float32(FULL_FRACTION)).astype(np.float32)
+    coefficients, bases = truth.coefficients[filled], len(truth.basis_names)
+    total = np.zeros((len(filled), bases, len(filled), bases))
+    for view in range(len(picked)):
+        one = measured[[view]]
+        lengths = project(shares, truth.grid, one.geometry.ray_frames(), panel.rows, panel.columns)[:, 0]
+        integrals = np.einsum("krc,km->mrc", lengths, coefficients)
+        information = ray_information(one, integrals[None], 0.0)[0]
+        weighted = np.einsum("krc,rcmn->krcmn", lengths, information, optimize=True)
+        total += np.einsum("krcmn,lrc->kmln", weighted, lengths, optimize=True)
+    total *= len(train) / len(picked)
+    size = len(filled) * bases
+    least = least_deviations(total.reshape(size, size)).reshape(len(filled), bases)
+    return {
+        truth.material_names[k]: dict(zip(truth.basis_names, map(float, row), strict=True))
+        for k, row in zip(filled, least, strict=True)
+    }
+
+
+def _spread(exposure: Float[np.ndarray, "view channel"]) -> Int[np.ndarray, " few"]:
+    """Some of the views; of every kind where tube voltages are switched."""
+    kinds = kinds_of(exposure)
+    if kinds.any():
+        return spread(kinds, MOST_VIEWS)
+    return np.unique(np.linspace(0, len(kinds) - 1, min(len(kinds), MOST_VIEWS)).round().astype(int))
+
+
+def limit_figure(
+    tables: dict[str, dict[str, Any]], limits: dict[str, dict[str, float]], names: tuple[str, ...], path: Path
+) -> Path:
+    """A panel per basis on a logarithmic axis: limits as ticks, absolute errors of means as points."""
+    materials = list(limits)
+    places = np.arange(len(materials))[::-1]
+    with figure_file(path, (PAGE_WIDTH, 0.26 * len(materials) + 1.35)) as figure:
+        axes = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
+        for ax, name in zip(axes, names, strict=True):
+            least = np.array([MILLI * limits[material].get(name, np.nan) for material in materials])
+            ax.plot(least, places, "|", color="black", markersize=11, markeredgewidth=1.6, label="limit")
+            for i, (label, table) in enumerate(tables.items()):
+                bias = [table.get(material, {}).get(name, {}).get("bias") for material in materials]
+                error = np.array([np.nan if b is None else MILLI * abs(b) for b in bias])
+                style = {"color": LINES[i % len(LINES)][0], "markersize": 4}
+                ax.plot(error, places, MARKERS[i % len(MARKERS)], label=f"error, {label}", **style)
+            ax.set(xscale="log", title=pretty(name), xlabel=UNIT)
+            ax.grid(axis="x", color="0.9", linewidth=0.5)
+            ax.set_yticks(places, materials)
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return path
+
+
+def _numbers(tables: dict[str, dict[str, Any]], limits: dict[str, dict[str, float]]) -> str:
+    rows = [
+        (label, material, basis, scores[basis]["bias"], limits[material][basis])
+        for label, table in tables.items()
+        for material, scores in table.items()
+        for basis in limits.get(material, {})
+        if basis in scores
+    ]
+    return csv_of(("run", "material", "basis", "error_of_mean_per_mm", "limit_per_mm"), rows)

@@ -1,0 +1,164 @@
+"""The whole page: every topic that the runs, their dataset and its truth can give, and why others are missing."""
+
+from collections.abc import Callable, Sequence
+from datetime import date
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from phantomgen.dataset.reader import Dataset, open_dataset
+from phantomgen.dataset.truth import read_truth
+from phantomgen.display.html import Page, Part, Section, Words
+from phantomgen.runtime.versions import program_version
+from recon.evaluation import verdict
+from recon.output.report import cost, energies, limits, materials, progress, resolution, scores, segments, slices, views
+from recon.output.report.case import Case, LeftOut, Parts, check_same_scan, number
+from recon.output.report.finished_run import FinishedRun, open_finished_run
+from spectra.basis.basis import pretty
+from spectra.errors import InputError
+
+Topic = Callable[[Case], Parts]
+CHAPTERS: dict[str, dict[str, Topic]] = {
+    "Scores": {"Scores": scores.parts},
+    "Volumes": {
+        "Slices": slices.parts,
+        "Profiles": slices.profile_parts,
+        "Virtual monoenergetic image": slices.mono_parts,
+    },
+    "Materials": {
+        "Bias and noise": materials.parts,
+        "Scatter of two bases": materials.scatter_parts,
+        "Cramér-Rao limits": limits.parts,
+        "Segmentation": segments.parts,
+    },
+    "Resolution and noise": {"Edge response, MTF and noise power": resolution.parts},
+    "Views": {"Views, residuals and sinograms": views.parts},
+    "Energies": {"Spectrum and bases": energies.parts},
+    "Progress and cost": {"Progress": progress.parts, "Cost": cost.parts},
+}
+
+
+def run_report(
+    folders: Sequence[Path],
+    dataset: Path | None = None,
+    air: str | None = None,
+    on_chapter: Callable[[str], None] = lambda name: None,
+) -> Page:
+    """A page about runs of one scan.
+
+    Parameters
+    ----------
+    folders : run folders
+    dataset : the scan; where left out it is looked for by its name beside the runs and in the current folder
+    air : a part of the panel that sees only air, for lack of flats
+    on_chapter : called with the name of each chapter when it begins
+
+    Raises
+    ------
+    DatasetError
+        When a folder is no finished run, or the dataset cannot be read.
+    InputError
+        When the runs are of different scans, or the dataset is another one.
+    """
+    runs = tuple(map(open_finished_run, folders, names_of(folders)))
+    scan = check_same_scan(runs)
+    found = dataset or find_dataset(scan, folders)
+    with TemporaryDirectory() as folder:
+        if found is None:
+            return _page(Case(runs, None, None, Path(folder)), scan, on_chapter)
+        with open_dataset(found, air) as opened:
+            check_fits(opened, runs)
+            return _page(Case(runs, opened, read_truth(found), Path(folder)), scan, on_chapter)
+
+
+def names_of(folders: Sequence[Path]) -> list[str]:
+    """What to call runs: their folders, with those above them where two are alike."""
+    paths = [folder.resolve() for folder in folders]
+    for depth in range(1, 10):
+        names = ["/".join(path.parts[-depth:]) for path in paths]
+        if len(set(names)) == len(names):
+            return names
+    twice = next(str(path) for path in paths if paths.count(path) > 1)
+    raise InputError(f"the run {twice} is named twice")
+
+
+def find_dataset(name: str, folders: Sequence[Path]) -> Path | None:
+    """The dataset of that name beside a run or in the current folder; None where there is none."""
+    places = [*(folder.resolve().parent for folder in folders), Path()]
+    return next((place / name for place in places if name and (place / name).is_file()), None)
+
+
+def check_fits(dataset: Dataset, runs: Sequence[FinishedRun]) -> None:
+    """Refuse a dataset that the runs do not reconstruct.
+
+    Raises
+    ------
+    InputError
+        When its channels are others than those that a run was scored on.
+    """
+    for run in runs:
+        channels = tuple(run.metrics.get("channels") or dataset.spectra.channels)
+        if channels != dataset.spectra.channels:
+            raise InputError(
+                f"{dataset.path} is not the scan of {run.folder}: it has the channels "
+                f"{', '.join(dataset.spectra.channels)}, the run {', '.join(channels)}"
+            )
+
+
+def _page(case: Case, scan: str, on_chapter: Callable[[str], None]) -> Page:
+    """All chapters, and why topics are missing."""
+    done, left_out = [], _lacking(case)
+    for title, topics in CHAPTERS.items():
+        on_chapter(title)
+        parts: list[Part] = []
+        for name, topic in topics.items():
+            try:
+                parts += topic(case)
+            except LeftOut as reason:
+                left_out.append((name, f"{reason}."))
+        if parts:
+            done.append(Section(title, tuple(parts)))
+    first = case.runs[0]
+    title = first.name if len(case.runs) == 1 else " · ".join(run.name for run in case.runs)
+    return Page(
+        title=title,
+        subtitle=f"Reconstruction of {scan or 'a scan'} by {', '.join(dict.fromkeys(r.method for r in case.runs))}",
+        facts=_facts(case),
+        sections=(*_verdicts(case), *done),
+        footer=f"Written by recon report {program_version()} on {date.today().isoformat()}.",
+        left_out=tuple(left_out),
+    )
+
+
+def _verdicts(case: Case) -> tuple[Section, ...]:
+    """What every run says of itself, on top."""
+    parts = []
+    for run in case.runs:
+        who = f"{run.name}: " if len(case.runs) > 1 else ""
+        parts += [Words(f"{who}{line}") for line in verdict.lines(run.metrics)]
+    return (Section("Verdict", tuple(parts)),) if parts else ()
+
+
+def _lacking(case: Case) -> list[tuple[str, str]]:
+    """Bases of the file that a run did not fit, and scores and figures that failed in it."""
+    found = []
+    for run in case.runs:
+        bases = run.metrics.get("bases_left_out") or ()
+        if bases:
+            what = f"{case.who(run)}{', '.join(map(pretty, bases))}"
+            found.append((what, "not fitted, though the dataset has it; scored as a volume of zeros."))
+        found += [(f"{case.who(run)}{what}", f"{why}.") for what, why in (run.metrics.get("failed") or {}).items()]
+    return found
+
+
+def _facts(case: Case) -> tuple[tuple[str, str], ...]:
+    """What one wants to know first: PSNR of the first run, its size, time and memory."""
+    run = case.runs[0]
+    who = f", {run.name}" if len(case.runs) > 1 else ""
+    facts = [
+        (f"{number(s.get('psnr'), '.1f')} dB", f"PSNR, {pretty(name)}{who}")
+        for name, s in run.metrics.get("basis", {}).items()
+    ]
+    facts.append((cost.size(run).split(" Gauss")[0], f"{'Gaussians' if 'gaussians' in run.metrics else 'volume'}{who}"))
+    facts.append((f"{number(cost.seconds(run), '.0f')} s", f"time{who}"))
+    facts.append((f"{number(cost.memory(run), '.0f')} MiB", f"peak memory{who}"))
+    return tuple(facts)

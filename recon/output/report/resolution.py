@@ -1,0 +1,248 @@
+"""How sharp a reconstruction is and how its noise looks: edge response, MTF, and noise power spectrum."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Real
+from scipy import ndimage
+from scipy.special import erfinv
+
+from phantomgen.display.figures.style import PAGE_WIDTH, TRUTH, figure_file, write_csv
+from phantomgen.display.html import Part, picture
+from phantomgen.geometry.voxel_grid import Grid
+from recon.evaluation.metrics import pure_voxels
+from recon.evaluation.scoring import FULL_FRACTION
+from recon.output.report.case import LINES, Case, LeftOut, Parts
+from spectra.basis.basis import pretty
+
+REACH = 3.0  # voxels on both sides of an edge
+STEP = 0.25  # voxels
+SMOOTHING = 1.0  # voxels, of the field that tells distances from an edge
+FLAT = 0.06  # deviation of that field's slope from a plane's that is allowed, as part of the steepest
+FEWEST = 8  # voxels in a bin of an edge response
+FILLED = 0.6  # part of the bins that must have so many; others are interpolated
+SMALLEST = 8  # voxels along the side of a region whose noise is analysed
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """Voxels around the surface of one material, where it borders on one other.
+
+    Parameters
+    ----------
+    distance : of each of them from the surface, outwards [voxel]
+    voxels : which ones
+    """
+
+    distance: Float[np.ndarray, " voxel"]
+    voxels: Bool[np.ndarray, "z y x"]
+
+    def response(self, volume: Real[np.ndarray, "z y x"]) -> tuple[np.ndarray, np.ndarray]:
+        """Distances [voxel] and the mean there, interpolated between mean places of bins; empty for too few voxels."""
+        edges = np.arange(-REACH, REACH + STEP / 2, STEP)
+        number = np.histogram(self.distance, edges)[0]
+        full = number >= FEWEST
+        if not (full[0] and full[-1] and full.mean() >= FILLED):
+            return np.empty(0), np.empty(0)
+        weights = np.asarray(volume, dtype=np.float64)[self.voxels]
+        sums = [np.histogram(self.distance, edges, weights=w)[0] for w in (self.distance, weights)]
+        place, mean = (total[full] / number[full] for total in sums)
+        middle = (edges[1:] + edges[:-1]) / 2
+        return middle, np.interp(middle, place, mean)
+
+
+def parts(case: Case) -> Parts:
+    """Edge response and MTF per basis, and the spectrum of the noise in the largest uniform region."""
+    truth = case.needs_truth()
+    found: list[Part] = []
+    drawn = edge_figure(case, case.path("edge_response"))
+    if drawn is not None:
+        path, text = drawn
+        caption = (
+            "Edge response (left) and MTF, its transform (right), at the surface of the material that stands out most "
+            "in each basis; distances of voxels from the surface come from the true fractions. Truth is the true "
+            f"volume treated alike, so it shows what voxels of this size can. 10 to 90 % of the edge: {text}."
+        )
+        found.append(picture(path, caption))
+    region = uniform_region(truth.fractions, truth.material_names)
+    if region is not None:
+        name, box = region
+        side = box[1].stop - box[1].start
+        path = noise_figure(case, box, case.path("noise_power"))
+        caption = (
+            f"Noise power spectrum in axial slices of {name}: {box[0].stop - box[0].start} slices of {side} x {side} "
+            "voxels, their mean planes subtracted. Its area is the variance; flat is white noise."
+        )
+        found.append(picture(path, caption))
+    if not found:
+        raise LeftOut("no surface between two materials is large enough, and no uniform region")
+    return tuple(found)
+
+
+def edge_figure(case: Case, path: Path) -> tuple[Path, str] | None:
+    """A row per basis that has an edge; returns the widths of the edges in words as well."""
+    truth, true = case.needs_truth(), case.true
+    if true is None:
+        return None
+    found = []
+    for i, name in enumerate(case.names):
+        column = truth.coefficients[:, truth.basis_names.index(name)]
+        edge = strongest_edge(truth.fractions, case.labels, column)
+        if edge is not None and edge.response(true[i])[0].size:
+            found.append((i, name, edge))
+    if not found:
+        return None
+    voxel, table, words = min(case.grid.spacing), {}, []
+    with figure_file(path, (PAGE_WIDTH, 1.45 * len(found) + 0.7)) as figure:
+        axes = figure.subplots(len(found), 2, sharex="col", squeeze=False)
+        for (i, name, edge), (left, right) in zip(found, axes, strict=True):
+            curves = {"truth": true[i], **{case.label(run): run.volume(name, case.grid) for run in case.runs}}
+            widths = []
+            for (label, volume), (colour, dashes) in zip(curves.items(), ((TRUTH, "-"), *LINES), strict=False):
+                distance, mean = edge.response(volume)
+                response = (mean - mean[-4:].mean()) / ((mean[:4].mean() - mean[-4:].mean()) or 1.0)
+                frequency, transfer = mtf(response, STEP)
+                style = {"color": colour, "linestyle": dashes, "linewidth": 0.9 if label == "truth" else 1.4}
+                left.plot(voxel * distance, response, label=label, **style)
+                right.plot(frequency / voxel, transfer, **style)
+                table |= {"distance_mm": voxel * distance, f"{name}_{label}_edge": response}
+                widths.append(f"{label} {voxel * edge_width(distance, response):.2f} mm")
+            words.append(f"{pretty(name)} {', '.join(widths)}")
+            left.text(0.97, 0.92, pretty(name), transform=left.transAxes, ha="right", va="top", fontsize=8)
+            left.set_ylabel("edge response")
+            right.set(ylabel="MTF", ylim=(0, 1.15))
+        axes[-1, 0].set_xlabel("distance from the surface [mm]")
+        axes[-1, 1].set(xlabel="frequency [1/mm]", xlim=(0, 0.5 / voxel))
+        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=4)
+    write_csv(path, table)
+    return path, "; ".join(words)
+
+
+def strongest_edge(
+    fractions: Int[np.ndarray, "material z y x"],
+    labels: Int[np.ndarray, "z y x"],
+    coefficients: Float[np.ndarray, " material"],
+) -> Edge | None:
+    """Surface of the material with the largest coefficient that fills some voxels whole; None where there is none."""
+    for material in np.argsort(-coefficients):
+        if coefficients[material] > 0 and (labels == material + 1).sum() >= 100:
+            return edge_of(fractions[material] / FULL_FRACTION, labels, int(material))
+    return None
+
+
+def edge_of(fraction: Float[np.ndarray, "z y x"], labels: Int[np.ndarray, "z y x"], material: int) -> Edge:
+    """Voxels near the surface of one material, and how far they are from it.
+
+    A plane at distance d from a voxel, averaged over voxels and smoothed by a Gaussian of variance s^2, fills
+    Phi(-d / s') of it with s'^2 = s^2 + 1/12; solved for d. Where the field's slope is not that of a plane (corners,
+    thin parts), and next to third materials, voxels are left out.
+    """
+    inside = labels == material + 1
+    reach = int(REACH + 3 * SMOOTHING) + 1
+    ends = [(np.flatnonzero(inside.any(axis=tuple({0, 1, 2} - {a})))[[0, -1]]) for a in range(3)]
+    cut = tuple(slice(max(int(low) - reach, 0), high + reach + 1) for low, high in ends)
+    field = ndimage.gaussian_filter(np.asarray(fraction[cut], dtype=np.float64), SMOOTHING, mode="nearest")
+    width = np.sqrt(SMOOTHING**2 + 1 / 12)
+    with np.errstate(divide="ignore"):
+        distance = -width * np.sqrt(2) * erfinv(2 * field - 1)
+    slope = np.sqrt(sum(np.square(part) for part in np.gradient(field)))
+    plane = np.exp(-np.square(distance / width) / 2) / (np.sqrt(2 * np.pi) * width)
+    near = np.abs(distance) < REACH
+    flat = np.abs(slope - plane) < FLAT / (np.sqrt(2 * np.pi) * width)
+    beside = labels[cut][(distance > 0) & (distance < 2) & ~inside[cut]]
+    around = int(np.bincount(beside).argmax()) if beside.size else 0
+    third = ~inside[cut] & (labels[cut] != around)
+    clear = np.asarray(ndimage.distance_transform_edt(~third)) > REACH if third.any() else np.ones_like(near)
+    used = near & flat & clear
+    voxels = np.zeros(labels.shape, bool)
+    voxels[cut] = used
+    return Edge(distance[used], voxels)
+
+
+def mtf(response: Float[np.ndarray, " bin"], step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Modulation transfer: the spectrum of the edge response's derivative, 1 at frequency 0 [1/voxel]."""
+    line = np.diff(response) * np.hanning(len(response) + 1)[1:-1]
+    padded = 8 * len(line)
+    transfer = np.abs(np.fft.rfft(line, padded))
+    return np.fft.rfftfreq(padded, step), transfer / (transfer[0] or 1.0)
+
+
+def edge_width(distance: Float[np.ndarray, " bin"], response: Float[np.ndarray, " bin"]) -> float:
+    """Distance in which an edge falls from 90 to 10 % of its height; NaN where it does not."""
+
+    def crossing(level: float) -> float:
+        for (a, ya), (b, yb) in pairwise(zip(distance, response, strict=True)):
+            if ya >= level > yb:
+                return a + (b - a) * (ya - level) / (ya - yb)
+        return float("nan")
+
+    return crossing(0.1) - crossing(0.9)
+
+
+def uniform_region(
+    fractions: Int[np.ndarray, "material z y x"], names: tuple[str, ...]
+) -> tuple[str, tuple[slice, slice, slice]] | None:
+    """The material and box of the largest square that one material fills alone, in all slices where it does."""
+    best: tuple[int, str, tuple[slice, slice, slice]] | None = None
+    for name, fraction in zip(names, fractions, strict=True):
+        pure = pure_voxels(fraction, FULL_FRACTION)
+        deepest = pure.sum(axis=0) if pure.any() else np.zeros(pure.shape[1:])
+        common = deepest >= 0.8 * deepest.max() if deepest.max() > 0 else np.zeros(pure.shape[1:], bool)
+        half = np.asarray(ndimage.distance_transform_cdt(common, "chessboard"))
+        y, x = np.unravel_index(int(half.argmax()), half.shape)
+        reach = int(half[y, x]) - 1
+        if 2 * reach + 1 < SMALLEST:
+            continue
+        square = (slice(y - reach, y + reach + 1), slice(x - reach, x + reach + 1))
+        whole = np.flatnonzero(pure[:, square[0], square[1]].all(axis=(1, 2)))
+        if len(whole) and whole[-1] - whole[0] + 1 == len(whole) and (best is None or reach > best[0]):
+            best = reach, name, (slice(int(whole[0]), int(whole[-1]) + 1), *square)
+    return None if best is None else best[1:]
+
+
+def noise_power(
+    volume: Real[np.ndarray, "z y x"], grid: Grid, box: tuple[slice, slice, slice]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Radial frequencies [1/mm] and the mean power of slices [value^2 mm^2], planes subtracted.
+
+    References
+    ----------
+    ICRU Report 87, section 4.4: NPS = dx dy / (nx ny) |DFT(noise)|^2.
+    """
+    slices = np.asarray(volume[box], dtype=np.float64)
+    side = slices.shape[1]
+    y, x = np.mgrid[:side, :side] - (side - 1) / 2
+    planes = np.stack([np.ones(side * side), y.ravel(), x.ravel()], axis=1)
+    flat = slices.reshape(len(slices), -1).T
+    noise = (flat - planes @ np.linalg.lstsq(planes, flat, rcond=None)[0]).T.reshape(slices.shape)
+    power = (np.abs(np.fft.fft2(noise)) ** 2).mean(axis=0) * grid.spacing[1] * grid.spacing[2] / side**2
+    frequency = np.hypot(np.fft.fftfreq(side, grid.spacing[1])[:, None], np.fft.fftfreq(side, grid.spacing[2])[None])
+    edges = np.arange(0.5, side // 2 + 1) / (side * max(grid.spacing[1:]))
+    number = np.histogram(frequency, edges)[0]
+    total = np.histogram(frequency, edges, weights=power)[0]
+    return (edges[1:] + edges[:-1]) / 2, total / np.maximum(number, 1)
+
+
+def noise_figure(case: Case, box: tuple[slice, slice, slice], path: Path) -> Path:
+    """A panel per basis, all runs in each, with a CSV."""
+    table = {}
+    with figure_file(path, (PAGE_WIDTH, 1.35 * len(case.names) + 0.6)) as figure:
+        axes = figure.subplots(len(case.names), 1, sharex=True, squeeze=False)[:, 0]
+        for ax, name in zip(axes, case.names, strict=True):
+            for run, (colour, dashes) in zip(case.runs, LINES, strict=False):
+                frequency, power = noise_power(run.volume(name, case.grid), case.grid, box)
+                positive = np.where(power > 0, power, np.nan)
+                ax.plot(frequency, positive, color=colour, linestyle=dashes, label=case.label(run))
+                table |= {"frequency_per_mm": frequency, f"{name}_{case.label(run)}": power}
+            ax.text(0.98, 0.9, pretty(name), transform=ax.transAxes, ha="right", va="top", fontsize=8)
+            if any(np.any(line.get_ydata() > 0) for line in ax.get_lines()):
+                ax.set_yscale("log")
+            ax.set_ylabel("NPS [no unit]")
+        axes[-1].set_xlabel("frequency [1/mm]")
+        if len(case.runs) > 1:
+            figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+        figure.align_ylabels()
+    write_csv(path, table)
+    return path

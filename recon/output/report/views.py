@@ -1,0 +1,60 @@
+"""Measured views, what the model expects there, and what is left, in standard deviations of the noise."""
+
+import numpy as np
+
+from phantomgen.display.figures.style import PAGE_WIDTH
+from phantomgen.display.figures.views import sinograms, view_images
+from phantomgen.display.html import Part, picture
+from recon.evaluation.scoring import held_out_views
+from recon.figures import run_figures as figures
+from recon.output.report.case import Case, Parts
+from recon.output.report.finished_run import FinishedRun
+from spectra.errors import InputError
+
+MOST_CHANNELS = 6  # in one picture
+
+
+def parts(case: Case) -> Parts:
+    """One test view of every run, and the sinograms."""
+    dataset = case.needs_dataset()
+    found: list[Part] = []
+    if len(dataset.splits["test"]):
+        for i, run in enumerate(case.runs):
+            found += _view_of(case, run, i)
+    caption = (
+        "Sinograms: log projections of the middle row of pixels in the training views, which the fit has seen. The "
+        "table has their mean in the first channel."
+    )
+    return (*found, picture(sinograms(dataset, case.path("sinograms")), caption))
+
+
+def _view_of(case: Case, run: FinishedRun, number: int) -> list[Part]:
+    """A test view: images per channel, and residuals with their histograms."""
+    dataset = case.needs_dataset()
+    try:
+        view = next(held_out_views(dataset, run.model))
+    except InputError:  # a model in other bases than those that the dataset states
+        return []
+    index, s = int(dataset.splits["test"][0]), dataset.spectra
+    taken = np.flatnonzero(view.open_beam.any(axis=(1, 2)))[:MOST_CHANNELS]
+    channels = [s.channels[c] for c in taken]
+    seen = np.where(view.open_beam > 0, 1.0, np.nan)[taken]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = [np.log(view.open_beam[taken] / np.maximum(v[taken], 0.5)) * seen for v in (view.counts, view.expected)]
+    suffix = "" if number == 0 else f"_{number}"
+    images = [(s.units, view.counts[taken] * seen), ("−log, measured", logs[0]), ("−log, expected", logs[1])]
+    shown = view_images(images, channels, case.path(f"view{suffix}"))
+    residuals = figures.residuals(
+        view.counts[taken], view.expected[taken], channels, case.path(f"residuals{suffix}"), view.away, PAGE_WIDTH
+    )
+    return [
+        picture(
+            shown,
+            f"{case.who(run)}Test view {index}: {s.units}, their negative logarithm, and the one the model expects.",
+        ),
+        picture(
+            residuals,
+            f"{case.who(run)}What is left of it, in standard deviations of the expected noise, and its distribution "
+            "against the unit normal; above it the part of the rays beyond 6σ, of all and of those away from edges.",
+        ),
+    ]

@@ -1,0 +1,139 @@
+"""Volumes of a fitted model in HDF5, slab by slab: memory does not grow with the grid, and no value depends on it."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from phantomgen.dataset.layout import new_group, put
+from phantomgen.dataset.reader import open_dataset
+from phantomgen.dataset.truth import write_grid
+from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.runtime.disk import one_sentence
+from recon.runs.run_folder import Run
+from spectra.errors import InputError
+
+SLAB_VALUES = 1 << 24  # voxels of all bases that are held at once
+
+
+def chosen_grid(
+    scan: Grid, counts: str | None, voxel: float | None, size: str | None, center: str | None, like: Path | None
+) -> Grid:
+    """The grid that options ask for.
+
+    Parameters
+    ----------
+    scan : grid of the scan, which is taken where nothing else is asked for
+    counts : ``"128"`` or ``"64,128,128"``: voxels along (z, y, x)
+    voxel : edge of a voxel [mm]; that of the scan where left out
+    size : ``"160"`` or ``"80,160,160"``: size along (z, y, x) [mm], in place of `counts`
+    center : ``"0,0,10"``: centre (z, y, x) [mm]
+    like : a dataset whose grid to take
+
+    Raises
+    ------
+    InputError
+        When options contradict each other, or are no numbers.
+    """
+    own = (counts, voxel, size, center)
+    if like is not None:
+        if any(value is not None for value in own):
+            raise InputError("--like takes the grid of a dataset: leave --grid, --voxel, --size and --center out")
+        with open_dataset(like, air=(slice(0, 1), slice(0, 1))) as dataset:
+            return dataset.grid
+    if all(value is None for value in own):
+        return scan
+    if counts is not None and size is not None:
+        raise InputError("--grid counts voxels and --size measures them in mm: leave one of them out")
+    spacing = np.full(3, voxel) if voxel is not None else np.array(scan.spacing)
+    if counts is not None:
+        shape = np.array(_triple("--grid", counts))
+        if (shape % 1 != 0).any():
+            raise InputError(f"--grid needs whole numbers of voxels, got {counts!r}")
+    else:
+        extent = np.array(scan.shape) * scan.spacing if size is None else np.array(_triple("--size", size))
+        shape = np.maximum(np.ceil(extent / spacing - 1e-6), 1)
+    middle = np.zeros(3) if center is None else np.array(_triple("--center", center, several=True))
+    if (shape < 1).any():
+        raise InputError(f"a volume needs positive sizes, got {counts or size!r}")
+    first = middle - (shape - 1) / 2 * spacing
+    whole = tuple(int(n) for n in shape)
+    return Grid(whole, tuple(spacing.tolist()), tuple(first.tolist()))  # type: ignore[arg-type]
+
+
+def write_volume(path: Path, run: Run, grid: Grid, energy: float | None, on_slice: Callable[[int, int], None]) -> None:
+    """Write ``/basis/data`` (basis, z, y, x) [1/mm], laid out as in ``volumes.h5``.
+
+    Parameters
+    ----------
+    path : file to write
+    run : a finished fit
+    grid : where to evaluate the model
+    energy : where given, the attenuation there takes the place of the bases [keV]
+    on_slice : told how many slices are done, and of how many
+
+    Raises
+    ------
+    StorageError
+        When the disk is full; then no file is left.
+    """
+    model = run.gaussians
+    names, mix = model.basis_names, np.eye(len(model.basis_names), dtype=np.float32)
+    if energy is not None:
+        names = (f"attenuation_{energy:g}_keV",)
+        mix = run.basis.evaluate(np.array([energy]))[: len(mix)].T.astype(np.float32)
+    depth, rows, columns = grid.shape
+    slab = max(1, SLAB_VALUES // (rows * columns * len(model.basis_names)))
+    with whole_file(path) as file:
+        file.attrs.update({"NX_class": "NXroot", "default": "basis", "creator": "recon"})
+        group = new_group(file, "basis", "NXdata", signal="data", axes=("basis_name", "z", "y", "x"))
+        shape, chunks = (len(names), *grid.shape), (1, 1, rows, columns)
+        packing = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+        data = group.create_dataset("data", shape, np.float32, chunks=chunks, **packing)
+        data.attrs["units"] = "1/mm"
+        put(group, "basis_name", np.array(names, dtype=object))
+        for axis in "zyx":
+            put(group, axis, grid.axis(axis), "mm")
+        write_grid(new_group(file, "grid", "NXcollection"), grid)
+        for first in range(0, depth, slab):
+            count = min(slab, depth - first)
+            values = model.volume(grid.slices(first, count))
+            data[:, first : first + count] = values if energy is None else np.tensordot(mix, values, axes=1)
+            on_slice(first + count, depth)
+
+
+class whole_file:  # noqa: N801 - used like a function
+    """An HDF5 file that appears under its name when it is complete."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.beside = path, path.with_name(path.name + ".part")
+
+    def __enter__(self) -> h5py.File:
+        with one_sentence(self.path):
+            self.file = h5py.File(self.beside, "w")
+        return self.file
+
+    def __exit__(self, kind: type | None, *exception: object) -> None:
+        try:
+            with one_sentence(self.path):
+                self.file.close()
+                if kind is None:
+                    os.replace(self.beside, self.path)
+        finally:
+            self.beside.unlink(missing_ok=True)
+
+
+def _triple(option: str, text: str, several: bool = False) -> tuple[float, float, float]:
+    """One number for all axes, or three."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) == 1 and not several:
+        numbers *= 3
+    if len(numbers) != 3 or not np.isfinite(numbers).all():
+        wanted = "three numbers z,y,x" if several else "one number, or three: z,y,x"
+        raise InputError(f"{option} needs {wanted}, got {text!r}")
+    return numbers[0], numbers[1], numbers[2]

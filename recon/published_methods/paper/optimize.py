@@ -1,0 +1,92 @@
+"""The paper's optimisation: Adam, one random view per step, density control, and a K edge that wakes up late."""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from phantomgen.geometry.voxel_grid import Grid
+from recon.gaussians.optimize import SNAPSHOTS, Progress
+from recon.ops.deviance import chi_square, deviance, expected_chi_square, expected_deviance
+from recon.published_methods.paper.adam import EdgeAdam, GroupedAdam, rates
+from recon.published_methods.paper.density_control import PullOnPanel, densify, reset_fractions
+from recon.published_methods.paper.log_projections import Projections
+from recon.published_methods.paper.loss import total_loss
+from recon.published_methods.paper.model import FactorisedGaussians, Units
+from recon.published_methods.paper.projections import detector_gradient
+from recon.published_methods.paper.recipe import PaperRecipe
+from recon.published_methods.paper.schedule import is_due, views_in_random_order
+from recon.published_methods.paper.spectral_model import SpectralModel
+from spectra.threads import without_other_pools
+
+
+@without_other_pools()
+def fit(
+    model: FactorisedGaussians,
+    projections: Projections,
+    spectral: SpectralModel,
+    raw: tuple[tuple[str, ...], Float[np.ndarray, "raw energy"]],
+    grid: Grid,
+    units: Units,
+    recipe: PaperRecipe,
+    on_step: Callable[[Progress], bool | None] = lambda progress: None,
+) -> FactorisedGaussians:
+    """Run all steps of the recipe; `model`, and the K edge of `spectral`, are changed.
+
+    Parameters
+    ----------
+    model : first Gaussians
+    projections : training views
+    spectral : from line integrals to log projections
+    raw : names and values, at the energies of the basis, of the functions that results are given in
+    grid : where the volume is
+    units : of the scene
+    recipe : numbers and components
+    on_step : called after every step, with deviance and chi-square of the counts of its view; the fit ends early where
+        it returns True
+
+    Returns
+    -------
+    The fitted model. The thread count does not enter.
+    """
+    adam = GroupedAdam(model, rates(recipe, units))
+    edge = spectral.basis.edge
+    edge_adam = None if edge is None or not recipe.uses("kedge-learning") else EdgeAdam(edge, recipe)
+    freeze = recipe.scaled(recipe.edge_freeze) if recipe.uses("kedge-freezing") else 0
+    order, rng = views_in_random_order(len(projections), recipe.seed), np.random.default_rng([recipe.seed, 3])
+    pull, began = PullOnPanel(len(model)), time.perf_counter()
+    for step in range(1, recipe.steps + 1):
+        view = next(order)
+        views = slice(view, view + 1)
+        geometry = projections.geometry[views]
+        seen = torch.from_numpy(projections.open_beam[views] > 0)
+        for value in edge.tensors() if edge is not None else ():
+            value.requires_grad_(edge_adam is not None and step > freeze)
+        rendered = total_loss(model, spectral, projections.log(views), seen, geometry, grid, units, recipe, rng)
+        rendered.loss.backward()
+        # per channel, as the loss adds channels up and the thresholds are those of a single one
+        nudged = rendered.nudge.grad
+        if nudged is not None:
+            pull.add(detector_gradient(model.centres.detach(), nudged, geometry) / seen.shape[1])
+        adam.step((step - 1) / max(recipe.steps - 1, 1))
+        if edge_adam is not None and step > freeze:
+            edge_adam.step()
+        if is_due(step, recipe.densify_every, recipe) and step > recipe.scaled(recipe.densify_from):
+            densify(adam, pull, grid, units, recipe, rng)
+            pull = PullOnPanel(len(model))
+        if is_due(step, recipe.fraction_reset, recipe) and recipe.uses("fraction-reset"):
+            reset_fractions(adam)
+        counts = torch.from_numpy(projections.counts[views])
+        expected = torch.from_numpy(projections.open_beam[views]) * torch.exp(-rendered.log_projections.detach())
+        misfit = float(deviance(counts, expected)[seen].sum() / expected_deviance(expected)[seen].sum())
+        found, noise = chi_square(counts, expected), expected_chi_square(expected)
+        squares, least = (torch.where(seen, x, 0).sum(dim=(0, 2, 3)).double() for x in (found, noise))
+        squares = (squares / least).numpy()  # NaN for a channel that measures nothing
+        gaussians = model.gaussians(units, spectral.basis.to_raw(raw[1]), raw[0])
+        snapshot = step % max(recipe.steps // SNAPSHOTS, 1) == 0 or step == recipe.steps
+        seconds = time.perf_counter() - began
+        if on_step(Progress(step, recipe.steps, seconds, misfit, gaussians, squares, None, snapshot)):
+            break
+    return model

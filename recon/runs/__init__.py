@@ -1,0 +1,1 @@
+"""One whole run: plan memory and time, reconstruct, score, write a folder, resume."""

@@ -1,0 +1,82 @@
+"""Files that are whole or not there: arrays and JSON in one, written beside and renamed."""
+
+import json
+import os
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from torch import Tensor
+
+from phantomgen.runtime.disk import one_sentence
+from phantomgen.runtime.versions import environment
+from recon.data.array_store import release
+from recon.data.measurements import Measurements
+from spectra.errors import DatasetError
+
+_HEADER = "content"  # the one key of the metadata in a file
+
+
+def write_checkpoint(path: Path, tensors: dict[str, Tensor], content: dict[str, Any]) -> None:
+    """Write arrays, and what JSON can hold, as a safetensors file; `kill -9` leaves the old file or the new one.
+
+    Raises
+    ------
+    StorageError
+        When the disk is full or refuses.
+    """
+    from safetensors.torch import save  # noqa: PLC0415
+
+    packed = save({name: value.contiguous() for name, value in tensors.items()}, {_HEADER: json.dumps(content)})
+    write_whole(path, packed)
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write beside, wait for the disk, rename."""
+    beside = path.with_name(path.name + ".new")
+    with one_sentence(path):
+        with beside.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(beside, path)
+
+
+def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """What `write_checkpoint` wrote.
+
+    Raises
+    ------
+    DatasetError
+        When the file is not such a file.
+    """
+    from safetensors import SafetensorError, safe_open  # noqa: PLC0415
+
+    try:
+        with safe_open(path, framework="pt") as file:
+            content = json.loads((file.metadata() or {})[_HEADER])
+            return {name: file.get_tensor(name) for name in file.keys()}, content  # noqa: SIM118 - not a dict
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise DatasetError(f"{path}: not a checkpoint written by recon ({error})") from error
+
+
+def identity(measured: Measurements, options: dict[str, Any]) -> dict[str, str]:
+    """What must be the same for two fits to be the same, under names that a message may show.
+
+    Parameters
+    ----------
+    measured : training views
+    options : all else that results depend on, by name
+    """
+    found = sha256()
+    model = measured.transmission
+    arrays = (measured.counts, measured.gains, measured.exposure, measured.geometry.ray_frames(), measured.profile)
+    for array in (*arrays, model.columns, model.weights, model.starts):
+        values = np.ascontiguousarray(array if array is not None else [])
+        found.update(repr((values.dtype.str, values.shape)).encode())
+        found.update(values.data)
+    release(measured.counts)
+    versions = {name: version for name, version in environment().items() if name != "platform"}
+    texts = {name: repr(value) for name, value in options.items()}
+    return {"dataset": found.hexdigest(), "program or library version": json.dumps(versions, sort_keys=True), **texts}

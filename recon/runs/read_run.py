@@ -1,0 +1,113 @@
+"""What a run folder holds to be looked at and exported, whichever method wrote it: volumes, and Gaussians if any."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+from jaxtyping import Float32
+
+from phantomgen.dataset.layout import array_at, group_at
+from phantomgen.geometry.voxel_grid import Grid
+from recon.gaussians.model import Gaussians
+from recon.runs.run_folder import MODEL, open_run
+from recon.voxel.model import Voxels
+from spectra.errors import DatasetError
+
+VOLUMES = "volumes.h5"
+
+
+@dataclass(frozen=True, eq=False)
+class StoredRun:
+    """A run.
+
+    Parameters
+    ----------
+    folder : where it is
+    grid, basis_names : of the volumes
+    volumes : coefficients [1/mm]
+    gaussians : the model, None where the method has none
+    dataset : name of the file that was reconstructed, empty where the folder does not say
+    """
+
+    folder: Path
+    grid: Grid
+    basis_names: tuple[str, ...]
+    volumes: Float32[np.ndarray, "basis z y x"]
+    gaussians: Gaussians | None
+    dataset: str
+
+    @property
+    def name(self) -> str:
+        """Name of the folder."""
+        return self.folder.resolve().name
+
+    def on(self, grid: Grid) -> Float32[np.ndarray, "basis z y x"]:
+        """Volumes on another grid: of the Gaussians exactly, of voxels by linear interpolation [1/mm]."""
+        if grid == self.grid:
+            return self.volumes
+        model = self.gaussians or Voxels(self.volumes, self.grid, self.basis_names)
+        return model.volume(grid).astype(np.float32)
+
+
+def check_run_folder(folder: Path) -> None:
+    """Refuse what is no run folder at a glance, before anything is read.
+
+    Raises
+    ------
+    DatasetError
+        When there is no such folder, or neither volumes nor a model are in it.
+    """
+    if not folder.is_dir():
+        raise DatasetError(f"there is no run folder {folder}; make one by recon fit")
+    if not ((folder / VOLUMES).is_file() or (folder / MODEL).is_file()):
+        raise DatasetError(f"{folder} is not a run folder: it has neither {VOLUMES} nor {MODEL}; make one by recon fit")
+
+
+def read_run(folder: Path) -> StoredRun:
+    """Read a run folder; that of a fit that was interrupted has a model, whose volumes are computed here.
+
+    Raises
+    ------
+    DatasetError
+        When it is not one, or what is in it was damaged or written by another version.
+    """
+    check_run_folder(folder)
+    volumes, model = folder / VOLUMES, folder / MODEL
+    gaussians = Gaussians.load(model) if model.is_file() else None
+    if volumes.is_file():
+        grid, names, values = _read_volumes(volumes)
+    else:
+        run = open_run(folder)
+        grid, names, values = run.grid, run.gaussians.basis_names, run.gaussians.volume(run.grid)
+    if gaussians is not None and gaussians.basis_names != names:
+        raise DatasetError(
+            f"{folder}: {MODEL} has the bases {', '.join(gaussians.basis_names)}, {VOLUMES} has {', '.join(names)}: "
+            "they are not of one run"
+        )
+    return StoredRun(folder, grid, names, values, gaussians, _dataset_name(folder))
+
+
+def _read_volumes(path: Path) -> tuple[Grid, tuple[str, ...], np.ndarray]:
+    try:
+        with h5py.File(path, "r") as file:
+            group, place = group_at(file, "basis"), group_at(file, "grid")
+            shape, spacing, origin = (array_at(place, name)[()] for name in ("shape", "spacing", "origin"))
+            grid = Grid(tuple(map(int, shape)), tuple(map(float, spacing)), tuple(map(float, origin)))  # type: ignore[arg-type]
+            names = tuple(array_at(group, "basis_name").asstr()[()])
+            values = array_at(group, "data")[()].astype(np.float32)
+    except (OSError, TypeError) as error:
+        raise DatasetError(f"{path} cannot be read as what recon fit writes there ({error})") from None
+    if values.shape != (len(names), *grid.shape):
+        raise DatasetError(f"{path}: /basis/data has shape {values.shape}, expected {(len(names), *grid.shape)}")
+    return grid, names, values
+
+
+def _dataset_name(folder: Path) -> str:
+    """Without its folder, which is nobody's business."""
+    try:
+        content = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+        return Path(content["dataset"]).name
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""

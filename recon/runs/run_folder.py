@@ -1,0 +1,109 @@
+"""What a run folder tells later commands: the model, and ``scan.json``, which says what the model was fitted to."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.runtime.plain_json import write_json
+from recon.gaussians.model import Gaussians
+from spectra.basis.basis import Basis
+from spectra.errors import DatasetError
+from spectra.transmission import Transmission
+
+MODEL, SCAN = "model.safetensors", "scan.json"
+
+
+@dataclass(frozen=True, eq=False)
+class ScanRecord:
+    """What a run folder knows of the scan.
+
+    Parameters
+    ----------
+    grid : the volume that the scan asked for
+    basis : functions of energy; those of a model are the first
+    transmission : spectral model of a pixel at the panel's centre, at exposure 1
+    """
+
+    grid: Grid
+    basis: Basis
+    transmission: Transmission
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A finished fit.
+
+    Parameters
+    ----------
+    gaussians : the model
+    grid : the volume that the scan asked for
+    basis : functions of energy; those of the model are the first
+    transmission : spectral model of a pixel at the panel's centre, at exposure 1; `columns` are those of the model
+    """
+
+    gaussians: Gaussians
+    grid: Grid
+    basis: Basis
+    transmission: Transmission
+
+
+def write_scan(folder: Path, grid: Grid, basis: Basis, transmission: Transmission, channels: tuple[str, ...]) -> None:
+    """Write what is known of a scan into a run folder."""
+    table = basis.to_dict()
+    nodes = {name: getattr(transmission, name).tolist() for name in ("columns", "weights", "starts")}
+    content = {"grid": asdict(grid), "basis": table, "channels": list(channels), "transmission": nodes}
+    write_json(folder / SCAN, content)
+
+
+def open_run(folder: Path) -> Run:
+    """Read a run folder.
+
+    Raises
+    ------
+    DatasetError
+        When it is not one, or a file in it is damaged.
+    """
+    if not (folder / MODEL).is_file():
+        if (folder / "volumes.h5").is_file():
+            raise DatasetError(
+                f"{folder} is a run in voxels, but Gaussians are needed: `recon export` writes its volumes"
+            )
+        raise DatasetError(f"{folder} is not a run folder: it has no {MODEL}; make one by recon fit")
+    gaussians = Gaussians.load(folder / MODEL)
+    scan = open_scan(folder, len(gaussians.basis_names))
+    return Run(gaussians, scan.grid, scan.basis, scan.transmission)
+
+
+def open_scan(folder: Path, bases: int | None = None) -> ScanRecord:
+    """Read what `write_scan` wrote into a run folder.
+
+    Parameters
+    ----------
+    folder : a run folder
+    bases : columns of `transmission` to keep, default all
+
+    Raises
+    ------
+    DatasetError
+        When the file is missing, was written by another version, or is damaged.
+    """
+    try:
+        content = json.loads((folder / SCAN).read_text(encoding="utf-8"))
+        grid = Grid(**{name: tuple(values) for name, values in content["grid"].items()})
+        basis = Basis.from_table({name: _back(name, values) for name, values in content["basis"].items()})
+        nodes = {name: np.array(values) for name, values in content["transmission"].items()}
+        columns = nodes["columns"][:bases]
+        transmission = Transmission(columns, nodes["weights"], nodes["starts"], tuple(content["channels"]))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise DatasetError(f"{folder / SCAN} cannot be read as what recon fit writes there ({error})") from error
+    return ScanRecord(grid, basis, transmission)
+
+
+def _back(name: str, value: Any) -> Any:
+    """What was written, with NaN for null."""
+    numbers = name in ("edge_energy", "edge_width", "normalisation_energy")
+    return np.array([np.nan if number is None else number for number in value]) if numbers else value

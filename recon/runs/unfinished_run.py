@@ -1,0 +1,140 @@
+"""What an unfinished run keeps in its folder: where the fit started, where it stands, its log, models along the way.
+
+A fit goes on from here after `kill -9` at any moment. The log may be a few steps ahead of the last checkpoint; those
+lines are dropped and come again.
+"""
+
+import json
+import shutil
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from phantomgen.runtime.plain_json import to_json
+from recon.data.measurements import Measurements
+from recon.gaussians.optimize import Progress
+from recon.gaussians.state import FitState
+from recon.runs.checkpoint import identity, read_checkpoint, write_checkpoint, write_whole
+from spectra.errors import InputError
+
+START, CHECKPOINT, LOG, SNAPSHOTS = "start.safetensors", "checkpoint.safetensors", "log.jsonl", "snapshots"
+EVERY = 30.0  # seconds of fit between two checkpoints
+
+
+def is_partial(folder: Path) -> bool:
+    """Whether a folder holds a fit that can go on."""
+    return all((folder / name).is_file() for name in (START, CHECKPOINT))
+
+
+def clear(folder: Path) -> None:
+    """Remove what only an unfinished run needs."""
+    shutil.rmtree(folder / SNAPSHOTS, ignore_errors=True)
+    for name in (CHECKPOINT, START):
+        (folder / name).unlink(missing_ok=True)
+
+
+class PartialRun:
+    """The folder of a run that is not finished.
+
+    Parameters
+    ----------
+    folder : an existing folder
+    channels : names of the channels, for the log
+    options : what results depend on beside the dataset, by names that a message may show
+    """
+
+    def __init__(self, folder: Path, channels: tuple[str, ...], options: dict[str, Any]) -> None:
+        self.folder, self.channels, self.options = folder, channels, options
+        self.log: list[dict[str, Any]] = []
+        self._saved = time.perf_counter()
+
+    def found(self, measured: Measurements) -> tuple[FitState, Float[np.ndarray, "basis z y x"], dict] | None:
+        """Where an interrupted fit stands, the volumes it started from, and the seconds of its stages; None for none.
+
+        Raises
+        ------
+        InputError
+            When it was begun with another dataset or other options.
+        """
+        self._identity = identity(measured, self.options)
+        if not is_partial(self.folder):
+            return None
+        start, content = read_checkpoint(self.folder / START)
+        self._check(content["identity"])
+        state = FitState.restore(*read_checkpoint(self.folder / CHECKPOINT))
+        self._read_log(state.done)
+        return state, start["volumes"].numpy(), content["seconds"]
+
+    def begin(self, volumes: Float[np.ndarray, "basis z y x"], seconds: dict[str, float], state: FitState) -> None:
+        """Keep what a fit starts from."""
+        content = {"identity": self._identity, "seconds": seconds}
+        write_checkpoint(self.folder / START, {"volumes": torch.from_numpy(volumes)}, content)
+        (self.folder / LOG).write_bytes(b"")
+        self.save(state)
+
+    def add(self, progress: Progress) -> None:
+        """Keep what a step did: its line of the log, and now and then the model and the state of the fit."""
+        entry = log_entry(progress, self.channels)
+        self.log.append(entry)
+        with (self.folder / LOG).open("a", encoding="utf-8") as file:
+            file.write(json.dumps(entry) + "\n")
+        if progress.snapshot:
+            (self.folder / SNAPSHOTS).mkdir(exist_ok=True)
+            progress.gaussians.save(self._snapshot(progress.step))
+        due = progress.step == progress.steps or time.perf_counter() - self._saved > EVERY
+        if progress.state is not None and due:
+            self.save(progress.state)
+
+    def save(self, state: FitState) -> None:
+        """Write a checkpoint."""
+        write_checkpoint(self.folder / CHECKPOINT, state.tensors(), state.numbers())
+        self._saved = time.perf_counter()
+
+    def snapshots(self) -> dict[int, Path]:
+        """Files of the models along the way, by their step."""
+        found = {int(entry["step"]): self._snapshot(int(entry["step"])) for entry in self.log}
+        return {step: path for step, path in found.items() if path.is_file()}
+
+    def add_scores(self, scores: dict[int, dict[str, float]]) -> None:
+        """Add scores to the lines of their steps."""
+        lines = [to_json(entry | scores.get(int(entry["step"]), {})) + "\n" for entry in self.log]
+        write_whole(self.folder / LOG, "".join(lines).encode())
+
+    def _snapshot(self, step: int) -> Path:
+        return self.folder / SNAPSHOTS / f"{step}.safetensors"
+
+    def _check(self, other: dict[str, str]) -> None:
+        names = {*other, *self._identity}
+        changed = sorted(name for name in names if other.get(name) != self._identity.get(name))
+        if changed:
+            raise InputError(
+                f"{self.folder} cannot be resumed, as it was begun with another {' and '.join(changed)}: "
+                "ask for the same, or begin anew by --overwrite"
+            )
+
+    def _read_log(self, done: int) -> None:
+        """Lines of the steps that the checkpoint has; those after it, of which the last may be torn, are dropped."""
+        lines = (self.folder / LOG).read_text(encoding="utf-8").splitlines()[:done]
+        self.log = [json.loads(line) for line in lines]
+        write_whole(self.folder / LOG, "".join(line + "\n" for line in lines).encode())
+
+
+def log_entry(progress: Progress, channels: tuple[str, ...]) -> dict[str, Any]:
+    """What the log says of a step."""
+    entry: dict[str, Any] = {"step": progress.step, "seconds": progress.seconds, "deviance": progress.deviance}
+    entry |= _per_channel("chi_square", progress.chi_square, channels)
+    if progress.held_out is not None:
+        entry |= _per_channel("held_out_chi_square", progress.held_out, channels)
+    return entry
+
+
+def _per_channel(
+    name: str, values: Float[np.ndarray, " channel"], channels: tuple[str, ...]
+) -> dict[str, float | None]:
+    """Entries of the log; None where a channel has no value, as JSON has no NaN."""
+    pairs = zip(channels, values.tolist(), strict=True)
+    return {f"{name}_{channel}": value if np.isfinite(value) else None for channel, value in pairs}

@@ -1,0 +1,1 @@
+"""What a segmentation leaves: volumes, pictures, the table."""

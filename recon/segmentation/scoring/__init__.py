@@ -1,0 +1,1 @@
+"""Material maps against the truth."""

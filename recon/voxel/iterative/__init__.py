@@ -1,0 +1,1 @@
+"""Iterative reconstructions of voxels, one method per file, and what they share."""

@@ -1,0 +1,202 @@
+"""Photon-counting detectors whose pulses are not as high as the photon's energy.
+
+The counts of channel c per photon of energy E are A(E) times the integral of R(E'|E) over the channel, with A the part
+that the sensor absorbs and R the pulses in *all* pixels per absorbed photon: a Gaussian photopeak, peaks at E less the
+energy of fluorescence that got away, fluorescence absorbed in another pixel, and a continuum of shared charge. R is not
+normalised, as a photon may count in several pixels.
+
+Left out: Compton scattering in the sensor (every absorbed photon counts as photoelectric, which is wrong for silicon),
+a second generation of fluorescence, the loss of charge on its way through the sensor, and pile-up.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import CubicSpline
+from scipy.special import ndtr
+
+from spectra.detector.detector import Detector
+from spectra.detector.semiconductor import charge_fractions, escape, moved_charge
+from spectra.elements.attenuation import LOWEST_ENERGY, compton_share, k_lines, k_shell_share, mass_fractions
+from spectra.energy.grid import Energies
+from spectra.errors import InputError
+from spectra.threads import run_parallel
+
+EnergyArray = Float[np.ndarray, " energy"]
+PerChannel = Float[np.ndarray, "channel energy"]
+
+_FWHM = 2 * np.sqrt(2 * np.log(2))
+# Below so many standard deviations of the electronics a threshold counts noise.
+_NOISE_FREE = 4.0
+# A photon below a threshold by more than so many standard deviations is not counted.
+_REACH = 5.0
+# Sharpest resolution that pixels are tabulated for [keV], and how finely.
+_SHARPEST = 1.0
+_CLOUD_STEPS, _EVENT_STEPS = 8, 2
+_POOR_COMPTON = 0.2
+_NEGLIGIBLE = 1e-9  # counts per absorbed photon
+
+
+@dataclass(frozen=True)
+class Sharing:
+    """Charge shared between pixels: pitch of the sensor's square pixels, standard deviation of a charge cloud [mm]."""
+
+    pitch: float
+    cloud: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.pitch < np.inf:
+            raise InputError(f"the pitch of a sensor's pixels must be positive and finite, got {self.pitch:g} mm")
+        if not 0 <= self.cloud < self.pitch:
+            raise InputError(f"a charge cloud must be smaller than a pixel of {self.pitch:g} mm, got {self.cloud:g} mm")
+
+
+@dataclass(frozen=True)
+class PulseHeightDetector(Detector):
+    """Counters behind one sensor with a finite resolution, fluorescence and shared charge.
+
+    Parameters
+    ----------
+    resolution : full width at half maximum of the photopeak [keV], the same at all energies
+    fluorescence : whether K fluorescence of the sensor is followed
+    sharing : pixels and charge clouds; None for pixels that keep all charge and all fluorescence that does not leave
+        the sensor
+    """
+
+    resolution: float = 0.0
+    fluorescence: bool = False
+    sharing: Sharing | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 <= self.resolution < np.inf:
+            raise InputError(f"the resolution must be finite and not negative, got {self.resolution:g} keV")
+        if self.sharing is not None and self.resolution < _SHARPEST:
+            raise InputError(
+                f"shared charge needs a resolution of at least {_SHARPEST:g} keV, got {self.resolution:g} keV"
+            )
+        if self.channels[0].lower < _NOISE_FREE * self.sigma:
+            raise InputError(
+                f"a threshold of {self.channels[0].lower:g} keV counts electronic noise at a resolution of "
+                f"{self.resolution:g} keV: it must be at least {_NOISE_FREE * self.sigma:.3g} keV"
+            )
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the photopeak [keV]."""
+        return self.resolution / _FWHM
+
+    @property
+    def lowest(self) -> float:
+        """Energy below which no photon is counted [keV]."""
+        return max(LOWEST_ENERGY, self.channels[0].lower - _REACH * self.sigma)
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Thresholds, also those reached in spite of a lost fluorescence photon, and K edges of the sensor [keV]."""
+        top = self.channels[-1].upper
+        edges = self.material.k_edges(self.lowest, top)
+        lost = {t + energy for t in self.thresholds for _, energy, _ in self._lines} if self.resolution == 0 else set()
+        return tuple(sorted({*self.thresholds, *edges, *(e for e in lost if e < top)}))
+
+    @property
+    def poor(self) -> tuple[str, ...]:
+        """A sentence where Compton scattering in the sensor matters."""
+        top = self.channels[-1].upper
+        share = float(compton_share(self._composition, np.array([top]))[0])
+        if share < _POOR_COMPTON:
+            return ()
+        return (
+            f"the detector's response leaves out Compton scattering in the sensor, {share:.0%} of what "
+            f"{self.material.name} attenuates at {top:g} keV: take a measured or simulated response matrix instead",
+        )
+
+    def response(self, energies: Energies) -> PerChannel:
+        """Counts of each channel in all pixels, per photon of each bin."""
+        energy = energies.nodes
+        return self.absorption(energy) * self.pulses(energy)
+
+    def pulses(self, energy: EnergyArray) -> PerChannel:
+        """Counts of each channel in all pixels, per absorbed photon of each energy [keV]."""
+        counts = whole = self._clouds(energy)
+        for number, line, per_hole in self._lines:
+            emitted = per_hole * k_shell_share(self._composition, number, energy)
+            counts = counts + emitted * (self._with_fluorescence(energy, line) - whole)
+        return np.where(counts > _NEGLIGIBLE, counts, 0.0)
+
+    def _with_fluorescence(self, energy: EnergyArray, line: float) -> PerChannel:
+        """Counts of each channel in all pixels, per absorbed photon that emits fluorescence of `line` [keV]."""
+        mu_line = float(self.material.attenuation(np.array([line]))[0])
+        escaped = escape(self.material.attenuation(energy), mu_line, self.thickness)
+        without = self._clouds(np.maximum(energy - line, 0.0))
+        if self.sharing is None:
+            return escaped * without + (1 - escaped) * self._clouds(energy)
+        # Pixels that get charge of the fluorescence, and what charge of the photon itself adds to them.
+        moved = self._clouds(np.array([line])) * (1 - escaped)
+        return escaped * without + moved + _disjoint(self._lifted[line](np.maximum(energy, line)))
+
+    def _clouds(self, deposited: EnergyArray) -> PerChannel:
+        """Counts of each channel in all pixels, per charge cloud of each energy [keV]."""
+        if self.sharing is None:
+            return _disjoint(np.stack([self._passes(deposited, t) for t in self.thresholds]))
+        return np.maximum(_disjoint(self._shared(deposited)), 0.0)
+
+    @cached_property
+    def _shared(self) -> CubicSpline:
+        """Pixels above each threshold per charge cloud, as a function of its energy [keV]."""
+        fractions, pixels = charge_fractions(*self._pixels)
+        energy = self._ladder(0.0, _CLOUD_STEPS)
+        above = [ndtr((energy[:, None] * fractions - t) / self.sigma) @ pixels for t in self.thresholds]
+        return CubicSpline(energy, np.stack(above), axis=1)
+
+    @cached_property
+    def _lifted(self) -> dict[float, CubicSpline]:
+        """For each line: pixels above each threshold only by the charge that the photon left there."""
+        lines = [line for _, line, _ in self._lines]
+        return dict(zip(lines, run_parallel(self._lifted_beside, lines), strict=True))
+
+    def _lifted_beside(self, line: float) -> CubicSpline:
+        """The same for one line, as a function of the photon's energy [keV]."""
+        mu_line, limits = float(self.material.attenuation(np.array([line]))[0]), np.array(self.thresholds)[:, None]
+        energy = self._ladder(line, _EVENT_STEPS)
+        above = np.empty((len(self), len(energy)))
+        for i, (e, mu) in enumerate(zip(energy, self.material.attenuation(energy), strict=True)):
+            events = moved_charge(float(mu), mu_line, self.thickness, *self._pixels)
+            alone = line * events.moved - limits
+            lifted = ndtr((alone + (e - line) * events.left) / self.sigma) - ndtr(alone / self.sigma)
+            above[:, i] = lifted @ events.weights
+        return CubicSpline(energy, above, axis=1)
+
+    def _ladder(self, low: float, steps: int) -> EnergyArray:
+        """Energies from `low` to above the highest one, `steps` to a standard deviation [keV]."""
+        width = max(self.channels[-1].upper - low, 0.0) + 1.0
+        return np.linspace(low, low + width, int(np.ceil(width / self.sigma * steps)) + 2)
+
+    @property
+    def _pixels(self) -> tuple[float, float]:
+        """Pitch and charge cloud [mm]; only with `sharing`."""
+        return (np.inf, 0.0) if self.sharing is None else (self.sharing.pitch, self.sharing.cloud)
+
+    def _passes(self, energy: EnergyArray, threshold: float) -> EnergyArray:
+        """Part of the pulses of an energy that reach a threshold."""
+        return (energy >= threshold) * 1.0 if self.sigma == 0 else ndtr((energy - threshold) / self.sigma)
+
+    @property
+    def _composition(self) -> str | dict[str, float]:
+        """What the sensor consists of."""
+        return self.material.composition or {}  # type: ignore[return-value]
+
+    @cached_property
+    def _lines(self) -> tuple[tuple[int, float, float], ...]:
+        """Atomic number, energy [keV] and photons per ionised K shell of the lines above `LOWEST_ENERGY`."""
+        if not self.fluorescence:
+            return ()
+        found = [(number, *line) for number, _ in mass_fractions(self._composition) for line in k_lines(number)]
+        return tuple((number, line, rate) for number, line, rate in found if line > LOWEST_ENERGY and rate > 0)
+
+
+def _disjoint(above: PerChannel) -> PerChannel:
+    """Counts between thresholds from counts above each."""
+    return above - np.append(above[1:], np.zeros((1, above.shape[1])), axis=0)

@@ -1,0 +1,1 @@
+"""Energy grids and numerics on them: bins, interpolation, fewer nodes, interpolative decomposition."""

@@ -1,0 +1,1 @@
+"""Materials with a density: compositions, mixtures, electron density."""

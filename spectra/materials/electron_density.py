@@ -1,0 +1,47 @@
+"""Electrons in matter: what scatters X-rays."""
+
+import numpy as np
+
+from spectra.basis.basis import Basis, BasisFunction, klein_nishina
+from spectra.elements.attenuation import Composition, electrons_per_gram, mass_attenuation
+from spectra.errors import InputError
+from spectra.materials.material import Material
+
+# Classical electron radius [mm], CODATA 2018.
+ELECTRON_RADIUS = 2.8179403262e-12
+
+
+def electron_density(material: Material, basis: Basis) -> float:
+    """Electrons per volume [1/mm^3].
+
+    Those of a composition follow from its elements. Of explicit coefficients, `compton` is the Klein-Nishina cross
+    section of all electrons; those of elements and materials say how much of them there is; `photoelectric`, `step` and
+    `sigmoid` mean absorption alone.
+
+    Parameters
+    ----------
+    material : by composition or by coefficients
+    basis : that coefficients belong to
+    """
+    if material.composition is not None:
+        return float(material.density or 0.0) / 1000 * electrons_per_gram(material.composition)
+    given = dict(material.coefficients or {})
+    return sum(_electrons(f, basis.reference_energy, given[f.name]) for f in basis.functions if given.get(f.name))
+
+
+def _electrons(function: BasisFunction, reference: float, coefficient: float) -> float:
+    """Electrons per volume [1/mm^3] of a coefficient [1/mm]."""
+    if function.kind == "compton":
+        return coefficient / (2 * np.pi * ELECTRON_RADIUS**2 * klein_nishina(np.array([reference]))[0])
+    if function.kind == "svd":
+        raise InputError(f"coefficients of the function {function.name!r} do not tell how many electrons there are")
+    if function.kind == "element":
+        at = np.array([function.normalisation_energy(reference) + 0.01])
+        return _of_matter({str(function.element): 1.0}, coefficient, at)
+    return _of_matter(dict(function.amounts), coefficient, np.array([reference])) if function.amounts else 0.0
+
+
+def _of_matter(composition: Composition, attenuation: float, energy: np.ndarray) -> float:
+    """Electrons per volume [1/mm^3] of matter with some attenuation [1/mm] at `energy` [keV]."""
+    density = 10 * attenuation / mass_attenuation(composition, energy)[0]
+    return density / 1000 * electrons_per_gram(composition)

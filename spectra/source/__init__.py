@@ -1,0 +1,1 @@
+"""X-ray sources: spectra of tubes and lines, filters, the heel effect, beam quality."""
