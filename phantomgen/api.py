@@ -7,7 +7,8 @@ from typing import Any
 from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.writing.writer import check_dataset_name
 from phantomgen.scene.scan import Scan, load_scene
-from phantomgen.simulation.planning.make_plan import TOLERANCE, Plan, make_plan
+from phantomgen.simulation.planning.make_plan import make_plan
+from phantomgen.simulation.planning.plan import TOLERANCE, Plan
 from phantomgen.simulation.run import simulate
 
 
@@ -36,8 +37,8 @@ def make(
     scan : what to simulate, or a preset or scene file
     out : name of the dataset; ``<name of the scene>.h5`` where left out
     seed : of the noise; that of the scene where left out
-    options : of `phantomgen.simulation.run.simulate`, such as ``tolerance=1e-4`` or ``overwrite=True``; that function says
-        what a simulation took and how exact its counts are
+    options : of `phantomgen.simulation.run.simulate`, such as ``tolerance=1e-4`` or ``overwrite=True``; that function
+        says what a simulation took and how exact its counts are
 
     Returns
     -------

@@ -179,8 +179,8 @@ def fit(
     bases : how many basis functions to fit, or their names, such as ``("photoelectric", "compton", "kedge_I")``; those
         that the counts warrant where left out
     edges : where to look for K edges [keV], see `recon.kedge.choose_basis.choose_basis`; None to believe the dataset
-    callbacks : functions, or objects with a method ``on_step``, that get a `recon.gaussians.optimize.Progress` after every step
-        and end the fit by returning True; objects may have a method ``on_end`` that gets the finished `Fit`
+    callbacks : functions, or objects with a method ``on_step``, that get a `recon.gaussians.optimize.Progress` after
+        every step and end the fit by returning True; objects may have a method ``on_end`` that gets the finished `Fit`
 
     Raises
     ------

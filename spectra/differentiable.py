@@ -1,6 +1,7 @@
 """The transmission operator in torch's automatic differentiation."""
 
 from functools import lru_cache
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -68,3 +69,13 @@ def tables(transmission: "Transmission", dtype: torch.dtype, device: torch.devic
 
     columns, weights = (torch.tensor(a, dtype=dtype) for a in (transmission.columns.T, transmission.weights))
     return Tables(columns.contiguous().to(device), weights.to(device), torch.tensor(transmission.starts).to(device))
+
+
+def transmit(lengths: torch.Tensor, transmission: "Transmission") -> torch.Tensor:
+    """Expected counts of a tensor of line integrals, (..., M) -> (..., C), differentiable once in `lengths`.
+
+    The result is on the device of `lengths`. On a GPU it is computed by Triton in float32 or float64, as `lengths` is;
+    elsewhere, and where Triton is not installed, by numba in float64.
+    """
+    on_gpu = lengths.device.type == "cuda" and find_spec("triton") is not None
+    return (TransmitOnGpu if on_gpu else Transmit).apply(lengths, transmission)

@@ -13,10 +13,10 @@ import time
 import numpy as np
 
 from phantomgen.scene.scan import load_scene
-from phantomgen.simulation.checks.field_of_view import sampled_lengths
 from phantomgen.simulation.forward_model.discretization import Settings
+from phantomgen.simulation.forward_model.expected_counts import expected_view
 from phantomgen.simulation.forward_model.exposure import Exposure
-from phantomgen.simulation.forward_model.frames import expected_view
+from phantomgen.simulation.forward_model.sampled_rays import sampled_lengths
 from phantomgen.simulation.forward_model.scatter import SingleScatter
 
 VIEW = 3

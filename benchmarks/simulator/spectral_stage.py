@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from phantomgen.scene.scan import load_scene
-from phantomgen.simulation.checks.field_of_view import sampled_lengths
 from phantomgen.simulation.forward_model.energy_grids import compressed_transmission, fine_transmission
+from phantomgen.simulation.forward_model.sampled_rays import sampled_lengths
 from spectra.ops.transmit import expected_counts
 from spectra.threads import thread_count
 

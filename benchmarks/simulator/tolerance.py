@@ -24,12 +24,13 @@ import numpy as np
 from benchmarks.result_rows import store
 from phantomgen.ops.expected_counts import CROSSED, VOXELS, expose, expose_brute
 from phantomgen.scene.scan import Scan, load_scene
-from phantomgen.simulation.checks.field_of_view import sampled_lengths
 from phantomgen.simulation.checks.verification import FINER
 from phantomgen.simulation.checks.verification import _ray_errors as ray_errors
 from phantomgen.simulation.forward_model.energy_grids import STEP, compressed_transmission
-from phantomgen.simulation.forward_model.frames import expected_view
-from phantomgen.simulation.planning.make_plan import Plan, make_plan
+from phantomgen.simulation.forward_model.expected_counts import expected_view
+from phantomgen.simulation.forward_model.sampled_rays import sampled_lengths
+from phantomgen.simulation.planning.make_plan import make_plan
+from phantomgen.simulation.planning.plan import Plan
 from spectra.threads import run_parallel, thread_count
 
 mpl.use("Agg")

@@ -66,10 +66,15 @@ def version_option(program: str) -> Callable[[Callable], Callable]:
 
     def show(ctx: click.Context, _: click.Parameter, value: bool) -> None:
         if value:
-            from phantomgen.runtime.versions import program_version  # noqa: PLC0415
+            from phantomgen.runtime.versions import program_version
 
             click.echo(f"{program} {program_version()}")
             ctx.exit()
 
     help_text = "Print the version."
     return click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=show, help=help_text)
+
+
+def print_stages(shown: bool) -> Callable[[str], None]:
+    """What says on stderr which stage has begun, where somebody can see it."""
+    return lambda name: click.echo(f"{name} ...", err=True) if shown else None

@@ -7,11 +7,12 @@ from typing import Any
 import h5py
 import numpy as np
 
-from phantomgen.dataset.geometry import distances
+from phantomgen.dataset.file import DARK, FLAT
 from phantomgen.dataset.layout import array_at, group_at, text_of
-from phantomgen.dataset.reader import DARK, FLAT, Dataset, open_dataset
+from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.truth import read_fit
 from phantomgen.dataset.validate import newer_minor
+from phantomgen.geometry.poses import distances
 
 
 def describe(path: Path) -> dict[str, Any]:

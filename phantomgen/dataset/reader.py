@@ -4,8 +4,7 @@ Errors are sentences, also for files that are cut off, of a newer schema, or wit
 of its own, so that a reconstructor which imports this one cannot see it by accident.
 """
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,18 +15,18 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Shaped
 
 from phantomgen.dataset.beam_profile import read_profile
-from phantomgen.dataset.compression import check_readable
-from phantomgen.dataset.dataset_basis import in_basis
+from phantomgen.dataset.file import DARK, DETECTOR, FLAT, damaged_file, open_file
 from phantomgen.dataset.geometry import read_geometry
-from phantomgen.dataset.layout import SCHEMA, SCHEMA_VERSION, array_at, group_at, text_of
+from phantomgen.dataset.layout import array_at, group_at, text_of
 from phantomgen.dataset.pixel_mask import read_mask
-from phantomgen.dataset.spectral_model import Spectra
+from phantomgen.dataset.spectral_model import Spectra, in_basis
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.runtime.thumbnails import thumbnails
 from spectra.basis.basis import Basis
 from spectra.detector.dead_time import DeadTime
-from spectra.errors import DatasetError, Error, InputError
+from spectra.errors import DatasetError, InputError
 
 if TYPE_CHECKING:
     from xarray import DataArray
@@ -35,8 +34,6 @@ if TYPE_CHECKING:
     from phantomgen.dataset.adapters.to_torch import ViewSet
 
 Region = tuple[slice, slice]
-DETECTOR = "/entry/instrument/detector"
-FLAT, DARK = "/entry/instrument/flat/data", "/entry/instrument/dark/data"
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,10 +174,9 @@ class Dataset:
         return ViewSet.of(self, split)
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
-        from phantomgen.runtime.thumbnails import dataset_html  # noqa: PLC0415 - draws
-
-        return dataset_html(self)
+        """What a notebook shows: what the dataset holds, and its first view in every channel."""
+        logs = self.line_integrals(0)
+        return thumbnails(repr(self), list(zip(self.spectra.channels, logs, strict=True)))
 
     @cached_property
     def geometry(self) -> Geometry:
@@ -368,30 +364,6 @@ def open_dataset(path: Path | str, air: Region | str | None = None) -> Dataset:
     return dataset
 
 
-def open_file(path: Path) -> h5py.File:
-    """Open the file and check that it is one of ours, of a version that can be read."""
-    scene = path.suffix.lower() in {".yaml", ".yml"}
-    if path.is_dir():
-        raise DatasetError(f"{path} is a folder and no dataset")
-    if not path.is_file():
-        hint = f"; `phantomgen make {path}` makes one of a scene file or preset" if scene or not path.suffix else ""
-        raise DatasetError(f"there is no dataset {path}{hint}")
-    if scene:
-        raise DatasetError(f"{path} is no dataset: `phantomgen make {path}` makes one of a scene file")
-    try:
-        file = h5py.File(path, "r")
-    except OSError as error:
-        reason = "it is cut off" if "truncated" in str(error) else "it is damaged or not an HDF5 file"
-        raise DatasetError(f"{path} cannot be read: {reason}") from None
-    try:
-        _check_version(file, path)
-        check_readable(file, f"{DETECTOR}/data")
-    except Error:
-        file.close()
-        raise
-    return file
-
-
 def parse_region(text: str) -> Region:
     """``"r0:r1,c0:c1"`` as two slices of rows and columns."""
     try:
@@ -410,31 +382,6 @@ def check_counts(counts: Shaped[np.ndarray, "..."], where: str, signed: bool = F
         raise DatasetError(f"{where} holds a value that is not a number; repair or leave out that view")
     if smallest < 0 and not signed:
         raise DatasetError(f"{where} holds negative counts, down to {smallest:g}; store raw counts, with darks apart")
-
-
-@contextmanager
-def damaged_file(path: Path) -> Iterator[None]:
-    """Turn what HDF5 says about unreadable bytes into one sentence."""
-    try:
-        yield
-    except OSError:
-        raise DatasetError(f"{path} is damaged: a part of it cannot be read") from None
-
-
-def _check_version(file: h5py.File, path: Path) -> None:
-    """Refuse other files and newer major versions; a newer minor version only adds things."""
-    if text_of(file.attrs.get("schema", "")) != SCHEMA:
-        raise DatasetError(f"{path} is not a {SCHEMA} dataset: its root has no attribute schema={SCHEMA!r}")
-    version = text_of(file.attrs.get("schema_version", ""))
-    major = version.split(".")[0]
-    if not major.isdigit():
-        raise DatasetError(f"{path} states no schema version")
-    if int(major) > SCHEMA_VERSION[0]:
-        known = ".".join(map(str, SCHEMA_VERSION))
-        raise DatasetError(
-            f"{path} has schema version {version}, this program knows {known}: update it by "
-            "'pip install --upgrade spectral-ct'"
-        )
 
 
 def _check_consistent(dataset: Dataset) -> None:

@@ -1,6 +1,6 @@
-"""What a dataset says about energies: source, channels and basis functions."""
+"""What a dataset says about energies: source, channels and basis functions, its own or others."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -8,6 +8,7 @@ from jaxtyping import Float
 from phantomgen.dataset.beam_profile import StoredProfile
 from spectra.basis.basis import Basis
 from spectra.detector.dead_time import DeadTime
+from spectra.energy.bin_split import split_bins
 from spectra.transmission import Transmission
 
 
@@ -68,3 +69,29 @@ class Spectra:
         """Line integrals of the basis coefficients, and after them lengths in the profile, to expected counts."""
         parts = [] if self.profile is None else [self.profile.attenuation]
         return Transmission.from_spectrum(self.weights, np.concatenate([self.basis_values, *parts]), self.channels)
+
+
+def in_basis(spectra: "Spectra", basis: Basis) -> "Spectra":
+    """The same source and detector, and other functions of energy.
+
+    Parameters
+    ----------
+    spectra : as stored
+    basis : functions to use; bins are cut where one has an edge, so that expected counts are continuous in its energy
+    """
+    split = split_bins(spectra.edges, spectra.energy, basis.breaks)
+    parents = split.parents
+    profile = spectra.profile
+    if profile is not None:
+        profile = StoredProfile(profile.names, profile.attenuation[:, parents], profile.lengths)
+    return replace(
+        spectra,
+        energy=split.nodes,
+        edges=split.edges,
+        source=spectra.source[parents] * split.shares,
+        response=np.ascontiguousarray(spectra.response[:, parents]),
+        basis=basis,
+        basis_values=basis.evaluate(split.nodes),
+        variance=None if spectra.variance is None else spectra.variance[:, parents],
+        profile=profile,
+    )

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int, UInt16
 
 from phantomgen.dataset.compression import Compression, filters
+from phantomgen.dataset.file import damaged_file, open_file
 from phantomgen.dataset.layout import (
     FRACTION_SCALE,
     array_at,
@@ -22,8 +23,9 @@ from phantomgen.dataset.layout import (
     text_of,
     write_image,
 )
-from phantomgen.dataset.reader import damaged_file, open_file
+from phantomgen.exporters.volumes import Volumes, basis_volumes
 from phantomgen.geometry.voxel_grid import Grid
+from spectra.errors import DatasetError
 from spectra.materials.material import Material
 from spectra.threads import run_parallel
 
@@ -270,3 +272,25 @@ def _composition(material: Material) -> str:
     if isinstance(material.composition, str) or material.composition is None:
         return material.composition or ""
     return json.dumps(dict(material.composition))
+
+
+def true_volumes(path: Path, labels: bool = False) -> Volumes:
+    """Basis volumes of a dataset's truth, or what fills most of each voxel.
+
+    Parameters
+    ----------
+    path : of the dataset
+    labels : 0 for the background, i + 1 for material i, in place of the bases
+
+    Raises
+    ------
+    DatasetError
+        When the dataset holds no truth, or is damaged.
+    """
+    truth = read_truth(path)
+    if truth is None:
+        raise DatasetError(f"{path} holds no truth to export")
+    if labels:
+        names = ", ".join(f"{i} {name}" for i, name in enumerate(truth.material_names, 1))
+        return Volumes(truth.grid, {"labels": truth.labels}, f"materials: 0 background, {names}")
+    return basis_volumes(truth.grid, truth.basis_names, truth.volumes)

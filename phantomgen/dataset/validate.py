@@ -7,9 +7,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from phantomgen.dataset.geometry import KINDS, read_true_geometry
+from phantomgen.dataset.file import DARK, DETECTOR, FLAT, damaged_file
+from phantomgen.dataset.geometry import KINDS
 from phantomgen.dataset.layout import SCHEMA_VERSION
-from phantomgen.dataset.reader import DARK, DETECTOR, FLAT, Dataset, check_counts, damaged_file, open_dataset
+from phantomgen.dataset.reader import Dataset, check_counts, open_dataset
+from phantomgen.dataset.true_poses import read_true_geometry
 from phantomgen.dataset.truth import Truth, read_truth
 from phantomgen.geometry.poses import Geometry
 from spectra.errors import DatasetError, Error

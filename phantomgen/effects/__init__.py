@@ -14,8 +14,7 @@ from phantomgen.effects.electronic_noise import Electronics
 from phantomgen.effects.focal_spot import FocalSpot
 from phantomgen.effects.lag import Lag
 from phantomgen.effects.pixel_gain import Gain
-from phantomgen.effects.scatter import ScatterKernel
-from phantomgen.effects.scatter_compton import ComptonScatter
+from phantomgen.effects.scatter import ComptonScatter, ScatterKernel
 from phantomgen.effects.tube_fluctuation import TubeOutput
 
 __all__ = [

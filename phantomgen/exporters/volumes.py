@@ -1,7 +1,6 @@
 """Volumes for other programs: which formats there are, and files that appear when they are complete."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -9,10 +8,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Shaped
 
-from phantomgen.dataset.truth import read_truth
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.runtime.disk import one_sentence
-from spectra.errors import DatasetError, InputError
+from phantomgen.runtime.disk import complete_file
+from spectra.errors import InputError
 
 FORMATS = {".vti": "vti", ".nii": "nifti", ".nii.gz": "nifti"}  # suffix: module that writes it
 
@@ -39,28 +37,6 @@ class Volumes:
 
     def __repr__(self) -> str:
         return f"Volumes({', '.join(self.values)}: {' x '.join(map(str, self.grid.shape))} voxels)"
-
-
-def true_volumes(path: Path, labels: bool = False) -> Volumes:
-    """Basis volumes of a dataset's truth, or what fills most of each voxel.
-
-    Parameters
-    ----------
-    path : of the dataset
-    labels : 0 for the background, i + 1 for material i, in place of the bases
-
-    Raises
-    ------
-    DatasetError
-        When the dataset holds no truth, or is damaged.
-    """
-    truth = read_truth(path)
-    if truth is None:
-        raise DatasetError(f"{path} holds no truth to export")
-    if labels:
-        names = ", ".join(f"{i} {name}" for i, name in enumerate(truth.material_names, 1))
-        return Volumes(truth.grid, {"labels": truth.labels}, f"materials: 0 background, {names}")
-    return basis_volumes(truth.grid, truth.basis_names, truth.volumes)
 
 
 def basis_volumes(grid: Grid, names: tuple[str, ...], volumes: Shaped[np.ndarray, "basis z y x"]) -> Volumes:
@@ -93,7 +69,7 @@ def writer_of(path: Path) -> Callable[[Path, Volumes], None]:
     NotInstalledError
         When the format needs a package that is not there.
     """
-    return import_module(f"phantomgen.io.{FORMATS[suffix_of(path)]}").writer()
+    return import_module(f"phantomgen.exporters.{FORMATS[suffix_of(path)]}").writer()
 
 
 def write_volumes(path: Path, volumes: Volumes) -> None:
@@ -109,15 +85,3 @@ def write_volumes(path: Path, volumes: Volumes) -> None:
     write = writer_of(path)
     with complete_file(path, suffix_of(path)) as beside:
         write(beside, volumes)
-
-
-@contextmanager
-def complete_file(path: Path, suffix: str) -> Iterator[Path]:
-    """A name with the same suffix beside `path`, which it is renamed to at the end."""
-    beside = path.with_name(f"{path.name}.part{suffix}")
-    try:
-        with one_sentence(path):
-            yield beside
-            beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)

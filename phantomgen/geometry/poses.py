@@ -225,3 +225,17 @@ class Geometry:
 
 
 _VECTORS = ("source", "panel_center", "column_step", "row_step")
+
+
+def distances(geometry: Geometry) -> dict[str, float | None]:
+    """Distances in view 0 [mm]: from source to axis and to panel, None in a parallel beam, and from axis to panel.
+
+    Those to the panel are along its normal. In a helical scan the axis is met at the height of the source.
+    """
+    source, center, normal = geometry.source[0].copy(), geometry.panel_center[0].copy(), geometry.normals()[0]
+    if geometry.kind == "helical":
+        center[2] -= source[2]
+        source[2] = 0.0
+    near = {"sod_mm": float(np.linalg.norm(source)), "sdd_mm": float(abs((center - source) @ normal))}
+    behind = {"object_to_panel_mm": float(abs(center @ normal))}
+    return (dict.fromkeys(near) if geometry.is_parallel else near) | behind

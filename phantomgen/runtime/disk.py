@@ -79,3 +79,15 @@ def one_sentence(path: Path, needed: float | None = None) -> Iterator[None]:
 def is_full(error: BaseException) -> bool:
     """Whether an error of a file system or of HDF5 means that there is no room; HDF5 says so in words only."""
     return getattr(error, "errno", None) in _FULL or os.strerror(errno.ENOSPC) in str(error)
+
+
+@contextmanager
+def complete_file(path: Path, suffix: str) -> Iterator[Path]:
+    """A name with the same suffix beside `path`, which it is renamed to at the end."""
+    beside = path.with_name(f"{path.name}.part{suffix}")
+    try:
+        with one_sentence(path):
+            yield beside
+            beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)

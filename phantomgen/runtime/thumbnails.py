@@ -4,13 +4,9 @@ import base64
 import html
 import io
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Real
-
-if TYPE_CHECKING:
-    from phantomgen.dataset.reader import Dataset
 
 HEIGHT = 120  # pixels on the screen
 
@@ -24,12 +20,6 @@ def thumbnails(words: str, images: Sequence[tuple[str, Real[np.ndarray, "row col
         for name, image in images
     )
     return f'<div>{html.escape(words)}<div style="display:flex;flex-wrap:wrap">{pictures}</div></div>'
-
-
-def dataset_html(dataset: "Dataset") -> str:
-    """A dataset: what it holds, and its first view in every channel."""
-    logs = dataset.line_integrals(0)
-    return thumbnails(repr(dataset), list(zip(dataset.spectra.channels, logs, strict=True)))
 
 
 def _png(image: Real[np.ndarray, "row column"]) -> str:

@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from phantomgen.effects import Effects
-from phantomgen.geometry.fan_angles import Profile
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.solids import Solids
 from phantomgen.scene import schema
 from phantomgen.scene.basis import needed, scene_basis
+from phantomgen.scene.beam_profile import Profile
 from phantomgen.scene.detector import scene_dead_time, scene_detector
 from phantomgen.scene.effects import scene_effects
 from phantomgen.scene.file.find_scene import find_scene

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.geometry.fan_angles import Absorber, Profile, anode_angles, fan_angles, obliquity
+from phantomgen.geometry.fan_angles import anode_angles, fan_angles, obliquity
 from phantomgen.scene import schema
+from phantomgen.scene.beam_profile import Absorber, Profile
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.geometry import mount_of, panel_distance, panel_of
 from phantomgen.scene.input_files.spectrum_table import read_source

@@ -4,15 +4,9 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-from jaxtyping import Float32
-
 from phantomgen.dataset.compression import Compression, check_compression
-from phantomgen.dataset.truth import StreamedTruth, Truth
 from phantomgen.dataset.writing.frame_journal import FrameJournal, check_journal
 from phantomgen.dataset.writing.writer import DatasetWriter
-from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.ops.voxelize_shapes import fractions
 from phantomgen.runtime.stopwatch import Stopwatch
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.checks.collisions import check_collisions
@@ -20,19 +14,17 @@ from phantomgen.simulation.checks.field_of_view import coverage_warnings
 from phantomgen.simulation.checks.verification import full_check, quick_check
 from phantomgen.simulation.forward_model.energy_grids import (
     fit_warnings,
-    material_coefficients,
     material_fit,
     reconstructor_spectra,
 )
 from phantomgen.simulation.forward_model.fingerprint import identity
 from phantomgen.simulation.forward_model.frames import Views
-from phantomgen.simulation.planning.make_plan import TOLERANCE, make_plan
+from phantomgen.simulation.forward_model.truth import streamed_truth
+from phantomgen.simulation.planning.make_plan import make_plan
+from phantomgen.simulation.planning.plan import TOLERANCE
 from phantomgen.simulation.projection_cache.cache import Keeper, usable
 from phantomgen.simulation.summary import Summary
 from phantomgen.simulation.write_frames import compute_frames, write_frames
-
-# From a grid to the part of each voxel that each material fills.
-Filled = Callable[[Grid], Float32[np.ndarray, "material z y x"]]
 
 
 def simulate(
@@ -56,8 +48,8 @@ def simulate(
     ----------
     scan : what is scanned, with what
     out : name of the dataset; it appears there when complete
-    tolerance : worst error of log projections that is wanted; by default `phantomgen.simulation.planning.make_plan.TOLERANCE` as far as the
-        scene allows
+    tolerance : worst error of log projections that is wanted; by default
+        `phantomgen.simulation.planning.plan.TOLERANCE` as far as the scene allows
     overwrite : replace a file that exists
     keep_expected : store the counts without noise in the truth as well
     keep_paths : store the projections of each view at a few energies, so that `paths` of a later run may name this one
@@ -94,7 +86,7 @@ def simulate(
         if tolerance is not None:
             plan.check()
         scan = plan.scan
-        views = Views(scan, plan.exposure, plan.settings, kept=kept_views)
+        views = Views(scan, plan.exposure, plan.settings, cached=kept_views.primary if kept_views else None)
         keeper = Keeper.of(plan) if keep_paths else None
         warnings = [*plan.warnings, *coverage_warnings(scan), *fit_warnings(scan, material_fit(scan))]
         warnings += [*scan.detector.poor, *plan.exposure.warnings]
@@ -136,20 +128,3 @@ def simulate(
         error=error,
         warnings=warnings,
     )
-
-
-def scan_truth(scan: Scan) -> Truth:
-    """Material fractions and basis volumes."""
-    return streamed_truth(scan).part(scan.grid)
-
-
-def streamed_truth(scan: Scan, filled: Filled | None = None) -> StreamedTruth:
-    """The same, for volumes that are larger than memory; `filled` says what materials fill where that is known."""
-    names = tuple(m.name for m in scan.scene.materials)
-    solids, background = scan.scene.solids, scan.scene.background
-    coefficients, fit = material_coefficients(scan), material_fit(scan)
-
-    def voxelized(grid: Grid) -> Float32[np.ndarray, "material z y x"]:
-        return fractions(grid, solids, len(names), background=background)
-
-    return StreamedTruth(scan.grid, scan.basis.names, names, coefficients, filled or voxelized, scan.text, fit)

@@ -6,7 +6,7 @@ from textwrap import indent
 from typing import Any
 
 from phantomgen.simulation.checks.verification import MeasuredError
-from phantomgen.simulation.planning.make_plan import Plan
+from phantomgen.simulation.planning.plan import Plan
 
 
 @dataclass(frozen=True)

@@ -74,7 +74,7 @@ def segment(
     monoenergetic and non-contrast images, concentrations, atomic numbers, coloured Gaussians and pictures. The truth is
     read only afterwards, for the scores.
     """
-    from phantomgen.dataset.reader import open_file
+    from phantomgen.dataset.file import open_file
     from recon.segmentation.output.files import (
         POINTS,
         TABLE,

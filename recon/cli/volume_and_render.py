@@ -70,7 +70,7 @@ def volume(
     fitted = open_run(run)
     chosen = chosen_grid(fitted.grid, grid, voxel, size, center, like)
     set_threads(threads)
-    bar = _Bar("voxelize", "slice", quiet or as_json)
+    bar = ProgressBar("voxelize", "slice", quiet or as_json)
     write_volume(target, fitted, chosen, energy, bar.update)
     bar.close()
     shape = " x ".join(map(str, chosen.shape))
@@ -114,7 +114,7 @@ def render(
     fitted = open_run(run)
     views = views_of_dataset(fitted, like) if like is not None else views_of_file(fitted, Path(str(scene_geometry)))
     set_threads(threads)
-    bar = _Bar("render", "view", quiet or as_json)
+    bar = ProgressBar("render", "view", quiet or as_json)
     write_render(target, fitted, views, bar.update)
     bar.close()
     panel = views.geometry.panel
@@ -140,7 +140,7 @@ def _report(as_json: bool, found: dict[str, Any], text: str) -> None:
     click.echo(json.dumps(found) if as_json else text)
 
 
-class _Bar:
+class ProgressBar:
     """Progress on stderr."""
 
     def __init__(self, what: str, unit: str, quiet: bool) -> None:

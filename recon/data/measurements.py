@@ -35,7 +35,8 @@ class Measurements:
     basis_names : names of the basis functions
     profile : what a bowtie filter and the heel effect add to the rays of each pixel; None where there are none
     shares : of the deviance of each count that a fit minds; None where it minds all of all, see `weighted`
-    apart : blocks of pixels of the whole panel that no fit minds, see `recon.gaussians.unseen_rays`; None where there are none
+    apart : blocks of pixels of the whole panel that no fit minds, see `recon.gaussians.unseen_rays`; None where there
+        are none
     """
 
     counts: Float[np.ndarray, "view channel row column"]

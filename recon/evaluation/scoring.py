@@ -18,9 +18,9 @@ from recon.evaluation.metrics import (
     score_materials,
     score_projections,
 )
-from recon.evaluation.unreliable import Unreliable
 from recon.gaussians.model import Gaussians
 from recon.voxel.model import Voxels
+from recon.voxel.unreliable import Unreliable
 
 FULL_FRACTION = 65535  # as the truth stores a voxel that one material fills
 VIEWS_AT_ONCE = 2

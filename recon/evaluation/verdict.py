@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.data.coverage import SIDES, Coverage
-from recon.evaluation.unreliable import Unreliable
-from recon.evaluation.unreliable import sentence as which_unreliable
+from recon.voxel.unreliable import Unreliable
+from recon.voxel.unreliable import sentence as which_unreliable
 
 CERTAIN = 5.0  # standard deviations by which chi-square must exceed what it should be
 STARVED = 0.01  # of the rays through the object

@@ -12,8 +12,7 @@ from jaxtyping import Bool, Float, Real
 from scipy import ndimage
 
 from phantomgen.display.figures.dataset_energies import spectrum
-from phantomgen.geometry.voxel_grid import Grid
-from recon.figures.figure_style import (
+from phantomgen.display.figures.style import (
     BASIS_LINES,
     BLUE,
     GRAY,
@@ -27,6 +26,7 @@ from recon.figures.figure_style import (
     figure_file,
     write_csv,
 )
+from phantomgen.geometry.voxel_grid import Grid
 from spectra.basis.basis import pretty
 
 if TYPE_CHECKING:

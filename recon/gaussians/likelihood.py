@@ -17,7 +17,7 @@ from recon.gaussians.model import Gaussians
 from recon.gaussians.processes import ALONE, Processes
 from recon.ops.deviance import chi_square, deviance, expected_chi_square, expected_deviance
 from recon.voxel.model import Voxels
-from spectra.ops.transmit import transmit
+from spectra.differentiable import transmit
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +26,8 @@ class Agreement:
 
     Parameters
     ----------
-    deviance : over what noise alone would leave, which makes it 1 (`recon.ops.deviance`); every count has the say that it
-        has in the fit
+    deviance : over what noise alone would leave, which makes it 1 (`recon.ops.deviance`); every count has the say that
+        it has in the fit
     chi_square : of the pixels of each channel that measure, over what noise alone would leave; NaN for a channel
         without
     """

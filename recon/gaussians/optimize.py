@@ -79,7 +79,8 @@ def fit(
 
     Parameters
     ----------
-    start : first guess, for instance from `recon.gaussians.initial.initialize.initialize`, or where a fit was interrupted
+    start : first guess, for instance from `recon.gaussians.initial.initialize.initialize`, or where a fit was
+        interrupted
     measurements : training views, unbinned
     voxel : edge of a voxel of the reconstruction grid [mm]
     recipe : hyper-parameters

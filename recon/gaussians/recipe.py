@@ -50,8 +50,8 @@ class Recipe:
     momentum : of the coefficients
     curvature_sweeps : sweeps between two evaluations of the coefficients' curvature
     warm_up : sweeps over which steps of the geometry grow to their length
-    prior : information of the prior over that of the data, see `recon.gaussians.voxel_prior`; 0 starts from decomposed rays instead,
-        further off, and wants larger rates
+    prior : information of the prior over that of the data, see `recon.gaussians.voxel_prior`; 0 starts from decomposed
+        rays instead, further off, and wants larger rates
     steps_along_edges : weight of the prior along edges, over its weight elsewhere, times the number of steps: voxels
         blur edges, and many steps find them better than few
     seed : of the placement, of the order of views, and of which are held out

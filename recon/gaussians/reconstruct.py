@@ -18,7 +18,6 @@ from recon.data.inpainting import filled
 from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import every, kinds_of, rounds_of
-from recon.evaluation.unreliable import Unreliable, unreliable_voxels
 from recon.gaussians.fitted_grid import read_with_coverage
 from recon.gaussians.initial.fit_to_volume import approximate, evaluations_for, metric_of
 from recon.gaussians.initial.initialize import initialize
@@ -34,6 +33,7 @@ from recon.voxel.iterative.multigrid import occupied
 from recon.voxel.iterative.one_step import OneStep
 from recon.voxel.method import CountsMethod, Method, OnIteration, unwatched
 from recon.voxel.model import Voxels
+from recon.voxel.unreliable import Unreliable, unreliable_voxels
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
 from spectra.transmission import Transmission

@@ -95,7 +95,8 @@ class Anchor:
         Parameters
         ----------
         gaussians : the model
-        blocks : curvature of the likelihood, see `recon.gaussians.fisher`; the same separable majoriser is made of the prior
+        blocks : curvature of the likelihood, see `recon.gaussians.fisher`; the same separable majoriser is made of the
+            prior
         """
         parts = (gaussians.centres.detach(), gaussians.log_scales.detach(), gaussians.quaternions.detach())
         one = torch.ones_like(gaussians.coefficients[:, :1]).detach()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.figures.figure_style import BASIS_LINES, GRAY, figure_file, write_csv
+from phantomgen.display.figures.style import BASIS_LINES, GRAY, figure_file, write_csv
 from recon.kedge.profile_likelihood import EdgeProfile
 
 

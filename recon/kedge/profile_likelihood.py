@@ -18,8 +18,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize_scalar, root_scalar
 
-from phantomgen.dataset.dataset_basis import in_basis
-from phantomgen.dataset.spectral_model import Spectra
+from phantomgen.dataset.spectral_model import Spectra, in_basis
 from recon.data.measurements import in_quanta
 from recon.data.readout_noise import with_floor
 from recon.kedge.rays import Rays

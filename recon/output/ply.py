@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.exporters.volumes import complete_file
+from phantomgen.runtime.disk import complete_file
 from recon.figures.basis_colours import mixed_colours
 from recon.gaussians.model import Gaussians
 from spectra.errors import NotInstalledError

@@ -26,7 +26,6 @@ from recon.data.inpainting import filled
 from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import Measurements, matching_bin, read_measurements
 from recon.evaluation.scoring import psnr_of_bases, score_test_views, score_truth
-from recon.evaluation.unreliable import Unreliable, unreliable_voxels
 from recon.evaluation.verdict import record, verdict_of
 from recon.figures.model_figures import draw_model
 from recon.gaussians.recipe import Recipe
@@ -41,6 +40,7 @@ from recon.voxel.initial_volumes import check_directions
 from recon.voxel.margin import with_margin_found
 from recon.voxel.method import CountsMethod, Iteration, Method, OnIteration, ViewMethod
 from recon.voxel.model import Voxels
+from recon.voxel.unreliable import Unreliable, unreliable_voxels
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
 

@@ -11,9 +11,9 @@ from jaxtyping import Float
 from phantomgen.dataset.layout import new_group, put
 from phantomgen.dataset.truth import write_grid
 from phantomgen.geometry.voxel_grid import Grid
-from recon.evaluation.unreliable import Unreliable
 from recon.runs.run_folder import MODEL
 from recon.runs.unfinished_run import clear, is_partial
+from recon.voxel.unreliable import Unreliable
 from spectra.errors import InputError
 
 

@@ -55,8 +55,8 @@ def mass_fractions(composition: Composition) -> MassFractions:
 
     Parameters
     ----------
-    composition : ``"H2O"``, ``"Water, Liquid"`` (a NIST compound), ``"liver"`` (of `spectra.elements.named_materials`), or
-        ``{"H": 0.112, "O": 0.888}`` (must sum to 1 within 1e-3)
+    composition : ``"H2O"``, ``"Water, Liquid"`` (a NIST compound), ``"liver"`` (of `spectra.elements.named_materials`),
+        or ``{"H": 0.112, "O": 0.888}`` (must sum to 1 within 1e-3)
 
     Raises
     ------

@@ -32,7 +32,8 @@ class Material:
     ----------
     name : as in the scene
     density : [g/cm^3]; may be left out for elements and named materials
-    composition : formula, name (NIST compound or `spectra.elements.named_materials`) or mass fractions, for the exact xraylib curve
+    composition : formula, name (NIST compound or `spectra.elements.named_materials`) or mass fractions, for the
+        exact xraylib curve
     coefficients : or basis coefficients by basis function name [1/mm]; functions left out are 0
     """
 

@@ -319,7 +319,7 @@ def test_every_help_ends_with_examples(command):
 
 def test_help_starts_fast_and_imports_nothing_heavy():
     code = (
-        "import sys; from phantomgen.cli import main; main(['--help'], standalone_mode=False);"
+        "import sys; from phantomgen.cli.main import main; main(['--help'], standalone_mode=False);"
         "heavy = {'torch', 'h5py', 'numba', 'scipy', 'numpy', 'pydantic', 'pyvista', 'vtkmodules'};"
         "print(sorted(heavy & set(sys.modules)), file=sys.stderr)"
     )
@@ -334,7 +334,7 @@ def test_help_starts_fast_and_imports_nothing_heavy():
 
 def test_make_imports_neither_torch_nor_the_viewer():
     code = (
-        "import sys, phantomgen.simulate, phantomgen.scene, spectra.tube;"
+        "import sys, phantomgen.simulation.run, phantomgen.scene.scan, spectra.source.tube;"
         "sys.exit(bool({'torch', 'pyvista', 'vtkmodules'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -14,8 +14,7 @@ from support.tiny_scans import make
 from phantomgen.dataset.reader import open_dataset
 from recon.cli.main import main as recon
 from recon.gaussians.model import Gaussians
-from recon.published_methods.paper.components import COMPONENTS
-from recon.published_methods.paper.recipe import PaperRecipe, Rate
+from recon.published_methods.paper.recipe import COMPONENTS, PaperRecipe, Rate
 from recon.published_methods.paper.reconstruct import reconstruct_paper
 from spectra.threads import set_threads
 

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from spectra.basis.basis import Basis, BasisFunction
+from spectra.differentiable import transmit
 from spectra.errors import InputError
 from spectra.learned_edge import edge_column, steepest_width, transmit_with_edges
-from spectra.ops.transmit import transmit
 from spectra.transmission import Transmission
 
 ENERGY = np.linspace(21.0, 119.0, 99)

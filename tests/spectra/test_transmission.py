@@ -4,8 +4,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from spectra.differentiable import transmit
 from spectra.errors import InputError
-from spectra.ops.transmit import expected_ray, reference, transmit
+from spectra.ops.transmit import expected_ray, reference
 from spectra.transmission import Transmission
 
 

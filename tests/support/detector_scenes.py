@@ -5,9 +5,9 @@ import numpy as np
 from phantomgen.effects.random_streams import Stream
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import load_scene
-from phantomgen.simulation.checks.field_of_view import sampled_lengths
 from phantomgen.simulation.forward_model.exposure import Exposure
 from phantomgen.simulation.forward_model.frames import Views
+from phantomgen.simulation.forward_model.sampled_rays import sampled_lengths
 
 SCENE = """\
 version: 1

@@ -7,9 +7,9 @@ readers (nxtomo, nabu, tomopy and others) open these as they are.
 import h5py
 import numpy as np
 
+from phantomgen.dataset.file import DARK, DETECTOR, FLAT
 from phantomgen.dataset.layout import array_at, new_group, put
 from phantomgen.dataset.pixel_mask import mask_of
-from phantomgen.dataset.reader import DARK, DETECTOR, FLAT
 from phantomgen.dataset.spectral_model import Spectra
 
 _PROJECTION, _FLAT, _DARK = 0, 1, 2

@@ -16,13 +16,14 @@ from jaxtyping import Float, Int, UInt32
 
 from phantomgen.dataset.beam_profile import write_profile
 from phantomgen.dataset.compression import Compression
-from phantomgen.dataset.geometry import distances, write_geometry, write_true_geometry
+from phantomgen.dataset.geometry import write_geometry
 from phantomgen.dataset.layout import SCHEMA, SCHEMA_VERSION, array_at, group_at, new_frames, new_group, put, put_note
 from phantomgen.dataset.pixel_mask import write_mask
 from phantomgen.dataset.spectral_model import Spectra
+from phantomgen.dataset.true_poses import write_true_geometry
 from phantomgen.dataset.truth import StreamedTruth, Truth, truth_group, write_grid, write_truth
 from phantomgen.dataset.writing.nxtomo import write_aliases
-from phantomgen.geometry.poses import Geometry
+from phantomgen.geometry.poses import Geometry, distances
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.disk import is_full, one_sentence, reserve
 from phantomgen.runtime.versions import environment, program_version

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.display.figures.picture import BLACK, GRID, RED, check_picture, styled_figure
+from phantomgen.display.figures.style import BLACK, GRID, RED, check_picture, styled_figure
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from phantomgen.analysis.materials import HIGHEST, LOWEST, MaterialFit
-from phantomgen.display.figures.picture import BLACK, GRID, LINES, RED, picture
+from phantomgen.display.figures.style import BLACK, GRID, LINES, RED, check_picture, figure_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,7 +18,8 @@ _BESIDE_EDGE = 0.01  # keV, so that edges stand upright
 def write_figure(fit: MaterialFit, path: Path | str) -> Path:
     """Write mu(E), its parts and the fit on logarithmic axes, and the relative error below, as PNG, PDF or SVG."""
     path = Path(path)
-    with picture(path, (6.5, 5.5)) as figure:
+    check_picture(path)
+    with figure_file(path, (6.5, 5.5)) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
         _draw_curves(upper, fit)
         _draw_errors(lower, fit)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from phantomgen.display.figures.picture import GRID, LINES, RED, channel_colours, picture
+from phantomgen.display.figures.style import GRID, LINES, RED, channel_colours, check_picture, figure_file
 from phantomgen.scene.scan import Scan
 from spectra.basis.basis import pretty
 from spectra.elements.attenuation import edge_energy, k_edges, mass_fractions, symbol
@@ -23,9 +23,10 @@ _UNSEEN = 1e-4  # part of the photons that lies to the left of the picture
 def write_figure(scan: Scan, path: Path | str) -> Path:
     """Write photons of the source, counts of the channels and basis functions over energy, as PNG, PDF or SVG."""
     path = Path(path)
+    check_picture(path)
     low = _lowest(scan)
     grid = _bins(scan, low)
-    with picture(path, (6.5, 7.0)) as figure:
+    with figure_file(path, (6.5, 7.0)) as figure:
         panels = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 2.5))
         _draw_source(panels[0], scan, grid)
         _draw_channels(panels[1], scan, grid)

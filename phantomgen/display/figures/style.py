@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from spectra.errors import InputError
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -31,34 +33,72 @@ _STYLE: Any = {
     "axes.formatter.use_mathtext": True,
     "image.interpolation": "nearest",
 }
-GRAY, BLUE = "0.6", "#0072B2"
+GRAY, BLUE, BLACK, RED, GRID = "0.6", "#0072B2", "black", "#D55E00", "0.9"
+# Colours that the colour-blind tell apart (Okabe and Ito), each with dashes of its own.
+LINES = (
+    *(("#0072B2", (0, (4, 2))), ("#E69F00", (0, (1, 1))), ("#009E73", (0, (5, 1, 1, 1))), ("#CC79A7", (0, (2, 2)))),
+    *(("#56B4E9", (0, (6, 1))), ("#F0E442", (0, (3, 1, 1, 1, 1, 1))), ("black", (0, (1, 2)))),
+)
 BASIS_LINES = ((BLUE, "-"), ("#E69F00", (0, (6, 2))), ("#CC79A7", (0, (2.5, 2))), ("#009E73", (0, (1, 1))))
 
 
 _SCALABLE: Any = {"image.interpolation": "none", "svg.hashsalt": "spectral-ct"}  # pixels stay pixels, ids stay ids
+_STAMPS = {
+    "png": ("Software",),
+    "svg": ("Date", "Creator"),
+    "pdf": ("CreationDate", "Creator"),
+}  # would differ each time
+
+
+def check_picture(path: Path) -> None:
+    """Refuse a picture that cannot be written.
+
+    Raises
+    ------
+    InputError
+        When the name does not end in .png, .pdf or .svg, or the folder does not exist.
+    """
+    _kind_of(path)
+    if not path.absolute().parent.is_dir():
+        raise InputError(f"the folder {path.parent} for the picture {path.name} does not exist")
+
+
+def _kind_of(path: Path) -> str:
+    """Format that the suffix of a picture asks for."""
+    kind = path.suffix.removeprefix(".")
+    if kind not in _STAMPS:
+        raise InputError(f"a picture ends in .png, .pdf or .svg, got {path.name!r}")
+    return kind
 
 
 @contextmanager
-def figure_file(path: Path, inches: tuple[float, float]) -> Iterator["Figure"]:
-    """A figure in the house style that is written at the end, whatever backend the process uses.
+def styled_figure(inches: tuple[float, float], **style: Any) -> Iterator["Figure"]:
+    """A figure in the house style, whatever backend the process uses and without any display.
 
-    As PNG; where the name ends in ``.svg`` as SVG on no background, for pages.
+    Parameters
+    ----------
+    inches : width and height
+    style : settings of matplotlib that replace those of the house style
     """
     from matplotlib import rc_context  # noqa: PLC0415 - half a second
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
     from matplotlib.figure import Figure  # noqa: PLC0415
 
-    scalable = Path(path).suffix == ".svg"
-    with rc_context(_STYLE | (_SCALABLE if scalable else {})):
+    with rc_context(_STYLE | style):
         figure = Figure(figsize=inches, dpi=150, layout="constrained")
         FigureCanvasAgg(figure)
         yield figure
+
+
+@contextmanager
+def figure_file(path: Path, inches: tuple[float, float]) -> Iterator["Figure"]:
+    """A figure that is written at the end: PNG, PDF, or SVG without a background, for pages."""
+    kind = _kind_of(Path(path))
+    with styled_figure(inches, **(_SCALABLE if kind == "svg" else {})) as figure:
+        yield figure
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         figure.draw_without_rendering()  # the layout settles in two rounds where aspect ratios are fixed
-        if scalable:
-            figure.savefig(path, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-        else:
-            figure.savefig(path, format="png", metadata={"Software": None})
+        figure.savefig(path, format=kind, transparent=kind == "svg", metadata=dict.fromkeys(_STAMPS[kind]))
 
 
 def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
@@ -91,4 +131,4 @@ def channel_colours(count: int) -> Any:
     """Distinct colours in order of energy, dark to light."""
     from matplotlib import colormaps  # noqa: PLC0415
 
-    return colormaps["viridis"](np.linspace(0.1, 0.95, count))
+    return colormaps["viridis"](np.linspace(0.05, 0.9, count))

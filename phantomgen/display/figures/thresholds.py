@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from phantomgen.analysis.thresholds import ThresholdChoice
-from phantomgen.display.figures.picture import GRID, channel_colours, picture
 from phantomgen.display.figures.scan_energies import draw_edges
+from phantomgen.display.figures.style import GRID, channel_colours, check_picture, figure_file
 from spectra.basis.basis import pretty
 
 _HIGHEST = 1.6  # times the least noise
@@ -15,8 +15,9 @@ _HIGHEST = 1.6  # times the least noise
 def write_figure(choice: ThresholdChoice, path: Path | str) -> Path:
     """Write the bound over each threshold as PNG, PDF or SVG; dots are the choice, the dashed line what was before."""
     path = Path(path)
+    check_picture(path)
     candidates, chosen = choice.candidates, choice.chosen
-    with picture(path, (6.5, 4.0)) as figure:
+    with figure_file(path, (6.5, 4.0)) as figure:
         axes = figure.subplots()
         for i, colour in enumerate(channel_colours(len(chosen) - 1), start=1):
             places = candidates.moved(chosen, i)[1:]

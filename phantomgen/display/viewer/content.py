@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Float32, Shaped
 
-from phantomgen.dataset.geometry import distances
 from phantomgen.dataset.layout import FRACTION_SCALE
 from phantomgen.dataset.truth import Truth
 from phantomgen.display.figures.geometry import drawn_sources
-from phantomgen.geometry.poses import Geometry
+from phantomgen.geometry.poses import Geometry, distances
 from phantomgen.geometry.voxel_grid import Grid
 from spectra.errors import InputError
 

@@ -50,7 +50,7 @@ def content_of_dataset(path: Path, at: Triple | None = None) -> Content:
 def content_of_scene(file: SceneFile, at: Triple | None = None) -> Content:
     """The scene as its dataset will hold it, voxelized here; `at` is (x, y, z) [mm], by default the centre."""
     from phantomgen.scene.scan import load_scene  # noqa: PLC0415 - what makes voxels is slow to import
-    from phantomgen.simulation.run import scan_truth  # noqa: PLC0415
+    from phantomgen.simulation.forward_model.truth import scan_truth  # noqa: PLC0415
 
     scan = load_scene(file)
     at = at or _centre(scan.grid)

@@ -10,46 +10,10 @@ the angle theta into a pixel that it sees under the solid angle Omega measure
 and energy bins keep their photons evenly spread when k makes them narrower.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Float
 
-ELECTRON_REST_ENERGY = 510.99895
-# Bins narrower than this are taken to be so wide [keV].
-NARROW = 1e-3
-
-
-class Points(NamedTuple):
-    """Where photons are scattered.
-
-    Parameters
-    ----------
-    place : of each point [mm]
-    strength : electrons times r_e^2 / 2 [mm^2]
-    photons : of each energy bin that come there, per solid angle of the source [1/sr]
-    """
-
-    place: Float[np.ndarray, "point 3"]
-    strength: Float[np.ndarray, " point"]
-    photons: Float[np.ndarray, "point bin"]
-
-
-class Energies(NamedTuple):
-    """What happens to photons of any energy.
-
-    Parameters
-    ----------
-    edges : of the bins before scatter [keV]
-    step : spacing of the tables, which start at 0 and end above the highest energy [keV]
-    attenuation : of each material [1/mm]
-    measured : signal per photon, integrated from 0 on [keV]
-    """
-
-    edges: Float[np.ndarray, " edge"]
-    step: float
-    attenuation: Float[np.ndarray, "energy material"]
-    measured: Float[np.ndarray, "energy group"]
+from phantomgen.ops.compton.inputs import Energies, Points
 
 
 def scattered_to(

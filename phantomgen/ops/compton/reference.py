@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.ops.compton import ELECTRON_REST_ENERGY, NARROW, Energies, Points
+from phantomgen.ops.compton.inputs import ELECTRON_REST_ENERGY, NARROW, Energies, Points
 
 
 def scattered_to(

@@ -7,7 +7,8 @@ from jaxtyping import Float
 
 from phantomgen.scene.scan import Scan
 from phantomgen.shapes import Shape
-from phantomgen.simulation.checks.field_of_view import named, on_panel, points_of, reaching
+from phantomgen.simulation.checks.field_of_view import named, reaching
+from phantomgen.simulation.forward_model.sampled_rays import on_panel, points_of
 from spectra.errors import GeometryError
 
 _POINTS = 1000

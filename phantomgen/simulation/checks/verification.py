@@ -14,11 +14,11 @@ from jaxtyping import Float, Int
 from phantomgen.ops.expected_counts import CROSSED, VOXELS, expose, expose_brute
 from phantomgen.ops.trace import trace
 from phantomgen.scene.scan import Scan
-from phantomgen.simulation.checks.field_of_view import sampled_lengths
 from phantomgen.simulation.checks.reference_rays import log_errors
 from phantomgen.simulation.forward_model.discretization import Settings
 from phantomgen.simulation.forward_model.energy_grids import STEP, compressed_transmission, fine_transmission
-from phantomgen.simulation.forward_model.frames import aperture_of, expected_view
+from phantomgen.simulation.forward_model.expected_counts import aperture_of, expected_view
+from phantomgen.simulation.forward_model.sampled_rays import sampled_lengths
 from spectra.threads import run_parallel
 from spectra.transmission import Transmission
 

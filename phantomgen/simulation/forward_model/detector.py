@@ -3,7 +3,8 @@
 1. `DetectorStages.registered`: what each frame leaves in the sensor.
    Counters: blur of expected counts, gain, dead time and photon noise.
    Energy-integrating detectors: photon noise, blur of the light, gain.
-2. afterglow, from view to view: `phantomgen.effects.lag`, which `phantomgen.simulation.forward_model.readout` applies in order.
+2. afterglow, from view to view: `phantomgen.effects.lag`, which `phantomgen.simulation.forward_model.readout` applies
+    in order.
 3. `DetectorStages.read`: offset and noise of the electronics, then dead and hot pixels.
 
 What a scene does not ask for is left out: then images pass as they are, bit by bit.

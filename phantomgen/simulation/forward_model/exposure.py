@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
-from phantomgen.effects.random_streams import Stream, compound_signal, dead_time_counts, poisson_counts
+from phantomgen.effects.random_streams import Stream
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.forward_model.energy_grids import NO_CUTS, compressed_transmission, photon_quanta
+from phantomgen.simulation.forward_model.photon_noise import compound_signal, dead_time_counts, poisson_counts
 from spectra.detector.dead_time import DeadTime
 from spectra.transmission import Transmission
 

@@ -8,23 +8,22 @@ A frame passes these stages, in this order. What a scene does not ask for is lef
 4. `Views.read`: the electronics, then dead and hot pixels
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
 from phantomgen.effects.random_streams import Stream
-from phantomgen.ops.expected_counts import expose
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.forward_model.detector import DetectorStages, Frame
 from phantomgen.simulation.forward_model.discretization import Settings
+from phantomgen.simulation.forward_model.expected_counts import expected_view, open_beam
 from phantomgen.simulation.forward_model.exposure import Exposure, Groups, Images
 from phantomgen.simulation.forward_model.scatter import Scatter, scatter_of
 from spectra.transmission import Transmission
 
-if TYPE_CHECKING:
-    from phantomgen.simulation.projection_cache.cache import KeptViews
+Primary = Callable[[int, Transmission], Groups]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +38,7 @@ class Views:
     output : of the tube, in each view and in each flat, relative to the exposure that is asked for
     detector : what it makes of expected signals
     scatter : from a view and its primary signal to what is scattered; None where nothing is
-    kept : projections that views are computed from, in place of rays through objects
+    cached : primary signals of a view at given energies, in place of rays through objects; None where these are traced
     """
 
     scan: Scan
@@ -48,7 +47,7 @@ class Views:
     output: dict[Stream, Float[np.ndarray, " frame"]] = field(init=False)
     detector: DetectorStages = field(init=False)
     scatter: Scatter | None = field(init=False)
-    kept: "KeptViews | None" = None
+    cached: Primary | None = None
 
     def __post_init__(self) -> None:
         frames = {Stream.PROJECTION: len(self.scan.geometry), Stream.FLAT: self.scan.flats}
@@ -89,8 +88,8 @@ class Views:
 
     def primary(self, view: int, transmission: Transmission) -> Groups:
         """Expected signals of what reaches a pixel straight, by the groups of the exposure or by its channels."""
-        if self.kept is not None:
-            return self.kept.primary(view, transmission)
+        if self.cached is not None:
+            return self.cached(view, transmission)
         return expected_view(self.scan, transmission, view, self.settings)
 
     def _scatter(self) -> Scatter | None:
@@ -112,52 +111,3 @@ class Views:
     ) -> Frame:
         """Readings of signals, channel by channel."""
         return self.detector.read(signals, frame, stream, self.scan.noise if noise is None else noise)
-
-
-def expected_view(scan: Scan, transmission: Transmission, view: int, settings: Settings) -> Groups:
-    """Expected signals of one view and group of photons, averaged over each pixel's area and the focal spot."""
-    frame, spot = scan.geometry.ray_frames()[view], scan.effects.focal_spot
-    if spot is None:
-        return exposed_frame(scan, transmission, frame, settings)
-    points = settings.spot or spot.points_for(spot.blur(frame, scan.scene.solids.balls[:, :3]))
-    frames = spot.frames(frame, points)
-    total = exposed_frame(scan, transmission, frames[0], settings)
-    for moved in frames[1:]:
-        total += exposed_frame(scan, transmission, moved, settings)
-    return total / len(frames)
-
-
-def exposed_frame(
-    scan: Scan, transmission: Transmission, frame: Float[np.ndarray, "4 3"], settings: Settings
-) -> Groups:
-    """The same for rays of one source point."""
-    panel = scan.geometry.panel
-    return expose(
-        frame,
-        panel.rows,
-        panel.columns,
-        scan.scene.solids,
-        transmission.columns,
-        transmission.weights,
-        transmission.starts,
-        scan.scene.background,
-        profile=None if scan.profile is None else scan.profile.lengths,
-        aperture=aperture_of(scan),
-        **settings.pixels,
-    ).counts
-
-
-def aperture_of(scan: Scan) -> tuple[float, float]:
-    """Width and height of the sensitive part of pixels, in pixels."""
-    aperture = scan.effects.aperture
-    return (1.0, 1.0) if aperture is None else (aperture.width, aperture.height)
-
-
-def open_beam(scan: Scan, transmission: Transmission) -> Groups:
-    """Expected signals of one view without any object."""
-    pixels = (scan.geometry.panel.rows, scan.geometry.panel.columns)
-    if scan.profile is None:
-        return np.broadcast_to(transmission.open_beam[:, None, None], (len(transmission), *pixels))
-    lengths = np.zeros((*pixels, len(transmission.columns)))
-    lengths[:, :, -len(scan.profile.names) :] = np.moveaxis(scan.profile.lengths, 0, -1)
-    return np.moveaxis(transmission.expected(lengths), -1, 0)

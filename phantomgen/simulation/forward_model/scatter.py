@@ -8,9 +8,10 @@ from jaxtyping import Float
 
 from phantomgen.effects import ScatterKernel
 from phantomgen.effects.random_streams import Stream, generator
-from phantomgen.effects.scatter_compton import line_places, on_panel, scatterers, spline_weights
+from phantomgen.effects.scatter import line_places, on_panel, scatterers, spline_weights
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.ops.compton import Energies, Points, scattered_to
+from phantomgen.ops.compton import scattered_to
+from phantomgen.ops.compton.inputs import Energies, Points
 from phantomgen.ops.trace import trace
 from phantomgen.ops.voxelize_shapes import fractions
 from phantomgen.scene.scan import Scan

@@ -11,7 +11,7 @@ from phantomgen.dataset.layout import pack_image
 from phantomgen.effects.random_streams import Stream
 from phantomgen.runtime.stopwatch import peak_memory_mib
 from phantomgen.simulation.forward_model.frames import Views
-from phantomgen.simulation.run import streamed_truth
+from phantomgen.simulation.forward_model.truth import streamed_truth
 from spectra.threads import run_parallel, thread_count
 
 T = TypeVar("T")

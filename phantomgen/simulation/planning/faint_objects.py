@@ -13,9 +13,10 @@ from jaxtyping import Float
 from phantomgen.ops.expected_counts import CROSSED
 from phantomgen.ops.trace import trace
 from phantomgen.scene.scan import Scan
-from phantomgen.simulation.checks.field_of_view import points_of
 from phantomgen.simulation.forward_model.discretization import Settings
-from phantomgen.simulation.planning.pixels import RULE_LADDER, Window, around, exposed, whole
+from phantomgen.simulation.forward_model.sampled_rays import points_of
+from phantomgen.simulation.planning.pixels import RULE_LADDER
+from phantomgen.simulation.planning.sample_windows import Window, around, exposed, whole
 from spectra.transmission import Transmission
 
 # An object is faint whose own signal, in log counts, is below this: there, the tolerance falls in proportion to it.

@@ -7,7 +7,8 @@ import numpy as np
 from phantomgen.effects.focal_spot import LATTICES, FocalSpot
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.forward_model.discretization import Settings
-from phantomgen.simulation.planning.pixels import Choice, Image, Trial, Window, exposed, windows_of, worst_difference
+from phantomgen.simulation.planning.plan import Choice, Trial
+from phantomgen.simulation.planning.sample_windows import Image, Window, exposed, windows_of, worst_difference
 from spectra.threads import run_parallel
 from spectra.transmission import Transmission
 

@@ -5,19 +5,20 @@ all pixels of the sampled windows. Where surfaces meet, or voxel maps lie, it is
 pixels. Both share the energy nodes with what they judge, so that pixels are judged alone.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int
 
-from phantomgen.ops.expected_counts import CROSSED, EMPTY, KINKED, RULES, VOXELS, Exposed, expose, expose_brute
+from phantomgen.ops.expected_counts import KINKED, RULES, VOXELS, Exposed, expose_brute
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.checks.reference_rays import RayGrid, split_grid, worst_error
 from phantomgen.simulation.forward_model.discretization import Settings
-from phantomgen.simulation.forward_model.frames import aperture_of
+from phantomgen.simulation.forward_model.expected_counts import aperture_of
+from phantomgen.simulation.planning.plan import Choice, Trial
+from phantomgen.simulation.planning.sample_windows import Frame, Window, exposed, windows_of
 from spectra.threads import run_parallel
 from spectra.transmission import Transmission
 
@@ -40,88 +41,15 @@ VOXEL_LADDER = (1.0, 2.0, 4.0, 8.0, 16.0)
 KINK_LADDER = (1.0, 0.3, 0.1, 0.03)
 # For faint objects alone, so many steps of these ladders are tried at most.
 _FAINT_STEPS = 4
-VIEWS = 3
-_WINDOW = 48
-_MOST_WINDOWS = 4
-# Crossed pixels per view, and pixels per view and kind that are compared with a grid of rays.
-_MOST_CROSSED = 800
 _BRUTE_PIXELS = 12
 _SEED = 5
 
-Image = Float[np.ndarray, "channel row column"]
-Frame = Float[np.ndarray, "4 3"]
-Counts = Float[np.ndarray, "..."]
 Faint = Callable[[Settings], str | None]
 
 
 def _nothing_faint(_: Settings) -> str | None:
     """No object is faint."""
     return None
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A setting that was tried: what it is, its worst error of log counts, and its cost: rays per pixel, or nodes."""
-
-    setting: str
-    error: float
-    cost: float
-
-
-@dataclass(frozen=True)
-class Choice:
-    """The cheapest setting of a part that meets its share of the tolerance, or the finest one.
-
-    Parameters
-    ----------
-    part : of the simulation
-    setting : what was chosen
-    error : worst error of log counts against a much finer computation
-    share : of the tolerance
-    trials : settings that were tried, the cheapest first
-    of_pixels : whether it is about one kind of pixels; errors of such parts never meet
-    decided : the faint object that made it finer than the share asks for; empty where the share decided
-    """
-
-    part: str
-    setting: str
-    error: float
-    share: float
-    trials: tuple[Trial, ...] = ()
-    of_pixels: bool = False
-    decided: str = ""
-
-    @property
-    def met(self) -> bool:
-        """Whether the error is no larger than wished."""
-        return self.error <= self.share
-
-    def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> "Choice":
-        """From what `to_dict` gives."""
-        return cls(**{**values, "trials": tuple(Trial(**trial) for trial in values["trials"])})
-
-
-@dataclass(frozen=True, eq=False)
-class Window:
-    """A part of a view, as a panel of its own.
-
-    Parameters
-    ----------
-    frame : of the part
-    size : rows and columns
-    classes : of the pixels
-    profile : lengths in the beam's profile, or None
-    """
-
-    frame: Frame
-    size: tuple[int, int]
-    classes: UInt8[np.ndarray, "row column"]
-    profile: Float[np.ndarray, "part row column"] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,83 +223,6 @@ def _climb(
     return steps[chosen][1], choice
 
 
-def windows_of(scan: Scan, transmission: Transmission, rng: np.random.Generator) -> tuple[Window, ...]:
-    """Parts of some views that hold edges."""
-    views = np.unique(np.linspace(0, len(scan.geometry) - 1, VIEWS).round().astype(int))
-    return tuple(w for view in views for w in _windows(scan, transmission, int(view), rng))
-
-
-def _windows(scan: Scan, transmission: Transmission, view: int, rng: np.random.Generator) -> Iterator[Window]:
-    """Parts of a view around random edges; fewer where they hold many."""
-    classes = exposed(scan, transmission, whole(scan, view), Settings(sub_rays=2)).classes
-    edges = np.argwhere(classes >= CROSSED)
-    if not len(edges):
-        edges = np.argwhere(classes > EMPTY)
-    if not len(edges):
-        return
-    crossed, corners = 0, set()
-    for row, column in edges[rng.integers(len(edges), size=_MOST_WINDOWS)]:
-        if (corner := _corner(scan, row, column)) in corners:
-            continue
-        corners.add(corner)
-        window = around(scan, view, classes, row, column)
-        yield window
-        crossed += int((window.classes == CROSSED).sum())
-        if crossed > _MOST_CROSSED:
-            return
-
-
-def whole(scan: Scan, view: int) -> Window:
-    """All of a view, its classes not known."""
-    panel = scan.geometry.panel
-    size = (panel.rows, panel.columns)
-    return Window(scan.geometry.ray_frames()[view], size, np.empty((0, 0), np.uint8), _profile(scan))
-
-
-def around(scan: Scan, view: int, classes: UInt8[np.ndarray, "row column"], row: int, column: int) -> Window:
-    """The part of a view around a pixel; `classes` are those of the whole view."""
-    panel = scan.geometry.panel
-    top, left = _corner(scan, row, column)
-    size = (min(_WINDOW, panel.rows), min(_WINDOW, panel.columns))
-    part = (slice(top, top + size[0]), slice(left, left + size[1]))
-    frame = scan.geometry.ray_frames()[view].copy()
-    frame[1] += left * frame[2] + top * frame[3]
-    profile = None if scan.profile is None else np.ascontiguousarray(scan.profile.lengths[:, *part])
-    return Window(frame, size, classes[part], profile)
-
-
-def _corner(scan: Scan, row: int, column: int) -> tuple[int, int]:
-    """First row and column of the window around a pixel."""
-    panel = scan.geometry.panel
-    rows, columns = min(_WINDOW, panel.rows), min(_WINDOW, panel.columns)
-    top, left = (
-        np.clip(row - rows // 2, 0, panel.rows - rows),
-        np.clip(column - columns // 2, 0, panel.columns - columns),
-    )
-    return int(top), int(left)
-
-
-def exposed(scan: Scan, transmission: Transmission, window: Window, settings: Settings) -> Exposed:
-    """Counts of a window."""
-    return expose(
-        window.frame,
-        *window.size,
-        scan.scene.solids,
-        transmission.columns,
-        transmission.weights,
-        transmission.starts,
-        scan.scene.background,
-        profile=window.profile,
-        aperture=aperture_of(scan),
-        **settings.pixels,
-    )
-
-
-def _profile(scan: Scan) -> Float[np.ndarray, "part row column"] | None:
-    """Lengths of the beam's profile."""
-    return None if scan.profile is None else scan.profile.lengths
-
-
 def _hard_pixels(window: Window, rng: np.random.Generator) -> Int[np.ndarray, "pixel 2"]:
     """Some pixels where surfaces meet or maps lie."""
     found = [np.empty((0, 2), np.int64)]
@@ -400,12 +251,6 @@ def _brute(
         )
 
     return split_grid(expose_part, window.frame, aperture_of(scan), rays)
-
-
-def worst_difference(images: Sequence[Image], exact: Sequence[Image]) -> float:
-    """The same over whole windows."""
-    pairs = zip(images, exact, strict=True)
-    return max((worst_error(a, b, b.max(axis=(1, 2), keepdims=True)) for a, b in pairs), default=0.0)
 
 
 def _rule_name(rules: tuple[tuple[int, int], ...]) -> str:

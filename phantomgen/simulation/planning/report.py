@@ -11,7 +11,8 @@ from phantomgen.simulation.checks.collisions import check_collisions
 from phantomgen.simulation.checks.verification import MeasuredError, quick_check
 from phantomgen.simulation.forward_model.frames import Views
 from phantomgen.simulation.planning.cost import Cost, expected_cost
-from phantomgen.simulation.planning.make_plan import Plan, make_plan
+from phantomgen.simulation.planning.make_plan import make_plan
+from phantomgen.simulation.planning.plan import Plan
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,8 @@ import numpy as np
 
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.forward_model.discretization import Settings
-from phantomgen.simulation.planning.pixels import Choice, Trial, exposed, windows_of, worst_difference
+from phantomgen.simulation.planning.plan import Choice, Trial
+from phantomgen.simulation.planning.sample_windows import exposed, windows_of, worst_difference
 from spectra.transmission import Transmission
 
 LADDER = (1, 2, 4, 8)

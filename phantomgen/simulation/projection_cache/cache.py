@@ -16,20 +16,19 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from phantomgen.dataset.compression import Compression
+from phantomgen.dataset.file import open_file
 from phantomgen.dataset.layout import FRACTION_SCALE, array_at, group_at, new_frames, new_group, put, put_note, text_of
-from phantomgen.dataset.reader import open_file
 from phantomgen.dataset.truth import truth_group
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import Scan
-from phantomgen.simulation.checks.field_of_view import sampled_lengths
 from phantomgen.simulation.forward_model.discretization import Settings
 from phantomgen.simulation.forward_model.energy_grids import fine_cuts, node_energies
+from phantomgen.simulation.forward_model.expected_counts import expected_view
 from phantomgen.simulation.forward_model.exposure import Exposure, Groups
 from phantomgen.simulation.forward_model.fingerprint import digest
-from phantomgen.simulation.forward_model.frames import expected_view
-from phantomgen.simulation.planning.make_plan import BINS, ENERGY, Plan
-from phantomgen.simulation.planning.pixels import Choice
+from phantomgen.simulation.forward_model.sampled_rays import sampled_lengths
+from phantomgen.simulation.planning.plan import BINS, ENERGY, Choice, Plan
 from phantomgen.simulation.projection_cache.energies import SHARE, attenuation, kept_energies
 from spectra.energy.chebyshev import PiecewiseChebyshev
 from spectra.errors import DatasetError, InputError

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from phantomgen.scene.scan import Scan
-from phantomgen.simulation.checks.field_of_view import sampled_lengths
+from phantomgen.simulation.forward_model.sampled_rays import sampled_lengths
 from spectra.energy.chebyshev import PiecewiseChebyshev
 
 # Energies that are kept at least [keV]. Below lie L edges of contrast agents: from 10 keV on, contrast-vials takes 188

@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from recon.published_methods.paper.components import checked
+from recon.published_methods.paper.recipe import checked
 from recon.runs.methods import METHODS
 from spectra.errors import InputError
 

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float, Real
 
 from recon.evaluation.metrics import SSIM_WINDOW, psnr
-from recon.published_methods.paper.ssim import ssim as slice_ssim
+from recon.published_methods.paper.loss import ssim as slice_ssim
 from spectra.errors import InputError
 
 Scores = dict[str, float | None]

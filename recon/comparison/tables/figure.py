@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.figures.figure_style import GRAY, WIDTH, figure_file, write_csv
+from phantomgen.display.figures.style import GRAY, WIDTH, figure_file, write_csv
 from spectra.basis.basis import pretty
 
 Result = dict[str, Any]

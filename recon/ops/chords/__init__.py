@@ -31,7 +31,8 @@ def chords(
     log_axes : logarithm of the semi-axes [log mm]
     quaternions : orientation (w, x, y, z); normalised here
     coefficients : attenuation inside per basis [1/mm]; it adds up where ellipsoids overlap
-    frames : per view source, d0, column step and row step [mm], as `phantomgen.geometry.poses.Geometry.ray_frames` gives
+    frames : per view source, d0, column step and row step [mm], as `phantomgen.geometry.poses.Geometry.ray_frames`
+        gives
     rows, columns : size of the panel
     smooth : rays that pass the centre at more than sqrt(1 - smooth) radii get a shorter chord whose slope is finite
 

@@ -35,7 +35,7 @@ def rasterize(
     log_scales : logarithm of the standard deviations along the principal axes [log mm]
     quaternions : orientation (w, x, y, z); normalised here
     coefficients : value at the centre per basis [1/mm]
-    frames : per view source, d0, column step and row step [mm], as `phantomgen.geometry.poses.Geometry.ray_frames` gives;
+    frames : per view source, d0, column step and row step [mm], by `phantomgen.geometry.poses.Geometry.ray_frames`;
         any poses, a source as far as 1e9 mm included
     rows, columns : size of the panel
     footprint : edge of the square that a pixel averages over, in pixels; 0 samples the pixel centre

@@ -12,12 +12,10 @@ from recon.gaussians.optimize import SNAPSHOTS, Progress
 from recon.ops.deviance import chi_square, deviance, expected_chi_square, expected_deviance
 from recon.published_methods.paper.adam import EdgeAdam, GroupedAdam, rates
 from recon.published_methods.paper.density_control import PullOnPanel, densify, reset_fractions
-from recon.published_methods.paper.log_projections import Projections
 from recon.published_methods.paper.loss import total_loss
 from recon.published_methods.paper.model import FactorisedGaussians, Units
-from recon.published_methods.paper.projections import detector_gradient
-from recon.published_methods.paper.recipe import PaperRecipe
-from recon.published_methods.paper.schedule import is_due, views_in_random_order
+from recon.published_methods.paper.projections import Projections, detector_gradient
+from recon.published_methods.paper.recipe import PaperRecipe, is_due, views_in_random_order
 from recon.published_methods.paper.spectral_model import SpectralModel
 from spectra.threads import without_other_pools
 

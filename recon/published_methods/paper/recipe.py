@@ -1,8 +1,10 @@
-"""Every number of the paper's method, in one place."""
+"""Every number of the paper's method, when each part acts, and which parts can be switched off (table 4c)."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 
-from recon.published_methods.paper.components import checked
+import numpy as np
+
 from spectra.errors import InputError
 
 PAPER_STEPS = 30_000
@@ -27,7 +29,7 @@ class PaperRecipe:
     Parameters
     ----------
     steps : Adam steps, one view each
-    without : components that are switched off, see `recon.published_methods.paper.components`
+    without : components that are switched off, see `COMPONENTS`
     seed : of the first Gaussians, the order of views, split offsets and patches
     gaussians, most : Gaussians at the start and at most
     lowest_energy, highest_energy, energies : midpoint rule over energy [keV]
@@ -106,3 +108,51 @@ class PaperRecipe:
         share = "" if self.steps == PAPER_STEPS else f" in place of {PAPER_STEPS}, all schedules scaled to match"
         left_out = f"; without {', '.join(self.without)}" if self.without else ""
         return f"recipe of the paper: {self.steps} steps{share}{left_out}"
+
+
+def is_due(step: int, interval: int, recipe: PaperRecipe) -> bool:
+    """Whether something that happens at an interval of the paper's steps, until densification ends, happens now."""
+    return step < recipe.scaled(recipe.densify_until) and step % recipe.scaled(interval) == 0
+
+
+def views_in_random_order(count: int, seed: int) -> Iterator[int]:
+    """Every view once in random order, again and again."""
+    rng = np.random.default_rng([seed, 2])
+    while True:
+        yield from rng.permutation(count).tolist()
+
+
+COMPONENTS = {
+    "kedge-freezing": "parameters of the K edge rest at first (table 4c)",
+    "tv": "both total variations (table 4c)",
+    "split-threshold": "a threshold of its own for splitting (table 4c); one for both without",
+    "polychromatic": "the integral over energy (table 4c); one energy per channel without",
+    "local-affine": "the footprint of R2-Gaussian; the exact line integral without",
+    "volume-tv": "total variation of the channels' volumes",
+    "image-tv": "total variation of the bases' projections",
+    "dssim": "structural dissimilarity beside L1",
+    "conditioning": "the K-edge column made orthogonal to the other two",
+    "kedge-learning": "the K edge follows the gradient; it stays where it starts without",
+    "kedge-gate": "dense Gaussians start with more K edge; all with the same part of photoelectric without",
+    "fraction-start": "first fractions from density; equal ones without",
+    "fraction-reset": "fractions are drawn back to the middle from time to time",
+    "fraction-rate": "fractions learn faster than density; as fast without",
+    "rate-decay": "learning rates fall; they stay without",
+    "densification": "Gaussians are cloned and split",
+    "pruning": "Gaussians without density or outside the grid are removed",
+}
+
+
+def checked(names: Iterable[str]) -> tuple[str, ...]:
+    """Names of components, each once, in the order of `COMPONENTS`.
+
+    Raises
+    ------
+    InputError
+        When there is no such component; the sentence lists those that there are.
+    """
+    wanted = set(names)
+    unknown = sorted(wanted - set(COMPONENTS))
+    if unknown:
+        raise InputError(f"--without {unknown[0]}: there is no such component; choose from {', '.join(COMPONENTS)}")
+    return tuple(name for name in COMPONENTS if name in wanted)

@@ -15,8 +15,8 @@ from recon.gaussians.optimize import Progress
 from recon.gaussians.reconstruct import Reconstruction
 from recon.published_methods.paper.initialize import first_gaussians, start_volumes, units_of
 from recon.published_methods.paper.learned_edge import ConditionedBasis, KEdge
-from recon.published_methods.paper.log_projections import Projections
 from recon.published_methods.paper.optimize import fit
+from recon.published_methods.paper.projections import Projections
 from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.paper.spectral_model import EnergyGrid, SpectralModel, energy_grid
 from recon.voxel.initial_volumes import start_volumes as volumes_of_rays

@@ -16,10 +16,10 @@ from torch import Tensor
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.ops.voxelize import voxelize
+from recon.published_methods.paper.loss import patch_of_channels, random_patch, total_variation
 from recon.published_methods.paper.model import FactorisedGaussians, Units
 from recon.published_methods.paper.projections import line_integrals
 from recon.published_methods.paper.recipe import PaperRecipe
-from recon.published_methods.paper.variation import patch_of_channels, random_patch, total_variation
 
 Image = Float[Tensor, "view 1 row column"]
 

@@ -21,7 +21,9 @@ from spectra.threads import without_other_pools
 
 @dataclass(frozen=True)
 class GaussianMono:
-    """R2-Gaussian as a method; lengths and densities in the units of `recon.published_methods.paper.recipe.PaperRecipe`.
+    """R2-Gaussian as a method.
+
+    Lengths and densities are in the units of `recon.published_methods.paper.recipe.PaperRecipe`.
 
     Parameters
     ----------

@@ -14,8 +14,7 @@ from recon.published_methods.paper.density_control import PullOnPanel, densify
 from recon.published_methods.paper.loss import data_loss
 from recon.published_methods.paper.model import FactorisedGaussians, Units
 from recon.published_methods.paper.projections import detector_gradient
-from recon.published_methods.paper.recipe import PaperRecipe, Rate
-from recon.published_methods.paper.schedule import is_due, views_in_random_order
+from recon.published_methods.paper.recipe import PaperRecipe, Rate, is_due, views_in_random_order
 from recon.published_methods.splatting.primitives import Look
 from recon.voxel.initial_volumes import start_volumes, starting_method
 from recon.voxel.method import Images, Weights

@@ -51,7 +51,9 @@ class Views:
 
 @dataclass(frozen=True)
 class XGaussian:
-    """X-Gaussian as a method; other numbers are those of R2-Gaussian, see `recon.published_methods.splatting.r2_gaussian`.
+    """X-Gaussian as a method.
+
+    Other numbers are those of R2-Gaussian, see `recon.published_methods.splatting.r2_gaussian`.
 
     Parameters
     ----------

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 from skimage.io import imsave
 
+from phantomgen.display.figures.style import WIDTH, figure_file
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
-from recon.figures.figure_style import WIDTH, figure_file
 from recon.segmentation.labelling import NOTHING
 from recon.segmentation.output.table import legend
 from recon.segmentation.rendering import picture, views_around, voxel_lengths

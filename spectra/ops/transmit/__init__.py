@@ -5,22 +5,14 @@ gradient. Inside another numba kernel call `expected_ray`.
 """
 
 from collections.abc import Callable
-from importlib.util import find_spec
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int64
 
-from spectra.ops.transmit import cpu
 from spectra.ops.transmit.cpu import expected_ray
 from spectra.threads import run_parallel
 
-if TYPE_CHECKING:
-    import torch
-
-    from spectra.transmission import Transmission
-
-__all__ = ["expected_and_jacobian", "expected_counts", "expected_ray", "log_counts_and_slopes", "transmit"]
+__all__ = ["expected_and_jacobian", "expected_counts", "expected_ray", "log_counts_and_slopes"]
 
 _RAYS_PER_PIECE = 16384
 Lengths = Float[np.ndarray, "ray basis"]
@@ -59,18 +51,6 @@ def log_counts_and_slopes(
     slopes = np.empty((*out.shape, len(columns)))
     _over_rays(cpu.log_counts_and_slopes, lengths, columns, weights, starts, out, slopes)
     return out, slopes
-
-
-def transmit(lengths: "torch.Tensor", transmission: "Transmission") -> "torch.Tensor":
-    """Expected counts of a tensor of line integrals, (..., M) -> (..., C), differentiable once in `lengths`.
-
-    The result is on the device of `lengths`. On a GPU it is computed by Triton in float32 or float64, as `lengths` is;
-    elsewhere, and where Triton is not installed, by numba in float64.
-    """
-    from spectra.differentiable import Transmit, TransmitOnGpu  # noqa: PLC0415 - torch takes seconds to import
-
-    on_gpu = lengths.device.type == "cuda" and find_spec("triton") is not None
-    return (TransmitOnGpu if on_gpu else Transmit).apply(lengths, transmission)
 
 
 def _over_rays(kernel: Callable, lengths: Lengths, columns: Columns, weights: Weights, starts: Starts, *out) -> None:

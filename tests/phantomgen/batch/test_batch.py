@@ -212,7 +212,7 @@ def test_workers_end_with_the_process_that_started_them(batch, tmp_path):
     command = [
         sys.executable,
         "-m",
-        "phantomgen.cli.main",
+        "phantomgen",
         "batch",
         str(tmp_path / "toys.yaml"),
         "-n",

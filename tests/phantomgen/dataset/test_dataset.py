@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from phantomgen.dataset.describe import describe, describe_text
+from phantomgen.dataset.file import DETECTOR
 from phantomgen.dataset.layout import new_frames, pack_image, write_image
-from phantomgen.dataset.reader import DETECTOR, open_dataset, parse_region
+from phantomgen.dataset.reader import open_dataset, parse_region
 from phantomgen.dataset.spectral_model import Spectra
 from phantomgen.dataset.truth import Truth, read_truth
 from phantomgen.dataset.validate import validate

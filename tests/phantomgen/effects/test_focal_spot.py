@@ -15,8 +15,8 @@ from phantomgen.scene.scan import load_scene
 from phantomgen.shapes import Box, solids_of
 from phantomgen.simulation.checks.verification import SPOT_RAYS, quick_check
 from phantomgen.simulation.forward_model.discretization import Settings
+from phantomgen.simulation.forward_model.expected_counts import expected_view
 from phantomgen.simulation.forward_model.exposure import Exposure
-from phantomgen.simulation.forward_model.frames import expected_view
 from spectra.errors import InputError, SceneError
 
 SOD, SDD, PITCH = 500.0, 800.0, 0.5

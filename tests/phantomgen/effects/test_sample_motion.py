@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from phantomgen.dataset.geometry import read_sample_poses, read_true_geometry
 from phantomgen.dataset.reader import open_dataset
+from phantomgen.dataset.true_poses import read_sample_poses, read_true_geometry
 from phantomgen.effects.sample_motion import Drift, RandomWalk, Sinusoid, seen_from_sample
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import load_scene
 from phantomgen.shapes import rotation_matrix
-from phantomgen.simulation.checks.field_of_view import sampled_lengths
 from phantomgen.simulation.forward_model.discretization import Settings
+from phantomgen.simulation.forward_model.expected_counts import expected_view
 from phantomgen.simulation.forward_model.exposure import Exposure
-from phantomgen.simulation.forward_model.frames import expected_view
+from phantomgen.simulation.forward_model.sampled_rays import sampled_lengths
 from phantomgen.simulation.run import simulate
 from spectra.errors import SceneError
 

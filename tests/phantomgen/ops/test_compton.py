@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from phantomgen.ops.compton import Energies, Points, reference, scattered_to
+from phantomgen.ops.compton import reference, scattered_to
+from phantomgen.ops.compton.inputs import Energies, Points
 from spectra.basis.basis import klein_nishina
 from spectra.materials.electron_density import ELECTRON_RADIUS
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from phantomgen.scene.scan import load_scene
-from phantomgen.simulation.checks.field_of_view import sampled_lengths
 from phantomgen.simulation.forward_model.energy_grids import NO_CUTS, STEP, fine_cuts, fine_transmission
+from phantomgen.simulation.forward_model.sampled_rays import sampled_lengths
 
 
 @pytest.fixture(scope="module")

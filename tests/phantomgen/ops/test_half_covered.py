@@ -8,7 +8,7 @@ from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import load_scene
 from phantomgen.simulation.checks.reference_rays import RayGrid, log_errors, worst_error
 from phantomgen.simulation.checks.verification import quick_check
-from phantomgen.simulation.forward_model.frames import expected_view, open_beam
+from phantomgen.simulation.forward_model.expected_counts import expected_view, open_beam
 from phantomgen.simulation.planning.make_plan import make_plan
 
 PARALLEL = "{type: parallel, views: 1, distance: 100}"

@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from phantomgen.dataset.describe import describe, describe_text
-from phantomgen.dataset.geometry import read_sample_poses, read_true_geometry
 from phantomgen.dataset.reader import open_dataset
+from phantomgen.dataset.true_poses import read_sample_poses, read_true_geometry
 from phantomgen.dataset.validate import validate
 from phantomgen.effects.pose_jitter import Jitter, jittered
 from phantomgen.geometry.fan_angles import anode_angles, fan_angles, obliquity
@@ -176,10 +176,10 @@ def test_profiles_follow_the_pixels_of_a_mounted_panel():
 
 def test_counts_of_an_offset_panel_are_a_part_of_those_of_a_larger_one():
     bowtie = "source.bowtie={composition: Al, angles: [0, 20], thickness: [1, 9]}"
-    from phantomgen.simulation.checks.field_of_view import sampled_lengths
     from phantomgen.simulation.forward_model.discretization import Settings
+    from phantomgen.simulation.forward_model.expected_counts import expected_view
     from phantomgen.simulation.forward_model.exposure import Exposure
-    from phantomgen.simulation.forward_model.frames import expected_view
+    from phantomgen.simulation.forward_model.sampled_rays import sampled_lengths
 
     large = toy(bowtie, "panel.rows=10", "panel.columns=11")
     part = toy(bowtie, "panel.offset={columns: 8, rows: -4}")  # two columns to the right, one row up

@@ -143,7 +143,7 @@ def _heed_interrupts():
 def test_the_command_survives_a_kill_and_an_interrupt(tmp_path):
     (tmp_path / "toy.yaml").write_text(SCENE.replace("views: 20", "views: 2000"))
     path, journal = tmp_path / "toy.h5", tmp_path / "toy.h5.frames"
-    command = [sys.executable, "-m", "phantomgen.cli.main", "make", "toy.yaml"]
+    command = [sys.executable, "-m", "phantomgen", "make", "toy.yaml"]
     sizes = []
     for end, options in ((signal.SIGKILL, []), (signal.SIGINT, ["--resume"])):
         process = subprocess.Popen(

@@ -10,13 +10,14 @@ from phantomgen.dataset.truth import read_truth
 from phantomgen.dataset.validate import validate
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import Scan, load_scene
-from phantomgen.simulation.checks.field_of_view import coverage_warnings, sampled_lengths
+from phantomgen.simulation.checks.field_of_view import coverage_warnings
 from phantomgen.simulation.checks.verification import full_check
 from phantomgen.simulation.forward_model.energy_grids import (
     compressed_transmission,
     fine_transmission,
     reconstructor_spectra,
 )
+from phantomgen.simulation.forward_model.sampled_rays import sampled_lengths
 from phantomgen.simulation.planning.make_plan import make_plan
 from phantomgen.simulation.run import simulate
 from spectra.elements.attenuation import linear_attenuation, mass_attenuation
@@ -147,7 +148,7 @@ def test_a_source_inside_an_object_sees_only_what_is_in_front(tmp_path):
 
 
 def test_truth_holds_the_volume_of_every_cylinder():
-    from phantomgen.simulation.run import scan_truth
+    from phantomgen.simulation.forward_model.truth import scan_truth
 
     truth = scan_truth(load_scene("kedge-small", ONE_ENERGY))
     inner = np.pi * 80 * np.array([13.0, 11.0, 9.0]) ** 2

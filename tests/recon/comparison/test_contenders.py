@@ -8,7 +8,7 @@ from recon.comparison.contenders.contender import GAUSSIAN, PAPER, Contender, co
 from recon.comparison.outcome import parse_budgets
 from recon.comparison.studies import STUDIES, Scan
 from recon.comparison.tables.published_numbers import TABLE_4C
-from recon.published_methods.paper.components import COMPONENTS
+from recon.published_methods.paper.recipe import COMPONENTS
 from recon.runs.methods import METHODS, method_named
 from recon.voxel.method import CountsMethod, ViewMethod
 from spectra.errors import InputError

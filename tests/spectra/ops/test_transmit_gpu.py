@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from spectra.ops.transmit import reference, transmit
+from spectra.differentiable import transmit
+from spectra.ops.transmit import reference
 from spectra.transmission import Transmission
 
 DEVICE = "cuda" if os.environ["TRITON_INTERPRET"] == "0" else "cpu"

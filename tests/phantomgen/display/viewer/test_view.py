@@ -270,7 +270,7 @@ def test_many_materials_stay_apart_and_in_their_panel():
 
 def test_what_is_shown_is_known_without_pyvista():
     code = (
-        "import sys, phantomgen.view.load, phantomgen.view.output;"
+        "import sys, phantomgen.display.viewer.load, phantomgen.display.viewer.output;"
         "sys.exit(bool({'pyvista', 'vtkmodules'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -17,7 +17,8 @@ from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.input_files.voxel_volume import read_volume
 from phantomgen.scene.scan import load_scene
 from phantomgen.simulation.checks.field_of_view import coverage_warnings
-from phantomgen.simulation.run import scan_truth, simulate
+from phantomgen.simulation.forward_model.truth import scan_truth
+from phantomgen.simulation.run import simulate
 from spectra.errors import InputError, NotInstalledError, SceneError
 
 HEAD = """\

@@ -6,9 +6,9 @@ import pytest
 from phantomgen.dataset.describe import describe, describe_text
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.dataset.validate import validate
-from phantomgen.effects.random_streams import dead_time_counts
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import load_scene
+from phantomgen.simulation.forward_model.photon_noise import dead_time_counts
 from phantomgen.simulation.run import simulate
 from recon.data.measurements import read_measurements
 from spectra.detector.dead_time import DeadTime

@@ -10,9 +10,9 @@ import pytest
 from phantomgen.dataset.describe import describe, describe_text
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.dataset.validate import validate
-from phantomgen.effects.random_streams import compound_signal
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import load_scene
+from phantomgen.simulation.forward_model.photon_noise import compound_signal
 from phantomgen.simulation.run import simulate
 from recon.data.measurements import read_measurements
 from spectra.elements.attenuation import linear_attenuation

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chisquare, poisson
 
-from phantomgen.effects.random_streams import Stream, philox_key, poisson_counts
+from phantomgen.effects.random_streams import Stream, philox_key
+from phantomgen.simulation.forward_model.photon_noise import poisson_counts
 from spectra.errors import InputError
 
 

@@ -8,10 +8,10 @@ from phantomgen.ops.expected_counts import expose_brute
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import load_scene
 from phantomgen.simulation.forward_model.discretization import Settings
-from phantomgen.simulation.forward_model.frames import expected_view
+from phantomgen.simulation.forward_model.expected_counts import expected_view
 from phantomgen.simulation.planning.faint_objects import FaintObjects
 from phantomgen.simulation.planning.make_plan import make_plan
-from phantomgen.simulation.planning.pixels import Choice
+from phantomgen.simulation.planning.plan import Choice
 
 SCENE = """
 version: 1

@@ -9,10 +9,10 @@ import pytest
 from phantomgen.ops.expected_counts import CROSSED, expose, expose_brute
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import load_scene
-from phantomgen.simulation.checks.field_of_view import sampled_lengths
 from phantomgen.simulation.forward_model.energy_grids import fine_cuts, fine_transmission
 from phantomgen.simulation.forward_model.exposure import Exposure
 from phantomgen.simulation.forward_model.frames import Views
+from phantomgen.simulation.forward_model.sampled_rays import sampled_lengths
 from phantomgen.simulation.planning import make_plan as planning
 from phantomgen.simulation.planning.cost import expected_cost
 from phantomgen.simulation.planning.make_plan import make_plan

@@ -10,10 +10,8 @@ from phantomgen.dataset.spectral_model import Spectra
 from phantomgen.geometry.voxel_grid import Grid
 from recon.ops.voxelize import voxelize
 from recon.published_methods.paper.learned_edge import ConditionedBasis, KEdge
-from recon.published_methods.paper.loss import data_loss
+from recon.published_methods.paper.loss import data_loss, patch_of_channels, random_patch, ssim, total_variation
 from recon.published_methods.paper.spectral_model import SpectralModel, energy_grid
-from recon.published_methods.paper.ssim import ssim
-from recon.published_methods.paper.variation import patch_of_channels, random_patch, total_variation
 from spectra.basis.basis import Basis, BasisFunction
 from spectra.errors import InputError
 from spectra.transmission import Transmission

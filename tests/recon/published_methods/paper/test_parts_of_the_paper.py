@@ -12,14 +12,20 @@ from support.gaussian_scenes import circular
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.published_methods.paper.adam import EdgeAdam, GroupedAdam, rates
-from recon.published_methods.paper.components import COMPONENTS, checked
 from recon.published_methods.paper.density_control import PullOnPanel, choose, densify, reset_fractions
-from recon.published_methods.paper.fractions import DENSE, HIGH, MIDDLE, MOST_EDGE, fractions_of_density
-from recon.published_methods.paper.initialize import first_gaussians, units_of
+from recon.published_methods.paper.initialize import (
+    DENSE,
+    HIGH,
+    MIDDLE,
+    MOST_EDGE,
+    first_gaussians,
+    fractions_of_density,
+    units_of,
+)
 from recon.published_methods.paper.learned_edge import KEdge
 from recon.published_methods.paper.model import FactorisedGaussians, Units
 from recon.published_methods.paper.projections import detector_gradient, line_integrals
-from recon.published_methods.paper.recipe import PaperRecipe, Rate
+from recon.published_methods.paper.recipe import COMPONENTS, PaperRecipe, Rate, checked
 from spectra.errors import InputError
 
 GRID = Grid.cube(16, 32.0)

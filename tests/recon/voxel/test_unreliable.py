@@ -13,10 +13,10 @@ from support.tiny_scans import make
 from phantomgen.geometry.voxel_grid import Grid
 from recon.cli.main import main
 from recon.evaluation.metrics import HeldOutView, score_elsewhere, score_projections
-from recon.evaluation.unreliable import METAL, STARVED, relative_deviations, sentence, unreliable_voxels
 from recon.evaluation.verdict import misfit_marked
 from recon.output.report.page import run_report
 from recon.voxel.iterative.likelihood import forward
+from recon.voxel.unreliable import METAL, STARVED, relative_deviations, sentence, unreliable_voxels
 
 GRID = Grid.cube(12, 12.0)
 TISSUE = (0.002, 0.018, 0.0)
@@ -79,7 +79,7 @@ def test_slabs_of_voxels_are_as_the_whole(monkeypatch):
     dense = volumes(0.3, 0.5, 0.0)
     scan, held = scan_of(dense), np.ones(GRID.shape, bool)
     whole = relative_deviations(dense, held, scan, GRID, 0.02)
-    monkeypatch.setattr("recon.evaluation.unreliable.SLAB_VALUES", 5 * 9 * 12**2)
+    monkeypatch.setattr("recon.voxel.unreliable.SLAB_VALUES", 5 * 9 * 12**2)
     np.testing.assert_array_equal(relative_deviations(dense, held, scan, GRID, 0.02), whole)
 
 

@@ -1,0 +1,147 @@
+"""``phantomgen make``: the scan of a scene."""
+
+import json
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from phantomgen.cli.common import debug_option, json_option, print_stages
+
+
+@click.command(
+    epilog="\b\nExamples:\n  phantomgen make kedge --views 150 --seed 1\n"
+    "  phantomgen make my.yaml --set objects.1.radius=12 -o thick.h5 --resume"
+)
+@click.argument("scene", metavar="SCENE|PRESET", required=False)
+@click.option("--preset", metavar="NAME", help="A scene that comes with the program; see `phantomgen presets`.")
+@click.option("-o", "--out", type=click.Path(dir_okay=False), help="Output [default: <name of the scene>.h5].")
+@click.option("--views", type=click.IntRange(min=1), help="Number of training views.")
+@click.option("--test-views", type=click.IntRange(min=0), help="Number of test views.")
+@click.option("--voxels", type=click.IntRange(min=1), help="Voxels along each edge of the volume.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the noise, and of a scene's random values.")
+@click.option("--tol", type=float, help="Worst error of log projections that is wanted [default: 1e-3].")
+@click.option("--noise/--no-noise", default=None, help="Poisson counts, or their means.")
+@click.option("--set", "settings", metavar="PATH=VALUE", multiple=True, help="Override any value of the scene.")
+@click.option(
+    "--keep",
+    type=click.Choice(["expected", "paths"]),
+    multiple=True,
+    help="Store as well: noise-free counts; projections, for --paths.",
+)
+@click.option(
+    "--paths",
+    type=click.Path(dir_okay=False),
+    metavar="FILE",
+    help="Dataset made with --keep paths: other spectra, doses, channels and seeds of its scene, without tracing.",
+)
+@click.option("--verify", is_flag=True, help="Check all edge pixels of three views against brute force (minutes).")
+@click.option("--compression", default="gzip", metavar="gzip|bitshuffle|none", help="Of large arrays [default: gzip].")
+@click.option("--resume", is_flag=True, help="Go on where an interrupted run stopped.")
+@click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
+@click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
+@click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
+@json_option
+@debug_option
+def make(
+    scene: str | None,
+    preset: str | None,
+    out: str | None,
+    views: int | None,
+    test_views: int | None,
+    voxels: int | None,
+    seed: int | None,
+    tol: float | None,
+    noise: bool | None,
+    settings: tuple[str, ...],
+    keep: tuple[str, ...],
+    paths: str | None,
+    verify: bool,
+    compression: str,
+    resume: bool,
+    overwrite: bool,
+    threads: int | None,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Simulate the scan of a scene, which is a YAML file or a preset.
+
+    Prints what the scan took, and how far its expected counts are from a finer computation.
+    """
+    if (scene is None) == (preset is None) and (paths is None or scene is not None):
+        raise click.UsageError("name either a scene file or a preset: phantomgen make kedge")
+    options = {
+        "geometry.views": views,
+        "geometry.test_views": test_views,
+        "volume.voxels": voxels,
+        "seed": seed,
+        "noise": None if noise is None else str(noise).lower(),
+    }
+    overrides = [*(f"{path}={value}" for path, value in options.items() if value is not None), *settings]
+    options = {
+        "tolerance": tol,
+        "overwrite": overwrite,
+        "resume": resume,
+        "compression": compression,
+        "keep_expected": "expected" in keep,
+        "keep_paths": "paths" in keep,
+        "paths": paths,
+        "verify": verify,
+    }
+    summary = _make(scene, preset, overrides, out, options, threads, quiet or as_json)
+    for warning in summary.warnings:
+        click.echo(f"Warning: {warning}", err=True)
+    click.echo(json.dumps(summary.to_dict()) if as_json else summary.text)
+
+
+def _make(
+    scene: str | None,
+    preset: str | None,
+    overrides: list[str],
+    out: str | None,
+    options: dict[str, Any],
+    threads: int | None,
+    quiet: bool,
+) -> Any:
+    """Read the scene, then simulate; the output is checked before anything slow is imported.
+
+    `options` are those of `phantomgen.simulation.run.simulate`.
+    """
+    from phantomgen.simulation.warm_up import compiling_ahead
+
+    start = time.perf_counter()
+    shown = sys.stderr.isatty() and not quiet
+    with compiling_ahead(lambda text: click.echo(text, err=True) if shown else None) as wait_for_kernels:
+        from phantomgen.dataset.compression import check_compression
+        from phantomgen.dataset.writing.frame_journal import check_journal
+        from phantomgen.dataset.writing.writer import check_dataset_name, check_output
+        from phantomgen.scene.file.find_scene import find_scene
+        from phantomgen.scene.file.scene_file import SceneFile
+        from spectra.threads import set_threads
+
+        if options["paths"] and not (scene or preset):
+            from phantomgen.simulation.projection_cache.cache import kept_scene
+
+            file = kept_scene(options["paths"], overrides)
+        else:
+            file = SceneFile.preset(preset, overrides) if preset else find_scene(scene or "", overrides)
+        path = Path(out or f"{file.model.name}.h5")
+        check_dataset_name(path)
+        check_output(path, options["overwrite"])
+        check_journal(path, options["resume"], options["overwrite"])
+        check_compression(options["compression"])
+        set_threads(threads)
+        from phantomgen.scene.scan import load_scene
+        from phantomgen.simulation.planning.plan import check_tolerance
+        from phantomgen.simulation.run import simulate
+
+        if options["tolerance"] is not None:
+            check_tolerance(options["tolerance"])
+        scan = load_scene(file)
+        wait_for_kernels()
+        ready = time.perf_counter() - start
+        summary = simulate(scan, path, progress=not quiet, on_stage=print_stages(shown), **options)
+    return replace(summary, seconds={"scene": ready, **summary.seconds})

@@ -1,0 +1,47 @@
+"""True poses of a scan, which only the score reads."""
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.dataset.file import damaged_file, open_file
+from phantomgen.dataset.geometry import read_geometry, write_geometry
+from phantomgen.dataset.layout import array_at, group_at, new_group, put
+from phantomgen.dataset.reader import open_dataset
+from phantomgen.geometry.poses import Geometry
+from spectra.errors import DatasetError
+
+
+def write_true_geometry(truth: h5py.Group, geometry: Geometry, sample: Float[np.ndarray, "view 4 4"] | None) -> None:
+    """Write the poses that were simulated, in the frame of the sample, and where the sample was.
+
+    Parameters
+    ----------
+    truth : group of the truth
+    geometry : true poses
+    sample : matrices from the sample at rest to where it was [mm], None where it did not move
+    """
+    write_geometry(truth, geometry)
+    if sample is not None:
+        put(new_group(truth, "motion", "NXcollection"), "pose", sample, "mm")
+
+
+def read_true_geometry(path: Path | str) -> Geometry | None:
+    """True poses of a dataset, where they are not those of ``/entry/geometry``; None where they are."""
+    anywhere = (slice(0, 1), slice(0, 1))
+    with open_dataset(path, air=anywhere) as dataset, damaged_file(dataset.path):
+        if "truth/geometry" not in dataset.file:
+            return None
+        nominal = dataset.geometry
+        true = read_geometry(group_at(dataset.file, "truth/geometry"), nominal.panel, nominal.angles)
+        if len(true) != len(nominal):
+            raise DatasetError(f"{path}: /truth/geometry has {len(true)} views, /entry/geometry {len(nominal)}")
+        return true
+
+
+def read_sample_poses(path: Path | str) -> Float[np.ndarray, "view 4 4"] | None:
+    """Where the sample was in each view, as matrices from its rest to there [mm]; None where it did not move."""
+    with open_file(Path(path)) as file, damaged_file(Path(path)):
+        return array_at(file, "truth/motion/pose")[()] if "truth/motion/pose" in file else None

@@ -1,0 +1,59 @@
+"""Expected counts of one view, of all its source points."""
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.ops.expected_counts import expose
+from phantomgen.scene.scan import Scan
+from phantomgen.simulation.forward_model.discretization import Settings
+from phantomgen.simulation.forward_model.exposure import Groups
+from spectra.transmission import Transmission
+
+
+def expected_view(scan: Scan, transmission: Transmission, view: int, settings: Settings) -> Groups:
+    """Expected signals of one view and group of photons, averaged over each pixel's area and the focal spot."""
+    frame, spot = scan.geometry.ray_frames()[view], scan.effects.focal_spot
+    if spot is None:
+        return exposed_frame(scan, transmission, frame, settings)
+    points = settings.spot or spot.points_for(spot.blur(frame, scan.scene.solids.balls[:, :3]))
+    frames = spot.frames(frame, points)
+    total = exposed_frame(scan, transmission, frames[0], settings)
+    for moved in frames[1:]:
+        total += exposed_frame(scan, transmission, moved, settings)
+    return total / len(frames)
+
+
+def exposed_frame(
+    scan: Scan, transmission: Transmission, frame: Float[np.ndarray, "4 3"], settings: Settings
+) -> Groups:
+    """The same for rays of one source point."""
+    panel = scan.geometry.panel
+    return expose(
+        frame,
+        panel.rows,
+        panel.columns,
+        scan.scene.solids,
+        transmission.columns,
+        transmission.weights,
+        transmission.starts,
+        scan.scene.background,
+        profile=None if scan.profile is None else scan.profile.lengths,
+        aperture=aperture_of(scan),
+        **settings.pixels,
+    ).counts
+
+
+def aperture_of(scan: Scan) -> tuple[float, float]:
+    """Width and height of the sensitive part of pixels, in pixels."""
+    aperture = scan.effects.aperture
+    return (1.0, 1.0) if aperture is None else (aperture.width, aperture.height)
+
+
+def open_beam(scan: Scan, transmission: Transmission) -> Groups:
+    """Expected signals of one view without any object."""
+    pixels = (scan.geometry.panel.rows, scan.geometry.panel.columns)
+    if scan.profile is None:
+        return np.broadcast_to(transmission.open_beam[:, None, None], (len(transmission), *pixels))
+    lengths = np.zeros((*pixels, len(transmission.columns)))
+    lengths[:, :, -len(scan.profile.names) :] = np.moveaxis(scan.profile.lengths, 0, -1)
+    return np.moveaxis(transmission.expected(lengths), -1, 0)

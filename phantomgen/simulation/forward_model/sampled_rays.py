@@ -1,0 +1,105 @@
+"""Rays through objects of a scan, and how long their paths are."""
+
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.ops.primitives import BALL, CONE, CYLINDER, HALFSPACE, TORUS
+from phantomgen.ops.trace import trace
+from phantomgen.scene.scan import Scan, Scene
+from phantomgen.shapes import Part, Shape
+
+_RAYS_PER_OBJECT = 40
+_SKIN = 1e-6
+# Of scenes with more objects than `_MANY`, the largest ones of each material are sampled, in some of the views.
+_MANY = 64
+_RAYS = 20_000
+# Other scenes are sampled in as many views as give no more rays than this.
+_MOST_RAYS = 150_000
+
+
+@lru_cache(maxsize=1)
+def sampled_lengths(scan: Scan) -> Float[np.ndarray, "ray material"]:
+    """Path lengths per material [mm] of rays through objects: all of them in all views, as far as rays are few."""
+    objects, frames = scan.scene.objects, scan.geometry.ray_frames()
+    many = len(objects) > _MANY
+    picked = _largest(scan.scene) if many else range(len(objects))
+    targets = np.concatenate([points_of(objects[i][0], _RAYS_PER_OBJECT)[0] for i in picked])
+    frames = frames[:: -(-len(frames) * len(targets) // (_RAYS if many else _MOST_RAYS))]
+    to_target = targets[None] - frames[:, None, 0]
+    depth = on_panel(frames, targets)[..., 0]
+    in_front = depth > 1e-6
+    directions = to_target[in_front] / depth[in_front][:, None]
+    origins = np.broadcast_to(frames[:, None, 0], to_target.shape)[in_front]
+    return trace(origins, directions, scan.scene.solids, len(scan.scene.materials), scan.scene.background)
+
+
+def _largest(scene: Scene) -> list[int]:
+    """Numbers of the largest objects of each material, `_MANY` in all or one of each."""
+    solids = scene.solids
+    size = np.where(solids.inside & (solids.kinds != HALFSPACE), solids.balls[:, 3], 0.0)
+    first_rows = np.unique(solids.owners)
+    by_size = np.argsort(-np.maximum.reduceat(size, first_rows), kind="stable")
+    materials = solids.materials[first_rows][by_size]
+    share = max(1, _MANY // len(scene.materials))
+    return [int(i) for m in range(len(scene.materials)) for i in by_size[materials == m][:share]]
+
+
+def on_panel(
+    frames: Float[np.ndarray, "view 4 3"], points: Float[np.ndarray, "point 3"]
+) -> Float[np.ndarray, "view point 3"]:
+    """Depth (0 at the source, 1 on the panel), column and row of points in every view."""
+    inverse = np.linalg.inv(np.moveaxis(frames[:, 1:], 1, 2))
+    scaled = np.einsum("vij,vpj->vpi", inverse, points[None] - frames[:, None, 0])
+    depth = scaled[..., :1]
+    return np.concatenate([depth, scaled[..., 1:] / np.where(depth == 0, 1.0, depth)], axis=-1)
+
+
+def points_of(shape: Shape, count: int) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
+    """Points spread evenly inside a shape, the middle of its bounds first if inside, and points of its surface."""
+    rng = np.random.default_rng(0)
+    if maps := [part for term in shape.terms for part in term if part.voxels is not None]:
+        found = _voxel_points(maps[0], 4 * count, rng)
+        found = found[shape.contains(found)]
+        return found[:count], found
+    parts = [part for term in shape.terms for part in term if part.inside and part.kind != HALFSPACE]
+    outer, inner = zip(*(_surface(part, -(-count // len(parts)), rng) for part in parts), strict=True)
+    surface = np.concatenate(outer)[shape.contains(np.concatenate(inner))]
+    low, high = shape.bounds
+    unit = np.concatenate([np.full((1, 3), 0.5), rng.random((40 * count, 3))])
+    points = low + unit * (high - low)
+    inside = points[shape.contains(points)][: count + 1]
+    return (inside, surface) if len(surface) else (inside, inside)
+
+
+def _voxel_points(part: Part, count: int, rng: np.random.Generator) -> Float[np.ndarray, "point 3"]:
+    """Points [mm] in voxels of a map that are not empty."""
+    local = part.voxels.points(count, rng) if part.voxels is not None else np.empty((3, 0))
+    return (local.T - part.local[:, 3]) @ np.linalg.inv(part.local[:, :3]).T
+
+
+def _surface(
+    part: Part, count: int, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
+    """Points of a primitive's surface [mm], and the same a little further inside."""
+    unit = rng.uniform(-1, 1, (count, 3))
+    across = np.hypot(unit[:, 0], unit[:, 1])
+    middle = np.zeros((count, 3))
+    if part.kind == BALL:
+        unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    elif part.kind == CYLINDER:
+        unit /= np.maximum(across, np.abs(unit[:, 2]))[:, None]
+    elif part.kind == CONE:
+        unit[:, 2] = np.sqrt(np.abs(unit[:, 2]))
+        unit[:, :2] *= (unit[:, 2] / across)[:, None]
+        middle[:, 2] = 0.7
+    elif part.kind == TORUS:
+        middle[:, :2] = unit[:, :2] * ((1 - part.tube) / across)[:, None]
+        turn = np.pi * unit[:, 2:]
+        unit = middle * (1 + part.tube / (1 - part.tube) * np.cos(turn)) + part.tube * np.sin(turn) * [0, 0, 1]
+    else:
+        unit /= np.abs(unit).max(axis=1, keepdims=True)
+    axes = np.linalg.inv(part.local[:, :3])
+    outer, inner = ((points - part.local[:, 3]) @ axes.T for points in (unit, middle + (1 - _SKIN) * (unit - middle)))
+    return outer, inner

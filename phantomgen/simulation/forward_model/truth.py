@@ -1,0 +1,35 @@
+"""Exact voxel truth of a scan, whole or in slabs."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float32
+
+from phantomgen.dataset.truth import StreamedTruth, Truth
+from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.ops.voxelize_shapes import fractions
+from phantomgen.scene.scan import Scan
+from phantomgen.simulation.forward_model.energy_grids import (
+    material_coefficients,
+    material_fit,
+)
+
+# From a grid to the part of each voxel that each material fills.
+Filled = Callable[[Grid], Float32[np.ndarray, "material z y x"]]
+
+
+def scan_truth(scan: Scan) -> Truth:
+    """Material fractions and basis volumes."""
+    return streamed_truth(scan).part(scan.grid)
+
+
+def streamed_truth(scan: Scan, filled: Filled | None = None) -> StreamedTruth:
+    """The same, for volumes that are larger than memory; `filled` says what materials fill where that is known."""
+    names = tuple(m.name for m in scan.scene.materials)
+    solids, background = scan.scene.solids, scan.scene.background
+    coefficients, fit = material_coefficients(scan), material_fit(scan)
+
+    def voxelized(grid: Grid) -> Float32[np.ndarray, "material z y x"]:
+        return fractions(grid, solids, len(names), background=background)
+
+    return StreamedTruth(scan.grid, scan.basis.names, names, coefficients, filled or voxelized, scan.text, fit)

@@ -1,0 +1,126 @@
+"""Windows of the panel on which settings are tried."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from phantomgen.ops.expected_counts import CROSSED, EMPTY, Exposed, expose
+from phantomgen.scene.scan import Scan
+from phantomgen.simulation.checks.reference_rays import worst_error
+from phantomgen.simulation.forward_model.discretization import Settings
+from phantomgen.simulation.forward_model.expected_counts import aperture_of
+from spectra.transmission import Transmission
+
+VIEWS = 3
+_WINDOW = 48
+_MOST_WINDOWS = 4
+# Crossed pixels per view, and pixels per view and kind that are compared with a grid of rays.
+_MOST_CROSSED = 800
+Image = Float[np.ndarray, "channel row column"]
+Frame = Float[np.ndarray, "4 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A part of a view, as a panel of its own.
+
+    Parameters
+    ----------
+    frame : of the part
+    size : rows and columns
+    classes : of the pixels
+    profile : lengths in the beam's profile, or None
+    """
+
+    frame: Frame
+    size: tuple[int, int]
+    classes: UInt8[np.ndarray, "row column"]
+    profile: Float[np.ndarray, "part row column"] | None
+
+
+def windows_of(scan: Scan, transmission: Transmission, rng: np.random.Generator) -> tuple[Window, ...]:
+    """Parts of some views that hold edges."""
+    views = np.unique(np.linspace(0, len(scan.geometry) - 1, VIEWS).round().astype(int))
+    return tuple(w for view in views for w in _windows(scan, transmission, int(view), rng))
+
+
+def _windows(scan: Scan, transmission: Transmission, view: int, rng: np.random.Generator) -> Iterator[Window]:
+    """Parts of a view around random edges; fewer where they hold many."""
+    classes = exposed(scan, transmission, whole(scan, view), Settings(sub_rays=2)).classes
+    edges = np.argwhere(classes >= CROSSED)
+    if not len(edges):
+        edges = np.argwhere(classes > EMPTY)
+    if not len(edges):
+        return
+    crossed, corners = 0, set()
+    for row, column in edges[rng.integers(len(edges), size=_MOST_WINDOWS)]:
+        if (corner := _corner(scan, row, column)) in corners:
+            continue
+        corners.add(corner)
+        window = around(scan, view, classes, row, column)
+        yield window
+        crossed += int((window.classes == CROSSED).sum())
+        if crossed > _MOST_CROSSED:
+            return
+
+
+def exposed(scan: Scan, transmission: Transmission, window: Window, settings: Settings) -> Exposed:
+    """Counts of a window."""
+    return expose(
+        window.frame,
+        *window.size,
+        scan.scene.solids,
+        transmission.columns,
+        transmission.weights,
+        transmission.starts,
+        scan.scene.background,
+        profile=window.profile,
+        aperture=aperture_of(scan),
+        **settings.pixels,
+    )
+
+
+def _profile(scan: Scan) -> Float[np.ndarray, "part row column"] | None:
+    """Lengths of the beam's profile."""
+    return None if scan.profile is None else scan.profile.lengths
+
+
+def worst_difference(images: Sequence[Image], exact: Sequence[Image]) -> float:
+    """The same over whole windows."""
+    pairs = zip(images, exact, strict=True)
+    return max((worst_error(a, b, b.max(axis=(1, 2), keepdims=True)) for a, b in pairs), default=0.0)
+
+
+Counts = Float[np.ndarray, "..."]
+
+
+def whole(scan: Scan, view: int) -> Window:
+    """All of a view, its classes not known."""
+    panel = scan.geometry.panel
+    size = (panel.rows, panel.columns)
+    return Window(scan.geometry.ray_frames()[view], size, np.empty((0, 0), np.uint8), _profile(scan))
+
+
+def around(scan: Scan, view: int, classes: UInt8[np.ndarray, "row column"], row: int, column: int) -> Window:
+    """The part of a view around a pixel; `classes` are those of the whole view."""
+    panel = scan.geometry.panel
+    top, left = _corner(scan, row, column)
+    size = (min(_WINDOW, panel.rows), min(_WINDOW, panel.columns))
+    part = (slice(top, top + size[0]), slice(left, left + size[1]))
+    frame = scan.geometry.ray_frames()[view].copy()
+    frame[1] += left * frame[2] + top * frame[3]
+    profile = None if scan.profile is None else np.ascontiguousarray(scan.profile.lengths[:, *part])
+    return Window(frame, size, classes[part], profile)
+
+
+def _corner(scan: Scan, row: int, column: int) -> tuple[int, int]:
+    """First row and column of the window around a pixel."""
+    panel = scan.geometry.panel
+    rows, columns = min(_WINDOW, panel.rows), min(_WINDOW, panel.columns)
+    top, left = (
+        np.clip(row - rows // 2, 0, panel.rows - rows),
+        np.clip(column - columns // 2, 0, panel.columns - columns),
+    )
+    return int(top), int(left)

@@ -1,0 +1,47 @@
+"""``recon edge``: K edges that the counts of a dataset show."""
+
+from pathlib import Path
+
+import click
+
+from phantomgen.cli.common import debug_option, json_option
+
+
+@click.command(epilog="\b\nExamples:\n  recon edge kedge.h5\n  recon edge scan.h5 --edge 33,50 -o found")
+@click.argument("dataset", type=click.Path(dir_okay=False))
+@click.option("-o", "--out", type=click.Path(), help="Files to write, without suffix [default: <dataset>-edge].")
+@click.option("--edge", metavar="auto|keV[,keV]", default="auto", show_default=True, help="Where to start.")
+@click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
+@click.option("--figures/--no-figures", default=True, show_default=True, help="Draw the profile.")
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+@click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
+@json_option
+@debug_option
+def edge(
+    dataset: str,
+    out: str | None,
+    edge: str,
+    air: str | None,
+    figures: bool,
+    overwrite: bool,
+    threads: int | None,
+    as_json: bool,
+) -> None:
+    """Find the energies of K edges in DATASET.
+
+    Tries edges at all energies on rays that two bases do not explain, whatever the dataset says about edges, and writes
+    the profile likelihood as JSON and as a figure.
+    """
+    from phantomgen.dataset.reader import open_dataset
+    from phantomgen.runtime.plain_json import to_json
+    from recon.kedge.choose_basis import find_edges
+    from recon.kedge.report import EdgeFiles, parse_edges
+    from spectra.threads import set_threads
+
+    source = Path(dataset)
+    files = EdgeFiles(Path(out or f"{source.stem}-edge"), overwrite)
+    set_threads(threads)
+    with open_dataset(source, air) as opened:
+        choice = find_edges(opened, parse_edges(edge) or ())
+        record = files.write(choice, opened, figures)
+    click.echo(to_json(record) if as_json else "\n".join([*choice.sentences, *map(str, files.written)]))

@@ -1,0 +1,171 @@
+"""``recon fit``: reconstruct a dataset."""
+
+import json
+from pathlib import Path
+
+import click
+
+from phantomgen.cli.common import debug_option, json_option
+from recon.cli.common import ProgressBar, exit_where_failed, finite_number, memory_text, refuse_options, seconds_text
+from recon.cli.run_argument import check_run_name
+from recon.runs.methods import METHODS
+
+
+@click.command(epilog="\b\nExamples:\n  recon fit kedge.h5\n  recon fit scan.h5 --edge auto --air 0:16,0:256")
+@click.argument("dataset", type=click.Path(dir_okay=False))
+@click.option("-o", "--out", type=click.Path(), help="Run folder to write [default: <dataset>-run].")
+@click.option(
+    "--bases",
+    default="auto",
+    show_default=True,
+    metavar="auto|NUMBER|NAME[,NAME]",
+    help="Basis functions to fit: those that the counts warrant, the first ones of the file, or those named.",
+)
+@click.option(
+    "--edge", metavar="auto|keV[,keV]", help="Look for K edges, starting anywhere [default: believe the file]."
+)
+@click.option(
+    "--sweeps",
+    type=click.FloatRange(min=0, min_open=True),
+    callback=finite_number,
+    help="Times every training view is used.",
+)
+@click.option(
+    "--recipe",
+    type=click.Choice(["fast", "best", "paper"]),
+    default="fast",
+    show_default=True,
+    help="This project's fit, short or long, or the method of SpectralCTGaussians.",
+)
+@click.option("--steps", type=click.IntRange(min=1), help="Steps of --recipe paper; schedules scale [default: 30000].")
+@click.option("--without", metavar="NAME", multiple=True, help="Leave out a component of --recipe paper; repeatable.")
+@click.option(
+    "--method",
+    type=click.Choice(["gaussian", *METHODS]),
+    default="gaussian",
+    show_default=True,
+    help="Gaussians, or an opponent, classical or learned; `--sweeps` are then its iterations.",
+)
+@click.option(
+    "--pipeline",
+    type=click.Choice(["two-step", "image"]),
+    default="two-step",
+    show_default=True,
+    help="Of classical methods: bases from counts ray by ray before, or linearly voxel by voxel after.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all that is random.")
+@click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
+@click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
+@click.option("--held-out", type=click.IntRange(min=0), default=0, help="Training views that only say when to stop.")
+@click.option("--memory", type=click.FloatRange(min=0, min_open=True), metavar="GIB", help="Largest memory to take.")
+@click.option(
+    "--device",
+    type=click.Choice(["cpu", "cuda"]),
+    default="cpu",
+    show_default=True,
+    help="Where Gaussians are computed.",
+)
+@click.option("--dry-run", is_flag=True, help="Say what it takes: Gaussians, time, memory; write nothing.")
+@click.option("--strict", is_flag=True, help="Exit code 3 where a check of the verdict failed.")
+@click.option("--resume", is_flag=True, help="Go on with a run that was interrupted, if there is one.")
+@click.option("--overwrite", is_flag=True, help="Replace a run folder that exists.")
+@click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
+@click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
+@json_option
+@debug_option
+def fit(
+    dataset: str,
+    out: str | None,
+    bases: str,
+    edge: str | None,
+    sweeps: float | None,
+    recipe: str,
+    steps: int | None,
+    without: tuple[str, ...],
+    method: str,
+    pipeline: str,
+    seed: int,
+    air: str | None,
+    figures: bool,
+    held_out: int,
+    memory: float | None,
+    device: str,
+    dry_run: bool,
+    strict: bool,
+    resume: bool,
+    overwrite: bool,
+    threads: int | None,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Fit Gaussians to DATASET, or reconstruct it classically, and score the result.
+
+    Writes a run folder: model.safetensors, volumes.h5, metrics.json, log.jsonl and figures. `--bases auto` uses
+    those basis functions of the dataset that its counts warrant; the truth is read only after the fit, for the score.
+    Ctrl-C stops after the step and leaves the model; --resume goes on, also after a crash.
+    """
+    from phantomgen.dataset.reader import open_dataset
+    from phantomgen.runtime.plain_json import to_json
+    from recon.data.devices import device_named
+    from recon.evaluation import verdict
+    from recon.gaussians.processes import joined
+    from recon.kedge.basis_names import parse_bases, with_named
+    from recon.kedge.report import parse_edges
+    from recon.published_methods.paper.recipe import PAPER_STEPS, PaperRecipe
+    from recon.runs.expected_cost import forecast
+    from recon.runs.methods import method_named
+    from recon.runs.run_gaussians import chosen_recipe, run
+    from recon.runs.run_voxels import run_classical
+    from recon.runs.write_run import RunFolder, score_table
+    from spectra.threads import set_threads
+
+    if out:
+        check_run_name(Path(out))
+    special = {"resume": resume, "dry-run": dry_run, "memory": memory, "held-out": held_out, "edge": edge}
+    special |= {"device": None if device == "cpu" else device_named(device).type}
+    if method != "gaussian":
+        refuse_options(f"--method {method}", special | {"steps": steps, "without": without, "recipe": recipe != "fast"})
+    if recipe == "paper":
+        refuse_options("--recipe paper, whose length is --steps", special | {"sweeps": sweeps})
+        how = PaperRecipe(steps=steps or PAPER_STEPS, without=without, seed=seed)
+    else:
+        refuse_options(f"--recipe {recipe}, whose length is --sweeps", {"steps": steps, "without": without})
+        how = chosen_recipe(recipe, sweeps, seed, held_out)
+    source, edges, asked = Path(dataset), parse_edges(edge), parse_bases(bases)
+    set_threads(threads)
+    if dry_run and not isinstance(how, PaperRecipe):
+        with open_dataset(source, air) as opened:
+            named, count = with_named(opened, asked)
+            found = forecast(named, how, count, memory, device)
+        click.echo(json.dumps(found.to_dict()) if as_json else str(found))
+        return
+    with joined() as processes, open_dataset(source, air) as opened:
+        bar = ProgressBar(quiet or as_json or not processes.first)
+        options = (asked, how, figures, bar, edges, memory, processes, device)
+        if not processes.first:
+            run(opened, None, *options)
+            return
+        folder = RunFolder(Path(out) if out else Path(f"{source.stem}-run"), overwrite, resume)
+        if method != "gaussian":
+            chosen = method_named(method, None if sweeps is None else max(round(sweeps), 1), seed)
+            with folder as part:
+                metrics = run_classical(opened, part, chosen, pipeline, asked, figures, bar)
+        else:
+            with folder as part:
+                metrics = run(opened, part, *options)
+    if as_json:
+        click.echo(to_json({"run": str(folder.path), **metrics}))
+        exit_where_failed(metrics, strict)
+        return
+    click.echo("\n".join([score_table(metrics), "", *verdict.lines(metrics)]))
+    if isinstance(how, PaperRecipe):
+        click.echo(how.says)
+    result = next(name for name in ("volumes.h5", "views.h5") if (folder.path / name).is_file())
+    in_what = "in voxels" if result == "volumes.h5" else "without a volume"
+    what = f"{metrics['gaussians']} Gaussians" if method == "gaussian" else f"{method} {in_what}"
+    click.echo(f"{what}, {seconds_text(metrics)}{memory_text(metrics)}")
+    for name in sorted(path.name for path in (folder.path / "figures").glob("*.png")):
+        click.echo(str(folder.path / "figures" / name))
+    ways = "look at the figures" if result == "views.h5" else f"recon view {folder.path}, or recon report {folder.path}"
+    click.echo(f"Wrote {folder.path}; next: {ways}")
+    exit_where_failed(metrics, strict)
