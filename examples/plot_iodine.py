@@ -1,13 +1,14 @@
-# %% [markdown]
-# # How much iodine is in a vial?
-#
-# Above its K edge at 33.17 keV iodine absorbs six times more than just below. A detector with a threshold there tells
-# it from water and acrylic, and the coefficient of its basis function says how much there is.
-#
-#     python examples/plot_iodine.py           # 64^3 voxels, minutes
-#     python examples/plot_iodine.py --quick   # 48^3 voxels, well under a minute
+"""
+How much iodine is in a vial?
+=============================
 
-# %%
+Above its K edge at 33.17 keV iodine absorbs six times more than just below. A detector with a threshold there tells
+it from water and acrylic, and the coefficient of its basis function says how much there is. Run it as one of::
+
+    python examples/plot_iodine.py           # 64^3 voxels, minutes
+    python examples/plot_iodine.py --quick   # 48^3 voxels, well under a minute
+"""
+
 import sys
 from pathlib import Path
 
@@ -26,25 +27,25 @@ FOLDER = Path("iodine-example")
 FOLDER.mkdir(exist_ok=True)
 SCENE = Path(__file__).with_name("iodine.yaml")
 
-# %% [markdown]
-# ## The scan
+# %%
+# The scan
+# --------
 #
 # Vials of 5, 10, 15 and 20 mg/ml and one of water. Materials are compositions: the simulator follows their exact
 # attenuation, while the reconstruction knows photoelectric, Compton and the attenuation of iodine.
 
-# %%
 SMALL = ["geometry.views=30", "geometry.test_views=0", "panel={rows: 24, columns: 48, pitch: 4.27}", "volume.voxels=48"]
 scan = phantomgen.load(SCENE, SMALL if QUICK else [])
 print(scan)
 dataset = phantomgen.make(scan, FOLDER / "iodine.h5", overwrite=True)
 
-# %% [markdown]
-# ## The volumes
+# %%
+# The volumes
+# -----------
 #
 # One-step reconstruction on voxels: counts of all channels at once, with a joint total variation. It is what a
-# Gaussian fit starts from; its means over a vial are as good, and it takes seconds. `recon.fit(dataset)` would go on.
+# Gaussian fit starts from; its means over a vial are as good, and it takes seconds. ``recon.fit(dataset)`` would go on.
 
-# %%
 measured, _ = read_measurements(dataset, dataset.splits["train"]).compressed(1e-3)
 method = method_named("one-step", None)
 volumes = reconstruct_volumes(
@@ -52,22 +53,22 @@ volumes = reconstruct_volumes(
 )
 iodine = volumes[dataset.spectra.basis.names.index("kedge_I")]
 
-# %% [markdown]
-# ## From a coefficient to mg/ml
+# %%
+# From a coefficient to mg/ml
+# ---------------------------
 #
 # The basis function of iodine is 1 just above 70 keV, so that a coefficient is the attenuation which iodine adds there
 # [1/mm]. One mg/ml adds mu/rho times 1e-3 g/cm^3, and 10 mm are a cm.
 
-# %%
 per_mg_ml = float(mass_attenuation({"I": 1.0}, np.array([70.01]))[0]) * 1e-3 / 10
 print(f"1 mg/ml of iodine adds {per_mg_ml:.3e} 1/mm")
 
-# %% [markdown]
-# ## Against what was filled in
+# %%
+# Against what was filled in
+# --------------------------
 #
 # Only here the truth is opened, to know where the vials are. Voxels at their walls are left out.
 
-# %%
 truth = phantomgen.read_truth(dataset.path)
 filled, found = [], []
 for name, fraction in zip(truth.material_names, truth.fractions, strict=True):

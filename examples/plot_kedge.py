@@ -1,15 +1,19 @@
-"""A K-edge scan from Python: build it, simulate it, reconstruct it, and look at what is left to improve.
+"""
+A K-edge scan from Python
+=========================
+
+Build the scan, simulate it, reconstruct it, and look at what is left to improve.
 
 A K-edge material absorbs much more above one energy, its K edge, than just below. A detector that counts photons in
 energy channels sees that jump, so three volumes can be told apart: photoelectric absorption, Compton scatter, and the
 K-edge material. This script goes the whole way for a cylinder of soft tissue that holds bone and two concentrations of
-a K-edge material.
+a K-edge material. Run it as one of::
 
     python examples/plot_kedge.py           # 64^3 voxels, well under a minute
     python examples/plot_kedge.py --quick   # 24^3 voxels, seconds: coarse, to see that everything works
 
-The scene below says in Python what `kedge.yaml` beside it says as a file: `phantomgen make examples/kedge.yaml` writes
-the same counts, and a test holds the two to each other.
+The scene below says in Python what ``kedge.yaml`` beside it says as a file: ``phantomgen make examples/kedge.yaml``
+writes the same counts, and a test holds the two to each other.
 """
 
 import sys
@@ -50,6 +54,7 @@ class Size:
 QUICK = Size(views=15, test_views=2, pixels=48, voxels=24)
 
 
+# %%
 # What attenuates
 # ---------------
 # Attenuation is a sum of functions of energy, each times a volume: mu(x, E) = sum_m B_m(E) alpha_m(x). The functions
@@ -87,6 +92,7 @@ def kedge_scene() -> Scene:
     )
 
 
+# %%
 # How it is scanned
 # -----------------
 # A tungsten tube at 140 kV behind 2.5 mm of aluminium; a CdTe detector that sorts photons into four channels, with a
@@ -123,13 +129,14 @@ def kedge_scan(size: Size) -> Scan:
     )
 
 
+# %%
 # From counts to volumes
 # ----------------------
-# `phantomgen.make` writes the counts of every view and, apart from them, the truth. `reconstruct` reads the counts
+# ``phantomgen.make`` writes the counts of every view and, apart from them, the truth. ``reconstruct`` reads the counts
 # only. It takes partial volume out of them, finds voxels of all bases at once by Poisson likelihood and joint total
 # variation, coarse ones first; places Gaussians, flat along edges and sparse inside; moves them until their volumes are
 # those voxels; and then lets them follow the likelihood of all counts again. The default recipe goes over the training
-# views once. `docs/howto/fit.md` says what each part is worth. The truth is opened for the score and figures.
+# views once. ``docs/reference/benchmarks/fit.md`` says what each part is worth. The truth is opened for the score and figures.
 
 
 def main(folder: Path = FOLDER, size: Size = Size()) -> dict:
@@ -148,10 +155,11 @@ def main(folder: Path = FOLDER, size: Size = Size()) -> dict:
     return scores
 
 
+# %%
 # What to look at
 # ---------------
-# `axial.png`: truth, result and their difference, per basis. What is left stands at the edges. `profiles.png` runs
-# through both K-edge cylinders: the two plateaus should stand at 0.0250 and 0.0125 1/mm. `residuals.png` compares a
+# ``axial.png``: truth, result and their difference, per basis. What is left stands at the edges. ``profiles.png`` runs
+# through both K-edge cylinders: the two plateaus should stand at 0.0250 and 0.0125 1/mm. ``residuals.png`` compares a
 # test view with what the model expects there, in standard deviations of the Poisson noise: the closer the histogram
 # away from edges comes to the unit normal, the less is left to explain.
 

@@ -1,14 +1,15 @@
-# %% [markdown]
-# # Streaks between two metal rods
-#
-# Titanium takes the soft photons out of the beam. Whoever takes the logarithm of counts for a line integral then sees
-# too little attenuation between two rods: dark streaks. A model of the spectrum knows better. This compares the two on
-# the same counts.
-#
-#     python examples/plot_metal.py           # 64^3 voxels, a minute
-#     python examples/plot_metal.py --quick   # 48^3 voxels, seconds
+"""
+Streaks between two metal rods
+==============================
 
-# %%
+Titanium takes the soft photons out of the beam. Whoever takes the logarithm of counts for a line integral then sees
+too little attenuation between two rods: dark streaks. A model of the spectrum knows better. This compares the two on
+the same counts. Run it as one of::
+
+    python examples/plot_metal.py           # 64^3 voxels, a minute
+    python examples/plot_metal.py --quick   # 48^3 voxels, seconds
+"""
+
 import sys
 from pathlib import Path
 
@@ -26,30 +27,29 @@ FOLDER = Path("metal-example")
 FOLDER.mkdir(exist_ok=True)
 SCENE = Path(__file__).with_name("metal.yaml")
 
-# %%
 SMALL = ["geometry.views=36", "geometry.test_views=0", "panel={rows: 24, columns: 96, pitch: 2.13}", "volume.voxels=48"]
 scan = phantomgen.load(SCENE, SMALL if QUICK else [])
 dataset = phantomgen.make(scan, FOLDER / "metal.h5", overwrite=True)
 print(dataset)
 
-# %% [markdown]
-# ## How little is left
+# %%
+# How little is left
+# ------------------
 #
 # Counts behind both rods, as part of the open beam: in the lowest channel hardly any.
 
-# %%
 for name, image in zip(
     dataset.spectra.channels, dataset.line_integrals(len(dataset.splits["train"]) // 4), strict=True
 ):
     print(f"{name}: {100 * np.exp(-np.nanmax(image)):.2g} % of the photons pass the darkest pixel")
 
-# %% [markdown]
-# ## Two ways
-#
-# `image`: every channel is reconstructed by filtered back-projection of its logarithms, then decomposed voxel by voxel.
-# `one-step`: all channels at once from the counts, through the spectrum.
-
 # %%
+# Two ways
+# --------
+#
+# ``image``: every channel is reconstructed by filtered back-projection of its logarithms, then decomposed voxel by
+# voxel. ``one-step``: all channels at once from the counts, through the spectrum.
+
 measured, _ = read_measurements(dataset, dataset.splits["train"]).compressed(1e-3)
 
 
@@ -61,12 +61,12 @@ def volumes(name: str, pipeline: str) -> np.ndarray:
 
 results = {"image": volumes("fdk", "image"), "one-step": volumes("one-step", "two-step")}
 
-# %% [markdown]
-# ## What is between the rods
+# %%
+# What is between the rods
+# ------------------------
 #
 # Water is 0 HU. The strip between the rods says how far a method is off, its spread how much of it is streaks.
 
-# %%
 names = dataset.spectra.basis.names
 truth = phantomgen.read_truth(dataset.path)
 true = hounsfield(truth.volumes, dataset.spectra.basis, names)
