@@ -57,8 +57,8 @@ class TransmitOnGpu(torch.autograd.Function):
         from spectra.ops.transmit import gpu  # noqa: PLC0415
 
         (rays,) = ctx.saved_tensors
-        pulls = gradient.reshape(len(rays), gradient.shape[-1]).contiguous()
-        found = gpu.backward(rays, tables(ctx.transmission, rays.dtype, rays.device), pulls)
+        cotangents = gradient.reshape(len(rays), gradient.shape[-1]).contiguous()
+        found = gpu.backward(rays, tables(ctx.transmission, rays.dtype, rays.device), cotangents)
         return found.reshape(*gradient.shape[:-1], rays.shape[1]), None
 
 

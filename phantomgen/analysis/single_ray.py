@@ -31,7 +31,7 @@ class Layer:
 
 
 @dataclass(frozen=True, eq=False)
-class WorkingPoint:
+class SingleRayBound:
     """Expected counts of one ray, and what they tell about the line integrals of the basis functions.
 
     Parameters
@@ -47,7 +47,7 @@ class WorkingPoint:
     @classmethod
     def of(
         cls, scan: Scan, layers: tuple[Layer, ...] = (), traces: Mapping[str, float] | None = None
-    ) -> "WorkingPoint":
+    ) -> "SingleRayBound":
         """Channels of a scan behind layers, which attenuate by their exact curves.
 
         Parameters

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.analysis.single_ray import BEHIND, WorkingPoint, layers_of, scan_photons
+from phantomgen.analysis.single_ray import BEHIND, SingleRayBound, layers_of, scan_photons
 from phantomgen.scene.scan import Scan
 from spectra.basis.basis import BasisFunction, pretty
 from spectra.basis.conditioning import conditioning_of
 from spectra.detector.detector import AnyDetector
-from spectra.detector.multi_source import SeveralSources
+from spectra.detector.multi_source import MultiSource
 from spectra.elements.attenuation import mass_attenuation
 from spectra.errors import InputError
 from spectra.source.beam_quality import COPPER, BeamQuality, half_value_layers
@@ -36,14 +36,14 @@ class SpectrumReport:
     behind: str
     quality: BeamQuality
     copper: tuple[float, float]
-    air: WorkingPoint
-    object: WorkingPoint
+    air: SingleRayBound
+    object: SingleRayBound
     condition: dict[str, tuple[float, float]]
 
     @classmethod
     def of(cls, scan: Scan, behind: str = BEHIND) -> "SpectrumReport":
         """Describe a scan."""
-        air, behind_object = WorkingPoint.of(scan), WorkingPoint.of(scan, layers_of(behind, scan))
+        air, behind_object = SingleRayBound.of(scan), SingleRayBound.of(scan, layers_of(behind, scan))
         quality, copper = BeamQuality.of(scan.source), half_value_layers(scan.source, COPPER)
         return cls(scan, behind, quality, copper, air, behind_object, _conditions(scan, air, behind_object))
 
@@ -143,7 +143,7 @@ class SpectrumReport:
         return "\n".join(lines)
 
 
-def _conditions(scan: Scan, air: WorkingPoint, behind: WorkingPoint) -> dict[str, tuple[float, float]]:
+def _conditions(scan: Scan, air: SingleRayBound, behind: SingleRayBound) -> dict[str, tuple[float, float]]:
     """Condition numbers in the raw basis, and in the one that is orthonormal over the detected spectrum."""
     energies, photons = scan_photons(scan)
     detected = scan.detector.response(energies).sum(axis=0) * photons
@@ -190,7 +190,7 @@ def _charge_lines(charge: float | None, photons: float) -> list[str]:
 
 def _source_lines(detector: AnyDetector) -> list[str]:
     """Each of several sources."""
-    if not isinstance(detector, SeveralSources):
+    if not isinstance(detector, MultiSource):
         return []
     lines = ["of these"]
     for name, source in zip(detector.labels, detector.sources, strict=True):

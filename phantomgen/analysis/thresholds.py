@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from phantomgen.analysis.single_ray import BEHIND, WorkingPoint, layers_of
+from phantomgen.analysis.single_ray import BEHIND, SingleRayBound, layers_of
 from phantomgen.scene.file.scene_file import SceneFile, closest
 from phantomgen.scene.scan import Scan, load_scene
 from spectra.basis.basis import pretty
@@ -213,9 +213,9 @@ def _candidates(scan: Scan) -> Float[np.ndarray, " candidate"]:
     return np.union1d(kept, steps[apart])
 
 
-def _point(scan: Scan, behind: str) -> WorkingPoint:
+def _point(scan: Scan, behind: str) -> SingleRayBound:
     """The ray that thresholds are judged by: behind layers and a trace of every K-edge material."""
-    return WorkingPoint.of(
+    return SingleRayBound.of(
         scan, layers_of(behind, scan), {f.name: TRACE for f in scan.basis.functions if f.edge_energy}
     )
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from phantomgen.effects.aperture import Aperture
 from phantomgen.effects.blur import Blur
 from phantomgen.effects.defects import Defects
-from phantomgen.effects.electronic_noise import Electronics
+from phantomgen.effects.electronic_noise import ElectronicNoise
 from phantomgen.effects.focal_spot import FocalSpot
 from phantomgen.effects.lag import Lag
 from phantomgen.effects.pixel_gain import Gain
@@ -23,7 +23,7 @@ __all__ = [
     "ComptonScatter",
     "Defects",
     "Effects",
-    "Electronics",
+    "ElectronicNoise",
     "FocalSpot",
     "Gain",
     "Lag",
@@ -56,5 +56,5 @@ class Effects:
     blur: Blur | None = None
     gain: Gain | None = None
     lag: Lag | None = None
-    electronics: Electronics | None = None
+    electronics: ElectronicNoise | None = None
     defects: Defects | None = None

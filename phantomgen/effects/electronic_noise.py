@@ -1,4 +1,4 @@
-"""Electronics of detectors that integrate energy: an offset, and noise of every reading.
+"""ElectronicNoise of detectors that integrate energy: an offset, and noise of every reading.
 
 Model: a reading is the signal plus a constant offset plus a normal number of standard deviation `sigma`, independent
 from pixel to pixel and from frame to frame (Whiting et al. 2006, doi:10.1118/1.2230762). Dark frames hold the offset
@@ -21,7 +21,7 @@ _STREAM = {
 
 
 @dataclass(frozen=True)
-class Electronics:
+class ElectronicNoise:
     """Offset and noise of readings.
 
     Parameters

@@ -36,7 +36,7 @@ def scene_detector(file: SceneFile, source: Source) -> AnyDetector:
 def scene_dead_time(file: SceneFile) -> DeadTime | None:
     """Dead time of the detector's pixels."""
     model = getattr(file.model.detector, "dead_time", None)
-    if model is not None and isinstance(file.model.source, schema.SeveralSourcesModel):
+    if model is not None and isinstance(file.model.source, schema.MultiSourceModel):
         raise file.error(("detector", "dead_time"), "is known for a single source only, got several")
     return None if model is None else DeadTime(model.tau_ns, model.exposure_ms, model.model)
 

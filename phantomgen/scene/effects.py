@@ -8,7 +8,7 @@ from phantomgen.effects import (
     ComptonScatter,
     Defects,
     Effects,
-    Electronics,
+    ElectronicNoise,
     FocalSpot,
     Gain,
     Lag,
@@ -134,9 +134,9 @@ def _lag(model: schema.LagModel) -> Lag:
     return Lag(model.fractions, model.decays)
 
 
-def _electronics(model: schema.ElectronicsModel) -> Electronics:
+def _electronics(model: schema.ElectronicsModel) -> ElectronicNoise:
     """Noise and offset."""
-    return Electronics(model.sigma, model.offset)
+    return ElectronicNoise(model.sigma, model.offset)
 
 
 def _defects(file: SceneFile) -> Defects | None:

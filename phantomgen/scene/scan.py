@@ -28,7 +28,7 @@ from phantomgen.shapes import Shape, solids_of
 from spectra.basis.basis import Basis
 from spectra.detector.dead_time import DeadTime
 from spectra.detector.detector import AnyDetector
-from spectra.detector.multi_source import SeveralSources, added
+from spectra.detector.multi_source import MultiSource, added
 from spectra.materials.material import Material
 from spectra.source.source import Source
 
@@ -200,7 +200,7 @@ def _source_and_detector(file: SceneFile) -> tuple[Source, AnyDetector]:
     detectors = tuple(scene_detector(file, source) for source in sources.values())
     if len(sources) == 1:
         return next(iter(sources.values())), detectors[0]
-    return added(tuple(sources.values())), SeveralSources.of(sources, detectors)
+    return added(tuple(sources.values())), MultiSource.of(sources, detectors)
 
 
 def _background(file: SceneFile) -> str | None:
@@ -230,7 +230,7 @@ def _exposure(
     file: SceneFile, splits: Mapping[str, Int[np.ndarray, " view"]], detector: AnyDetector
 ) -> Float[np.ndarray, "view channel"] | None:
     """Exposure of views that sources take in turn, training and test views each from the first source on."""
-    if not isinstance(detector, SeveralSources) or file.model.source.type != "switching":
+    if not isinstance(detector, MultiSource) or file.model.source.type != "switching":
         return None
     order = np.concatenate([np.arange(len(views)) for views in splits.values()])
     turn = order % len(detector.sources)

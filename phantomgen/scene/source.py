@@ -22,7 +22,7 @@ Location = tuple[str | int, ...]
 def sources_of(file: SceneFile) -> dict[str, Source]:
     """The sources by name, most often one; a tube takes SpekPy about a second."""
     model = file.model.source
-    if not isinstance(model, schema.SeveralSourcesModel):
+    if not isinstance(model, schema.MultiSourceModel):
         return {"source": _source(file, model, ("source",))}
     return {name: _source(file, one, ("source", "sources", name)) for name, one in model.sources.items()}
 
@@ -73,7 +73,7 @@ def _bare(file: SceneFile, model: schema.OneSourceModel, at: Location) -> Source
 def profile_of(file: SceneFile, source: Source) -> Profile | None:
     """Bowtie and heel effect; None where every pixel gets the same beam."""
     model, panel, mount = file.model.source, panel_of(file.model), mount_of(file.model)
-    if isinstance(model, schema.SeveralSourcesModel):
+    if isinstance(model, schema.MultiSourceModel):
         return None
     parts: list[tuple[str, Absorber, np.ndarray]] = []
     if model.bowtie is not None:
@@ -106,7 +106,7 @@ def source_fields(file: SceneFile) -> dict[str, tuple[float | str, str | None]]:
             "target_material": (model.anode, None),
             "focal_spot": (_spot_size(file), "mm"),
         }
-    if isinstance(model, schema.SeveralSourcesModel):
+    if isinstance(model, schema.MultiSourceModel):
         return {"type": ("Fixed Tube X-ray", None), "focal_spot": (_spot_size(file), "mm")}
     if isinstance(model, schema.MonochromaticModel | schema.BandModel):
         return {"type": ("Synchrotron X-ray Source", None)}

@@ -14,7 +14,7 @@ from threading import Timer
 import numpy as np
 
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.ops.expected_counts import expose, expose_brute
+from phantomgen.ops.expected_counts import expected_counts, expected_counts_by_grid
 from phantomgen.ops.primitives import BALL
 from phantomgen.ops.solids import Solids
 from phantomgen.ops.trace import trace
@@ -54,11 +54,11 @@ def _compile() -> None:
     source, step = np.array([[0.0, -5.0, 0.0]]), np.array([[0.0, 10.0, 0.0]])
     frame = np.concatenate([source, step, np.eye(3)[[0, 2]]])
     trace(source, step, ball, 1)
-    expose(frame, 1, 1, ball, *spectrum)
+    expected_counts(frame, 1, 1, ball, *spectrum)
     sys.stdout.write("ready for views\n")
     sys.stdout.flush()
     fractions(Grid(shape=(1, 1, 1), spacing=(1.0, 1.0, 1.0), origin=(0.0, 0.0, 0.0)), ball, 1)
-    expose_brute(frame, np.array([[0, 0]]), ball, *spectrum, n=1)
+    expected_counts_by_grid(frame, np.array([[0, 0]]), ball, *spectrum, n=1)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from phantomgen.runtime.disk import check_room
 from phantomgen.simulation.forward_model.detector import Frame as Images
 from phantomgen.simulation.forward_model.frames import Views
 from phantomgen.simulation.forward_model.readout import dark, flat, projections
-from phantomgen.simulation.projection_cache.cache import Keeper
+from phantomgen.simulation.projection_cache.cache import CacheWriter
 from spectra.threads import run_parallel
 
 
@@ -23,7 +23,7 @@ def compute_frames(
     keep_expected: bool,
     compression: Compression,
     progress: bool,
-    keeper: Keeper | None = None,
+    cache_writer: CacheWriter | None = None,
 ) -> None:
     """Compute all views, flats and darks that the journal lacks; darks only where the detector reads anything."""
 
@@ -32,7 +32,11 @@ def compute_frames(
 
     def view(number: int, counts: Images, means: Images) -> Frame:
         expected = {"expected": packed(means)} if keep_expected else {}
-        return {"data": packed(counts)} | expected | ({"paths": packed(keeper.images(number))} if keeper else {})
+        return (
+            {"data": packed(counts)}
+            | expected
+            | ({"paths": packed(cache_writer.images(number))} if cache_writer else {})
+        )
 
     flats, darks = views.scan.flats, 0 if views.detector.reads_zero else views.scan.darks
     found = projections(views, view, keep_expected, journal.done("views"))
@@ -44,15 +48,19 @@ def compute_frames(
 
 
 def write_frames(
-    writer: DatasetWriter, views: Views, journal: FrameJournal, keep_expected: bool, keeper: Keeper | None = None
+    writer: DatasetWriter,
+    views: Views,
+    journal: FrameJournal,
+    keep_expected: bool,
+    cache_writer: CacheWriter | None = None,
 ) -> None:
     """Write all frames of a journal; darks that are not in it stay zero."""
     scan = views.scan
     arrays = writer.new_counts(views.shape, scan.flats, scan.darks, scan.noise, scan.detector.units)
     if keep_expected:
         arrays["expected"] = writer.new_expected(views.shape, scan.detector.units)
-    if keeper:
-        arrays["paths"] = keeper.new_array(writer.file, writer.compression)
+    if cache_writer:
+        arrays["paths"] = cache_writer.new_array(writer.file, writer.compression)
     for _, number, frame in journal.frames():
         for name, images in frame.items():
             for channel, image in enumerate(images):

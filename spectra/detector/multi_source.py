@@ -20,7 +20,7 @@ EnergyArray = Float[np.ndarray, " energy"]
 
 
 @dataclass(frozen=True, eq=False)
-class SeveralSources(AnyDetector):
+class MultiSource(AnyDetector):
     """A detector that measures the photons of each source apart, as if it had the channels of a detector for each.
 
     Parameters
@@ -36,7 +36,7 @@ class SeveralSources(AnyDetector):
     detectors: tuple[AnyDetector, ...]
 
     @classmethod
-    def of(cls, sources: Mapping[str, Source], detectors: Sequence[AnyDetector]) -> "SeveralSources":
+    def of(cls, sources: Mapping[str, Source], detectors: Sequence[AnyDetector]) -> "MultiSource":
         """Channels ``<source>_<channel>`` of named sources, with a detector for each."""
         if len(sources) != len(detectors):
             raise InputError(f"{len(sources)} sources need as many detectors, got {len(detectors)}")

@@ -239,8 +239,10 @@ def _blocked(
     limits: tuple[Float[np.ndarray, " basis"], Float[np.ndarray, " basis"]],
 ) -> Bool[np.ndarray, " parameter"]:
     """Parameters that stand at a limit and would cross it."""
-    pull = gradient.reshape(len(nodes.weights), -1)[:, 1:]
-    columns = ((nodes.columns <= limits[0]) & (pull <= 0)) | ((nodes.columns >= limits[1]) & (pull >= 0))
+    node_gradient = gradient.reshape(len(nodes.weights), -1)[:, 1:]
+    columns = ((nodes.columns <= limits[0]) & (node_gradient <= 0)) | (
+        (nodes.columns >= limits[1]) & (node_gradient >= 0)
+    )
     return np.concatenate([np.zeros((len(columns), 1), dtype=bool), columns], axis=1).ravel()
 
 

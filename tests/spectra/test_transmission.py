@@ -32,9 +32,9 @@ def test_every_entry_point_gives_the_formula(seed, columns, sizes):
     out = np.empty(len(model))
     expected_ray(lengths[0], model.columns, model.weights, model.starts, out)
     np.testing.assert_allclose(out, truth.detach()[0], rtol=1e-12)
-    pull = torch.tensor(rng.normal(size=truth.shape))
-    (gradient,) = torch.autograd.grad(truth, leaf, pull)
-    np.testing.assert_allclose(np.einsum("rc,rcm->rm", pull, jacobian), gradient, rtol=1e-9, atol=1e-12)
+    cotangent = torch.tensor(rng.normal(size=truth.shape))
+    (gradient,) = torch.autograd.grad(truth, leaf, cotangent)
+    np.testing.assert_allclose(np.einsum("rc,rcm->rm", cotangent, jacobian), gradient, rtol=1e-9, atol=1e-12)
 
 
 def test_transmit_passes_gradcheck_and_keeps_shape_and_dtype():

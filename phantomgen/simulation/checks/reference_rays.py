@@ -91,13 +91,16 @@ class RayGrid:
 
 
 def split_grid(
-    expose: Callable[[Frame, tuple[float, float], int], Counts], frame: Frame, aperture: tuple[float, float], rays: int
+    counts_of: Callable[[Frame, tuple[float, float], int], Counts],
+    frame: Frame,
+    aperture: tuple[float, float],
+    rays: int,
 ) -> Counts:
     """Mean over `rays` x `rays` rays of each pixel, in parts of a pixel where they are many.
 
     Parameters
     ----------
-    expose : counts by frame, part of a pixel's width and height that rays cover around its centre, and rays per side
+    counts_of : counts by frame, part of a pixel's width and height that rays cover around its centre, and rays per side
     frame : source, vector from there to the centre of pixel (0, 0), column step, row step [mm]
     aperture : part of a pixel's width and height that is sensitive
     rays : per side
@@ -108,7 +111,7 @@ def split_grid(
     for across, down in np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2):
         shifted = frame.copy()
         shifted[1] += across * aperture[0] * frame[2] + down * aperture[1] * frame[3]
-        counts.append(expose(shifted, (aperture[0] / parts, aperture[1] / parts), rays // parts))
+        counts.append(counts_of(shifted, (aperture[0] / parts, aperture[1] / parts), rays // parts))
     return np.mean(counts, axis=0)
 
 

@@ -18,7 +18,7 @@ from phantomgen.dataset.truth import CoefficientFit
 from phantomgen.scene.scan import Scan
 from spectra.detector.scintillator import energy_groups
 from spectra.energy.grid import Energies
-from spectra.energy.interpolative_decomposition import spanning_columns
+from spectra.energy.interpolative_decomposition import interpolative_decomposition
 from spectra.transmission import Transmission
 
 # Widest bins of the simulator before nodes are sought [keV], and the most parts that one is cut into.
@@ -308,7 +308,7 @@ def _compress_many(
 ) -> tuple[Transmission, float]:
     """The same by way of a few columns that the others are combinations of, else a choice of bins."""
     sample = integrals[:: max(1, len(integrals) // _SPANNING_RAYS)]
-    picked, mixture, _ = spanning_columns(fine.columns, sample, tolerance / 3)
+    picked, mixture, _ = interpolative_decomposition(fine.columns, sample, tolerance / 3)
     if len(picked) > _MOST_SPANNING:
         return fine.choose(np.concatenate([sample, _MARGIN * sample]), tolerance)
     few = Transmission(fine.columns[picked], fine.weights, fine.starts, fine.channel_names)

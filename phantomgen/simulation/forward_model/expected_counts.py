@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.ops.expected_counts import expose
+from phantomgen.ops.expected_counts import expected_counts
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.forward_model.discretization import Settings
 from phantomgen.simulation.forward_model.exposure import Groups
@@ -28,7 +28,7 @@ def exposed_frame(
 ) -> Groups:
     """The same for rays of one source point."""
     panel = scan.geometry.panel
-    return expose(
+    return expected_counts(
         frame,
         panel.rows,
         panel.columns,

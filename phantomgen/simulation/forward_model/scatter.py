@@ -18,7 +18,7 @@ from phantomgen.scene.scan import Scan
 from phantomgen.simulation.forward_model.discretization import Settings
 from phantomgen.simulation.forward_model.exposure import Exposure, Groups
 from spectra.detector.detector import AnyDetector
-from spectra.detector.multi_source import SeveralSources
+from spectra.detector.multi_source import MultiSource
 from spectra.energy import grid as grids
 from spectra.materials.electron_density import ELECTRON_RADIUS, electron_density
 from spectra.source.source import Source
@@ -157,7 +157,7 @@ def _electrons(scan: Scan, cells: int) -> tuple[Float[np.ndarray, "point 3"], Fl
 def _beams(scan: Scan, exposure: Exposure) -> tuple[Beam, ...]:
     """Energies of each source of a scan, with the groups of its own channels."""
     detector = scan.detector
-    several = isinstance(detector, SeveralSources)
+    several = isinstance(detector, MultiSource)
     pairs = list(zip(detector.sources, detector.detectors, strict=True)) if several else [(scan.source, detector)]
     beams, channel = [], 0
     for source, own in pairs:

@@ -12,7 +12,7 @@ from phantomgen.simulation.planning.sample_windows import Image, Window, exposed
 from spectra.threads import run_parallel
 from spectra.transmission import Transmission
 
-# Lattices that are tried, and the yardstick.
+# Lattices that are tried, and the reference.
 _LADDER, _FINEST = tuple(LATTICES)[1:-1], max(LATTICES)
 _WINDOWS, _SEED = 3, 8
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from phantomgen.ops.expected_counts import CROSSED, EMPTY, Exposed, expose
+from phantomgen.ops.expected_counts import CROSSED, EMPTY, ExpectedCounts, expected_counts
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.checks.reference_rays import worst_error
 from phantomgen.simulation.forward_model.discretization import Settings
@@ -66,9 +66,9 @@ def _windows(scan: Scan, transmission: Transmission, view: int, rng: np.random.G
             return
 
 
-def exposed(scan: Scan, transmission: Transmission, window: Window, settings: Settings) -> Exposed:
+def exposed(scan: Scan, transmission: Transmission, window: Window, settings: Settings) -> ExpectedCounts:
     """Counts of a window."""
-    return expose(
+    return expected_counts(
         window.frame,
         *window.size,
         scan.scene.solids,

@@ -9,7 +9,7 @@ from phantomgen.simulation.planning.sample_windows import exposed, windows_of, w
 from spectra.transmission import Transmission
 
 LADDER = (1, 2, 4, 8)
-# The yardstick has so many times more corners around and along.
+# The reference has so many times more corners around and along.
 _FINER = 4
 _SEED = 7
 

@@ -1,8 +1,8 @@
 """Projections of the views of a scan at few energies, kept in its dataset, so that other spectra need no rays.
 
-See `phantomgen.simulation.projection_cache.energies` for what is kept, and `KeptPaths.primary` for what becomes of it:
-counts of a pixel are sum_k w_k exp(-p(E_k)), with p(E_k) a combination of what is kept and w_k the photons x response
-of any spectrum.
+See `phantomgen.simulation.projection_cache.energies` for what is kept, and `ProjectionCache.primary` for what becomes
+of it: counts of a pixel are sum_k w_k exp(-p(E_k)), with p(E_k) a combination of what is kept and w_k the photons x
+response of any spectrum.
 """
 
 import json
@@ -29,7 +29,7 @@ from phantomgen.simulation.forward_model.exposure import Exposure, Groups
 from phantomgen.simulation.forward_model.fingerprint import digest
 from phantomgen.simulation.forward_model.sampled_rays import sampled_lengths
 from phantomgen.simulation.planning.plan import BINS, ENERGY, Choice, Plan
-from phantomgen.simulation.projection_cache.energies import SHARE, attenuation, kept_energies
+from phantomgen.simulation.projection_cache.energies import SHARE, attenuation, cache_energies
 from spectra.energy.chebyshev import PiecewiseChebyshev
 from spectra.errors import DatasetError, InputError
 from spectra.transmission import Transmission
@@ -38,7 +38,7 @@ GROUP = "truth/paths"
 
 
 @dataclass(frozen=True, eq=False)
-class Keeper:
+class CacheWriter:
     """What keeps the projections of a scan.
 
     Parameters
@@ -54,9 +54,9 @@ class Keeper:
     error: float
 
     @classmethod
-    def of(cls, plan: Plan) -> "Keeper":
+    def of(cls, plan: Plan) -> "CacheWriter":
         """For the spectra that the scan of a plan may get."""
-        return cls(plan.scan, plan.settings, *kept_energies(plan.scan, SHARE * plan.tolerance))
+        return cls(plan.scan, plan.settings, *cache_energies(plan.scan, SHARE * plan.tolerance))
 
     def images(self, view: int) -> list[Float32[np.ndarray, "row column"]]:
         """Projections of a view at each energy, averaged as intensities over pixels and focal spot."""
@@ -81,7 +81,7 @@ class Keeper:
 
 
 @dataclass(frozen=True, eq=False)
-class KeptPaths:
+class ProjectionCache:
     """Kept projections of a dataset.
 
     Parameters
@@ -101,7 +101,7 @@ class KeptPaths:
     depends_on: dict[str, str]
 
     @classmethod
-    def read(cls, path: Path | str) -> "KeptPaths":
+    def read(cls, path: Path | str) -> "ProjectionCache":
         """Of a file.
 
         Raises
@@ -151,7 +151,7 @@ class KeptPaths:
                 "keV are detected: keep them by a scan that detects these"
             )
 
-    def planned(self, scan: Scan, tolerance: float) -> tuple[Plan, "KeptViews"]:
+    def planned(self, scan: Scan, tolerance: float) -> tuple[Plan, "CachedViews"]:
         """How a scan is computed from here, and its views."""
         share, lengths = ENERGY * tolerance, sampled_lengths(scan)
         cuts, bins = fine_cuts(scan, lengths, BINS * share)
@@ -163,7 +163,7 @@ class KeptPaths:
         groups = replace(groups, columns=np.concatenate([through, groups.columns[old:]]))
         choices = (Choice("energies", f"{counts} nodes", bins + error, share), *self._choices(tolerance))
         plan = Plan(tolerance, scan, self.settings, replace(exposure, groups=groups), choices)
-        return plan, KeptViews(self, scan, np.concatenate([shares, groups.columns[old:]]))
+        return plan, CachedViews(self, scan, np.concatenate([shares, groups.columns[old:]]))
 
     def projections(self, view: int) -> Float32[np.ndarray, "energy row column"]:
         """Those of one view."""
@@ -193,7 +193,7 @@ class KeptPaths:
 
 
 @dataclass(frozen=True, eq=False)
-class KeptViews:
+class CachedViews:
     """Views of a scan from kept projections.
 
     Parameters
@@ -203,7 +203,7 @@ class KeptViews:
     columns : what each of them, and then each part of the beam's profile, adds to the exponent of each energy node
     """
 
-    kept: KeptPaths
+    kept: ProjectionCache
     scan: Scan
     columns: Float[np.ndarray, "column node"]
 
@@ -216,7 +216,7 @@ class KeptViews:
         return np.ascontiguousarray(np.moveaxis(spectral.expected(np.moveaxis(lengths, 0, -1)), -1, 0))
 
 
-def usable(path: Path | str, scan: Scan, out: Path | str, keep: bool = False) -> KeptPaths:
+def usable(path: Path | str, scan: Scan, out: Path | str, keep: bool = False) -> ProjectionCache:
     """Kept projections for a scan that is written to `out`.
 
     Raises
@@ -228,7 +228,7 @@ def usable(path: Path | str, scan: Scan, out: Path | str, keep: bool = False) ->
         raise InputError(f"--keep paths traces rays, but --paths {path} says not to: leave out one of them")
     if Path(out).exists() and Path(path).exists() and Path(out).samefile(path):
         raise InputError(f"the output {out} is the file that --paths reads: choose another name by --out")
-    kept = KeptPaths.read(path)
+    kept = ProjectionCache.read(path)
     kept.check(scan)
     return kept
 
@@ -245,7 +245,7 @@ def fingerprint(scan: Scan, energy: Float[np.ndarray, " energy"]) -> dict[str, s
     }
 
 
-def kept_scene(path: Path | str, overrides: Sequence[str] = ()) -> SceneFile:
+def cached_scene(path: Path | str, overrides: Sequence[str] = ()) -> SceneFile:
     """The scene of a dataset that keeps projections, random values drawn; files that it names lie beside the dataset.
 
     Raises

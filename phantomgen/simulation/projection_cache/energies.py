@@ -28,7 +28,7 @@ _MOST = -np.log(1e-12)
 Values = Float[np.ndarray, "ray energy"]
 
 
-def kept_energies(scan: Scan, tolerance: float) -> tuple[PiecewiseChebyshev, float]:
+def cache_energies(scan: Scan, tolerance: float) -> tuple[PiecewiseChebyshev, float]:
     """Fewest energies found that give the projections of all others, and their worst error on other rays.
 
     Parameters

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float, Int64
 
+from spectra.ops.transmit import cpu
 from spectra.ops.transmit.cpu import expected_ray
 from spectra.threads import run_parallel
 
