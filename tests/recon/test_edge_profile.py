@@ -9,7 +9,7 @@ from phantomgen.dataset_spectra import Spectra
 from recon.edge_noise import MISFIT, _direction, excess_score, null_law
 from recon.edge_profile import EdgeLikelihood, moved_edge, scan_edge, scanned_energies
 from recon.edge_rays import Rays
-from recon.edge_search import WARRANTED, judge, next_edge, refine_together
+from recon.edge_search import WARRANTED, judge, likeliest_edge, next_edge, refine_together
 from spectra.basis import Basis, BasisFunction
 from spectra.bin_split import split_bins
 
@@ -154,3 +154,15 @@ def test_cut_bins_keep_photons_and_mean_energies(cut):
     assert ((split.nodes > split.edges[:-1]) & (split.nodes < split.edges[1:])).all()
     assert (cut in split.edges) == (cut <= 10)
     assert len(split.nodes) == 3 + (cut in (3.25, 4.999))
+
+
+@pytest.mark.parametrize("side", [1, 3])
+def test_rays_without_neighbours_show_no_edge(side):
+    """A ray is chosen by its neighbours: where no square of them is half full, none is left to judge."""
+    few = likelihood({63.0: 1.0}, side=side)
+    judged = judge(few, PLAIN, moved_edge(STEP, 63.0))
+    assert not judged.warranted
+    assert (judged.rays, judged.score) == (0, 0.0)
+    assert judged.reason == "no ray passes through the object away from its edges"
+    assert not next_edge(few, PLAIN, STEP, ())[2].warranted
+    assert not likeliest_edge(few, (PLAIN,), (), STEP, ()).judgement.warranted
