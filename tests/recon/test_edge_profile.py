@@ -1,6 +1,8 @@
 """Where a K edge lies, from rays whose line integrals are drawn: energy, width, bound, and what noise alone gives."""
 
+import re
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -166,3 +168,12 @@ def test_rays_without_neighbours_show_no_edge(side):
     assert judged.reason == "no ray passes through the object away from its edges"
     assert not next_edge(few, PLAIN, STEP, ())[2].warranted
     assert not likeliest_edge(few, (PLAIN,), (), STEP, ()).judgement.warranted
+
+
+def test_the_conceded_misfit_is_twice_what_blank_scans_need():
+    """`benchmarks/edge_presets.py`: percent, for three elements, by single and by neighbouring rays."""
+    stored = (Path(__file__).parents[2] / "benchmarks" / "results" / "edge_presets.txt").read_text(encoding="utf-8")
+    rows = stored.partition("misfit that blank scans need")[2].splitlines()[2:]
+    needed = [float(number) / 100 for row in rows for number in re.findall(r"\d\.\d{3}", row)]
+    assert len(needed) >= 6 * len(rows) - 6
+    assert pytest.approx(2 * max(needed), rel=0.1) == MISFIT
