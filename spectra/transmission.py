@@ -89,7 +89,7 @@ class Transmission:
         """Expected counts and dY_c/dL_m, in one pass."""
         rays, shape = self._rays(lengths)
         counts, jacobian = expected_and_jacobian(rays, self.columns, self.weights, self.starts)
-        return counts.reshape(*shape, len(self)), jacobian.reshape(*shape, len(self), -1)
+        return counts.reshape(*shape, len(self)), jacobian.reshape(*shape, len(self), len(self.columns))
 
     def jacobian(self, lengths: Float[np.ndarray, "... basis"]) -> Float[np.ndarray, "... channel basis"]:
         """Derivatives dY_c/dL_m of the expected counts; never positive for positive columns."""
@@ -108,7 +108,7 @@ class Transmission:
         log_air = log_counts_and_slopes(air, self.columns, self.weights, self.starts)[0]
         log_counts, slopes = log_counts_and_slopes(rays, self.columns, self.weights, self.starts)
         projection = np.where(np.isneginf(log_air), 0.0, np.where(np.isneginf(log_air), 0.0, log_air) - log_counts)
-        return projection.reshape(*shape, len(self)), slopes.reshape(*shape, len(self), -1)
+        return projection.reshape(*shape, len(self)), slopes.reshape(*shape, len(self), len(self.columns))
 
     def fisher(
         self, lengths: Float[np.ndarray, "... basis"], dispersion: float = 0.0

@@ -16,6 +16,7 @@ from spectra.errors import InputError, SceneError
 
 # A manifest is refused when so many items that follow each other are no scenes: then it is hardly a matter of luck.
 _TRIED = 3
+_OF_A_SCENE = {"source", "detector", "geometry", "objects"}  # keys that no manifest has
 
 
 class BatchModel(BaseModel):
@@ -131,6 +132,11 @@ def _model(path: Path) -> BatchModel:
         raise InputError(f"{path} is no YAML: {str(error).splitlines()[0]}") from None
     if not isinstance(values, dict):
         raise InputError(f"{path}: a manifest is a mapping of keys to values that starts with 'version: 1'")
+    if values.keys() & _OF_A_SCENE and not values.keys() & {"preset", "scene"}:
+        raise InputError(
+            f"{path} is a scene and no manifest of a batch: `phantomgen make {path}` makes one dataset of it, and a "
+            f"manifest that says {{version: 1, scene: {path.name}, count: 10}} makes ten"
+        )
     try:
         return BatchModel.model_validate(values)
     except ValidationError as error:

@@ -192,3 +192,10 @@ def test_the_bound_is_infinite_where_nothing_can_be_known(transmission_on):
     assert np.isinf(fewer.cramer_rao(np.zeros((2, 3)))).all()  # fewer channels than columns
     blind = Transmission(np.array([[0.0, 0.0], [0.1, 0.4]]), np.ones(2), [0, 1, 2])
     assert np.isinf(blind.cramer_rao([0.0, 0.0])).all()  # a column that nothing attenuates
+
+
+def test_no_rays_have_empty_results_with_all_axes(transmission_on):
+    model, none = transmission_on(64), np.zeros((0, 3))
+    for counts, slopes in (model.expected_and_jacobian(none), model.log_projection_and_slopes(none)):
+        assert counts.shape == (0, len(model))
+        assert slopes.shape == (0, len(model), 3)

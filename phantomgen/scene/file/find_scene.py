@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
 
+from phantomgen.runtime.hdf5_signature import is_hdf5
 from phantomgen.scene.file.scene_file import SceneFile, preset_names
 from spectra.errors import SceneError
 
 SUFFIXES = (".yaml", ".yml", ".json")
 _MESHES = (".stl", ".obj", ".ply", ".glb", ".3mf", ".step", ".stp")
 _VOXELS = (".npy", ".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".tif", ".tiff", ".dcm")
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def find_scene(name: str | Path, overrides: Sequence[str] = ()) -> SceneFile:
@@ -42,7 +42,7 @@ def find_scene(name: str | Path, overrides: Sequence[str] = ()) -> SceneFile:
 def refuse_other_files(path: Path) -> None:
     """Refuse by its name or its first bytes a file that is something else than a scene."""
     name = path.name.lower()
-    if _is_hdf5(path):
+    if is_hdf5(path):
         raise SceneError(
             f"{path} is HDF5 and no scene: `phantomgen view {path}` shows a dataset, `recon fit {path}` fits one"
         )
@@ -57,12 +57,3 @@ def refuse_other_files(path: Path) -> None:
                 f"{{type: {kind}, file: {path.name}, {keys}}}; "
                 f"`phantomgen presets show kedge > my.yaml` gives one to start from, docs/scenes.md describes it"
             )
-
-
-def _is_hdf5(path: Path) -> bool:
-    """Whether a file begins as HDF5 does."""
-    try:
-        with path.open("rb") as file:
-            return file.read(len(_HDF5)) == _HDF5
-    except OSError:
-        return False

@@ -104,11 +104,13 @@ class SceneFile:
     def _error_at(self, location: Location, message: str) -> SceneError:
         """The same for a place in the file, where an entry may stand for many objects."""
         key = ".".join(map(str, location))
-        for override in self.overrides:
-            path = override.partition("=")[0].strip()
+        paths = {override: override.partition("=")[0].strip() for override in self.overrides}
+        for override, path in reversed(paths.items()):  # the last one of a path is in force
             if key == path or key.startswith(f"{path}."):
                 return SceneError(f"--set {override}: {key} - {message}")
-        return SceneError(f"{self.name}:{_mark(self._root, location)}: {key}{' - ' if key else ''}{message}")
+        parts = [f"--set {override}" for override, path in paths.items() if key and path.startswith(f"{key}.")]
+        where = f"{key} (with {', '.join(parts)})" if parts else key
+        return SceneError(f"{self.name}:{_mark(self._root, location)}: {where}{' - ' if where else ''}{message}")
 
     @contextmanager
     def at(self, *location: str | int) -> Iterator[None]:

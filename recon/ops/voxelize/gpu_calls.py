@@ -53,7 +53,7 @@ class _VoxelizeOnGpu(torch.autograd.Function):
         weights, cotangent = coefficients.float().contiguous(), cotangents[0].float().contiguous()
         sums, to_coefficients = gpu.backward(found.rounded(grid.shape, cutoff), weights, cotangent, cutoff)
         numbers = found.offsets, found.covariances, found.log_amplitudes
-        gradients = torch.autograd.grad(numbers, leaves, found.cotangents(sums.double()))
+        gradients = torch.autograd.grad(numbers, leaves, found.gradients(sums.double()))
         pairs = zip((*gradients, to_coefficients), ctx.saved_tensors, strict=True)
         return *(gradient.to(part.dtype) for gradient, part in pairs), None, None, None
 
@@ -84,7 +84,7 @@ class _Shapes(NamedTuple):
         places = torch.cat([voxels, ends], 1).int().contiguous()
         return gpu.Ellipsoids(torch.cat([offsets, rows], 1).float().contiguous(), places)
 
-    def cotangents(self, sums: Float[Tensor, "gaussian 10"]) -> tuple[Tensor, Tensor, Tensor]:
+    def gradients(self, sums: Float[Tensor, "gaussian 10"]) -> tuple[Tensor, Tensor, Tensor]:
         """Gradients in offset, covariance and log amplitude that follow from sums over voxels."""
         inverse = torch.linalg.inv(self.covariances.detach())
         squares = sums[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)

@@ -48,7 +48,7 @@ class CircularOrbit:
         return self.arc >= 2 * np.pi
 
     @property
-    def is_upright(self) -> bool:
+    def is_z_aligned(self) -> bool:
         """Whether the rows of the panel run along the circle."""
         return self.tilt <= _FLAT
 

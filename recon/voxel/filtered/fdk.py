@@ -80,7 +80,7 @@ def fdk(
         known = ", ".join(WINDOWS)
         raise InputError(f"a filter is a window ({known}) and a cutoff above 0, got {window!r} and {cutoff}")
     circle = circular_orbit_of(geometry, grid)
-    if not circle.is_upright:
+    if not circle.is_z_aligned:
         line_integrals, geometry = on_z_aligned_panel(line_integrals, geometry, circle)
         circle = circular_orbit_of(geometry, grid)
     if not circle.is_centred:

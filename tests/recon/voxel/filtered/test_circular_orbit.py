@@ -16,6 +16,7 @@ from recon.voxel.filtered.circular_orbit import circular_orbit_of
 from spectra.errors import GeometryError
 
 PANEL, ANGLES = Panel(8, 10, 2.0), spread_angles(12, 0)
+ARCS = {"short scan", "short scan, clockwise", "long arc", "half a turn, parallel"}
 CIRCLE = Geometry.circular(100, 200, ANGLES, PANEL)
 
 
@@ -47,7 +48,11 @@ def test_what_would_give_wrong_volumes_is_refused_in_one_sentence(geometry, word
 
 @pytest.mark.parametrize("name", FILTERED)
 def test_circles_are_taken(name):
-    circular_orbit_of(FILTERED[name], GRID)
+    found = circular_orbit_of(FILTERED[name], GRID)
+    assert len(found.angles) == len(FILTERED[name])
+    assert found.is_full == (name not in ARCS)
+    assert found.is_z_aligned == (name not in {"tilted panel", "panel on its side"})
+    assert found.is_centred == ("half-fan" not in name)
 
 
 @pytest.mark.parametrize("name", ITERATED)
@@ -65,7 +70,7 @@ def test_full_circles_are_full_whatever_they_are_called(geometry):
     found = circular_orbit_of(geometry)
     assert found.is_full
     assert found.is_centred
-    assert found.is_upright
+    assert found.is_z_aligned
 
 
 @settings(max_examples=25)
