@@ -31,7 +31,7 @@ def view(
     size: str | None,
     overwrite: bool,
 ) -> None:
-    """Primitives at a scene, a preset or a dataset.
+    """Look at a scene, a preset or a dataset.
 
     Shows slices of the true basis volumes, surfaces of the materials, and source and panel, in a window that turns
     with the mouse, in a picture, or in a page. --geometry draws the orbit in plan.

@@ -22,7 +22,7 @@ from recon.runs.methods import METHODS
     help="Basis functions to fit: those that the counts warrant, the first ones of the file, or those named.",
 )
 @click.option(
-    "--edge", metavar="auto|keV[,keV]", help="Primitives for K edges, starting anywhere [default: believe the file]."
+    "--edge", metavar="auto|keV[,keV]", help="Look for K edges, starting anywhere [default: believe the file]."
 )
 @click.option(
     "--sweeps",

@@ -39,7 +39,7 @@ def view(
     size: str | None,
     overwrite: bool,
 ) -> None:
-    """Primitives at a RUN: slices of truth, result and difference, surfaces, and Gaussians.
+    """Look at a RUN: slices of truth, result and difference, surfaces, and Gaussians.
 
     All panels turn together. In a window the keys Left and Right change the basis, x, y and z move a plane up, and
     X, Y and Z down.

@@ -1,6 +1,6 @@
 """Where volumes hold something, where their edges are, and how dense they are.
 
-VolumeEdges is measured in units of noise, on volumes whitened by the mean Fisher matrix, so that the choice of bases
+Structure is measured in units of noise, on volumes whitened by the mean Fisher matrix, so that the choice of bases
 does not matter.
 """
 
@@ -36,7 +36,7 @@ class VolumeEdges:
 
     @classmethod
     def of(cls, volumes: Float[np.ndarray, "basis z y x"], fisher: Float[np.ndarray, "basis basis"]) -> "VolumeEdges":
-        """VolumeEdges of volumes.
+        """Find the edges of volumes.
 
         Parameters
         ----------
