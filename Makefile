@@ -10,8 +10,8 @@ ifeq ($(OS),Windows_NT)
 BIN := $(VENV)/Scripts
 endif
 
-# what numba and torch may use; an x86-64 processor with AVX2 can run all of these
-INSTRUCTIONS := NUMBA_CPU_NAME=x86-64 NUMBA_CPU_NAME=x86-64-v3 ATEN_CPU_CAPABILITY=default ATEN_CPU_CAPABILITY=avx2
+# instruction sets of numba / of torch; an x86-64 processor with AVX2 can run all of these
+INSTRUCTIONS := x86-64/default x86-64-v3/avx2
 ISA_TESTS ?= tests
 
 .PHONY: demo test test-isa check numbers clean
@@ -25,7 +25,7 @@ test: $(VENV)/installed-test
 
 test-isa: $(VENV)/installed-test
 	set -e; for setting in $(INSTRUCTIONS); do echo "$$setting"; \
-		env $$setting $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile $(ISA_TESTS); done
+		env NUMBA_CPU_NAME=$${setting%/*} ATEN_CPU_CAPABILITY=$${setting#*/} $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile $(ISA_TESTS); done
 	$(BIN)/python -m benchmarks.reconstruction.processors
 
 check: $(VENV)/installed-dev
