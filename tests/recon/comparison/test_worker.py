@@ -203,7 +203,7 @@ def test_a_worker_ends_when_the_comparison_is_killed():
         stdout=subprocess.PIPE,
     )
     assert comparison.stdout is not None
-    assert comparison.stdout.read(1) == b"1"  # the worker watches
+    assert comparison.stdout.readline() == b"1\n"  # the worker watches
     comparison.kill()
     rest, _ = comparison.communicate(timeout=50)  # waits until the worker has let go of the pipe as well
-    assert (rest, comparison.returncode) == (b"\n", -signal.SIGKILL)
+    assert (rest, comparison.returncode) == (b"", -signal.SIGKILL)
