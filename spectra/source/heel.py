@@ -31,7 +31,7 @@ _LEAST = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A function of energy without unit: linear between corners, with values of its own at lines.
+    """Function of energy without unit: linear between corners, with separate values at lines.
 
     Parameters
     ----------
@@ -45,7 +45,16 @@ class Curve:
     line_value: Float[np.ndarray, " line"]
 
     def attenuation(self, energy: Float[np.ndarray, " energy"]) -> Float[np.ndarray, " energy"]:
-        """Values at `energy` [keV]; constant beyond the corners."""
+        """Evaluate the curve; constant beyond the corners.
+
+        Parameters
+        ----------
+        energy : energies [keV]
+
+        Returns
+        -------
+        values without unit
+        """
         out = np.interp(energy, self.energy, self.value)
         for line, value in zip(self.line_energy, self.line_value, strict=True):
             out[np.abs(energy - line) <= _AT_LINE] = value
@@ -54,7 +63,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Heel:
-    """A tube's spectrum in all directions of a panel: that on the axis times exp(-sum_i curve_i(E) amplitude_i(angle)).
+    """Spectrum of a tube in all directions of a panel: on the axis times exp(-sum_i curve_i(E) amplitude_i(angle)).
 
     Parameters
     ----------
@@ -69,7 +78,16 @@ class Heel:
     error: float
 
     def amplitudes_at(self, angles: Float[np.ndarray, "..."]) -> Float[np.ndarray, "curve ..."]:
-        """Amplitudes in other directions between the outermost ones [rad]."""
+        """Interpolate the amplitudes at other directions between the outermost ones.
+
+        Parameters
+        ----------
+        angles : directions from the axis towards the anode [rad]
+
+        Returns
+        -------
+        amplitudes, (curve, ...)
+        """
         return CubicSpline(self.angles, self.amplitudes, axis=1)(angles)
 
 
@@ -81,6 +99,15 @@ def heel_of(source: Source, kvp: float, angle: float, anode: str, low: float, hi
     source : the tube behind its filters, as weight of energies
     kvp, angle, anode : tube voltage [kV], anode angle [degree], and anode as for `Source.tube`
     low, high : outermost angles from the axis towards the anode [rad], which include 0
+
+    Returns
+    -------
+    curves, amplitudes and error
+
+    Raises
+    ------
+    InputError
+        When rays to the edge of the panel leave the anode at too small an angle.
     """
     from spectra.source.tube import off_axis  # noqa: PLC0415 - SpekPy takes a second to import
 
