@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("spectra", "phantomgen", "recon")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 SETUPTOOLS = PROJECT["tool"]["setuptools"]
-PAGES = sorted(path.relative_to(ROOT).as_posix() for path in [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+PAGES = sorted(path.relative_to(ROOT).as_posix() for path in [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 # Modules that come with a dependency: Triton with torch's builds for GPUs, which choose its version.
 BROUGHT_ALONG = {"xraylib_np": ["xraylib"], "llvmlite": ["numba"], "triton": ["torch"]}
 PROGRAMS = {"phantomgen": phantomgen, "recon": recon}

@@ -17,8 +17,10 @@ _METHODS = "fdk,cgls,pdhg-tv,one-step,gaussian"
     "  recon compare kedge-small.h5 --methods fdk,sart+image,gaussian+2,gaussian --budget 20s --clock cpu --threads 1"
 )
 @click.argument("dataset", type=click.Path(dir_okay=False, path_type=Path))
-@click.option("--methods", metavar="NAME,...", help=f"What takes part; see docs/compare.md [default: {_METHODS}].")
-@click.option("--study", metavar="NAME", help="A table of the paper in place of --methods; see docs/compare.md.")
+@click.option(
+    "--methods", metavar="NAME,...", help=f"What takes part; see docs/howto/compare.md [default: {_METHODS}]."
+)
+@click.option("--study", metavar="NAME", help="A table of the paper in place of --methods; see docs/howto/compare.md.")
 @click.option("--budget", metavar="SECONDS,...", default="60s", show_default=True, help="Time of each method.")
 @click.option("--protocol", default="honest", show_default=True, help="Scores to show: honest, paper or r2.")
 @click.option("--clock", type=click.Choice(["wall", "cpu"]), default="wall", show_default=True, help="What is counted.")

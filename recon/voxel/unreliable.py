@@ -22,7 +22,9 @@ from recon.voxel.iterative.likelihood import forward, transpose
 from spectra.cramer_rao import least_deviations
 
 METAL, STARVED = 1, 2  # flags of a voxel
-LESS_SURE = 5.0  # times the typical standard deviation of a basis, from which on a voxel is starved; see `docs/fit.md`
+LESS_SURE = (
+    5.0  # times the typical standard deviation of a basis, from which on a voxel is starved; see `docs/howto/fit.md`
+)
 SOMETHING = 0.1  # of the typical density; voxels with more hold something
 VIEWS = 16  # at most, evenly spread, whose information is computed; that of the others is alike
 SLAB_VALUES = 1 << 26  # numbers of a slab of voxels that are held at once

@@ -130,7 +130,7 @@ def test_metrics_have_the_documented_keys(complete):
         "check", "basis", "read", "one-step", "initialize", "approximate", "fit", "judge", "mark", "score", "write",
         "figures",
     }  # fmt: skip
-    documented = (Path(__file__).parents[2] / "docs" / "file_format.md").read_text(encoding="utf-8")
+    documented = (Path(__file__).parents[2] / "docs" / "reference" / "file_format.md").read_text(encoding="utf-8")
     sections = (metrics, metrics["seconds"], metrics["basis"]["compton"], metrics["channels"]["bin0"])
     material = metrics["materials"]["bone"]
     keys = {key for section in sections for key in section} | {"voxels", *material["compton"]}

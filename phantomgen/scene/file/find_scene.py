@@ -55,5 +55,6 @@ def refuse_other_files(path: Path) -> None:
             raise SceneError(
                 f"{path} is {what} and no scene: write a scene that has it as an object, "
                 f"{{type: {kind}, file: {path.name}, {keys}}}; "
-                f"`phantomgen presets show kedge > my.yaml` gives one to start from, docs/scenes.md describes it"
+                "`phantomgen presets show kedge > my.yaml` gives one to start from, "
+                "docs/reference/scenes.md describes it"
             )

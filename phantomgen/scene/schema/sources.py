@@ -77,7 +77,7 @@ class BandModel(Model):
 
 
 class TableModel(Model):
-    """A spectrum from a text file of two columns, energy [keV] and photons; see docs/spectra.md.
+    """A spectrum from a text file of two columns, energy [keV] and photons; see docs/reference/spectra.md.
 
     Without `photons` in all, the values are photons per pixel and view. A relative path starts at the folder of the
     scene file.

@@ -22,7 +22,7 @@ from phantomgen.scene.scan import Scan, load_scene
 from phantomgen.simulation.run import simulate
 from spectra.errors import InputError, SceneError
 
-DOCS = Path(__file__).parents[3] / "docs" / "geometry.md"
+DOCS = Path(__file__).parents[3] / "docs" / "reference" / "geometry.md"
 SCENE = """\
 version: 1
 name: toy

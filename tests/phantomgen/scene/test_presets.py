@@ -42,13 +42,13 @@ def test_every_preset_is_whole(name: str) -> None:
 
 
 def test_every_preset_has_its_picture_and_its_sources() -> None:
-    page = (DOCS / "presets.md").read_text(encoding="utf-8")
+    page = (DOCS / "reference" / "presets.md").read_text(encoding="utf-8")
     sources = page.partition("## Sources")[2]
     for name in preset_names():
-        assert f"](images/presets/{name}.png)" in page, f"add {name} to docs/presets.md"
-        assert f"`{name}`" in sources, f"say in docs/presets.md where {name} comes from"
+        assert f"](../images/presets/{name}.png)" in page, f"add {name} to docs/reference/presets.md"
+        assert f"`{name}`" in sources, f"say in docs/reference/presets.md where {name} comes from"
         picture = DOCS / "images" / "presets" / f"{name}.png"
-        assert picture.is_file(), f"run python docs/make_thumbnails.py {name}"
+        assert picture.is_file(), f"run python docs/development/make_thumbnails.py {name}"
         assert picture.stat().st_size < 60_000
 
 

@@ -1,6 +1,6 @@
-"""Pictures of all presets, for `docs/presets.md`: an axial slice, a coronal slice, and one projection.
+"""Pictures of all presets, for `docs/reference/presets.md`: an axial slice, a coronal slice, and one projection.
 
-    python docs/make_thumbnails.py [PRESET ...]
+    python docs/development/make_thumbnails.py [PRESET ...]
 
 Slices show the attenuation at 70 keV, averaged over pixels; x runs to the right, y and z upwards. The projection is the
 line integral at 70 keV from the first view. Nothing random is in them, so the same program makes the same pictures.
@@ -18,7 +18,7 @@ from phantomgen.ops.voxelize_shapes import fractions
 from phantomgen.scene.file.scene_file import preset_names
 from phantomgen.scene.scan import Scan, load_scene
 
-FOLDER = Path(__file__).parent / "images" / "presets"
+FOLDER = Path(__file__).parents[1] / "images" / "presets"
 PIXELS, GAP = 216, 6
 ENERGY = 70.0
 WATER = 0.0193  # 1/mm at 70 keV
