@@ -25,9 +25,15 @@ PATIENCE = 2.0  # s
 
 @contextmanager
 def compiling_ahead(say: Callable[[str], None]) -> Iterator[Callable[[], None]]:
-    """Compile beside what happens in here; the function it gives waits for the kernels that the views need.
+    """Compile kernels in another process while the body runs; a context manager.
 
-    `say` is told when that takes longer than `PATIENCE`.
+    Parameters
+    ----------
+    say : called with a sentence when compilation takes longer than `PATIENCE`
+
+    Yields
+    ------
+    function that waits for the kernels that the views require
     """
     command = [sys.executable, "-m", __name__]
     with subprocess.Popen(
