@@ -1,4 +1,4 @@
-"""The short way from Python: a scene to its plan, or to an open dataset."""
+"""Short interface for Python: from a scene to its plan, or to an open dataset."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -13,12 +13,16 @@ from phantomgen.simulation.run import simulate
 
 
 def plan(scan: Scan | str | Path, *, tolerance: float = TOLERANCE) -> Plan:
-    """How finely a scan will be computed, and how wrong that is.
+    """Choose how finely a scan will be computed, and measure the error.
 
     Parameters
     ----------
     scan : what to simulate, or a preset or scene file
     tolerance : worst error of log projections that is wanted
+
+    Returns
+    -------
+    the plan
     """
     return make_plan(_scan(scan), tolerance)
 
