@@ -146,8 +146,9 @@ class StreamedTruth:
 
     Parameters
     ----------
-    grid, basis_names, material_names, coefficients, scene, fit : see `Truth`
-    filled : part of each voxel of a grid that each material fills
+    grid, basis_names, material_names, coefficients : see `Truth`
+    filled : function that returns the part of each voxel of a grid that each material fills
+    scene, fit : see `Truth`
     """
 
     grid: Grid

@@ -37,8 +37,9 @@ class DrawnObject(dict):
 
     Parameters
     ----------
+    values : keys of the object
     source : index of the entry
-    item : which of the objects drawn from it, None where there is no `count`
+    item : number of the object among those drawn from the entry; None where there is no `count`
     """
 
     def __init__(self, values: dict[str, Any], source: int, item: int | None) -> None:

@@ -158,7 +158,7 @@ class SceneFile:
 
         Parameters
         ----------
-        location : keys and indices in the drawn scene
+        *location : keys and indices in the drawn scene
 
         Yields
         ------

@@ -32,9 +32,12 @@ class DetectorStages:
     ----------
     scan : what is scanned
     exposure : energies, and how noise is drawn
-    kernels : of the blur along columns and rows, None where there is none
-    gains : of every pixel in views and in flats, empty where there is no gain map
-    mask : what is wrong with each pixel, None where nothing is
+
+    Attributes
+    ----------
+    kernels : of the blur along columns and rows; None where there is none
+    gains : of every pixel in views and in flats; empty where there is no gain map
+    mask : bits that say what is wrong with each pixel; None where nothing is
     """
 
     scan: Scan

@@ -35,10 +35,14 @@ class Views:
     scan : what is scanned
     exposure : energies, and how noise is drawn
     settings : how finely views are computed
-    output : of the tube, in each view and in each flat, relative to the exposure that is asked for
-    detector : what it makes of expected signals
-    scatter : from a view and its primary signal to what is scattered; None where nothing is
-    cached : primary signals of a view at given energies, in place of rays through objects; None where these are traced
+    cached : function that returns primary signals of a view, in place of rays through objects; None where rays are
+        traced
+
+    Attributes
+    ----------
+    output : of the tube, in each view and in each flat, relative to the exposure of the scan
+    detector : stages of the detector
+    scatter : function of a view and its primary signal that returns the scattered signal; None where there is none
     """
 
     scan: Scan

@@ -23,7 +23,7 @@ Signals = tuple[int, Frame, Frame]  # view, with noise, and without
 def projections(
     views: Views, pack: Callable[[int, Frame, Frame], T], with_means: bool = False, first: int = 0
 ) -> Iterator[T]:
-    """Yield the result of `pack` for the readings of every view from `first` on, in order, computed in parallel.
+    """Return the results of `pack` for the readings of every view from `first` on, in order, computed in parallel.
 
     Parameters
     ----------
@@ -32,9 +32,9 @@ def projections(
     with_means : whether readings without noise are asked for
     first : view to go on from
 
-    Yields
-    ------
-    results of `pack`
+    Returns
+    -------
+    iterator over the results of `pack`
     """
     lag, count = views.scan.effects.lag, views.shape[0]
 
