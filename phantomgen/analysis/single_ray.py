@@ -84,7 +84,7 @@ class SingleRayBound:
 
     @property
     def bounds(self) -> Float[np.ndarray, " basis"]:
-        """Cramer-Rao bounds of the basis line integrals [no unit]; infinite where channels cannot tell them apart."""
+        """Cramer-Rao bounds of the basis line integrals [no unit]; infinite where channels cannot separate them."""
         return least_deviations(self.transmission.fisher(np.zeros(len(self.transmission.columns))))
 
     @property

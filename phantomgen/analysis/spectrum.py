@@ -165,7 +165,7 @@ def _conditions(scan: Scan, air: SingleRayBound, behind: SingleRayBound) -> dict
     columns = scan.basis.evaluate(energies.nodes)
     try:
         change = conditioning_of(columns, detected).transform.T
-    except InputError:  # functions that cannot be told apart at all
+    except InputError:  # functions that cannot be separated at all
         return dict.fromkeys(("functions", "air", "behind"), (np.inf, np.inf))
 
     def pair(raw: Float[np.ndarray, "row basis"]) -> tuple[float, float]:

@@ -223,7 +223,7 @@ def choose_thresholds(
     Raises
     ------
     InputError
-        For unknown functions, and for fewer channels than basis functions, which cannot be told apart then.
+        For unknown functions, and for fewer channels than basis functions, which cannot be separated then.
     """
     scan = load_scene(file)
     target = _target(scan, basis)

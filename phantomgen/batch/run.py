@@ -29,7 +29,7 @@ class BatchSummary:
     Parameters
     ----------
     folder : of the datasets
-    items : how many are asked for
+    items : number of requested items
     made : how many this run made
     failed : records of those that failed
     seconds : wall time

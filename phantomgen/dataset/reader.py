@@ -296,7 +296,7 @@ class Dataset:
 
     @cached_property
     def grid(self) -> Grid:
-        """The volume asked for."""
+        """Voxels of the volume to reconstruct."""
         shape, spacing, origin = (
             self._value(f"/entry/reconstruction_grid/{n}") for n in ("shape", "spacing", "origin")
         )

@@ -1,7 +1,7 @@
 """Photon noise that depends on (seed, view, channel) and on nothing else.
 
 Every image has its own Philox key (Salmon et al. 2011, doi:10.1145/2063384.2063405), so the counts are the same
-whatever the number of threads, the order of views or the number of views asked for.
+whatever the number of threads, the order of views or the number of views.
 """
 
 from enum import IntEnum

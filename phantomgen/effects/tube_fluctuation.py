@@ -1,7 +1,7 @@
 """Tube output that varies from exposure to exposure.
 
 Model: every view and every flat has its own factor on all photons, normal around 1 with a standard deviation `sigma`,
-independent of all others. A monitor may record the factors; a reconstructor that is not told them has to find them in
+independent of all others. A monitor may record the factors; a reconstructor without them has to estimate them in
 air.
 """
 

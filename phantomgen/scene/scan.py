@@ -66,7 +66,7 @@ class Scan:
     splits : indices of the views in ``train``, ``test`` and ``val``
     source, detector : photons, and the channels that count them
     basis : raw basis functions that the scene needs
-    grid : voxels of the truth and of the volume asked for
+    grid : voxels of the truth and of the volume to reconstruct
     seed, noise : key of the Poisson noise, and whether there is any
     flats, darks : number of open-beam frames and of frames without beam
     source_fields : what a file says about the tube, as (value, unit)
@@ -77,7 +77,7 @@ class Scan:
     dead_time : of the detector's pixels, None where every event is recorded
     effects : what a real scan has beyond exposure and photon noise
     file : the scene that it was read from, where smooth surfaces may become finer triangles; else None
-    nominal : poses that a reconstructor is told; None where they are those of `geometry`, which are simulated
+    nominal : poses that a reconstructor is given; None where they are those of `geometry`, which are simulated
     sample_poses : where a sample that moves is in each view, as matrices [mm]; None where it rests
     """
 

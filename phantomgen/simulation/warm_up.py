@@ -54,7 +54,7 @@ def compiling_ahead(say: Callable[[str], None]) -> Iterator[Callable[[], None]]:
 
 
 def _compile() -> None:
-    """Run the smallest job through each operation, in the order in which a simulation asks for them."""
+    """Run the smallest job through each operation, in the order in which a simulation requires them."""
     ball = Solids.plain(np.array([BALL]), np.eye(3, 4)[None], np.array([0]))
     spectrum = np.ones((1, 1)), np.ones(1), np.array([0, 1])
     source, step = np.array([[0.0, -5.0, 0.0]]), np.array([[0.0, 10.0, 0.0]])

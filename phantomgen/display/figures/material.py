@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _TICKS = (20, 30, 40, 50, 60, 80, 100, 140)
-_BESIDE_EDGE = 0.01  # keV, so that edges stand upright
+_BESIDE_EDGE = 0.01  # keV, so that edges are vertical
 
 
 def write_figure(fit: MaterialFit, path: Path | str) -> Path:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 BIN = 0.5  # keV, in which photons are drawn: lines stand out as bins, and areas stay photons
-_BESIDE_EDGE = 0.01  # keV, so that edges stand upright
+_BESIDE_EDGE = 0.01  # keV, so that edges are vertical
 _UNSEEN = 1e-4  # part of the photons that lies to the left of the picture
 
 

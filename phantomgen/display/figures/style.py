@@ -34,7 +34,7 @@ _STYLE: Any = {
     "image.interpolation": "nearest",
 }
 GRAY, BLUE, BLACK, RED, GRID = "0.6", "#0072B2", "black", "#D55E00", "0.9"
-# Colours that the colour-blind tell apart (Okabe and Ito), each with dashes of its own.
+# Colours that the colour-blind can distinguish (Okabe and Ito), each with dashes of its own.
 LINES = (
     *(("#0072B2", (0, (4, 2))), ("#E69F00", (0, (1, 1))), ("#009E73", (0, (5, 1, 1, 1))), ("#CC79A7", (0, (2, 2)))),
     *(("#56B4E9", (0, (6, 1))), ("#F0E442", (0, (3, 1, 1, 1, 1, 1))), ("black", (0, (1, 2)))),
@@ -68,7 +68,7 @@ def check_picture(path: Path) -> None:
 
 
 def _kind_of(path: Path) -> str:
-    """Format that the suffix of a picture asks for."""
+    """Return the format of a picture by its suffix."""
     kind = path.suffix.removeprefix(".")
     if kind not in _STAMPS:
         raise InputError(f"a picture ends in .png, .pdf or .svg, got {path.name!r}")

@@ -27,7 +27,7 @@ class Content:
     ----------
     name : of the scan
     geometry : poses of all views
-    grid : voxels of the truth, or of the volume asked for where there is no truth
+    grid : voxels of the truth, or of the volume to reconstruct where there is no truth
     truth : basis volumes and material fractions
     at : where the planes x, y and z cut the volumes [mm]
     """

@@ -22,7 +22,7 @@ def load(source: str | None, preset: str | None, at: Triple | None = None, voxel
     source : path of a dataset or a scene file, or the name of a preset
     preset : the name of a preset, in place of `source`
     at : where the slices cut (x, y, z) [mm], by default the centre
-    voxels : along each edge of the volume, in place of those that a scene asks for
+    voxels : along each edge of the volume, in place of those of the scene
 
     Returns
     -------

@@ -21,7 +21,7 @@ class Settings:
     intersections : error of log counts that is left in pixels where surfaces intersect or edges of a mesh pass
     sub_rays : if given, a plain grid of so many rays along each edge of a pixel in place of these
     rays_per_voxel : along each side of a pixel, for each voxel of a map that the side is long
-    spot : source points of a focal spot of finite size, up to 985; by default as many as its blur asks for
+    spot : source points of a focal spot of finite size, up to 985; by default as many as its blur requires
     scatter : of Compton scatter, cells along each edge of the volume, and places along each edge of the panel
     """
 

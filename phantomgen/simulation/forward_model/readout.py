@@ -28,8 +28,8 @@ def projections(
     Parameters
     ----------
     views : of the scan
-    pack : takes a view, the readings of all its channels, and those without noise, which are empty unless asked for
-    with_means : whether readings without noise are asked for
+    pack : takes a view, the readings of all its channels, and those without noise, which are empty unless requested
+    with_means : whether readings without noise are requested
     first : view to go on from
 
     Returns

@@ -1,4 +1,4 @@
-"""Scattered signal of the views of a scan, by the model that the scan asks for."""
+"""Scattered signal of the views of a scan, by the model that the scan requires."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

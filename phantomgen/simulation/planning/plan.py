@@ -46,7 +46,7 @@ class Choice:
     share : of the tolerance
     trials : settings that were tried, the cheapest first
     of_pixels : whether it is about one kind of pixels; errors of such parts never meet
-    decided : the faint object that made it finer than the share asks for; empty where the share decided
+    decided : the faint object that made it finer than the share requires; empty where the share decided
     """
 
     part: str
