@@ -7,7 +7,7 @@ triangles, an edge at magnification M = SDD / SOD is blurred on the panel by M -
 
 Points are a lattice with equal weights (Sloan & Joe 1994, "Lattice Methods for Multiple Integration"): n of them have
 n different places along the width, and along the height, whereas a product of two rules has sqrt(n). The view of each
-point is averaged over pixels exactly, so errors at vertical and horizontal edges fall with the square of n. Lattices that
+point is averaged over pixels exactly, so errors at edges along rows or columns fall with the square of n. Lattices that
 look alike after a quarter turn, step^2 = -1 modulo n, integrate xy exactly and err least at slanting edges and corners.
 """
 
