@@ -1,7 +1,7 @@
 # make demo   scan the kedge phantom, reconstruct it, print the scores
 # make test   run the test suite
 # make test-isa  the same as processors with other instructions run it; ISA_TESTS="tests/recon" for a part
-# make check  formatting, lint, import contracts, types
+# make check  formatting, lint, import contracts, docstrings, types
 # make numbers  run the commands behind the numbers of README and docs; say which no longer hold (ONLY=readme, SLOW=1)
 PYTHON ?= python3
 VENV := .venv
@@ -32,6 +32,7 @@ check: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
+	$(BIN)/python -m benchmarks.check_docstrings
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 numbers: $(VENV)/installed

@@ -1,4 +1,4 @@
-"""What is known of the energies of a scan: beam quality, counts per channel, conditioning, and the least noise."""
+"""Energies of a scan in numbers: beam quality, counts per channel, conditioning, and the least noise."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +19,7 @@ from spectra.source.beam_quality import COPPER, BeamQuality, half_value_layers
 
 @dataclass(frozen=True, eq=False)
 class SpectrumReport:
-    """The energies of a scan in numbers.
+    """Energies of a scan in numbers.
 
     Parameters
     ----------
@@ -42,7 +42,17 @@ class SpectrumReport:
 
     @classmethod
     def of(cls, scan: Scan, behind: str = BEHIND) -> "SpectrumReport":
-        """Describe a scan."""
+        """Describe the energies of a scan.
+
+        Parameters
+        ----------
+        scan : the scan
+        behind : layers before the second working point
+
+        Returns
+        -------
+        the description
+        """
         air, behind_object = SingleRayBound.of(scan), SingleRayBound.of(scan, layers_of(behind, scan))
         quality, copper = BeamQuality.of(scan.source), half_value_layers(scan.source, COPPER)
         return cls(scan, behind, quality, copper, air, behind_object, _conditions(scan, air, behind_object))
@@ -60,7 +70,12 @@ class SpectrumReport:
         return None if found is None else float(found[0])
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON; what is unbounded is null."""
+        """Return all values under stable keys, for JSON; what is unbounded is null.
+
+        Returns
+        -------
+        the mapping
+        """
         source, detector, basis = self.scan.source, self.scan.detector, self.scan.basis
         per_grams = [_per_gram(function, basis.reference_energy) for function in basis.functions]
         return {
@@ -108,7 +123,7 @@ class SpectrumReport:
 
     @property
     def text(self) -> str:
-        """For people."""
+        """Description as text."""
         facts = self.to_dict()
         condition = facts["condition"]
         functions, in_air, inside = condition["functions"], condition["air"], condition["behind"]
@@ -150,7 +165,7 @@ def _conditions(scan: Scan, air: SingleRayBound, behind: SingleRayBound) -> dict
     columns = scan.basis.evaluate(energies.nodes)
     try:
         change = conditioning_of(columns, detected).transform.T
-    except InputError:  # functions that cannot be told apart at all
+    except InputError:  # functions that cannot be separated at all
         return dict.fromkeys(("functions", "air", "behind"), (np.inf, np.inf))
 
     def pair(raw: Float[np.ndarray, "row basis"]) -> tuple[float, float]:
@@ -180,7 +195,7 @@ def _hint(scan: Scan) -> str:
 
 
 def _charge_lines(charge: float | None, photons: float) -> list[str]:
-    """What the tube needs for it."""
+    """Return the line about the tube charge."""
     return (
         []
         if charge is None

@@ -1,4 +1,4 @@
-"""What a batch makes: a scene or preset, what overrides it, and seeds; item i is the scene of seed `seed` + i."""
+"""Manifest of a batch: a scene or preset, its overrides, and seeds; item i is the scene of seed `seed` + i."""
 
 import json
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ class BatchModel(BaseModel):
 
 @dataclass(frozen=True)
 class Item:
-    """One dataset of a batch; all that a worker needs to make it.
+    """Item of a batch: everything that a worker requires to make one dataset.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class Item:
 
 @dataclass(frozen=True)
 class Batch:
-    """A manifest that was read.
+    """Batch from a manifest.
 
     Parameters
     ----------
@@ -78,7 +78,15 @@ class Batch:
 
     @classmethod
     def read(cls, path: Path | str) -> "Batch":
-        """From a YAML file.
+        """Read a manifest from a YAML file.
+
+        Parameters
+        ----------
+        path : the file
+
+        Returns
+        -------
+        the batch
 
         Raises
         ------
@@ -104,7 +112,17 @@ class Batch:
         return digest((self.scene.text, self.scene.overrides, repr(sorted(said.items()))))
 
     def item(self, number: int, folder: Path) -> Item:
-        """One item."""
+        """Return one item.
+
+        Parameters
+        ----------
+        number : of the item
+        folder : folder of the datasets
+
+        Returns
+        -------
+        the item
+        """
         model, seed = self.model, self.model.seed + number
         file = SceneFile(self.scene.name, self.scene.text, (*self.scene.overrides, f"seed={seed}"))
         path = folder / f"item{number:06d}.h5"

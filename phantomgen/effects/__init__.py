@@ -1,4 +1,4 @@
-"""What a real scan has beyond exposure and photon noise: one file for each effect, each off unless a scene asks for it.
+"""Effects of a real scan beyond exposure and photon noise: one file for each effect, each off by default.
 
 Effects meet a frame in the order of physics: the tube's output, then what happens on the way to the panel, then what
 the detector makes of it. `phantomgen.simulation.forward_model.frames` applies them; an effect that is off costs
@@ -34,7 +34,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Effects:
-    """The effects of a scan; None where one is off.
+    """Effects of a scan; None where one is off.
 
     Parameters
     ----------

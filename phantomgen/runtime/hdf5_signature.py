@@ -1,4 +1,4 @@
-"""How a file begins that is HDF5, told without a library that opens such files."""
+"""Signature of HDF5 files, tested without a library that opens such files."""
 
 from pathlib import Path
 
@@ -6,7 +6,16 @@ SIGNATURE = b"\x89HDF\r\n\x1a\n"  # HDF5 File Format Specification 3.0, section 
 
 
 def is_hdf5(path: Path) -> bool:
-    """Whether a file begins as HDF5 does; False for what is no file, or cannot be read."""
+    """Return whether a file begins with the signature of HDF5.
+
+    Parameters
+    ----------
+    path : the file
+
+    Returns
+    -------
+    False also where there is no such file or it cannot be read
+    """
     try:
         with path.open("rb") as file:
             return file.read(len(SIGNATURE)) == SIGNATURE

@@ -25,9 +25,15 @@ PATIENCE = 2.0  # s
 
 @contextmanager
 def compiling_ahead(say: Callable[[str], None]) -> Iterator[Callable[[], None]]:
-    """Compile beside what happens in here; the function it gives waits for the kernels that the views need.
+    """Compile kernels in another process while the body runs; a context manager.
 
-    `say` is told when that takes longer than `PATIENCE`.
+    Parameters
+    ----------
+    say : called with a sentence when compilation takes longer than `PATIENCE`
+
+    Yields
+    ------
+    function that waits for the kernels that the views require
     """
     command = [sys.executable, "-m", __name__]
     with subprocess.Popen(
@@ -48,7 +54,7 @@ def compiling_ahead(say: Callable[[str], None]) -> Iterator[Callable[[], None]]:
 
 
 def _compile() -> None:
-    """Run the smallest job through each operation, in the order in which a simulation asks for them."""
+    """Run the smallest job through each operation, in the order in which a simulation requires them."""
     ball = Solids.plain(np.array([BALL]), np.eye(3, 4)[None], np.array([0]))
     spectrum = np.ones((1, 1)), np.ones(1), np.array([0, 1])
     source, step = np.array([[0.0, -5.0, 0.0]]), np.array([[0.0, 10.0, 0.0]])

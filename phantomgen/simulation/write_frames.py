@@ -25,7 +25,19 @@ def compute_frames(
     progress: bool,
     cache_writer: CacheWriter | None = None,
 ) -> None:
-    """Compute all views, flats and darks that the journal lacks; darks only where the detector reads anything."""
+    """Compute all views, flats and darks that the journal lacks.
+
+    Darks are computed only where the detector reads anything without beam.
+
+    Parameters
+    ----------
+    journal : stores finished frames
+    views : frames of the scan
+    keep_expected : store counts without noise as well
+    compression : of the frames
+    progress : show a progress bar on stderr
+    cache_writer : stores projections at a few energies; None where they are not wanted
+    """
 
     def packed(images: Images) -> Packed:
         return [pack_image(image, compression) for image in images]
@@ -54,7 +66,16 @@ def write_frames(
     keep_expected: bool,
     cache_writer: CacheWriter | None = None,
 ) -> None:
-    """Write all frames of a journal; darks that are not in it stay zero."""
+    """Write all frames of a journal to the dataset; darks that are not in it stay zero.
+
+    Parameters
+    ----------
+    writer : the dataset
+    views : frames of the scan
+    journal : stores finished frames
+    keep_expected : write counts without noise as well
+    cache_writer : writes projections at a few energies; None where they are not wanted
+    """
     scan = views.scan
     arrays = writer.new_counts(views.shape, scan.flats, scan.darks, scan.noise, scan.detector.units)
     if keep_expected:
@@ -82,7 +103,7 @@ def _keep(journal: FrameJournal, kind: str, frames: Iterator[Frame], count: int,
 
 
 def _shown(frames: Iterator[Frame], first: int, count: int, name: str, progress: bool) -> Iterator[Frame]:
-    """The same frames, with a progress bar where somebody can see it."""
+    """Yield the frames unchanged, with a progress bar on a terminal."""
     if not progress:
         yield from frames
         return

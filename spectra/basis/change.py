@@ -68,7 +68,7 @@ def basis_change(
     Raises
     ------
     InputError
-        When functions of the new basis cannot be told apart over the spectrum.
+        When functions of the new basis are linearly dependent over the spectrum.
     """
     root = np.sqrt(np.asarray(weights, dtype=np.float64) / np.sum(weights))
     before, after = old.evaluate(energy) * root, new.evaluate(energy) * root

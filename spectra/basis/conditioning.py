@@ -86,7 +86,7 @@ def conditioning_of(columns: Float[np.ndarray, "basis energy"], weights: Float[n
     Raises
     ------
     InputError
-        When the columns cannot be told apart (condition number of their correlation matrix above 1e12).
+        When the columns cannot be separated (condition number of their correlation matrix above 1e12).
     """
     share = np.asarray(weights, dtype=np.float64) / np.sum(weights)
     gram = (columns * share) @ columns.T

@@ -20,7 +20,13 @@ from spectra.materials.material import Material
 
 @dataclass(frozen=True)
 class Channel:
-    """One counter, open for energies from `lower` up to but not including `upper` [keV]."""
+    """Channel of a detector: one counter, open from `lower` up to but not including `upper`.
+
+    Parameters
+    ----------
+    name : of the channel
+    lower, upper : limits of the energy [keV]
+    """
 
     name: str
     lower: float

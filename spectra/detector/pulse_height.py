@@ -182,7 +182,7 @@ class PulseHeightDetector(Detector):
         return dict(zip(lines, run_parallel(self._lifted_beside, lines), strict=True))
 
     def _lifted_beside(self, line: float) -> CubicSpline:
-        """The same for one line, as a function of the photon's energy [keV]."""
+        """Compute the entry of `_lifted` for one line, as a function of the photon's energy [keV]."""
         mu_line, limits = float(self.material.attenuation(np.array([line]))[0]), np.array(self.thresholds)[:, None]
         energy = self._ladder(line, _EVENT_STEPS)
         above = np.empty((len(self), len(energy)))
@@ -209,7 +209,7 @@ class PulseHeightDetector(Detector):
 
     @property
     def _composition(self) -> str | dict[str, float]:
-        """What the sensor consists of."""
+        """Composition of the sensor."""
         return self.material.composition or {}  # type: ignore[return-value]
 
     @cached_property

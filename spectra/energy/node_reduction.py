@@ -27,7 +27,13 @@ _ONE_THREAD = 262144
 
 
 class Nodes(NamedTuple):
-    """Energy nodes of one channel: weights (K,) and columns (K, M), columns scaled to the box."""
+    """Energy nodes of one channel.
+
+    Parameters
+    ----------
+    weights : of the nodes, (K,)
+    columns : functions at the nodes, scaled to the box, (K, M)
+    """
 
     weights: Float[np.ndarray, " node"]
     columns: Float[np.ndarray, "node basis"]

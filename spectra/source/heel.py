@@ -19,7 +19,7 @@ from spectra.source.source import Source
 # Weighted rms error of a spectrum's logarithm, over any direction of the panel, down to which curves are added.
 TOLERANCE = 3e-3
 _MOST_CURVES = 3
-# SpekPy is asked for so many directions; between them amplitudes are splines.
+# SpekPy computes so many directions; between them amplitudes are splines.
 _ANGLES = 17
 # Rays must leave the anode at this angle or more [degree]: below, its roughness decides, which no model has.
 LEAST_TAKE_OFF = 1.0
@@ -68,7 +68,7 @@ class Heel:
     Parameters
     ----------
     curves : functions of energy
-    angles, amplitudes : directions that were asked for [rad], and the amplitudes there
+    angles, amplitudes : directions of the fit [rad], and the amplitudes there
     error : largest weighted rms error of the spectrum's logarithm over these directions
     """
 

@@ -68,8 +68,8 @@ class Source:
     ----------
     energy, density : corners of the piecewise-linear density, [keV] and [photons/keV]; equal energies make a jump
     line_energy, line_photons : characteristic lines, [keV] and [photons]
-    breaks : energies where the density jumps [keV]
     maximum : highest energy, the tube voltage of a tube [keV]
+    breaks : energies where the density jumps [keV]
     """
 
     energy: Float[np.ndarray, " corner"]

@@ -1,7 +1,7 @@
 """Bare X-ray tubes from SpekPy, with bremsstrahlung and lines kept apart.
 
 SpekPy 2 (Poludniowski et al. 2021, doi:10.1002/mp.14945) with its default model `casim`: half-value layers of measured
-beams within 5 %. This module imports SpekPy and is itself imported only when a tube is asked for.
+beams within 5 %. This module imports SpekPy and is itself imported only when a tube is required.
 """
 
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Which file or preset a name means, and what a file is that is no scene."""
+"""Find the scene file or preset of a name, and refuse files that are no scenes."""
 
 from collections.abc import Sequence
 from difflib import get_close_matches
@@ -14,7 +14,16 @@ _VOXELS = (".npy", ".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".tif", ".tiff", 
 
 
 def find_scene(name: str | Path, overrides: Sequence[str] = ()) -> SceneFile:
-    """The scene file of that name, else the preset.
+    """Return the scene file of a name, else the preset.
+
+    Parameters
+    ----------
+    name : path of a scene file, or name of a preset
+    overrides : ``path=value`` with dotted paths
+
+    Returns
+    -------
+    the scene file
 
     Raises
     ------
@@ -40,7 +49,17 @@ def find_scene(name: str | Path, overrides: Sequence[str] = ()) -> SceneFile:
 
 
 def refuse_other_files(path: Path) -> None:
-    """Refuse by its name or its first bytes a file that is something else than a scene."""
+    """Refuse a file that is no scene, by its name or its first bytes.
+
+    Parameters
+    ----------
+    path : the file
+
+    Raises
+    ------
+    SceneError
+        When it is a dataset, a mesh or a volume.
+    """
     name = path.name.lower()
     if is_hdf5(path):
         raise SceneError(

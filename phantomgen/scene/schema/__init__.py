@@ -197,5 +197,10 @@ class SceneModel(Model):
 
 
 def json_schema() -> dict[str, Any]:
-    """JSON Schema of a scene file, for completion in editors."""
+    """Return the JSON Schema of a scene file, for completion in editors.
+
+    Returns
+    -------
+    the schema
+    """
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **SceneModel.model_json_schema()}

@@ -21,7 +21,7 @@ class Settings:
     intersections : error of log counts that is left in pixels where surfaces intersect or edges of a mesh pass
     sub_rays : if given, a plain grid of so many rays along each edge of a pixel in place of these
     rays_per_voxel : along each side of a pixel, for each voxel of a map that the side is long
-    spot : source points of a focal spot of finite size, up to 985; by default as many as its blur asks for
+    spot : source points of a focal spot of finite size, up to 985; by default as many as its blur requires
     scatter : of Compton scatter, cells along each edge of the volume, and places along each edge of the panel
     """
 
@@ -34,7 +34,7 @@ class Settings:
 
     @property
     def pixels(self) -> dict[str, Any]:
-        """Those that `phantomgen.ops.expected_counts.expected_counts` takes."""
+        """Keyword arguments of `phantomgen.ops.expected_counts.expected_counts`."""
         return {
             "rules": self.rules,
             "intersection_tolerance": self.intersections,
@@ -43,12 +43,28 @@ class Settings:
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return all settings under stable keys, for JSON.
+
+        Returns
+        -------
+        the mapping
+        """
         return asdict(self)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "Settings":
-        """From what `to_dict` gave, also by way of JSON, and in older datasets, where `intersections` was ``kinks``."""
+        """Create settings from what `to_dict` returned, also after JSON.
+
+        In older datasets `intersections` is called ``kinks``.
+
+        Parameters
+        ----------
+        values : the mapping
+
+        Returns
+        -------
+        the settings
+        """
         known = {"intersections" if name == "kinks" else name: value for name, value in values.items()}
         rules, scatter = tuple(map(tuple, known["rules"])), tuple(known["scatter"])
         return cls(**{**known, "rules": rules, "scatter": scatter})

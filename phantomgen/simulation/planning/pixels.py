@@ -1,8 +1,10 @@
-"""Which rule averages expected counts over pixels well enough, at the least cost: measured on parts of some views.
+"""Choice of the rule that averages expected counts over pixels: accurate enough at the least cost.
 
 Where silhouettes pass, or nothing does, the reference is the same splitting with several times as many Gauss nodes, on
 all pixels of the sampled windows. Where surfaces meet, or voxel maps lie, it is a regular grid of rays, on a sample of
 pixels. Both share the energy nodes with what they judge, so that pixels are judged alone.
+
+The rules are measured on parts of some views.
 """
 
 from collections.abc import Callable
@@ -72,7 +74,17 @@ class PixelSample:
 
     @classmethod
     def of(cls, scan: Scan, transmission: Transmission) -> "PixelSample":
-        """Draw windows, always by the same seed."""
+        """Draw windows, always by the same seed.
+
+        Parameters
+        ----------
+        scan : what is computed
+        transmission : path lengths to counts
+
+        Returns
+        -------
+        the sample
+        """
         rng = np.random.default_rng(_SEED)
         windows = windows_of(scan, transmission, rng)
         grids = tuple(
@@ -81,15 +93,43 @@ class PixelSample:
         return cls(scan, transmission, windows, grids)
 
     def has(self, kind: int) -> bool:
-        """Whether some sampled pixel is of a kind."""
+        """Return whether some sampled pixel is of a kind.
+
+        Parameters
+        ----------
+        kind : kind of pixel
+
+        Returns
+        -------
+        True where there is one
+        """
         return any((window.classes == kind).any() for window in self.windows)
 
     def rays(self, settings: Settings) -> float:
-        """Rays per pixel."""
+        """Compute the mean number of rays per pixel.
+
+        Parameters
+        ----------
+        settings : how finely the scan is computed
+
+        Returns
+        -------
+        rays per pixel
+        """
         return sum(e.rays.sum() for e in self._found(settings)) / max(sum(w.classes.size for w in self.windows), 1)
 
     def easy_error(self, settings: Settings, finer: Settings) -> float:
-        """Worst difference to finer settings, of pixels where no surfaces meet and no maps lie."""
+        """Compute the worst difference to finer settings, in pixels where no surfaces intersect and no maps lie.
+
+        Parameters
+        ----------
+        settings : to be judged
+        finer : settings to compare with
+
+        Returns
+        -------
+        worst difference of log counts
+        """
         worst = 0.0
         for window, found, fine in zip(self.windows, self._found(settings), self._found(finer), strict=True):
             easy = (window.classes != INTERSECTED) & (window.classes != VOXELS)
@@ -98,7 +138,20 @@ class PixelSample:
         return worst
 
     def hard_error(self, settings: Settings, kinds: tuple[int, ...], share: float) -> float:
-        """Worst difference to grids of rays, of pixels of some kinds; finer grids where it exceeds `share`."""
+        """Compute the worst difference to grids of rays, in pixels of some kinds.
+
+        The grids are finer where the difference exceeds `share`.
+
+        Parameters
+        ----------
+        settings : to be judged
+        kinds : kinds of pixels
+        share : error that is allowed
+
+        Returns
+        -------
+        worst difference of log counts
+        """
         worst = 0.0
         for window, found, grid in zip(self.windows, self._found(settings), self.grids, strict=True):
             chosen = np.isin(window.classes[grid.pixels[:, 0], grid.pixels[:, 1]], kinds)
@@ -116,7 +169,7 @@ class PixelSample:
 def choose_pixels(
     scan: Scan, transmission: Transmission, settings: Settings, share: float, faint: Faint = _nothing_faint
 ) -> tuple[Settings, list[Choice]]:
-    """The cheapest rules whose worst errors stay within `share`, and that faint objects are right with.
+    """Choose the cheapest rules whose worst errors stay within `share` and within the signal of faint objects.
 
     Parameters
     ----------
@@ -125,6 +178,10 @@ def choose_pixels(
     settings : to be completed
     share : of the tolerance, for log counts
     faint : the faint object that some settings make too wrong for its own signal, None where none is
+
+    Returns
+    -------
+    settings with these rules, and the choices
     """
     sample = PixelSample.of(scan, transmission)
     settings = replace(settings, intersections=INTERSECTION_LADDER[0] * share)

@@ -39,7 +39,7 @@ GROUP = "truth/paths"
 
 @dataclass(frozen=True, eq=False)
 class CacheWriter:
-    """What keeps the projections of a scan.
+    """Writer of the projections of a scan at a few energies.
 
     Parameters
     ----------
@@ -55,11 +55,29 @@ class CacheWriter:
 
     @classmethod
     def of(cls, plan: Plan) -> "CacheWriter":
-        """For the spectra that the scan of a plan may get."""
+        """Create the writer for the spectra that the scan of a plan may get.
+
+        Parameters
+        ----------
+        plan : plan of the scan
+
+        Returns
+        -------
+        the writer
+        """
         return cls(plan.scan, plan.settings, *cache_energies(plan.scan, SHARE * plan.tolerance))
 
     def images(self, view: int) -> list[Float32[np.ndarray, "row column"]]:
-        """Projections of a view at each energy, averaged as intensities over pixels and focal spot."""
+        """Compute the projections of a view at each energy, averaged as intensities over pixels and focal spot.
+
+        Parameters
+        ----------
+        view : number of the view
+
+        Returns
+        -------
+        images, (row, column), one per energy
+        """
         nodes = self.energies.nodes
         one_each = Transmission(attenuation(self.scan, nodes), np.ones(len(nodes)), np.arange(len(nodes) + 1))
         bare = replace(self.scan, profile=None)
@@ -67,7 +85,17 @@ class CacheWriter:
         return list((0.0 - np.log(left)).astype(np.float32))
 
     def new_array(self, file: h5py.File, compression: Compression) -> h5py.Dataset:
-        """Empty array in the truth of a file, and beside it what a later run asks for."""
+        """Create an empty array in the truth of a file, and beside it the values that a later run requires.
+
+        Parameters
+        ----------
+        file : open dataset
+        compression : of the array
+
+        Returns
+        -------
+        the array
+        """
         scan, nodes = self.scan, self.energies.nodes
         group = new_group(truth_group(file), "paths", "NXdata", signal="data", axes=("view", "energy", ".", "."))
         put(group, "energy", nodes, "keV")
@@ -82,7 +110,7 @@ class CacheWriter:
 
 @dataclass(frozen=True, eq=False)
 class ProjectionCache:
-    """Kept projections of a dataset.
+    """Stored projections of a dataset.
 
     Parameters
     ----------
@@ -102,7 +130,15 @@ class ProjectionCache:
 
     @classmethod
     def read(cls, path: Path | str) -> "ProjectionCache":
-        """Of a file.
+        """Read the stored projections of a dataset.
+
+        Parameters
+        ----------
+        path : the dataset
+
+        Returns
+        -------
+        the projections; images stay in the file
 
         Raises
         ------
@@ -124,12 +160,16 @@ class ProjectionCache:
 
     @property
     def identity(self) -> str:
-        """Digest that tells these projections from others; a file that was written anew is another."""
+        """Digest that separates these projections from others; a file that was written again is another one."""
         about = self.path.stat()
         return digest((self.depends_on, self.energies, about.st_size, about.st_mtime_ns))
 
     def check(self, scan: Scan) -> None:
         """Refuse a scan that these are not the projections of.
+
+        Parameters
+        ----------
+        scan : what is simulated
 
         Raises
         ------
@@ -152,7 +192,17 @@ class ProjectionCache:
             )
 
     def planned(self, scan: Scan, tolerance: float) -> tuple[Plan, "CachedViews"]:
-        """How a scan is computed from here, and its views."""
+        """Plan a scan that is computed from the stored projections.
+
+        Parameters
+        ----------
+        scan : what is simulated
+        tolerance : worst error of log projections that is wanted
+
+        Returns
+        -------
+        the plan, and the views
+        """
         share, lengths = ENERGY * tolerance, sampled_lengths(scan)
         cuts, bins = fine_cuts(scan, lengths, BINS * share)
         exposure, error = Exposure.of(scan, lengths, (1 - BINS) * share, refine=False, cuts=cuts)
@@ -166,12 +216,30 @@ class ProjectionCache:
         return plan, CachedViews(self, scan, np.concatenate([shares, groups.columns[old:]]))
 
     def projections(self, view: int) -> Float32[np.ndarray, "energy row column"]:
-        """Those of one view."""
+        """Read the projections of one view.
+
+        Parameters
+        ----------
+        view : number of the view
+
+        Returns
+        -------
+        projections, (energy, row, column)
+        """
         with h5py.File(self.path, "r") as file:
             return array_at(file, f"{GROUP}/data")[view]
 
     def fractions(self, scan: Scan) -> Callable[[Grid], Float32[np.ndarray, "material z y x"]] | None:
-        """What the materials of a scan fill, as the dataset has it, to 1/65535; None where its voxels are others."""
+        """Return a function that reads the material fractions of a grid from the dataset, to 1/65535.
+
+        Parameters
+        ----------
+        scan : what is simulated
+
+        Returns
+        -------
+        the function; None where the dataset has other voxels
+        """
         whole = scan.grid
         with h5py.File(self.path, "r") as file:
             wanted = {"shape": whole.shape, "spacing": whole.spacing, "origin": whole.origin}
@@ -194,7 +262,7 @@ class ProjectionCache:
 
 @dataclass(frozen=True, eq=False)
 class CachedViews:
-    """Views of a scan from kept projections.
+    """Views of a scan computed from stored projections.
 
     Parameters
     ----------
@@ -208,7 +276,17 @@ class CachedViews:
     columns: Float[np.ndarray, "column node"]
 
     def primary(self, view: int, transmission: Transmission) -> Groups:
-        """Expected signals of a view, without scatter; of `transmission` only weights and channels count."""
+        """Compute the expected signals of a view, without scatter.
+
+        Parameters
+        ----------
+        view : number of the view
+        transmission : only its weights and channels are used
+
+        Returns
+        -------
+        signals, (group, row, column)
+        """
         lengths = self.kept.projections(view)
         if self.scan.profile is not None:
             lengths = np.concatenate([lengths, self.scan.profile.lengths])
@@ -217,7 +295,18 @@ class CachedViews:
 
 
 def usable(path: Path | str, scan: Scan, out: Path | str, keep: bool = False) -> ProjectionCache:
-    """Kept projections for a scan that is written to `out`.
+    """Return stored projections for a scan that is written to `out`.
+
+    Parameters
+    ----------
+    path : dataset with projections
+    scan : what is simulated
+    out : dataset to be written
+    keep : whether projections are to be stored in `out` as well
+
+    Returns
+    -------
+    the projections
 
     Raises
     ------
@@ -234,7 +323,17 @@ def usable(path: Path | str, scan: Scan, out: Path | str, keep: bool = False) ->
 
 
 def fingerprint(scan: Scan, energy: Float[np.ndarray, " energy"]) -> dict[str, str]:
-    """Digests of what projections at `energy` [keV] depend on, under the names of keys of a scene."""
+    """Compute digests of what projections depend on, under the names of keys of a scene.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    energy : energies of the projections [keV]
+
+    Returns
+    -------
+    digests by name
+    """
     panel = scan.geometry.panel
     return {
         "objects": digest(scan.scene.solids),
@@ -246,7 +345,18 @@ def fingerprint(scan: Scan, energy: Float[np.ndarray, " energy"]) -> dict[str, s
 
 
 def cached_scene(path: Path | str, overrides: Sequence[str] = ()) -> SceneFile:
-    """The scene of a dataset that keeps projections, random values drawn; files that it names lie beside the dataset.
+    """Read the scene of a dataset that stores projections, random values drawn.
+
+    Files that the scene names lie beside the dataset.
+
+    Parameters
+    ----------
+    path : the dataset
+    overrides : ``path=value`` with dotted paths
+
+    Returns
+    -------
+    the scene file
 
     Raises
     ------

@@ -20,7 +20,14 @@ _HIGHEST = {torch.float32: 70.0, torch.float64: 690.0}
 
 
 class Tables(NamedTuple):
-    """Nodes on the device: columns by node, weights, and the nodes that each channel starts and ends with."""
+    """Nodes on the device.
+
+    Parameters
+    ----------
+    columns : functions of energy by node, (K, M)
+    weights : photons x response of each node
+    starts : first node of each channel, and the number of nodes
+    """
 
     columns: Float[Tensor, "node basis"]
     weights: Float[Tensor, " node"]
@@ -82,7 +89,17 @@ def _backward(
 
 
 def forward(lengths: Float[Tensor, "ray basis"], tables: Tables) -> Float[Tensor, "ray channel"]:
-    """Counts of contiguous line integrals, in their precision."""
+    """Compute counts of contiguous line integrals, in their precision.
+
+    Parameters
+    ----------
+    lengths : line integrals, (ray, M)
+    tables : the nodes
+
+    Returns
+    -------
+    counts, (ray, C)
+    """
     channels = len(tables.starts) - 1
     out = lengths.new_empty((len(lengths), channels))
     if len(lengths):
@@ -93,7 +110,18 @@ def forward(lengths: Float[Tensor, "ray basis"], tables: Tables) -> Float[Tensor
 def backward(
     lengths: Float[Tensor, "ray basis"], tables: Tables, cotangents: Float[Tensor, "ray channel"]
 ) -> Float[Tensor, "ray basis"]:
-    """What contiguous cotangents on the counts give for the line integrals."""
+    """Compute the gradient in the line integrals from contiguous cotangents on the counts.
+
+    Parameters
+    ----------
+    lengths : line integrals, (ray, M)
+    tables : the nodes
+    cotangents : on the counts, (ray, C)
+
+    Returns
+    -------
+    gradient, (ray, M)
+    """
     out = torch.empty_like(lengths)
     if len(lengths):
         grid = (triton.cdiv(len(lengths), _BLOCK),)
