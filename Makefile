@@ -1,7 +1,8 @@
 # make demo   scan the kedge phantom, reconstruct it, print the scores
 # make test   run the test suite
 # make test-isa  the same as processors with other instructions run it; ISA_TESTS="tests/recon" for a part
-# make check  formatting, lint, import contracts, types
+# make check  formatting, lint, import contracts, docstrings, types
+# make docs   build the documentation site, docs/_build/html; GALLERY=1 runs the example scripts as well, some minutes
 # make numbers  run the commands behind the numbers of README and docs; say which no longer hold (ONLY=readme, SLOW=1)
 PYTHON ?= python3
 VENV := .venv
@@ -10,11 +11,11 @@ ifeq ($(OS),Windows_NT)
 BIN := $(VENV)/Scripts
 endif
 
-# what numba and torch may use; an x86-64 processor with AVX2 can run all of these
-INSTRUCTIONS := NUMBA_CPU_NAME=x86-64 NUMBA_CPU_NAME=x86-64-v3 ATEN_CPU_CAPABILITY=default ATEN_CPU_CAPABILITY=avx2
+# instruction sets of numba / of torch; an x86-64 processor with AVX2 can run all of these
+INSTRUCTIONS := x86-64/default x86-64-v3/avx2
 ISA_TESTS ?= tests
 
-.PHONY: demo test test-isa check numbers clean
+.PHONY: demo test test-isa check docs numbers clean
 
 demo: $(VENV)/installed
 	$(BIN)/phantomgen make --preset kedge --overwrite
@@ -25,14 +26,18 @@ test: $(VENV)/installed-test
 
 test-isa: $(VENV)/installed-test
 	set -e; for setting in $(INSTRUCTIONS); do echo "$$setting"; \
-		env $$setting $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile $(ISA_TESTS); done
+		env NUMBA_CPU_NAME=$${setting%/*} ATEN_CPU_CAPABILITY=$${setting#*/} $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile $(ISA_TESTS); done
 	$(BIN)/python -m benchmarks.reconstruction.processors
 
 check: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
+	$(BIN)/python -m benchmarks.check_docstrings
 	$(BIN)/pyright --pythonpath $(BIN)/python
+
+docs: $(VENV)/installed-docs
+	$(BIN)/python -m sphinx -b html -W --keep-going docs docs/_build/html
 
 numbers: $(VENV)/installed
 	$(BIN)/python -m benchmarks.check_numbers $(if $(ONLY),--only $(ONLY)) $(if $(SLOW),--slow) $(if $(SCRATCH),--scratch $(SCRATCH) --resume)
@@ -49,6 +54,10 @@ $(VENV)/installed: pyproject.toml constraints.txt | $(BIN)/python
 
 $(VENV)/installed-test: pyproject.toml constraints.txt | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
+	touch $@ $(VENV)/installed
+
+$(VENV)/installed-docs: pyproject.toml constraints.txt | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
 	touch $@ $(VENV)/installed
 
 $(VENV)/installed-dev: pyproject.toml constraints.txt | $(BIN)/python

@@ -49,7 +49,8 @@ EFFECTS = {
     "source.bowtie": "{composition: Al, angles: [0, 3, 6, 9, 12], thickness: [0.5, 1.5, 5, 11, 20]}",
     "detector.resolution": "4.7",
     "detector.fluorescence": "true",
-    "detector.charge_sharing": "{pitch: 0.25, cloud: 0.018}",
+    "detector.charge_sharing": "{type: photon_counting, thresholds: [20, 45, 63.3, 80], resolution: 4.7, "
+    "charge_sharing: {pitch: 0.25, cloud: 0.018}}",
     "detector.dead_time": "{tau_ns: 20, exposure_ms: 0.5, model: nonparalyzable}",
     "detector": "{type: energy_integrating, composition: CsI}",
     "geometry.helical": "{type: helical, sod: 500, sdd: 800, views: 15, pitch: 40, turns: 2}",

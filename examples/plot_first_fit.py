@@ -5,7 +5,7 @@ A scan, a fit, and a page about it
 Three calls: ``phantomgen.make`` simulates a scan whose truth is known, ``recon.fit`` reconstructs it from the counts
 alone, and ``fit.save`` writes a run folder that every command reads. Run it as one of::
 
-    python examples/plot_first_fit.py           # 64^3 voxels, a minute or two
+    python examples/plot_first_fit.py           # 64^3 voxels, about a minute
     python examples/plot_first_fit.py --quick   # 24^3 voxels, seconds: coarse, to see that everything works
 """
 

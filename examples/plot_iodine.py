@@ -2,7 +2,7 @@
 How much iodine is in a vial?
 =============================
 
-Above its K edge at 33.17 keV iodine absorbs six times more than just below. A detector with a threshold there tells
+Above its K edge at 33.17 keV iodine absorbs 5.5 times as much as just below. A detector with a threshold there tells
 it from water and acrylic, and the coefficient of its basis function says how much there is. Run it as one of::
 
     python examples/plot_iodine.py           # 64^3 voxels, minutes

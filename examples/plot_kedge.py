@@ -9,7 +9,7 @@ energy channels sees that jump, so three volumes can be told apart: photoelectri
 K-edge material. This script goes the whole way for a cylinder of soft tissue that holds bone and two concentrations of
 a K-edge material. Run it as one of::
 
-    python examples/plot_kedge.py           # 64^3 voxels, well under a minute
+    python examples/plot_kedge.py           # 64^3 voxels, about a minute
     python examples/plot_kedge.py --quick   # 24^3 voxels, seconds: coarse, to see that everything works
 
 The scene below says in Python what ``kedge.yaml`` beside it says as a file: ``phantomgen make examples/kedge.yaml``

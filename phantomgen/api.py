@@ -1,4 +1,4 @@
-"""The short way from Python: a scene to its plan, or to an open dataset."""
+"""Short interface for Python: from a scene to its plan, or to an open dataset."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -13,12 +13,16 @@ from phantomgen.simulation.run import simulate
 
 
 def plan(scan: Scan | str | Path, *, tolerance: float = TOLERANCE) -> Plan:
-    """How finely a scan will be computed, and how wrong that is.
+    """Choose how finely a scan will be computed, and measure the error.
 
     Parameters
     ----------
     scan : what to simulate, or a preset or scene file
     tolerance : worst error of log projections that is wanted
+
+    Returns
+    -------
+    the plan
     """
     return make_plan(_scan(scan), tolerance)
 
@@ -37,8 +41,8 @@ def make(
     scan : what to simulate, or a preset or scene file
     out : name of the dataset; ``<name of the scene>.h5`` where left out
     seed : of the noise; that of the scene where left out
-    options : of `phantomgen.simulation.run.simulate`, such as ``tolerance=1e-4`` or ``overwrite=True``; that function
-        says what a simulation took and how exact its counts are
+    **options : of `phantomgen.simulation.run.simulate`, such as ``tolerance=1e-4`` or ``overwrite=True``; that function
+        returns the time of a simulation and the error of its counts
 
     Returns
     -------

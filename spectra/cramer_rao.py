@@ -8,16 +8,20 @@ _SINGULAR = 1e-12
 
 
 def least_covariance(information: Float[np.ndarray, "... basis basis"]) -> Float[np.ndarray, "... basis basis"]:
-    """Smallest covariance that unbiased estimates of parameters can have, the Cramer-Rao bound.
+    """Return the Cramer-Rao bound: the smallest covariance that unbiased estimates of parameters can have.
 
     Parameters
     ----------
-    information : Fisher information, such as `Transmission.fisher` gives
+    information : Fisher information, (..., M, M), such as `Transmission.fisher` returns
 
     Returns
     -------
-    its inverse (Kay 1993, Fundamentals of Statistical Signal Processing I, theorem 3.2); infinite where the information
-    is singular, because the channels cannot tell the parameters apart
+    inverse of the Fisher information, (..., M, M); infinite where the information is singular, because the channels
+    cannot separate the parameters
+
+    References
+    ----------
+    Kay 1993, Fundamentals of Statistical Signal Processing I, theorem 3.2
     """
     information = np.asarray(information, dtype=np.float64)
     size = np.sqrt(np.diagonal(information, axis1=-2, axis2=-1))
@@ -31,5 +35,14 @@ def least_covariance(information: Float[np.ndarray, "... basis basis"]) -> Float
 
 
 def least_deviations(information: Float[np.ndarray, "... basis basis"]) -> Float[np.ndarray, "... basis"]:
-    """Least standard deviation that an unbiased estimate of each parameter can have; see `least_covariance`."""
+    """Return the least standard deviation of an unbiased estimate of each parameter.
+
+    Parameters
+    ----------
+    information : Fisher information, (..., M, M)
+
+    Returns
+    -------
+    square roots of the diagonal of `least_covariance`, (..., M)
+    """
     return np.sqrt(np.diagonal(least_covariance(information), axis1=-2, axis2=-1))

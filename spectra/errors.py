@@ -22,7 +22,7 @@ class Error(Exception):
 
 
 class InputError(Error, ValueError):
-    """A value handed in is wrong."""
+    """A value given to a function or an option is wrong."""
 
 
 class SceneError(Error, ValueError):
@@ -42,8 +42,8 @@ class NotInstalledError(Error, ImportError):
 
 
 class StorageError(Error, OSError):
-    """A disk is full, or refuses to be written."""
+    """A disk is full or cannot be written."""
 
 
 class MachineWarning(UserWarning):
-    """Something about this machine costs time, or is not as it should be; results are right."""
+    """Something about this machine costs time or is not as it should be; results are correct."""

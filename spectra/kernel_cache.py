@@ -58,7 +58,12 @@ def ensure_kernel_cache(operators: Path) -> None:
 
 
 def temporary_folder() -> Path:
-    """A folder of this user alone: the same in every run, or one for this run where somebody else took its name."""
+    """Return a temporary folder that belongs to this user alone.
+
+    Returns
+    -------
+    the same folder in every run; where another user owns that name, a folder for this run only
+    """
     folder = Path(tempfile.gettempdir(), f"{_NAME}{os.getuid() if hasattr(os, 'getuid') else 'user'}")
     with suppress(FileExistsError):
         folder.mkdir(mode=0o700)
@@ -70,7 +75,7 @@ def temporary_folder() -> Path:
 
 
 def _is_own(folder: Path) -> bool:
-    """Whether nobody but this user can have put anything there; a link is refused, wherever it leads."""
+    """Return whether only this user can have written into the folder; a symbolic link is refused."""
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode):
         return False
@@ -78,7 +83,7 @@ def _is_own(folder: Path) -> bool:
 
 
 def _home_cache() -> Path:
-    """Where numba keeps kernels below the home of the user; relative where that is not known."""
+    """Return the folder below the user's home where numba stores kernels; a relative path where the home is unknown."""
     home = Path(os.path.expanduser("~"))  # as numba does; pathlib raises without a home
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local", "numba", "Cache")
@@ -88,13 +93,13 @@ def _home_cache() -> Path:
 
 
 def _beside_code(operators: Path) -> bool:
-    """Whether kernels of a package can all be kept beside its code."""
+    """Return whether all kernels of a package can be stored beside its code."""
     inside = (folder for folder in operators.iterdir() if folder.is_dir() and folder.name != "__pycache__")
     return all(_can_write(folder / "__pycache__") for folder in (operators.parent, operators, *inside))
 
 
 def _can_write(folder: Path) -> bool:
-    """Whether a file can be written there; the folder is made if need be, as numba does."""
+    """Return whether a file can be written in the folder, which is created if necessary, as numba does."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()

@@ -23,13 +23,22 @@ def edge_column(
     edge_width: Float[Tensor, ""],
     normalisation_energy: float | None = None,
 ) -> Float[Tensor, " node"]:
-    """Column of a smooth edge, s((E - E_K) / width), times (E / E_n)^-3 where E_n is given.
+    """Compute the column of a smooth edge, s((E - E_K) / width), times (E / E_n)^-3 where E_n is given.
 
     Parameters
     ----------
     energy : nodes [keV]
     edge_energy, edge_width : E_K and 1/gamma [keV], scalars; the width must be positive
     normalisation_energy : E_n [keV] of a ``step``; None for a ``sigmoid``
+
+    Returns
+    -------
+    values at the nodes, with gradients in `edge_energy` and `edge_width`; no unit
+
+    Raises
+    ------
+    InputError
+        When the width is not positive.
 
     Notes
     -----
@@ -47,9 +56,18 @@ def edge_column(
 
 
 def steepest_width(energy: Float[Tensor, " node"], edge_energy: float) -> float:
-    """Smallest width [keV] at which gradients in an edge's energy can be trusted on these nodes: gamma dE = 2.
+    """Return the smallest edge width [keV] for which gradients in the edge's energy are reliable: gamma dE = 2.
 
     dE is the distance of the nodes on both sides of the edge; infinite outside the nodes.
+
+    Parameters
+    ----------
+    energy : nodes [keV]
+    edge_energy : energy of the edge [keV]
+
+    Returns
+    -------
+    half the distance of the two nodes beside the edge [keV]
     """
     nodes = torch.sort(energy.detach().double()).values
     above = int(torch.searchsorted(nodes, torch.tensor(float(edge_energy), dtype=nodes.dtype)))
@@ -61,13 +79,22 @@ def steepest_width(energy: Float[Tensor, " node"], edge_energy: float) -> float:
 def transmit_with_edges(
     lengths: Float[Tensor, "... basis"], transmission: "Transmission", columns: Sequence[tuple[int, Tensor]]
 ) -> Float[Tensor, "... channel"]:
-    """Expected counts with some columns of a transmission replaced by tensors that carry gradients.
+    """Compute expected counts with some columns of a transmission replaced by tensors that carry gradients.
 
     Parameters
     ----------
     lengths : line integrals
     transmission : everything else; its nodes must be energies, so not a compressed one
     columns : index of a column, and its values at the nodes (see `edge_column`); nodes are listed channel by channel
+
+    Returns
+    -------
+    expected counts, (..., C)
+
+    Raises
+    ------
+    InputError
+        When the columns do not fit the transmission.
 
     Notes
     -----

@@ -43,7 +43,7 @@ EnergyArray = Float[np.ndarray, " energy"]
 
 
 class Response(Protocol):
-    """A detector: counts per photon in each channel, and where they are not smooth."""
+    """Interface of a detector: counts per photon in each channel, and the energies where they are not smooth."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -56,13 +56,22 @@ class Response(Protocol):
         ...
 
     def response(self, energies: Energies) -> Float[np.ndarray, "channel energy"]:
-        """Counts per photon of each bin."""
+        """Return the counts per photon of each energy bin.
+
+        Parameters
+        ----------
+        energies : energy bins
+
+        Returns
+        -------
+        counts per photon, (C, E)
+        """
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Integrand:
-    """What is summed over energy: photons x response x exp(-columns . line integrals).
+    """Integrand of the expected counts over energy: photons x response x exp(-columns . line integrals).
 
     Parameters
     ----------
@@ -96,7 +105,16 @@ class Integrand:
         return fine(self).open_beam
 
     def at(self, energy: EnergyArray) -> Float[np.ndarray, "column energy"]:
-        """Columns at `energy` [keV]."""
+        """Evaluate the columns.
+
+        Parameters
+        ----------
+        energy : energies [keV]
+
+        Returns
+        -------
+        columns, (M, E): no unit for basis functions, [1/mm] for materials
+        """
         if isinstance(self.columns, Basis):
             return self.columns.evaluate(energy)
         return np.stack([material.attenuation(energy) for material in self.columns])
@@ -132,7 +150,7 @@ def cheapest(
     tolerance: float,
     rules: Sequence[str] = RULES,
 ) -> Quadrature:
-    """The transmission with the fewest nodes whose log counts err by at most `tolerance` in a box.
+    """Find the transmission with the fewest nodes whose log counts err by at most `tolerance` in a box.
 
     Parameters
     ----------
@@ -140,6 +158,10 @@ def cheapest(
     box_low, box_high : smallest and largest line integral of each column
     tolerance : largest error of log counts
     rules : those to try; leave out ``compressed`` where every node must be an energy
+
+    Returns
+    -------
+    the transmission, its rule and its error
 
     Raises
     ------
@@ -172,10 +194,20 @@ def cheapest(
 
 
 def midpoint(integrand: Integrand, count: int, high: float | None = None) -> Transmission:
-    """`count` equal steps up to `high` [keV] (default the highest energy), nodes in the middle.
+    """Compute nodes in the middle of `count` equal steps up to `high`.
 
     The spectrum is a table in steps of `TABLE_STEP`, lines included, interpolated at the nodes. This is how most
     polychromatic models are computed; between nodes a line is lost, on a node it counts for the whole step.
+
+    Parameters
+    ----------
+    integrand : source, detector and columns
+    count : number of steps
+    high : upper limit [keV]; the highest energy of the source where left out
+
+    Returns
+    -------
+    transmission with at most `count` nodes
     """
     top = integrand.source.maximum
     if integrand.source.is_monochromatic:
@@ -189,7 +221,19 @@ def midpoint(integrand: Integrand, count: int, high: float | None = None) -> Tra
 
 
 def snapped(integrand: Integrand, step: float) -> Transmission:
-    """Bins of about `step` keV that end at every edge, with exact photons and mean energies; lines have own bins."""
+    """Compute bins of about `step` keV that end at every edge, with exact photons and mean energies.
+
+    Every characteristic line has a bin of its own.
+
+    Parameters
+    ----------
+    integrand : source, detector and columns
+    step : bin width [keV]
+
+    Returns
+    -------
+    transmission with one node per bin
+    """
     source = integrand.source
     grid = source.grid(integrand.low, max(1, ceil((source.maximum - integrand.low) / step)), integrand.breaks)
     energies, photons = source.sampled(grid)
@@ -199,14 +243,33 @@ def snapped(integrand: Integrand, step: float) -> Transmission:
 
 
 def gauss(integrand: Integrand, per_interval: int) -> Transmission:
-    """Gauss-Legendre nodes in every interval between edges, and the characteristic lines."""
+    """Compute Gauss-Legendre nodes in every interval between edges; the characteristic lines are nodes of their own.
+
+    Parameters
+    ----------
+    integrand : source, detector and columns
+    per_interval : nodes in each interval
+
+    Returns
+    -------
+    transmission with these nodes
+    """
     return _with_open_beam(_at_points(integrand, *_gauss_nodes(integrand, per_interval)), integrand.open_beam)
 
 
 def fine(integrand: Integrand) -> Transmission:
-    """Gauss-Legendre nodes between all corners of the spectrum, `FINE_STEP` apart or less: the truth of this module.
+    """Compute the reference of this module: Gauss-Legendre nodes between all corners of the spectrum.
 
-    Twice the nodes change log counts by 6e-9, and by 5e-7 where 1e-12 of the photons are left.
+    Intervals are at most `FINE_STEP` keV wide. Twice the nodes change log counts by 6e-9, and by 5e-7 where 1e-12 of
+    the photons are left.
+
+    Parameters
+    ----------
+    integrand : source, detector and columns
+
+    Returns
+    -------
+    transmission with many nodes
     """
     steps = np.arange(integrand.low, integrand.source.maximum, FINE_STEP)
     return _at_points(integrand, *_gauss_nodes(integrand, _FINE_NODES, (*integrand.source.energy, *steps)))
@@ -218,7 +281,18 @@ def log_error(
     box_low: Float[np.ndarray, " column"],
     box_high: Float[np.ndarray, " column"],
 ) -> float:
-    """Worst difference of log counts, both relative to the open beam, on corners and random rays of a box."""
+    """Compute the worst difference of log counts, relative to the open beam, on corners and random rays of a box.
+
+    Parameters
+    ----------
+    model : transmission to judge
+    exact : transmission to compare with, such as `fine`
+    box_low, box_high : smallest and largest line integral of each column
+
+    Returns
+    -------
+    largest absolute difference
+    """
     rays = _rays(exact.checked_box(box_low, box_high))
     return float(np.abs(model.log_projection(rays) - exact.log_projection(rays)).max())
 
@@ -268,7 +342,7 @@ def _at_points(integrand: Integrand, nodes: EnergyArray, photons: EnergyArray) -
 
 
 def _with_open_beam(model: Transmission, counts: Float[np.ndarray, " channel"]) -> Transmission:
-    """The same with each channel's weights scaled to its open beam; a channel that has no nodes stays blind."""
+    """Scale the weights of each channel to its open beam; a channel without nodes stays blind."""
     sums = model.open_beam
     factors = np.divide(counts, sums, out=np.zeros_like(sums), where=sums > 0)
     return replace(model, weights=model.weights * np.repeat(factors, np.diff(model.starts)))

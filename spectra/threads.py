@@ -22,7 +22,12 @@ _state: dict[str, ThreadPoolExecutor | int | None] = {"pool": None, "count": Non
 
 
 def available_threads() -> int:
-    """Threads this process may use: ``OMP_NUM_THREADS`` if set, else the processors it is allowed to run on."""
+    """Return the number of threads this process may use.
+
+    Returns
+    -------
+    ``OMP_NUM_THREADS`` if set, else the number of processors the process is allowed to run on
+    """
     wish = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
     if wish.isdigit() and int(wish) > 0:
         return int(wish)
@@ -32,13 +37,23 @@ def available_threads() -> int:
 
 
 def thread_count() -> int:
-    """Number of threads in use."""
+    """Return the number of threads in use.
+
+    Returns
+    -------
+    number of threads
+    """
     count = _state["count"]
     return count if isinstance(count, int) else available_threads()
 
 
 def set_threads(count: int | None) -> None:
-    """Use `count` threads from here on; ``None`` means all that are available."""
+    """Set the number of threads.
+
+    Parameters
+    ----------
+    count : number of threads; None for all that are available
+    """
     pool = _state["pool"]
     if isinstance(pool, ThreadPoolExecutor):
         pool.shutdown()
@@ -47,7 +62,12 @@ def set_threads(count: int | None) -> None:
 
 @contextmanager
 def without_other_pools() -> Iterator[None]:
-    """Keep OpenMP and linear algebra libraries to one thread for a while; also a decorator."""
+    """Limit OpenMP and linear algebra libraries to one thread; a context manager, also a decorator.
+
+    Yields
+    ------
+    nothing
+    """
     from threadpoolctl import threadpool_limits  # noqa: PLC0415 - nobody pays for it at import
 
     with threadpool_limits(limits=1):
@@ -55,9 +75,19 @@ def without_other_pools() -> Iterator[None]:
 
 
 def run_parallel(task: Callable[[T], R], items: Iterable[T], ahead: int = 2) -> Iterator[R]:
-    """Yield ``task(item)`` for every item, in order, with at most `ahead` results per thread waiting to be taken.
+    """Yield ``task(item)`` for every item, in order, computed by the threads of one pool.
 
     A task may call this in turn: its own pieces then run one after the other, as all threads have work already.
+
+    Parameters
+    ----------
+    task : function of one item
+    items : independent pieces of work
+    ahead : largest number of results per thread that wait to be taken
+
+    Yields
+    ------
+    results in the order of `items`
     """
     threads = thread_count()
     if threads == 1 or hasattr(_worker, "working"):

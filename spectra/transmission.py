@@ -22,7 +22,7 @@ from spectra.threads import run_parallel
 
 @dataclass(frozen=True, eq=False)
 class Transmission:
-    """Energy nodes grouped by channel.
+    """Map from line integrals to expected counts: energy nodes grouped by channel.
 
     Parameters
     ----------
@@ -57,7 +57,23 @@ class Transmission:
         columns: Float[np.ndarray, "basis energy"],
         channel_names: tuple[str, ...] = (),
     ) -> "Transmission":
-        """From photons x response (C, E) and columns (M, E) on one energy grid; zero weights are dropped."""
+        """Create a transmission from photons x response and columns on one energy grid; zero weights are dropped.
+
+        Parameters
+        ----------
+        weights : photons x response, (C, E)
+        columns : functions of energy, (M, E)
+        channel_names : one name per channel; ``bin0``, ``bin1``, ... when left out
+
+        Returns
+        -------
+        transmission with the nodes of all channels
+
+        Raises
+        ------
+        InputError
+            When weights and columns have different grids, or a weight is negative.
+        """
         weights, columns = np.atleast_2d(weights), np.atleast_2d(columns)
         if weights.shape[1] != columns.shape[1]:
             raise InputError(f"weights are given at {weights.shape[1]} energies but columns at {columns.shape[1]}")
@@ -79,46 +95,96 @@ class Transmission:
         return np.array([self.weights[a:b].sum() for a, b in pairwise(self.starts)])
 
     def expected(self, lengths: Float[np.ndarray, "... basis"]) -> Float[np.ndarray, "... channel"]:
-        """Expected counts of line integrals [mm, or mm x 1/mm for basis functions]; 0 when everything is absorbed."""
+        """Compute expected counts of line integrals; 0 when everything is absorbed.
+
+        Parameters
+        ----------
+        lengths : line integrals, (..., M): [mm] for materials, [mm x 1/mm] for basis functions
+
+        Returns
+        -------
+        expected counts, (..., C)
+        """
         rays, shape = self._rays(lengths)
         return expected_counts(rays, self.columns, self.weights, self.starts).reshape(*shape, len(self))
 
     def expected_and_jacobian(
         self, lengths: Float[np.ndarray, "... basis"]
     ) -> tuple[Float[np.ndarray, "... channel"], Float[np.ndarray, "... channel basis"]]:
-        """Expected counts and dY_c/dL_m, in one pass."""
+        """Compute expected counts and their derivatives dY_c/dL_m in one pass.
+
+        Parameters
+        ----------
+        lengths : line integrals, (..., M)
+
+        Returns
+        -------
+        counts, (..., C), and Jacobian, (..., C, M)
+        """
         rays, shape = self._rays(lengths)
         counts, jacobian = expected_and_jacobian(rays, self.columns, self.weights, self.starts)
-        return counts.reshape(*shape, len(self)), jacobian.reshape(*shape, len(self), -1)
+        return counts.reshape(*shape, len(self)), jacobian.reshape(*shape, len(self), len(self.columns))
 
     def jacobian(self, lengths: Float[np.ndarray, "... basis"]) -> Float[np.ndarray, "... channel basis"]:
-        """Derivatives dY_c/dL_m of the expected counts; never positive for positive columns."""
+        """Compute the derivatives dY_c/dL_m of the expected counts; never positive for positive columns.
+
+        Parameters
+        ----------
+        lengths : line integrals, (..., M)
+
+        Returns
+        -------
+        Jacobian, (..., C, M)
+        """
         return self.expected_and_jacobian(lengths)[1]
 
     def log_projection(self, lengths: Float[np.ndarray, "... basis"]) -> Float[np.ndarray, "... channel"]:
-        """-log(Y_c / Y_c(0)); exactly 0 without material and finite for any finite path, also where Y underflows."""
+        """Compute the log projection -log(Y_c / Y_c(0)).
+
+        Parameters
+        ----------
+        lengths : line integrals, (..., M)
+
+        Returns
+        -------
+        log projections, (..., C): exactly 0 without material and finite for any finite path, also where Y underflows
+        """
         return self.log_projection_and_slopes(lengths)[0]
 
     def log_projection_and_slopes(
         self, lengths: Float[np.ndarray, "... basis"]
     ) -> tuple[Float[np.ndarray, "... channel"], Float[np.ndarray, "... channel basis"]]:
-        """Log projection y_c and dy_c/dL_m, the mean of the columns over the photons that are left."""
+        """Compute the log projections y_c and their derivatives dy_c/dL_m.
+
+        Parameters
+        ----------
+        lengths : line integrals, (..., M)
+
+        Returns
+        -------
+        log projections, (..., C), and derivatives, (..., C, M), each the mean of a column over the photons that are
+        left
+        """
         rays, shape = self._rays(lengths)
         air = np.zeros((1, len(self.columns)))
         log_air = log_counts_and_slopes(air, self.columns, self.weights, self.starts)[0]
         log_counts, slopes = log_counts_and_slopes(rays, self.columns, self.weights, self.starts)
         projection = np.where(np.isneginf(log_air), 0.0, np.where(np.isneginf(log_air), 0.0, log_air) - log_counts)
-        return projection.reshape(*shape, len(self)), slopes.reshape(*shape, len(self), -1)
+        return projection.reshape(*shape, len(self)), slopes.reshape(*shape, len(self), len(self.columns))
 
     def fisher(
         self, lengths: Float[np.ndarray, "... basis"], dispersion: float = 0.0
     ) -> Float[np.ndarray, "... basis basis"]:
-        """Fisher information of the line integrals, J^T diag(1 / (Y + (dispersion Y)^2)) J.
+        """Compute the Fisher information of the line integrals, J^T diag(1 / (Y + (dispersion Y)^2)) J.
 
         Parameters
         ----------
         lengths : line integrals
         dispersion : relative model error added to the Poisson variance; 0 for pure Poisson
+
+        Returns
+        -------
+        Fisher information, (..., M, M)
 
         Notes
         -----
@@ -132,15 +198,19 @@ class Transmission:
     def cramer_rao(
         self, lengths: Float[np.ndarray, "... basis"], dispersion: float = 0.0
     ) -> Float[np.ndarray, "... basis basis"]:
-        """Smallest covariance that unbiased estimates of the line integrals can have, the inverse of `fisher`.
+        """Compute the smallest covariance of unbiased estimates of the line integrals, the inverse of `fisher`.
 
-        All entries are infinite where the channels cannot tell the columns apart: no photons are left, there are fewer
+        All entries are infinite where the channels cannot separate the columns: no photons are left, there are fewer
         channels than columns, or the condition number of the information, each column scaled to 1, exceeds 1e12.
 
         Parameters
         ----------
         lengths : line integrals
         dispersion : relative model error added to the Poisson variance; 0 for pure Poisson
+
+        Returns
+        -------
+        covariance, (..., M, M)
         """
         return least_covariance(self.fisher(lengths, dispersion))
 
@@ -153,7 +223,7 @@ class Transmission:
         refine: bool = True,
         thorough: bool = False,
     ) -> tuple["Transmission", float]:
-        """Fewer nodes that give the same counts for every ray whose line integrals lie in a box.
+        """Reduce the nodes to fewer ones that give the same counts for every ray with line integrals in a box.
 
         Parameters
         ----------
@@ -167,6 +237,11 @@ class Transmission:
         -------
         the smaller transmission (the same one where nothing could be saved), and the worst error of its log counts on
         rays of the box that were not used to find it
+
+        Raises
+        ------
+        InputError
+            When the tolerance is not positive, or the box does not fit the columns.
         """
         box = self.checked_box(box_low, box_high)
         if not tolerance > 0:
@@ -180,9 +255,9 @@ class Transmission:
         return self._with_channels(run_parallel(channel, range(len(self))))
 
     def choose(self, lengths: Float[np.ndarray, "ray basis"], tolerance: float) -> tuple["Transmission", float]:
-        """Some of the nodes, with other weights, that give the same counts for rays like these.
+        """Select some of the nodes, with other weights, that give the same counts for rays like the given ones.
 
-        For columns so many that no sample fills a box of them, where `compress` fails.
+        For so many columns that no sample fills a box of them, where `compress` fails.
 
         Parameters
         ----------
@@ -203,7 +278,7 @@ class Transmission:
         return self._with_channels(run_parallel(channel, range(len(self))))
 
     def _with_channels(self, channels: Iterable[tuple[np.ndarray, np.ndarray, float]]) -> tuple["Transmission", float]:
-        """The same channels with other weights and columns, and the worst of their errors."""
+        """Replace weights and columns of all channels; also return the worst of their errors."""
         weights, columns, errors = zip(*channels, strict=True)
         starts = np.concatenate([[0], np.cumsum([len(w) for w in weights])])
         small = Transmission(np.concatenate(columns, axis=1), np.concatenate(weights), starts, self.channel_names)
@@ -212,7 +287,21 @@ class Transmission:
     def checked_box(
         self, low: Float[np.ndarray, " basis"], high: Float[np.ndarray, " basis"]
     ) -> Float[np.ndarray, "2 basis"]:
-        """Smallest and largest line integrals as one array, refused where they do not ascend or fit the columns."""
+        """Return the smallest and largest line integrals as one array.
+
+        Parameters
+        ----------
+        low, high : smallest and largest line integral of each column
+
+        Returns
+        -------
+        array of shape (2, M)
+
+        Raises
+        ------
+        InputError
+            When the limits do not ascend or do not fit the columns.
+        """
         if np.shape(low) != np.shape(high) or np.shape(low) != (len(self.columns),):
             raise InputError(f"the box of line integrals must ascend and have {len(self.columns)} entries each")
         box = np.array([low, high], dtype=np.float64)

@@ -73,6 +73,32 @@ def test_tables_of_physics_and_files_of_meshes_have_one_door_each(imports):
     assert imports.find_modules_that_directly_import("SimpleITK") == {"phantomgen.scene.input_files.voxel_volume"}
 
 
+def folders_of_modules() -> dict[Path, set[str]]:
+    """Folders of the packages, and the modules and folders in each."""
+    found = {}
+    for package in PACKAGES:
+        for init in (ROOT / package).rglob("__init__.py"):
+            modules = {path.stem for path in init.parent.glob("*.py")} - {"__init__", "__main__"}
+            found[init.parent] = modules | {path.parent.name for path in init.parent.glob("*/__init__.py")}
+    return found
+
+
+def test_a_folder_holds_about_a_dozen_files_at_most():
+    counts = {str(path.relative_to(ROOT)): len(list(path.glob("*.py"))) - 1 for path in folders_of_modules()}
+    assert {folder: count for folder, count in counts.items() if count > 14} == {}
+
+
+def test_every_module_has_a_layer_in_the_contract_of_its_folder():
+    contracts = [c for c in PROJECT["tool"]["importlinter"]["contracts"] if "containers" in c]
+    listed = {c["containers"][0]: {m.strip() for line in c["layers"] for m in line.split("|")} for c in contracts}
+    for path, modules in folders_of_modules().items():
+        name = ".".join(path.relative_to(ROOT).parts)
+        if name in listed:
+            assert modules == listed[name], name
+        else:
+            assert len(modules) <= 3, f"{name} has no contract"
+
+
 def test_no_file_is_longer_than_600_lines():
     sources = files(*PACKAGES, "tests", "examples", "benchmarks", suffix=".py")
     lengths = {path.relative_to(ROOT): len(path.read_text(encoding="utf-8").splitlines()) for path in sources}

@@ -100,18 +100,18 @@ def loops(sigma: float, count: int, c: ctypes.CDLL | None) -> str:
     scene.images()
     views, weights = next(scene._groups()), scene.coefficients
     table, lengths = views.tables[0], views.lengths[0]
-    k2, pull = np.float32(CUTOFF**2), np.random.default_rng(0).normal(size=image.shape).astype(np.float32)
-    pull[..., PIXELS:] = 0
+    k2, cotangent = np.float32(CUTOFF**2), np.random.default_rng(0).normal(size=image.shape).astype(np.float32)
+    cotangent[..., PIXELS:] = 0
     sums, lanes = np.zeros((count, 12)), np.zeros(BASES * WIDTH, np.float32)
     tasks: dict[str, Callable[[], object]] = {
         "forward": lambda: cpu.forward(EACH, table, weights, lengths, CUTOFF, PIXELS, 0, PIXELS, image),
-        "backward": lambda: gather(table, weights, pull, k2, PIXELS, sums, lanes),
+        "backward": lambda: gather(table, weights, cotangent, k2, PIXELS, sums, lanes),
         "call": lambda: whole_call(parts, 1),
     }
     if c is not None:
         c_image, c_sums = np.zeros_like(image), np.zeros((count, 12 + BASES), np.float32)
         sizes = (ctypes.c_float(CUTOFF**2), count, PIXELS, PIXELS, PIXELS + WIDTH)
-        arrays = [x.ctypes.data_as(ctypes.c_void_p) for x in (table, weights, c_image, pull, c_sums, lengths)]
+        arrays = [x.ctypes.data_as(ctypes.c_void_p) for x in (table, weights, c_image, cotangent, c_sums, lengths)]
         tasks["c forward"] = lambda: c.forward(*arrays[:2], arrays[5], arrays[2], *sizes)
         tasks["c backward"] = lambda: c.backward(*arrays[:2], arrays[3], arrays[4], *sizes)
     pixels = inside(table, k2, PIXELS)

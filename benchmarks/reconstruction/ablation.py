@@ -1,12 +1,12 @@
 """What each part of a fit is worth: one change at a time, error and processor time.
 
-    python -m benchmarks.reconstruction.ablation [upright | metal | implant | pin] [WORD ...]
+    python -m benchmarks.reconstruction.ablation [z_aligned | metal | implant | pin] [WORD ...]
 
 Fits of `development.yaml`, the scene on which recipes were chosen, or of one of its siblings,
 `development_z_aligned.yaml` and so on; rows whose name is one of the words, or has it after the recipe's name; all
 where there are none. Scores are PSNR [dB] of the basis volumes; times are processor time of both threads from reading
 to the last step, so that they do not depend on what else the machine does. Rows take the place of those in
-`results/levers.txt`, `results/levers_upright.txt` and so on.
+`results/ablation.txt`, `results/ablation_z_aligned.txt` and so on.
 """
 
 import platform
@@ -34,13 +34,18 @@ from recon.gaussians.reconstruct import reconstruct
 from spectra.threads import thread_count
 
 FOLDER = Path(__file__).parents[1]
-OTHERS = ("upright", "metal", "implant", "pin")  # flat sides on faces of voxels; thin and thick metal; metal in tissue
-NAMED = 66  # characters of a row for its lever
-HEADER = f"{'lever':<66}PE     Compton  K edge  CPU s  Gaussians"
+OTHERS = (
+    "z_aligned",
+    "metal",
+    "implant",
+    "pin",
+)  # flat sides on faces of voxels; thin and thick metal; metal in tissue
+NAMED = 66  # characters of a row for its change
+HEADER = f"{'change':<66}PE     Compton  K edge  CPU s  Gaussians"
 
 
 @dataclass(frozen=True)
-class Lever:
+class Change:
     """A fit that differs from another in one thing.
 
     Parameters
@@ -55,12 +60,12 @@ class Lever:
     patches: tuple[tuple[str, Any], ...] = ()
 
 
-def fast(name: str, *patches: tuple[str, Any], **changes: Any) -> Lever:
-    return Lever(f"fast, {name}", replace(FAST, **changes), patches)
+def fast(name: str, *patches: tuple[str, Any], **changes: Any) -> Change:
+    return Change(f"fast, {name}", replace(FAST, **changes), patches)
 
 
-def best(name: str, *patches: tuple[str, Any], **changes: Any) -> Lever:
-    return Lever(f"best, {name}", replace(BEST, **changes), patches)
+def best(name: str, *patches: tuple[str, Any], **changes: Any) -> Change:
+    return Change(f"best, {name}", replace(BEST, **changes), patches)
 
 
 HELD = {"centre_rate": 1e-9, "shape_rate": 1e-9}
@@ -72,7 +77,7 @@ UNEVEN = ("recon.data.measurements.even_shares", lambda counts, air: 1.0)
 UNDOUBTED = ("recon.data.measurements.doubtful_shares", lambda counts, air, dispersion: 1.0)
 EVEN_PACE = ("recon.voxel.iterative.likelihood.relative_density", lambda volumes: np.ones_like(volumes[0]))
 NO_DENSITY = ("recon.gaussians.voxel_prior.over_metal", lambda volumes: np.ones_like(volumes[0]))
-EVEN_SAY = ("recon.voxel.iterative.one_step._say", lambda curvatures, density: np.ones_like(density))
+EVEN_SAY = ("recon.voxel.iterative.one_step._statistical_weights", lambda curvatures, density: np.ones_like(density))
 HELD_BACK = ("recon.voxel.iterative.one_step.UNMET", 1e-3)
 NODES = ("recon.voxel.iterative.one_step.means_in_metal", lambda volumes: volumes)
 UP_TO_METAL = ("recon.data.volume_edges.LARGEST", np.inf)
@@ -82,8 +87,8 @@ BASIS_BY_BASIS = (
 )
 UNSHARPENED = ("recon.voxel.iterative.one_step.sharpened", lambda volumes: volumes)
 
-LEVERS = (
-    Lever("fast", FAST),
+CHANGES = (
+    Change("fast", FAST),
     fast("from decomposed rays and FDK, no prior, 3 sweeps", **FROM_RAYS, stages=(Stage(0.5, 3.0),)),
     fast("coarse voxels not sharpened", UNSHARPENED),
     fast("pixels summed to match voxels by their sums", SUMMED),
@@ -110,7 +115,7 @@ LEVERS = (
     fast("half as many evaluations as Gaussians follow", approximation=30),
     fast("2 views per step", views_per_step=2),
     fast("fewer Gaussians, spacing 1.2", spacing=1.2),
-    Lever("best", BEST),
+    Change("best", BEST),
     best("bases count by the rays' information as Gaussians follow", BY_INFORMATION),
     best("steps of the geometry at full length at once", warm_up=0.0),
     best("2 views per step", views_per_step=2),
@@ -132,16 +137,16 @@ def patched(patches: tuple[tuple[str, Any], ...]) -> Iterator[None]:
         yield
 
 
-def row_of(lever: Lever, dataset: Dataset) -> str:
+def row_of(change: Change, dataset: Dataset) -> str:
     """One line of the results."""
-    with patched(lever.patches):
+    with patched(change.patches):
         began = time.process_time()
-        gaussians = reconstruct(dataset, lever.recipe).gaussians
+        gaussians = reconstruct(dataset, change.recipe).gaussians
         seconds = time.process_time() - began
     truth = read_truth(dataset.path)
     assert truth is not None
     scores = "  ".join(f"{score:5.2f}" for score in psnr_of_bases(truth, gaussians).values())
-    return f"{lever.name:<66}{scores}  {seconds:6.1f}  {len(gaussians):8d}"
+    return f"{change.name:<66}{scores}  {seconds:6.1f}  {len(gaussians):8d}"
 
 
 def main(words: list[str]) -> None:
@@ -153,9 +158,9 @@ def main(words: list[str]) -> None:
         tempfile.TemporaryDirectory() as folder,
         phantomgen.make(scan, out=Path(folder) / "scan.h5") as dataset,
     ):
-        for lever in LEVERS:
-            if not words or lever.name in words or any(word in lever.name.partition(", ")[2] for word in words):
-                row = row_of(lever, dataset)
+        for change in CHANGES:
+            if not words or change.name in words or any(word in change.name.partition(", ")[2] for word in words):
+                row = row_of(change, dataset)
                 store(table, [f"{platform.machine()}, {thread_count()} threads", HEADER], row, NAMED)
                 print(row, flush=True)
 

@@ -1,10 +1,10 @@
 """Settings of the methods that Gaussians are compared with, as they follow counts free of partial volume.
 
-    python -m benchmarks.reconstruction.comparison_methods [metal | implant | pin | upright] [METHOD ...]
+    python -m benchmarks.reconstruction.comparison_methods [metal | implant | pin | z_aligned] [METHOD ...]
 
 PSNR [dB] of the basis volumes and their mean, and processor time, on `development.yaml` or one of its siblings with
 64^3 voxels, 45 views and pixels of a voxel. Settings are named by what differs from the defaults; the method runs once
-for all numbers of iterations. Rows take the place of those in `results/opponents.txt`. No preset takes part.
+for all numbers of iterations. Rows take the place of those in `results/comparison_methods.txt`. No preset takes part.
 """
 
 import platform
@@ -33,7 +33,7 @@ from spectra.threads import thread_count, without_other_pools
 
 FOLDER = Path(__file__).parents[1]
 TABLE = FOLDER / "results" / "comparison_methods.txt"
-SCENES = ("metal", "implant", "pin", "upright")
+SCENES = ("metal", "implant", "pin", "z_aligned")
 SMALLER = ["volume.voxels=64", "geometry.views=45", "panel.rows=128", "panel.columns=128", "panel.pitch=1.6"]
 NAMES = "{:<15}{:<10}{:<44}"  # scene, method, settings
 HEADER = f"{NAMES.format('scene', 'method', 'settings')}   PE  Compton  K edge  mean   CPU s"

@@ -62,7 +62,7 @@ def row_of(name: str, dataset: Dataset) -> str:
     seconds = time.process_time() - began
     truth = read_truth(dataset.path)
     assert truth is not None
-    start = Voxels(found.start_volumes, dataset.grid, found.gaussians.basis_names)
+    start = Voxels(found.initial_volumes, dataset.grid, found.gaussians.basis_names)
     before, after = (
         "  ".join(f"{score:5.2f}" for score in psnr_of_bases(truth, model).values())
         for model in (start, found.gaussians)

@@ -12,7 +12,7 @@ ATTENUATION = (0.02, 0.05, 0.04, 0.01)
 
 
 def frames() -> np.ndarray:
-    """Rays of all views as `expose` takes them."""
+    """Rays of all views as `expected_counts` takes them."""
     angles = np.linspace(0, 2 * np.pi, VIEWS, endpoint=False)
     return Geometry.circular(SOD, SDD, angles, Panel(SIDE, SIDE, 1.0)).ray_frames()
 

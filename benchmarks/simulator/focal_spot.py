@@ -20,7 +20,7 @@ from phantomgen.effects import FocalSpot
 from phantomgen.effects.focal_spot import spot_lattice
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
-from phantomgen.ops.expected_counts import RULES, expose
+from phantomgen.ops.expected_counts import RULES, expected_counts
 from phantomgen.shapes import Cylinder, Sphere, solids_of
 
 SOD, SDD, PITCH = 500.0, 800.0, 0.8
@@ -35,7 +35,7 @@ def view(frames: np.ndarray, pixels: int, solids, rules=RULES) -> np.ndarray:
     """Average over source points."""
     total = np.zeros((pixels, pixels))
     for frame in frames:
-        total += expose(frame, pixels, pixels, solids, *SPECTRUM, rules=rules).counts[0]
+        total += expected_counts(frame, pixels, pixels, solids, *SPECTRUM, rules=rules).counts[0]
     return total / len(frames)
 
 
@@ -105,7 +105,7 @@ def main(pixels: int) -> None:
         times = []
         for _ in range(3):
             began = time.perf_counter()
-            expose(frame, pixels, pixels, solids, *SPECTRUM, rules=rules)
+            expected_counts(frame, pixels, pixels, solids, *SPECTRUM, rules=rules)
             times.append(time.perf_counter() - began)
         print(f"{'cheap' if rules is CHEAP else 'usual'} rules: {min(times) * 1e3:.1f} ms per point")
 

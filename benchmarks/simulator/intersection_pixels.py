@@ -2,7 +2,7 @@
 
     python -m benchmarks.simulator.intersection_pixels
 
-Prints, and writes to results/kinked_pixels.txt beside this file.
+Prints, and writes to results/intersected_pixels.txt beside this file.
 """
 
 import platform
@@ -14,7 +14,7 @@ import trimesh
 
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
-from phantomgen.ops.expected_counts import CROSSED, KINKED, expose, expose_brute
+from phantomgen.ops.expected_counts import CROSSED, INTERSECTED, expected_counts, expected_counts_by_grid
 from phantomgen.ops.solids import Solids
 from phantomgen.scene.scan import load_scene
 from phantomgen.shapes import Box, Cylinder, Difference, HalfSpace, Intersection, Mesh, Shape, Sphere, Union, solids_of
@@ -30,7 +30,7 @@ BODY: tuple[Shape, int] = (Cylinder((0, 0, 0), 50.0, 100.0), 0)
 
 
 def bodies() -> dict[str, Solids]:
-    """Scenes of few shapes with kinks, in a cylinder of soft tissue."""
+    """Scenes of few shapes that intersect, in a cylinder of soft tissue."""
     first, second = Cylinder((3, 2, 1), 14.0, 70.0, (0.3, 0.2, 1)), Cylinder((0, 0, 0), 10.0, 80.0, (1, 0.4, 0.1))
     tube = trimesh.creation.annulus(12.0, 16.0, 70.0, sections=24)
     ball = trimesh.creation.icosphere(3, 20.0)
@@ -70,10 +70,10 @@ def rows_of(name: str, frame: np.ndarray, rows: int, columns: int, solids: Solid
 
     def brute(pixels: np.ndarray, n: int) -> np.ndarray:
         pieces = np.array_split(pixels, max(1, len(pixels) // 8))
-        return np.concatenate(list(run_parallel(lambda p: expose_brute(frame, p, *args, n=n), pieces)))
+        return np.concatenate(list(run_parallel(lambda p: expected_counts_by_grid(frame, p, *args, n=n), pieces)))
 
-    classes, rng = expose(frame, rows, columns, *args).classes, np.random.default_rng(0)
-    chosen = [np.argwhere(classes == kind) for kind in (KINKED, CROSSED)]
+    classes, rng = expected_counts(frame, rows, columns, *args).classes, np.random.default_rng(0)
+    chosen = [np.argwhere(classes == kind) for kind in (INTERSECTED, CROSSED)]
     counted, chosen = len(chosen[0]), [rng.permutation(pixels)[:SAMPLE] for pixels in chosen]
     exact = [brute(pixels, RAYS) for pixels in chosen]
     lines = [f"{name:<17} {'16 x 16':<8} {counted:7d} {256:8d}   {log_error(brute(chosen[0], 16), exact[0])}"]
@@ -82,10 +82,10 @@ def rows_of(name: str, frame: np.ndarray, rows: int, columns: int, solids: Solid
         times = []
         for _ in range(3):
             begin = time.thread_time()
-            found = expose(frame, rows, columns, *args, kink_tolerance=tolerance)
+            found = expected_counts(frame, rows, columns, *args, intersection_tolerance=tolerance)
             times.append(time.thread_time() - begin)
         errors = [log_error(found.counts[:, p[:, 0], p[:, 1]].T, e) for p, e in zip(chosen, exact, strict=True)]
-        each = found.rays[KINKED] / max(1, counted)
+        each = found.rays[INTERSECTED] / max(1, counted)
         lines.append(
             f"{name:<17} {tolerance:<8.0e} {counted:7d} {each:8.0f}   {errors[0]}   {errors[1]} {1e3 * min(times):9.1f}"
         )
@@ -97,7 +97,7 @@ def main() -> None:
     lines = [
         f"{platform.machine()}, one thread, {SIDE} x {SIDE} pixels (aorta: 182 x 158), 4 channels of 5 energies",
         f"against {RAYS} x {RAYS} rays in up to {SAMPLE} pixels of each class",
-        "scene             rule      kinked rays each   kinked: rms, worst  crossed: rms, worst   ms/view",
+        "scene             rule      intersected rays each   intersected: rms, worst  crossed: rms, worst   ms/view",
     ]
     print("\n".join(lines))
     for name, solids in bodies().items():

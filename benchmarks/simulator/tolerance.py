@@ -1,12 +1,12 @@
-"""Error against time: what a tolerance costs, and whether it is met by an independent yardstick.
+"""Error against time: what a tolerance costs, and whether it is met by an independent reference.
 
     python -m benchmarks.simulator.tolerance [kedge multi-energy=1e-5 aorta=1e-4,1e-5 voxels ...]
     python -m benchmarks.simulator.tolerance --draw
 
 For each scene and each tolerance from 1e-1 to 1e-5: the plan, milliseconds per view (all threads, minimum of three
 runs, or one run where it is long), and the worst log error of 24 edge pixels against 512 x 512 rays each and ten times
-finer energies, and of 2000 rays against these energies alone. The yardstick's own error at silhouettes is some 2e-5.
-Scenes with many materials or voxels take long, because the yardstick does: a minute for `kedge`, many for the others.
+finer energies, and of 2000 rays against these energies alone. The reference's own error at silhouettes is some 2e-5.
+Scenes with many materials or voxels take long, because the reference does: a minute for `kedge`, many for the others.
 Rows take the place of those in `results/tolerance.txt` of the same scene and tolerance; the figure is drawn from that
 file, by `--draw` alone where nothing is to be measured.
 """
@@ -22,7 +22,7 @@ import matplotlib as mpl
 import numpy as np
 
 from benchmarks.result_rows import store
-from phantomgen.ops.expected_counts import CROSSED, VOXELS, expose, expose_brute
+from phantomgen.ops.expected_counts import CROSSED, VOXELS, expected_counts, expected_counts_by_grid
 from phantomgen.scene.scan import Scan, load_scene
 from phantomgen.simulation.checks.verification import FINER
 from phantomgen.simulation.checks.verification import _ray_errors as ray_errors
@@ -66,7 +66,7 @@ def voxel_scene(folder: Path) -> Scan:
     return load_scene(folder / "voxels.yaml")
 
 
-class Yardstick:
+class Reference:
     """Edge pixels of one view, their counts by many rays and fine energies, and those energies."""
 
     def __init__(self, scan: Scan) -> None:
@@ -74,13 +74,13 @@ class Yardstick:
         fine, _ = compressed_transmission(scan, sampled_lengths(scan), 1e-7, refine=False, step=STEP / FINER)
         spectrum = fine.columns, fine.weights, fine.starts, scan.scene.background
         frame, panel = scan.geometry.ray_frames()[self.view], scan.geometry.panel
-        classes = expose(frame, panel.rows, panel.columns, scan.scene.solids, *spectrum, sub_rays=2).classes
+        classes = expected_counts(frame, panel.rows, panel.columns, scan.scene.solids, *spectrum, sub_rays=2).classes
         pixels = np.argwhere(classes >= CROSSED)
         self.pixels = pixels[np.random.default_rng(9).permutation(len(pixels))[:PIXELS]]
         rays = RAYS // 4 if (classes == VOXELS).any() else RAYS  # voxels have no silhouettes, and each ray costs more
 
         def brute(some: np.ndarray) -> np.ndarray:
-            return expose_brute(frame, some, scan.scene.solids, *spectrum, n=rays)
+            return expected_counts_by_grid(frame, some, scan.scene.solids, *spectrum, n=rays)
 
         parts = run_parallel(brute, np.array_split(self.pixels, len(self.pixels)))
         self.exact = np.concatenate(list(parts)) / fine.open_beam
@@ -112,14 +112,14 @@ def milliseconds(scan: Scan, plan: Plan) -> float:
     return 1e3 * min(took) / count
 
 
-def row_of(scan: Scan, yardstick: Yardstick, name: str, tolerance: float) -> str:
+def row_of(scan: Scan, reference: Reference, name: str, tolerance: float) -> str:
     """One line of the results."""
     began = time.perf_counter()
     plan = make_plan(scan, tolerance)
     planned = time.perf_counter() - began
     how = "; ".join(choice.setting for choice in plan.choices[1:]) + (" MISSED" if plan.missed else "")
     return (
-        f"{name:<14}{tolerance:9.0e}  {plan.error:.1e}   {yardstick.worst_error(plan):.1e}  "
+        f"{name:<14}{tolerance:9.0e}  {plan.error:.1e}   {reference.worst_error(plan):.1e}  "
         f"{milliseconds(scan, plan):7.1f}  {planned:8.1f}  {sum(plan.nodes):5d}  {how}"
     )
 
@@ -151,9 +151,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for name, _, values in (word.partition("=") for word in wanted if word != "--draw"):
             scan = voxel_scene(Path(folder)) if name == "voxels" else load_scene(name)
-            yardstick = Yardstick(scan)
+            reference = Reference(scan)
             for tolerance in map(float, values.split(",")) if values else TOLERANCES:
-                store(TABLE, [machine(), HEADER], row_of(scan, yardstick, name, tolerance), NAMED)
+                store(TABLE, [machine(), HEADER], row_of(scan, reference, name, tolerance), NAMED)
     draw()
 
 

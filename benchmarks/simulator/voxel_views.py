@@ -15,7 +15,7 @@ import numpy as np
 
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
-from phantomgen.ops.expected_counts import expose, expose_brute
+from phantomgen.ops.expected_counts import expected_counts, expected_counts_by_grid
 from phantomgen.ops.voxel_maps import VoxelMap
 from phantomgen.shapes import Voxels, solids_of
 
@@ -43,11 +43,11 @@ def main() -> None:
         panel = Panel(side, side, 204.8 / side)
         frame = Geometry.circular(500.0, 800.0, np.array([0.3]), panel).ray_frames()[0]
         chosen = np.argwhere(np.ones((side, side)))[rng.choice(side**2, 300, replace=False)]
-        brute = expose_brute(frame, chosen, solids, *SPECTRUM, n=64)
+        brute = expected_counts_by_grid(frame, chosen, solids, *SPECTRUM, n=64)
         for rays in (1.0, 2.0, 4.0, 8.0):
-            expose(frame, side, side, solids, *SPECTRUM, rays_per_voxel=rays)
+            expected_counts(frame, side, side, solids, *SPECTRUM, rays_per_voxel=rays)
             begin = time.thread_time()
-            counts = expose(frame, side, side, solids, *SPECTRUM, rays_per_voxel=rays).counts
+            counts = expected_counts(frame, side, side, solids, *SPECTRUM, rays_per_voxel=rays).counts
             took = 1e3 * (time.thread_time() - begin)
             error = np.log(counts[:, chosen[:, 0], chosen[:, 1]].T / brute)
             ratio = 204.8 / side / 1.6 / SPACING

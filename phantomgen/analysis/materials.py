@@ -1,4 +1,4 @@
-"""What materials are there, and what is known of one: density, elements, attenuation, and its fit in the basis."""
+"""Known materials, and the data of one: density, elements, attenuation, and its fit in the basis."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -23,7 +23,7 @@ EnergyArray = Float[np.ndarray, " energy"]
 
 @dataclass(frozen=True, eq=False)
 class MaterialFit:
-    """A material with a composition, in photoelectric, Compton and one element function per K edge from 20 to 140 keV.
+    """Fit of a composition: photoelectric, Compton and one element function per K edge from 20 to 140 keV.
 
     Parameters
     ----------
@@ -43,7 +43,21 @@ class MaterialFit:
 
     @classmethod
     def of(cls, material: Material) -> "MaterialFit":
-        """Fit a material."""
+        """Fit a material.
+
+        Parameters
+        ----------
+        material : with a composition
+
+        Returns
+        -------
+        the fit
+
+        Raises
+        ------
+        InputError
+            When the material has no composition.
+        """
         if material.composition is None:
             raise InputError(f"material {material.name!r} is given by coefficients: there is no curve to compare with")
         basis = _basis(material)
@@ -58,7 +72,12 @@ class MaterialFit:
         return self.fitted / self.exact - 1
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return all values under stable keys, for JSON.
+
+        Returns
+        -------
+        the mapping
+        """
         printed = np.array(_PRINTED)
         mu = self.material.attenuation(printed)
         elements = {symbol(number): share for number, share in mass_fractions(self.material.composition or {})}
@@ -80,7 +99,7 @@ class MaterialFit:
 
     @property
     def text(self) -> str:
-        """For people."""
+        """Fit as text."""
         facts = self.to_dict()
         source = f", {facts['source']}" if facts["source"] else ""
         fractions = ", ".join(f"{element} {share:.4g}" for element, share in facts["mass_fractions"].items())
@@ -108,7 +127,12 @@ class MaterialFit:
 
 
 def catalogue() -> dict[str, dict[str, float]]:
-    """Density [g/cm^3] by name, in groups: library, elements, NIST compounds."""
+    """Return the densities of known materials, in groups: library, elements, NIST compounds.
+
+    Returns
+    -------
+    density [g/cm^3] by group and name
+    """
     library = {group: {name: entry.density for name, entry in entries.items()} for group, entries in GROUPS.items()}
     elements = {symbol(number): float(natural_density(symbol(number)) or 0) for number in range(1, len(ELEMENTS) + 1)}
     nist = {name: float(natural_density(name) or 0) for name in sorted(nist_names(), key=str.casefold)}
@@ -116,7 +140,16 @@ def catalogue() -> dict[str, dict[str, float]]:
 
 
 def catalogue_text(groups: dict[str, dict[str, float]]) -> str:
-    """The same for people."""
+    """Return the catalogue as text.
+
+    Parameters
+    ----------
+    groups : result of `catalogue`
+
+    Returns
+    -------
+    lines of text
+    """
     called = {symbol(i + 1): name for i, name in enumerate(ELEMENTS)}
     lines = []
     for group, densities in groups.items():
@@ -128,13 +161,22 @@ def catalogue_text(groups: dict[str, dict[str, float]]) -> str:
 
 
 def find_material(name: str, density: float | None = None, scene: str | None = None) -> Material:
-    """A material by name or formula, or one of a scene.
+    """Return a material by name or formula, or one of a scene.
 
     Parameters
     ----------
     name : of the catalogue, a formula, or a name in `scene`
     density : [g/cm^3]; needed for formulas
     scene : preset or scene file whose materials are meant
+
+    Returns
+    -------
+    the material
+
+    Raises
+    ------
+    InputError
+        When the name is unknown.
     """
     if scene is None:
         return Material(name, density, name)

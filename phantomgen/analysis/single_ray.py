@@ -1,4 +1,4 @@
-"""What the channels of a scan count, and how well they tell its basis functions apart: in air and behind an object."""
+"""Counts of a single ray, and how well the channels separate the basis functions, in air and behind an object."""
 
 import re
 from collections.abc import Mapping
@@ -24,15 +24,21 @@ _LAYER = re.compile(r"\s*([0-9.eE+-]*[0-9.])\s*(mm|cm|m)\s+(\S.*?)\s*$")
 
 @dataclass(frozen=True)
 class Layer:
-    """A slab of material in the beam; thickness in mm."""
+    """Slab of material in the beam.
+
+    Parameters
+    ----------
+    material : of the slab
+    thickness : [mm]
+    """
 
     material: Material
     thickness: float
 
 
 @dataclass(frozen=True, eq=False)
-class WorkingPoint:
-    """Expected counts of one ray, and what they tell about the line integrals of the basis functions.
+class SingleRayBound:
+    """Expected counts of one ray, and the Cramer-Rao bound of its basis line integrals.
 
     Parameters
     ----------
@@ -47,14 +53,18 @@ class WorkingPoint:
     @classmethod
     def of(
         cls, scan: Scan, layers: tuple[Layer, ...] = (), traces: Mapping[str, float] | None = None
-    ) -> "WorkingPoint":
-        """Channels of a scan behind layers, which attenuate by their exact curves.
+    ) -> "SingleRayBound":
+        """Create the channels of a scan behind layers, which attenuate by their exact curves.
 
         Parameters
         ----------
         scan : source, channels and basis
         layers : what is in the beam
         traces : line integrals of basis functions that are in the beam as well [no unit]
+
+        Returns
+        -------
+        the bound
         """
         energies, photons = scan_photons(scan, layers)
         columns = scan.basis.evaluate(energies.nodes)
@@ -74,7 +84,7 @@ class WorkingPoint:
 
     @property
     def bounds(self) -> Float[np.ndarray, " basis"]:
-        """Cramer-Rao bounds of the basis line integrals [no unit]; infinite where channels cannot tell them apart."""
+        """Cramer-Rao bounds of the basis line integrals [no unit]; infinite where channels cannot separate them."""
         return least_deviations(self.transmission.fisher(np.zeros(len(self.transmission.columns))))
 
     @property
@@ -84,7 +94,17 @@ class WorkingPoint:
 
 
 def scan_photons(scan: Scan, layers: tuple[Layer, ...] = ()) -> tuple[Energies, Float[np.ndarray, " energy"]]:
-    """Energy bins that break at every edge, and photons per pixel and view behind layers."""
+    """Return energy bins that break at every edge, and photons per pixel and view behind layers.
+
+    Parameters
+    ----------
+    scan : source and channels
+    layers : slabs in the beam
+
+    Returns
+    -------
+    bins, and photons in each
+    """
     source, detector, basis = scan.source, scan.detector, scan.basis
     low = max(LOWEST_ENERGY, float(np.concatenate([source.energy, source.line_energy]).min()) - STEP)
     edges = (edge for layer in layers for edge in layer.material.k_edges(low, source.maximum))
@@ -96,7 +116,19 @@ def scan_photons(scan: Scan, layers: tuple[Layer, ...] = ()) -> tuple[Energies, 
 
 
 def layers_of(text: str, scan: Scan) -> tuple[Layer, ...]:
-    """Layers of a text such as ``20 cm water + 5 mm bone``; materials are those of the scene, else known by name."""
+    """Parse layers from text such as ``20 cm water + 5 mm bone``.
+
+    Materials are those of the scene, else known by name.
+
+    Parameters
+    ----------
+    text : the layers
+    scan : the scan
+
+    Returns
+    -------
+    the layers
+    """
     return tuple(_layer(part, text, scan) for part in text.split("+")) if text.strip() else ()
 
 

@@ -1,4 +1,4 @@
-"""What is known of the energies of a scan: beam quality, counts per channel, conditioning, and the least noise."""
+"""Energies of a scan in numbers: beam quality, counts per channel, conditioning, and the least noise."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.analysis.single_ray import BEHIND, WorkingPoint, layers_of, scan_photons
+from phantomgen.analysis.single_ray import BEHIND, SingleRayBound, layers_of, scan_photons
 from phantomgen.scene.scan import Scan
 from spectra.basis.basis import BasisFunction, pretty
 from spectra.basis.conditioning import conditioning_of
 from spectra.detector.detector import AnyDetector
-from spectra.detector.multi_source import SeveralSources
+from spectra.detector.multi_source import MultiSource
 from spectra.elements.attenuation import mass_attenuation
 from spectra.errors import InputError
 from spectra.source.beam_quality import COPPER, BeamQuality, half_value_layers
@@ -19,7 +19,7 @@ from spectra.source.beam_quality import COPPER, BeamQuality, half_value_layers
 
 @dataclass(frozen=True, eq=False)
 class SpectrumReport:
-    """The energies of a scan in numbers.
+    """Energies of a scan in numbers.
 
     Parameters
     ----------
@@ -36,14 +36,24 @@ class SpectrumReport:
     behind: str
     quality: BeamQuality
     copper: tuple[float, float]
-    air: WorkingPoint
-    object: WorkingPoint
+    air: SingleRayBound
+    object: SingleRayBound
     condition: dict[str, tuple[float, float]]
 
     @classmethod
     def of(cls, scan: Scan, behind: str = BEHIND) -> "SpectrumReport":
-        """Describe a scan."""
-        air, behind_object = WorkingPoint.of(scan), WorkingPoint.of(scan, layers_of(behind, scan))
+        """Describe the energies of a scan.
+
+        Parameters
+        ----------
+        scan : the scan
+        behind : layers before the second working point
+
+        Returns
+        -------
+        the description
+        """
+        air, behind_object = SingleRayBound.of(scan), SingleRayBound.of(scan, layers_of(behind, scan))
         quality, copper = BeamQuality.of(scan.source), half_value_layers(scan.source, COPPER)
         return cls(scan, behind, quality, copper, air, behind_object, _conditions(scan, air, behind_object))
 
@@ -60,7 +70,12 @@ class SpectrumReport:
         return None if found is None else float(found[0])
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON; what is unbounded is null."""
+        """Return all values under stable keys, for JSON; what is unbounded is null.
+
+        Returns
+        -------
+        the mapping
+        """
         source, detector, basis = self.scan.source, self.scan.detector, self.scan.basis
         per_grams = [_per_gram(function, basis.reference_energy) for function in basis.functions]
         return {
@@ -108,7 +123,7 @@ class SpectrumReport:
 
     @property
     def text(self) -> str:
-        """For people."""
+        """Description as text."""
         facts = self.to_dict()
         condition = facts["condition"]
         functions, in_air, inside = condition["functions"], condition["air"], condition["behind"]
@@ -143,14 +158,14 @@ class SpectrumReport:
         return "\n".join(lines)
 
 
-def _conditions(scan: Scan, air: WorkingPoint, behind: WorkingPoint) -> dict[str, tuple[float, float]]:
+def _conditions(scan: Scan, air: SingleRayBound, behind: SingleRayBound) -> dict[str, tuple[float, float]]:
     """Condition numbers in the raw basis, and in the one that is orthonormal over the detected spectrum."""
     energies, photons = scan_photons(scan)
     detected = scan.detector.response(energies).sum(axis=0) * photons
     columns = scan.basis.evaluate(energies.nodes)
     try:
         change = conditioning_of(columns, detected).transform.T
-    except InputError:  # functions that cannot be told apart at all
+    except InputError:  # functions that cannot be separated at all
         return dict.fromkeys(("functions", "air", "behind"), (np.inf, np.inf))
 
     def pair(raw: Float[np.ndarray, "row basis"]) -> tuple[float, float]:
@@ -180,7 +195,7 @@ def _hint(scan: Scan) -> str:
 
 
 def _charge_lines(charge: float | None, photons: float) -> list[str]:
-    """What the tube needs for it."""
+    """Return the line about the tube charge."""
     return (
         []
         if charge is None
@@ -190,7 +205,7 @@ def _charge_lines(charge: float | None, photons: float) -> list[str]:
 
 def _source_lines(detector: AnyDetector) -> list[str]:
     """Each of several sources."""
-    if not isinstance(detector, SeveralSources):
+    if not isinstance(detector, MultiSource):
         return []
     lines = ["of these"]
     for name, source in zip(detector.labels, detector.sources, strict=True):

@@ -1,4 +1,4 @@
-"""Thresholds that let the channels of a scan see one basis function best.
+"""Thresholds for which the channels of a scan measure one basis function with the least noise.
 
 A detector with a threshold at every candidate gives the counts between any two of them, because what a pulse is counted
 as depends on the thresholds only: channels of fewer thresholds are sums of its channels. So the response is asked for
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from phantomgen.analysis.single_ray import BEHIND, WorkingPoint, layers_of
+from phantomgen.analysis.single_ray import BEHIND, SingleRayBound, layers_of
 from phantomgen.scene.file.scene_file import SceneFile, closest
 from phantomgen.scene.scan import Scan, load_scene
 from spectra.basis.basis import pretty
@@ -33,7 +33,7 @@ _Cuts = Int[np.ndarray, "choice channel"]
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """All thresholds that may be chosen, and what is counted between neighbours.
+    """Candidate thresholds, and the counts between neighbours.
 
     Parameters
     ----------
@@ -49,7 +49,16 @@ class Candidates:
     target: int
 
     def bounds(self, chosen: _Cuts) -> Float[np.ndarray, " choice"]:
-        """Least standard deviation of the line integral of the target for choices of candidates, ascending indices."""
+        """Compute the least standard deviation of the target's line integral for choices of candidates.
+
+        Parameters
+        ----------
+        chosen : ascending indices, (choice, channel)
+
+        Returns
+        -------
+        standard deviation of each choice
+        """
         above = np.cumsum(np.column_stack([self.counts, self.slopes])[::-1], axis=0)[::-1]
         above = np.vstack([above, np.zeros(above.shape[1])])
         ends = np.column_stack([chosen, np.full(len(chosen), len(self.thresholds))])
@@ -59,12 +68,31 @@ class Candidates:
         return least_deviations(np.einsum("kc,kcm,kcn->kmn", weight, slopes, slopes, optimize=True))[:, self.target]
 
     def best(self, starts: _Cuts) -> Int[np.ndarray, " channel"]:
-        """Indices of the best thresholds that single moves lead to from `starts`, the first one of equals."""
+        """Find the best thresholds that single moves reach from `starts`; the first one of equals.
+
+        Parameters
+        ----------
+        starts : ascending indices, (choice, channel)
+
+        Returns
+        -------
+        indices of the thresholds
+        """
         ends = [self._improved(start) for start in starts]
         return ends[int(np.argmin(self.bounds(np.array(ends))))]
 
     def on_a_coarse_grid(self, channels: int, edges: Sequence[float]) -> _Cuts:
-        """The best choices of thresholds on a coarse grid, which has the K edges [keV]."""
+        """Find the best choices of thresholds on a coarse grid, which contains the K edges.
+
+        Parameters
+        ----------
+        channels : number of channels
+        edges : K edges [keV]
+
+        Returns
+        -------
+        ascending indices, (choice, channel)
+        """
         kept = np.flatnonzero(np.isin(self.thresholds[1:], edges)) + 1
         choices = combinations(_coarse(len(self.thresholds), channels - 1, kept), channels - 1)
         rows = np.array([(0, *choice) for choice in choices], dtype=np.int64)
@@ -79,7 +107,19 @@ class Candidates:
         return chosen if (better == chosen).all() else self._improved(better)
 
     def moved(self, chosen: Int[np.ndarray, " channel"], which: int) -> _Cuts:
-        """All choices that differ in one threshold, which stays between its neighbours; as they are comes first."""
+        """Return all choices that differ in one threshold, which stays between its neighbours.
+
+        The unchanged choice comes first.
+
+        Parameters
+        ----------
+        chosen : ascending indices
+        which : number of the threshold
+
+        Returns
+        -------
+        ascending indices, (choice, channel)
+        """
         ends = [*chosen, len(self.thresholds)]
         places = np.arange(ends[which - 1] + 1, ends[which + 1])
         choices = np.tile(chosen, (len(places) + 1, 1))
@@ -89,7 +129,7 @@ class Candidates:
 
 @dataclass(frozen=True, eq=False)
 class ThresholdChoice:
-    """What was found.
+    """Best thresholds that were found.
 
     Parameters
     ----------
@@ -125,7 +165,12 @@ class ThresholdChoice:
         return float(self.candidates.bounds(self.chosen[None])[0])
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON; what is unbounded is null."""
+        """Return all values under stable keys, for JSON; what is unbounded is null.
+
+        Returns
+        -------
+        the mapping
+        """
         old, new = ([bound, None][not np.isfinite(bound)] for bound in (self.old_bound, self.bound))
         return {
             "name": self.scan.name,
@@ -138,7 +183,7 @@ class ThresholdChoice:
 
     @property
     def text(self) -> str:
-        """For people."""
+        """Thresholds as text."""
         facts = self.to_dict()
         trace = ", ".join(f"{TRACE:g} of {pretty(name)}" for name in facts["trace"])
         lines = [
@@ -160,7 +205,9 @@ class ThresholdChoice:
 def choose_thresholds(
     file: SceneFile, basis: str, channels: int | None = None, behind: str = BEHIND
 ) -> ThresholdChoice:
-    """Thresholds that minimise the Cramer-Rao bound of one line integral; the lowest threshold of the scene is kept.
+    """Find the thresholds that minimise the Cramer-Rao bound of one line integral.
+
+    The lowest threshold of the scene does not change.
 
     Parameters
     ----------
@@ -169,10 +216,14 @@ def choose_thresholds(
     channels : number of channels; as many as the scene has where left out
     behind : layers that the ray passes, such as ``20 cm water``
 
+    Returns
+    -------
+    the thresholds
+
     Raises
     ------
     InputError
-        For unknown functions, and for fewer channels than basis functions, which cannot be told apart then.
+        For unknown functions, and for fewer channels than basis functions, which cannot be separated then.
     """
     scan = load_scene(file)
     target = _target(scan, basis)
@@ -213,9 +264,9 @@ def _candidates(scan: Scan) -> Float[np.ndarray, " candidate"]:
     return np.union1d(kept, steps[apart])
 
 
-def _point(scan: Scan, behind: str) -> WorkingPoint:
+def _point(scan: Scan, behind: str) -> SingleRayBound:
     """The ray that thresholds are judged by: behind layers and a trace of every K-edge material."""
-    return WorkingPoint.of(
+    return SingleRayBound.of(
         scan, layers_of(behind, scan), {f.name: TRACE for f in scan.basis.functions if f.edge_energy}
     )
 

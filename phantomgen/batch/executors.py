@@ -26,7 +26,7 @@ _PATIENCE = "20s"
 def results(
     work: Callable[[T], R], items: Iterable[T], pool: Pool, workers: int, ahead: int | None = 2
 ) -> Iterator[tuple[T, R | Exception]]:
-    """Yield each item with its result, or with the error that ended it, as they come.
+    """Yield each item with its result, or with the error that ended it, in the order in which they finish.
 
     Parameters
     ----------
@@ -35,6 +35,10 @@ def results(
     pool : opens an executor of so many workers
     workers : how many
     ahead : items per worker that are handed over at a time; None for all of them
+
+    Yields
+    ------
+    item, and result or error
     """
     waiting, suspects = deque(items), list[T]()
     while waiting:
@@ -46,17 +50,44 @@ def results(
 
 
 def process_pool(workers: int) -> AbstractContextManager[Executor]:
-    """Processes of this machine, one thread each; they end with this one, however it ends."""
+    """Open a pool of processes of this machine, one thread each; they end with this process.
+
+    Parameters
+    ----------
+    workers : number of processes
+
+    Returns
+    -------
+    the pool, as a context manager
+    """
     return _process_pool(workers)
 
 
 def own_executor(executor: Executor) -> Pool:
-    """Somebody else's executor, which is left open."""
+    """Return a pool that uses an executor of the caller and leaves it open.
+
+    Parameters
+    ----------
+    executor : the executor
+
+    Returns
+    -------
+    function of the number of workers
+    """
     return lambda workers: nullcontext(executor)
 
 
 def dask_pool(address: str) -> Pool:
-    """Workers of a Dask cluster, which restarts what dies by itself."""
+    """Return a pool of workers of a Dask cluster, which restarts dead workers by itself.
+
+    Parameters
+    ----------
+    address : of the scheduler
+
+    Returns
+    -------
+    function of the number of workers
+    """
     return lambda workers: _dask_pool(address)
 
 
@@ -86,7 +117,7 @@ def _until_broken(
 
 
 def _result(submit: Callable[..., Future], *arguments: Any) -> Any:
-    """What a piece of work gives, or the error that ended it."""
+    """Return the result of a piece of work, or the error that ended it."""
     try:
         return submit(*arguments).result()
     except Exception as error:
@@ -150,7 +181,16 @@ def _dask_pool(address: str) -> Iterator[Executor]:
 
 
 def sentence(error: Exception) -> str:
-    """What to say about an error that ended an item."""
+    """Return a sentence about an error that ended an item.
+
+    Parameters
+    ----------
+    error : the error
+
+    Returns
+    -------
+    the sentence
+    """
     if isinstance(error, BrokenExecutor):
         return "its process was ended from outside, as happens when memory runs out"
     text = " ".join(str(error).split())

@@ -1,4 +1,4 @@
-"""What a batch makes: a scene or preset, what overrides it, and seeds; item i is the scene of seed `seed` + i."""
+"""Manifest of a batch: a scene or preset, its overrides, and seeds; item i is the scene of seed `seed` + i."""
 
 import json
 from dataclasses import dataclass
@@ -16,6 +16,7 @@ from spectra.errors import InputError, SceneError
 
 # A manifest is refused when so many items that follow each other are no scenes: then it is hardly a matter of luck.
 _TRIED = 3
+_OF_A_SCENE = {"source", "detector", "geometry", "objects"}  # keys that no manifest has
 
 
 class BatchModel(BaseModel):
@@ -41,7 +42,7 @@ class BatchModel(BaseModel):
 
 @dataclass(frozen=True)
 class Item:
-    """One dataset of a batch; all that a worker needs to make it.
+    """Item of a batch: everything that a worker requires to make one dataset.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ class Item:
 
 @dataclass(frozen=True)
 class Batch:
-    """A manifest that was read.
+    """Batch from a manifest.
 
     Parameters
     ----------
@@ -77,7 +78,15 @@ class Batch:
 
     @classmethod
     def read(cls, path: Path | str) -> "Batch":
-        """From a YAML file.
+        """Read a manifest from a YAML file.
+
+        Parameters
+        ----------
+        path : the file
+
+        Returns
+        -------
+        the batch
 
         Raises
         ------
@@ -103,7 +112,17 @@ class Batch:
         return digest((self.scene.text, self.scene.overrides, repr(sorted(said.items()))))
 
     def item(self, number: int, folder: Path) -> Item:
-        """One item."""
+        """Return one item.
+
+        Parameters
+        ----------
+        number : of the item
+        folder : folder of the datasets
+
+        Returns
+        -------
+        the item
+        """
         model, seed = self.model, self.model.seed + number
         file = SceneFile(self.scene.name, self.scene.text, (*self.scene.overrides, f"seed={seed}"))
         path = folder / f"item{number:06d}.h5"
@@ -131,6 +150,11 @@ def _model(path: Path) -> BatchModel:
         raise InputError(f"{path} is no YAML: {str(error).splitlines()[0]}") from None
     if not isinstance(values, dict):
         raise InputError(f"{path}: a manifest is a mapping of keys to values that starts with 'version: 1'")
+    if values.keys() & _OF_A_SCENE and not values.keys() & {"preset", "scene"}:
+        raise InputError(
+            f"{path} is a scene and no manifest of a batch: `phantomgen make {path}` makes one dataset of it, and a "
+            f"manifest that says {{version: 1, scene: {path.name}, count: 10}} makes ten"
+        )
     try:
         return BatchModel.model_validate(values)
     except ValidationError as error:

@@ -1,4 +1,4 @@
-"""What became of the items of a batch: one line of JSON each, in ``manifest.jsonl`` beside the datasets."""
+"""Records of the items of a batch: one line of JSON each, in ``manifest.jsonl`` beside the datasets."""
 
 import json
 import os
@@ -13,7 +13,7 @@ DONE, FAILED = "done", "failed"
 
 @dataclass(frozen=True)
 class Record:
-    """One item.
+    """Record of one item.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Shard:
-    """Which part of a batch a run makes: every `count`-th item, beginning with item `index` - 1.
+    """Part of a batch that a run makes: every `count`-th item, beginning with item `index` - 1.
 
     Parameters
     ----------
@@ -51,7 +51,21 @@ class Shard:
 
     @classmethod
     def parse(cls, text: str) -> "Shard":
-        """``"1/4"``, counted from 1."""
+        """Parse ``"1/4"``, counted from 1.
+
+        Parameters
+        ----------
+        text : the part
+
+        Returns
+        -------
+        the part
+
+        Raises
+        ------
+        InputError
+            When the text is not of this form.
+        """
         first, slash, second = text.partition("/")
         if not (slash and first.isdigit() and second.isdigit() and 1 <= int(first) <= int(second)):
             raise InputError(f"--shard is written i/n with 1 <= i <= n, such as 1/4, got {text!r}")
@@ -63,12 +77,30 @@ class Shard:
         return "manifest.jsonl" if self.count == 1 else f"manifest.{self.index}of{self.count}.jsonl"
 
     def numbers(self, count: int) -> range:
-        """Items of this part."""
+        """Return the items of this part.
+
+        Parameters
+        ----------
+        count : number of items of the batch
+
+        Returns
+        -------
+        numbers of items
+        """
         return range(self.index - 1, count, self.count)
 
 
 def read_records(folder: Path) -> dict[int, Record]:
-    """The last word on each item, over all parts of a batch; a line that was cut off counts for nothing."""
+    """Read the last record of each item, over all parts of a batch; an incomplete line is ignored.
+
+    Parameters
+    ----------
+    folder : folder of the batch
+
+    Returns
+    -------
+    records by number of the item
+    """
     found: dict[int, Record] = {}
     for path in sorted(folder.glob("manifest*.jsonl"), key=lambda path: path.stat().st_mtime):
         for line in path.read_text(encoding="utf-8").splitlines():
@@ -81,7 +113,13 @@ def read_records(folder: Path) -> dict[int, Record]:
 
 
 def append_record(path: Path, record: Record) -> None:
-    """Add a line, at once and whole."""
+    """Append a line in one write.
+
+    Parameters
+    ----------
+    path : file of records
+    record : the record
+    """
     with one_sentence(path), path.open("a+b") as file:
         file.seek(0, os.SEEK_END)
         if file.tell():
@@ -92,7 +130,13 @@ def append_record(path: Path, record: Record) -> None:
 
 
 def rewrite_records(path: Path, records: list[Record]) -> None:
-    """Put one line per item in order, or leave the file as it was."""
+    """Write one line per item in order, or leave the file unchanged.
+
+    Parameters
+    ----------
+    path : file of records
+    records : one for each item
+    """
     part = path.with_name(path.name + ".part")
     with one_sentence(path):
         part.write_bytes(b"".join(_line(record) for record in sorted(records, key=lambda record: record.id)))

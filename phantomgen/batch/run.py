@@ -24,12 +24,12 @@ from spectra.threads import available_threads, set_threads
 
 @dataclass(frozen=True)
 class BatchSummary:
-    """What a run of a batch did.
+    """Summary of a run of a batch.
 
     Parameters
     ----------
     folder : of the datasets
-    items : how many are asked for
+    items : number of requested items
     made : how many this run made
     failed : records of those that failed
     seconds : wall time
@@ -42,13 +42,18 @@ class BatchSummary:
     seconds: float
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON: all numbers under stable keys."""
+        """Return all numbers under stable keys, for JSON.
+
+        Returns
+        -------
+        the mapping
+        """
         failed = [asdict(record) for record in self.failed]
         return {**vars(self), "folder": str(self.folder), "failed": failed}
 
     @property
     def text(self) -> str:
-        """For people."""
+        """Summary as text."""
         done = self.items - len(self.failed)
         lines = [f"{self.folder}: {done} of {self.items} items are there, {self.made} made in {self.seconds:.1f} s"]
         return "\n".join([*lines, *(f"failed   item {r.id}, seed {r.seed}: {r.message}" for r in self.failed)])
@@ -78,6 +83,10 @@ def run_batch(
     overwrite : make all items anew
     progress : show a progress bar on stderr
 
+    Returns
+    -------
+    the summary
+
     Raises
     ------
     InputError
@@ -105,7 +114,16 @@ def run_batch(
 
 
 def make_item(item: Item) -> Record:
-    """Make one item where it belongs, going on with what an interrupted run left of it."""
+    """Make one item; frames of an interrupted run are used.
+
+    Parameters
+    ----------
+    item : the item
+
+    Returns
+    -------
+    its record
+    """
     set_threads(1)
     begun = time.perf_counter()
     simulate(
@@ -152,5 +170,5 @@ def _known(batch: Batch, folder: Path) -> dict[int, Record]:
 
 
 def _is_there(record: Record | None, folder: Path) -> bool:
-    """Whether an item needs no work."""
+    """Return whether an item requires no work."""
     return record is not None and record.status == DONE and (folder / record.path).is_file()

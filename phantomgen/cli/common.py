@@ -1,4 +1,4 @@
-"""What every command line of this project shares: errors as sentences, exit codes, common options."""
+"""Common parts of all commands of this project: errors as sentences, exit codes, options."""
 
 import warnings
 from collections.abc import Callable, Iterator
@@ -11,10 +11,19 @@ from spectra.errors import Error, MachineWarning
 
 
 class Commands(click.Group):
-    """Turns errors raised on purpose into one sentence and an exit code."""
+    """Group of commands that reports intended errors as one sentence with an exit code."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run a command."""
+        """Run a command.
+
+        Parameters
+        ----------
+        ctx : context of click
+
+        Returns
+        -------
+        result of the command
+        """
         try:
             with _warnings_as_sentences():
                 return super().invoke(ctx)
@@ -47,7 +56,16 @@ def _warnings_as_sentences() -> Iterator[None]:
 
 
 def debug_option(command: Callable) -> Callable:
-    """Add ``--debug``."""
+    """Add the option ``--debug`` to a command.
+
+    Parameters
+    ----------
+    command : the command
+
+    Returns
+    -------
+    the command
+    """
 
     def remember(ctx: click.Context, _: click.Parameter, value: bool) -> None:
         ctx.find_root().meta["debug"] = value
@@ -57,12 +75,30 @@ def debug_option(command: Callable) -> Callable:
 
 
 def json_option(command: Callable) -> Callable:
-    """Add ``--json``."""
+    """Add the option ``--json`` to a command.
+
+    Parameters
+    ----------
+    command : the command
+
+    Returns
+    -------
+    the command
+    """
     return click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")(command)
 
 
 def version_option(program: str) -> Callable[[Callable], Callable]:
-    """Add ``--version`` to `program`."""
+    """Add the option ``--version`` to a command.
+
+    Parameters
+    ----------
+    program : name of the program
+
+    Returns
+    -------
+    decorator of a command
+    """
 
     def show(ctx: click.Context, _: click.Parameter, value: bool) -> None:
         if value:
@@ -76,5 +112,14 @@ def version_option(program: str) -> Callable[[Callable], Callable]:
 
 
 def print_stages(shown: bool) -> Callable[[str], None]:
-    """What says on stderr which stage has begun, where somebody can see it."""
+    """Return a function that prints the name of a stage to stderr.
+
+    Parameters
+    ----------
+    shown : whether anything is printed
+
+    Returns
+    -------
+    function of the name
+    """
     return lambda name: click.echo(f"{name} ...", err=True) if shown else None

@@ -123,9 +123,9 @@ def _make(
         from spectra.threads import set_threads
 
         if options["paths"] and not (scene or preset):
-            from phantomgen.simulation.projection_cache.cache import kept_scene
+            from phantomgen.simulation.projection_cache.cache import cached_scene
 
-            file = kept_scene(options["paths"], overrides)
+            file = cached_scene(options["paths"], overrides)
         else:
             file = SceneFile.preset(preset, overrides) if preset else find_scene(scene or "", overrides)
         path = Path(out or f"{file.model.name}.h5")

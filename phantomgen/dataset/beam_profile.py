@@ -1,4 +1,4 @@
-"""How the open beam differs over the panel, as a dataset keeps it."""
+"""Beam profile of a dataset: differences of the open beam over the panel."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,7 @@ PROFILE = "/entry/spectra/profile"
 
 @dataclass(frozen=True, eq=False)
 class StoredProfile:
-    """Absorbers in front of the object: the beam to a pixel is that at the panel's centre times exp(-sum_p mu_p t_p).
+    """Absorbers before the object: the beam at a pixel is that at the panel's centre times exp(-sum_p mu_p t_p).
 
     Parameters
     ----------
@@ -29,7 +29,19 @@ class StoredProfile:
     attenuation: Float[np.ndarray, "part energy"]
 
     def check(self, path: Path, pixels: tuple[int, ...], energies: int) -> None:
-        """Refuse arrays that do not fit the dataset."""
+        """Refuse arrays that do not fit the dataset.
+
+        Parameters
+        ----------
+        path : the dataset, for the message
+        pixels : rows and columns of the panel
+        energies : number of energy bins
+
+        Raises
+        ------
+        DatasetError
+            When an array has the wrong shape.
+        """
         parts = len(self.names)
         for name, array, shape in (
             ("thickness", self.lengths, (parts, *pixels)),
@@ -42,7 +54,13 @@ class StoredProfile:
 
 
 def write_profile(spectra: h5py.Group, profile: StoredProfile) -> None:
-    """Put a profile beside the spectra."""
+    """Write a profile beside the spectra.
+
+    Parameters
+    ----------
+    spectra : group of the spectra
+    profile : the profile
+    """
     group = new_group(spectra, "profile", "NXcollection")
     put(group, "name", np.array(profile.names, dtype=object))
     put(group, "thickness", profile.lengths, "mm")
@@ -50,7 +68,16 @@ def write_profile(spectra: h5py.Group, profile: StoredProfile) -> None:
 
 
 def read_profile(file: h5py.File) -> StoredProfile | None:
-    """The profile of a dataset, None where it has none."""
+    """Read the profile of a dataset.
+
+    Parameters
+    ----------
+    file : open dataset
+
+    Returns
+    -------
+    the profile; None where the dataset has none
+    """
     group = file.get(PROFILE)
     if not isinstance(group, h5py.Group):
         return None

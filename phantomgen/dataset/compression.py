@@ -21,7 +21,17 @@ _numbers = count()
 
 
 def check_compression(name: str) -> None:
-    """Refuse what is unknown or not installed."""
+    """Refuse a compression that is unknown or not installed.
+
+    Parameters
+    ----------
+    name : name of the compression
+
+    Raises
+    ------
+    InputError
+        When the name is unknown.
+    """
     if name not in get_args(Compression):
         raise InputError(f"there is no compression {name!r}: choose from {', '.join(get_args(Compression))}")
     if name == "bitshuffle":
@@ -29,7 +39,16 @@ def check_compression(name: str) -> None:
 
 
 def filters(compression: Compression) -> dict[str, Any]:
-    """Keywords for h5py."""
+    """Return the keyword arguments of h5py for a compression.
+
+    Parameters
+    ----------
+    compression : name of the compression
+
+    Returns
+    -------
+    keyword arguments of ``create_dataset``
+    """
     if compression == "bitshuffle":
         return dict(_plugin("the compression bitshuffle").Bitshuffle())
     if compression == "gzip":
@@ -38,7 +57,17 @@ def filters(compression: Compression) -> dict[str, Any]:
 
 
 def pack(chunk: Shaped[np.ndarray, "row column"], compression: Compression) -> bytes:
-    """One chunk as these filters leave it."""
+    """Compress one chunk as the HDF5 filters do.
+
+    Parameters
+    ----------
+    chunk : values, (row, column)
+    compression : name of the compression
+
+    Returns
+    -------
+    bytes of the chunk
+    """
     if compression == "gzip":  # shuffle: byte planes one after the other
         planes = np.ascontiguousarray(chunk).view(np.uint8).reshape(-1, chunk.itemsize).T
         return zlib.compress(planes.tobytes(), _GZIP_LEVEL)
@@ -48,7 +77,13 @@ def pack(chunk: Shaped[np.ndarray, "row column"], compression: Compression) -> b
 
 
 def check_readable(file: h5py.File, name: str) -> None:
-    """See that the filters of an array are at hand, by the plugin where it is needed."""
+    """Check that the filters of an array are available; load the plugin where it is needed.
+
+    Parameters
+    ----------
+    file : open dataset
+    name : path of the array
+    """
     dataset = file.get(name)
     if not isinstance(dataset, h5py.Dataset):
         return
@@ -59,7 +94,7 @@ def check_readable(file: h5py.File, name: str) -> None:
 
 
 def _is_there(number: int) -> bool:
-    """Whether HDF5 knows a filter."""
+    """Return whether HDF5 knows a filter."""
     return bool(h5py.h5z.filter_avail(number))
 
 

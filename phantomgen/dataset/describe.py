@@ -1,4 +1,4 @@
-"""A dataset in words and numbers."""
+"""Description of a dataset as numbers and as text."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -16,7 +16,16 @@ from phantomgen.geometry.poses import distances
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """What a dataset holds, as values that JSON knows; ``warnings`` holds sentences."""
+    """Describe the content of a dataset with values that JSON knows; ``warnings`` contains sentences.
+
+    Parameters
+    ----------
+    path : the dataset
+
+    Returns
+    -------
+    the description
+    """
     anywhere = (slice(0, 1), slice(0, 1))  # a file without flats can be described, too
     with open_dataset(path, air=anywhere) as dataset:
         spectra, grid, panel = dataset.spectra, dataset.grid, dataset.geometry.panel
@@ -52,7 +61,16 @@ def describe(path: Path) -> dict[str, Any]:
 
 
 def describe_text(info: dict[str, Any]) -> str:
-    """The same for people."""
+    """Return the description of a dataset as text.
+
+    Parameters
+    ----------
+    info : result of `describe`
+
+    Returns
+    -------
+    lines of text
+    """
     views, channels, rows, columns = info["shape"]
     what, unit = ("counts", "") if info["units"] == "counts" else ("signal", f" in {info['units']}")
     lines = [
@@ -80,7 +98,7 @@ def describe_text(info: dict[str, Any]) -> str:
 
 
 def _distance_text(info: dict[str, Any]) -> str:
-    """The same for people."""
+    """Return the distances of a scan as text."""
     if info["sod_mm"] is None:
         return f"{info['object_to_panel_mm']:g} mm from axis to panel"
     return f"SOD {info['sod_mm']:g} mm, SDD {info['sdd_mm']:g} mm"
@@ -120,7 +138,7 @@ def _materials(dataset: Dataset) -> dict[str, Any]:
 
 
 def _material_lines(materials: dict[str, Any]) -> list[str]:
-    """The same for people."""
+    """Return the materials as lines of text."""
     explicit = [name for name, kind in materials.get("kind", {}).items() if kind == "explicit"]
     lines = [f"materials  {', '.join(explicit)}: explicit coefficients, for simulator and truth alike"]
     errors = materials.get("fit_error", {})

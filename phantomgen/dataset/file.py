@@ -15,7 +15,21 @@ FLAT, DARK = "/entry/instrument/flat/data", "/entry/instrument/dark/data"
 
 
 def open_file(path: Path) -> h5py.File:
-    """Open the file and check that it is one of ours, of a version that can be read."""
+    """Open a file for reading and check that it is a dataset of a readable version.
+
+    Parameters
+    ----------
+    path : the file
+
+    Returns
+    -------
+    open file
+
+    Raises
+    ------
+    DatasetError
+        When the file is missing, no dataset, or of a newer version.
+    """
     scene = path.suffix.lower() in {".yaml", ".yml"}
     if path.is_dir():
         raise DatasetError(f"{path} is a folder and no dataset")
@@ -40,7 +54,21 @@ def open_file(path: Path) -> h5py.File:
 
 @contextmanager
 def damaged_file(path: Path) -> Iterator[None]:
-    """Turn what HDF5 says about unreadable bytes into one sentence."""
+    """Convert HDF5 errors on unreadable bytes to one sentence; a context manager.
+
+    Parameters
+    ----------
+    path : the file, for the message
+
+    Yields
+    ------
+    nothing
+
+    Raises
+    ------
+    DatasetError
+        When a part of the file cannot be read.
+    """
     try:
         yield
     except OSError:

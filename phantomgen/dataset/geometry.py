@@ -1,4 +1,4 @@
-"""Poses in a dataset: the nominal ones in ``/entry/geometry``, true ones in ``/truth`` where these are others."""
+"""Poses in a dataset: nominal ones in ``/entry/geometry``, true ones in ``/truth`` where they differ."""
 
 import h5py
 import numpy as np
@@ -13,7 +13,13 @@ KINDS = ("circular", "helical", "laminography", "parallel", "free")
 
 
 def write_geometry(parent: h5py.Group, geometry: Geometry) -> None:
-    """Write poses as vectors; a parallel beam has the direction of its rays in place of a source."""
+    """Write poses as vectors; a parallel beam has the direction of its rays in place of a source.
+
+    Parameters
+    ----------
+    parent : group that gets them
+    geometry : the poses
+    """
     group = new_group(parent, "geometry", "NXcollection", frame=FRAME)
     put(group, "kind", geometry.kind)
     if geometry.ray_direction is None:
@@ -25,13 +31,17 @@ def write_geometry(parent: h5py.Group, geometry: Geometry) -> None:
 
 
 def read_geometry(group: h5py.Group, panel: Panel, angles: Float[np.ndarray, " view"]) -> Geometry:
-    """Poses of all views.
+    """Read the poses of all views.
 
     Parameters
     ----------
     group : that `write_geometry` wrote
     panel : the pixel grid
     angles : rotation angle of each view [rad], NaN where a view has none
+
+    Returns
+    -------
+    the poses
     """
     vectors = {name: array_at(group, name)[()] for name in _VECTORS}
     kind = text_of(array_at(group, "kind")[()])

@@ -1,4 +1,4 @@
-"""What the HDF5 files of this project look like: version, names, and how images are packed.
+"""Layout of the HDF5 files of this project: version, names, and packing of images.
 
 A dataset is a NeXus file. Measured data lie in ``/entry``, everything that knows the object in ``/truth``, and each
 channel is shown once more, without copying, as an NXtomo entry ``/nxtomo_<channel>``.
@@ -65,7 +65,22 @@ TABLE = """\
 
 
 def array_at(parent: h5py.Group, name: str) -> h5py.Dataset:
-    """A dataset that must be there."""
+    """Return an array that must exist.
+
+    Parameters
+    ----------
+    parent : group
+    name : path of the array
+
+    Returns
+    -------
+    the array
+
+    Raises
+    ------
+    DatasetError
+        When it is missing.
+    """
     found = parent.get(name)
     if not isinstance(found, h5py.Dataset):
         raise DatasetError(f"{parent.file.filename} lacks {_full_name(parent, name)}")
@@ -73,7 +88,22 @@ def array_at(parent: h5py.Group, name: str) -> h5py.Dataset:
 
 
 def group_at(parent: h5py.Group, name: str) -> h5py.Group:
-    """A group that must be there."""
+    """Return a group that must exist.
+
+    Parameters
+    ----------
+    parent : group
+    name : path of the group
+
+    Returns
+    -------
+    the group
+
+    Raises
+    ------
+    DatasetError
+        When it is missing.
+    """
     found = parent.get(name)
     if not isinstance(found, h5py.Group):
         raise DatasetError(f"{parent.file.filename} lacks {_full_name(parent, name)}")
@@ -81,12 +111,33 @@ def group_at(parent: h5py.Group, name: str) -> h5py.Group:
 
 
 def text_of(value: Any) -> str:
-    """Text as ``str``, whatever HDF5 made of it."""
+    """Convert text from HDF5 to ``str``.
+
+    Parameters
+    ----------
+    value : bytes or text
+
+    Returns
+    -------
+    text
+    """
     return value.decode() if isinstance(value, bytes) else str(value)
 
 
 def put(group: h5py.Group, name: str, value: Any, units: str | None = None) -> h5py.Dataset:
-    """Write a number, a text, or an array of either."""
+    """Write a number, a text, or an array of either.
+
+    Parameters
+    ----------
+    group : group that gets it
+    name : name of the field
+    value : the value
+    units : unit; None for no attribute
+
+    Returns
+    -------
+    the written field
+    """
     array = np.asarray(value)
     if array.dtype.kind in "UO":
         dataset = group.create_dataset(name, data=array.astype(object), dtype=h5py.string_dtype())
@@ -98,7 +149,19 @@ def put(group: h5py.Group, name: str, value: Any, units: str | None = None) -> h
 
 
 def new_group(parent: h5py.Group, name: str, nx_class: str, **attributes: Any) -> h5py.Group:
-    """Create a NeXus group."""
+    """Create a NeXus group.
+
+    Parameters
+    ----------
+    parent : group that gets it
+    name : name of the group
+    nx_class : its NeXus class
+    **attributes : further attributes
+
+    Returns
+    -------
+    the group
+    """
     group = parent.create_group(name)
     group.attrs["NX_class"] = nx_class
     for key, value in attributes.items():
@@ -107,7 +170,15 @@ def new_group(parent: h5py.Group, name: str, nx_class: str, **attributes: Any) -
 
 
 def put_note(parent: h5py.Group, name: str, data: str, mime_type: str) -> None:
-    """Write text as an NXnote with its checksum."""
+    """Write text as an NXnote with its checksum.
+
+    Parameters
+    ----------
+    parent : group that gets it
+    name : name of the note
+    data : the text
+    mime_type : type of the text
+    """
     note = new_group(parent, name, "NXnote")
     put(note, "type", mime_type)
     put(note, "data", data)
@@ -123,7 +194,21 @@ def new_frames(
     units: str | None = None,
     compression: Compression = "gzip",
 ) -> h5py.Dataset:
-    """Create an array of images (..., row, column), one image per chunk, compressed."""
+    """Create an array of images (..., row, column), one image per chunk, compressed.
+
+    Parameters
+    ----------
+    group : group that gets it
+    name : name of the array
+    shape : of the whole array
+    dtype : of the values
+    units : unit; None for no attribute
+    compression : name of the compression
+
+    Returns
+    -------
+    the empty array
+    """
     rows = _rows_per_chunk(shape[-2], shape[-1] * np.dtype(dtype).itemsize)
     chunks = (*(1,) * (len(shape) - 2), rows, shape[-1]) if shape[0] else None
     dataset = group.create_dataset(name, shape, dtype, chunks=chunks, **(filters(compression) if chunks else {}))
@@ -133,7 +218,17 @@ def new_frames(
 
 
 def pack_image(image: Shaped[np.ndarray, "row column"], compression: Compression = "gzip") -> list[bytes]:
-    """The chunks of one image as HDF5 stores them; unlike HDF5's own filters this runs in any thread."""
+    """Compress the chunks of one image as HDF5 stores them; unlike HDF5's own filters this runs in any thread.
+
+    Parameters
+    ----------
+    image : values, (row, column)
+    compression : name of the compression
+
+    Returns
+    -------
+    bytes of each chunk
+    """
     rows, columns = image.shape
     step = _rows_per_chunk(rows, columns * image.itemsize)
     padded = np.pad(image, ((0, -rows % step), (0, 0)))
@@ -141,7 +236,14 @@ def pack_image(image: Shaped[np.ndarray, "row column"], compression: Compression
 
 
 def write_image(dataset: h5py.Dataset, frame: int, channel: int, packed: list[bytes]) -> None:
-    """Put an image that `pack_image` packed in its place."""
+    """Write an image from `pack_image` at its place.
+
+    Parameters
+    ----------
+    dataset : array of images
+    frame, channel : indices of the image
+    packed : bytes of each chunk
+    """
     step = _rows_per_chunk(dataset.shape[-2], dataset.shape[-1] * dataset.dtype.itemsize)
     for i, chunk in enumerate(packed):
         dataset.id.write_direct_chunk((frame, channel, i * step, 0), chunk)

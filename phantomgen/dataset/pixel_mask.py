@@ -12,7 +12,14 @@ _REJECTING = 0x0000FFFF  # bits that reject a pixel; those above only say someth
 
 
 def write_mask(file: h5py.File, channels: tuple[str, ...], mask: UInt32[np.ndarray, "row column"] | None) -> None:
-    """Write the same mask for every channel; nothing where there is none."""
+    """Write the same mask for every channel; nothing where there is none.
+
+    Parameters
+    ----------
+    file : open dataset
+    channels : names of the channels
+    mask : bits of each pixel; None for no mask
+    """
     if mask is None:
         return
     for name in channels:
@@ -21,7 +28,17 @@ def write_mask(file: h5py.File, channels: tuple[str, ...], mask: UInt32[np.ndarr
 
 
 def mask_of(file: h5py.File, channel: str) -> h5py.Dataset | None:
-    """The stored mask of a channel, where it has one."""
+    """Return the stored mask of a channel.
+
+    Parameters
+    ----------
+    file : open dataset
+    channel : name of the channel
+
+    Returns
+    -------
+    the array; None where the channel has none
+    """
     found = file.get(f"{_DETECTOR}/{channel}_channel/pixel_mask")
     return found if isinstance(found, h5py.Dataset) else None
 
@@ -29,7 +46,17 @@ def mask_of(file: h5py.File, channel: str) -> h5py.Dataset | None:
 def read_mask(
     file: h5py.File, channels: tuple[str, ...], pixels: tuple[int, int]
 ) -> Bool[np.ndarray, "channel row column"]:
-    """Pixels of each channel that are not to be used.
+    """Read the pixels of each channel that must not be used.
+
+    Parameters
+    ----------
+    file : open dataset
+    channels : names of the channels
+    pixels : rows and columns of the panel
+
+    Returns
+    -------
+    True for these pixels, (channel, row, column)
 
     Raises
     ------

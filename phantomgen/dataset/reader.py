@@ -38,7 +38,7 @@ Region = tuple[slice, slice]
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """An open dataset; close it, or use it in a ``with`` statement.
+    """Open dataset; close it, or use it in a ``with`` statement.
 
     Parameters
     ----------
@@ -67,11 +67,28 @@ class Dataset:
         return f"Dataset({self.name}: {shape}, {edges[0]:g}..{edges[-1]:g} keV)"
 
     def with_basis(self, basis: Basis) -> "Dataset":
-        """The same open file, read in other basis functions than those it states."""
+        """Return the same open file with other basis functions than the stored ones.
+
+        Parameters
+        ----------
+        basis : raw basis functions
+
+        Returns
+        -------
+        the dataset
+        """
         return self._with(spectra=in_basis(self.spectra, basis))
 
     def with_training_views(self, count: int) -> "Dataset":
-        """The same open file with some of the training views, evenly spread.
+        """Return the same open file with some of the training views, evenly spread.
+
+        Parameters
+        ----------
+        count : number of training views
+
+        Returns
+        -------
+        the dataset
 
         Raises
         ------
@@ -84,7 +101,15 @@ class Dataset:
         return self._with(splits=self.splits | {"train": train[np.arange(count) * len(train) // count]})
 
     def without_channel(self, name: str) -> "Dataset":
-        """The same open file with a channel whose pixels count as masked.
+        """Return the same open file with all pixels of one channel masked.
+
+        Parameters
+        ----------
+        name : name of the channel
+
+        Returns
+        -------
+        the dataset
 
         Raises
         ------
@@ -97,11 +122,20 @@ class Dataset:
         return self._with(mask=self.mask | (np.array(channels) == name)[:, None, None])
 
     def with_grid(self, grid: Grid) -> "Dataset":
-        """The same open file that asks for another volume."""
+        """Return the same open file with another volume to reconstruct.
+
+        Parameters
+        ----------
+        grid : voxels of the volume
+
+        Returns
+        -------
+        the dataset
+        """
         return self._with(grid=grid)
 
     def _with(self, **changed: Any) -> "Dataset":
-        """The same open file with values in place of those that it states."""
+        """Return the same open file with values in place of the stored ones."""
         other = replace(self)
         vars(other).update(vars(self) | changed)
         return other
@@ -124,13 +158,21 @@ class Dataset:
 
     @property
     def signed(self) -> bool:
-        """Whether signals may be negative, as noise of electronics makes those that are no counts."""
+        """True when signals may be negative, as electronic noise makes signals that are not counts."""
         return self.spectra.units != "counts"
 
     def load(
         self, views: Sequence[int] | Int[np.ndarray, " view"] | None = None
     ) -> Shaped[np.ndarray, "v c row column"]:
-        """Counts of some views (default all) in memory.
+        """Read counts of some views into memory.
+
+        Parameters
+        ----------
+        views : numbers of the views; all where left out
+
+        Returns
+        -------
+        counts, (view, channel, row, column)
 
         Raises
         ------
@@ -145,9 +187,23 @@ class Dataset:
         return loaded
 
     def line_integrals(self, view: int) -> Float32[np.ndarray, "channel row column"]:
-        """Log projections of one view, -log(counts / open beam), darks subtracted and dead time corrected [no unit].
+        """Compute log projections of one view, -log(counts / open beam), darks subtracted and dead time corrected.
 
-        Counts below half a count are taken as that; NaN where a pixel or a channel of this view does not measure.
+        Counts below half a count are set to half a count.
+
+        Parameters
+        ----------
+        view : number of the view
+
+        Returns
+        -------
+        log projections without unit, (channel, row, column); NaN where a pixel or a channel of this view does not
+        measure
+
+        Raises
+        ------
+        InputError
+            When there is no such view.
         """
         if not -len(self.exposure) <= view < len(self.exposure):
             raise InputError(f"{self.path} has views 0 to {len(self.exposure) - 1}, there is no view {view}")
@@ -162,19 +218,37 @@ class Dataset:
         return np.where(self.mask | (air <= 0), np.nan, logs).astype(np.float32)
 
     def to_xarray(self, views: Sequence[int] | None = None) -> "DataArray":
-        """Counts of some views (default all) in memory as an `xarray.DataArray` with named axes and coordinates."""
+        """Read counts of some views as an `xarray.DataArray` with named axes and coordinates.
+
+        Parameters
+        ----------
+        views : numbers of the views; all where left out
+
+        Returns
+        -------
+        the counts
+        """
         from phantomgen.dataset.adapters.to_xarray import to_xarray  # noqa: PLC0415 - an extra
 
         return to_xarray(self, views)
 
     def torch(self, split: str = "train") -> "ViewSet":
-        """The views of a split (``train``, ``test``, ``val`` or ``all``) as a `torch.utils.data.Dataset`."""
+        """Return the views of a split as a `torch.utils.data.Dataset`.
+
+        Parameters
+        ----------
+        split : ``train``, ``test``, ``val`` or ``all``
+
+        Returns
+        -------
+        the view set
+        """
         from phantomgen.dataset.adapters.to_torch import ViewSet  # noqa: PLC0415 - torch takes seconds
 
         return ViewSet.of(self, split)
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: what the dataset holds, and its first view in every channel."""
+        """Return the display of a notebook: a summary of the dataset, and its first view in every channel."""
         logs = self.line_integrals(0)
         return thumbnails(repr(self), list(zip(self.spectra.channels, logs, strict=True)))
 
@@ -222,7 +296,7 @@ class Dataset:
 
     @cached_property
     def grid(self) -> Grid:
-        """The volume asked for."""
+        """Voxels of the volume to reconstruct."""
         shape, spacing, origin = (
             self._value(f"/entry/reconstruction_grid/{n}") for n in ("shape", "spacing", "origin")
         )
@@ -348,6 +422,10 @@ def open_dataset(path: Path | str, air: Region | str | None = None) -> Dataset:
     path : of the file
     air : ``"r0:r1,c0:c1"`` or two slices: a part of the panel that sees only air, in place of missing flats
 
+    Returns
+    -------
+    the dataset
+
     Raises
     ------
     DatasetError
@@ -365,7 +443,21 @@ def open_dataset(path: Path | str, air: Region | str | None = None) -> Dataset:
 
 
 def parse_region(text: str) -> Region:
-    """``"r0:r1,c0:c1"`` as two slices of rows and columns."""
+    """Parse ``"r0:r1,c0:c1"`` to two slices of rows and columns.
+
+    Parameters
+    ----------
+    text : the region
+
+    Returns
+    -------
+    slices of rows and columns
+
+    Raises
+    ------
+    InputError
+        When the text is not of this form.
+    """
     try:
         (r0, r1), (c0, c1) = ((int(n) for n in part.split(":")) for part in text.split(","))
     except ValueError:
@@ -376,7 +468,19 @@ def parse_region(text: str) -> Region:
 
 
 def check_counts(counts: Shaped[np.ndarray, "..."], where: str, signed: bool = False) -> None:
-    """Refuse counts that cannot be counts, or signals that cannot be signals, which may be negative."""
+    """Refuse values that cannot be counts, or cannot be signals, which may be negative.
+
+    Parameters
+    ----------
+    counts : values of any shape
+    where : their place, for the message
+    signed : whether negative values are allowed
+
+    Raises
+    ------
+    DatasetError
+        When a value is negative or not a number.
+    """
     smallest = counts.min(initial=0)
     if np.isnan(smallest) or np.isinf(counts.max(initial=0)):
         raise DatasetError(f"{where} holds a value that is not a number; repair or leave out that view")

@@ -1,4 +1,4 @@
-"""What a dataset says about energies: source, channels and basis functions, its own or others."""
+"""Spectral model of a dataset: source, channels and basis functions."""
 
 from dataclasses import dataclass, replace
 
@@ -14,7 +14,7 @@ from spectra.transmission import Transmission
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """All that a reconstructor may know about energies.
+    """Spectral model: all energy data that a reconstructor may use.
 
     Parameters
     ----------
@@ -66,18 +66,27 @@ class Spectra:
         return (self.source * self.variance).sum(axis=1) / np.where(signal > 0, signal, 1.0)
 
     def transmission(self) -> Transmission:
-        """Line integrals of the basis coefficients, and after them lengths in the profile, to expected counts."""
+        """Create the transmission from line integrals of the basis, then lengths in the profile, to expected counts.
+
+        Returns
+        -------
+        the transmission
+        """
         parts = [] if self.profile is None else [self.profile.attenuation]
         return Transmission.from_spectrum(self.weights, np.concatenate([self.basis_values, *parts]), self.channels)
 
 
 def in_basis(spectra: "Spectra", basis: Basis) -> "Spectra":
-    """The same source and detector, and other functions of energy.
+    """Replace the basis functions; source and detector do not change.
 
     Parameters
     ----------
     spectra : as stored
     basis : functions to use; bins are cut where one has an edge, so that expected counts are continuous in its energy
+
+    Returns
+    -------
+    the spectral model
     """
     split = split_bins(spectra.edges, spectra.energy, basis.breaks)
     parents = split.parents

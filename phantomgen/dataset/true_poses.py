@@ -29,7 +29,21 @@ def write_true_geometry(truth: h5py.Group, geometry: Geometry, sample: Float[np.
 
 
 def read_true_geometry(path: Path | str) -> Geometry | None:
-    """True poses of a dataset, where they are not those of ``/entry/geometry``; None where they are."""
+    """Read the true poses of a dataset.
+
+    Parameters
+    ----------
+    path : the dataset
+
+    Returns
+    -------
+    the poses; None where they equal those of ``/entry/geometry``
+
+    Raises
+    ------
+    DatasetError
+        When the file is damaged, or the numbers of views differ.
+    """
     anywhere = (slice(0, 1), slice(0, 1))
     with open_dataset(path, air=anywhere) as dataset, damaged_file(dataset.path):
         if "truth/geometry" not in dataset.file:
@@ -42,6 +56,15 @@ def read_true_geometry(path: Path | str) -> Geometry | None:
 
 
 def read_sample_poses(path: Path | str) -> Float[np.ndarray, "view 4 4"] | None:
-    """Where the sample was in each view, as matrices from its rest to there [mm]; None where it did not move."""
+    """Read the pose of the sample in each view, as matrices from its rest to there.
+
+    Parameters
+    ----------
+    path : the dataset
+
+    Returns
+    -------
+    matrices [mm], (view, 4, 4); None where the sample did not move
+    """
     with open_file(Path(path)) as file, damaged_file(Path(path)):
         return array_at(file, "truth/motion/pose")[()] if "truth/motion/pose" in file else None

@@ -1,4 +1,4 @@
-"""What was really scanned: basis volumes, material fractions and materials, in ``/truth`` of a dataset."""
+"""Truth of a dataset in ``/truth``: basis volumes, material fractions and materials."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -35,7 +35,7 @@ _SLAB_VALUES = 1 << 25
 
 @dataclass(frozen=True, eq=False)
 class CoefficientFit:
-    """How the coefficients of compositions were found: the non-negative fit of least relative error of mu(E).
+    """Fit of the coefficients of compositions: non-negative, with the least relative error of mu(E).
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class CoefficientFit:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Truth on a grid.
+    """Truth on a voxel grid.
 
     Parameters
     ----------
@@ -85,7 +85,22 @@ class Truth:
         scene: str,
         fit: CoefficientFit | None = None,
     ) -> "Truth":
-        """From fractions between 0 and 1."""
+        """Create the truth from fractions between 0 and 1.
+
+        Parameters
+        ----------
+        grid : the voxels
+        basis_names : names of the basis functions
+        material_names : names of the materials, background left out
+        coefficients : of the materials in the basis [1/mm]
+        fractions : part of each voxel that each material fills, 0 to 1
+        scene : the scene as YAML
+        fit : of the coefficients
+
+        Returns
+        -------
+        the truth
+        """
         volumes = np.zeros((len(basis_names), *grid.shape), np.float32)
         for row, fraction in zip(coefficients, fractions, strict=True):
             for basis in np.flatnonzero(row):
@@ -104,12 +119,17 @@ class Truth:
         return _label_type(self.material_names)
 
     def slabs(self) -> Iterator[tuple[int, "Truth"]]:
-        """Parts of it with their first slice: here, all at once."""
+        """Yield parts of the truth with their first slice: here, all at once.
+
+        Yields
+        ------
+        index of the first slice, and the truth of the slab
+        """
         yield 0, self
 
     @property
     def labels(self) -> Int[np.ndarray, "z y x"]:
-        """What fills most of each voxel: 0 the background, i + 1 material i."""
+        """Label of the material that fills most of each voxel: 0 the background, i + 1 material i."""
         filled = self.fractions.sum(axis=0, dtype=np.int32)
         largest = np.maximum(FRACTION_SCALE - filled, 0)
         labels = np.zeros(self.grid.shape, self.label_type)
@@ -122,12 +142,13 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class StreamedTruth:
-    """The same, computed slab by slab, so that volumes of any size take the same memory.
+    """Truth that is computed slab by slab, so that volumes of any size require the same memory.
 
     Parameters
     ----------
-    grid, basis_names, material_names, coefficients, scene, fit : see `Truth`
-    filled : part of each voxel of a grid that each material fills
+    grid, basis_names, material_names, coefficients : see `Truth`
+    filled : function that returns the part of each voxel of a grid that each material fills
+    scene, fit : see `Truth`
     """
 
     grid: Grid
@@ -139,12 +160,26 @@ class StreamedTruth:
     fit: CoefficientFit | None = None
 
     def part(self, grid: Grid) -> Truth:
-        """Truth of a part of the grid."""
+        """Compute the truth of a part of the grid.
+
+        Parameters
+        ----------
+        grid : voxels of the part
+
+        Returns
+        -------
+        the truth
+        """
         names = self.basis_names, self.material_names
         return Truth.of(grid, *names, self.coefficients, self.filled(grid), self.scene, self.fit)
 
     def slabs(self) -> Iterator[tuple[int, Truth]]:
-        """Slabs with their first slice; how many depends on the grid only, not on the machine."""
+        """Yield slabs with their first slice; their number depends on the grid only, not on the machine.
+
+        Yields
+        ------
+        index of the first slice, and the truth of the slab
+        """
         depth = self.grid.shape[0]
         for first in range(0, depth, self.slab):
             yield first, self.part(self.grid.slices(first, min(self.slab, depth - first)))
@@ -167,7 +202,15 @@ def write_truth(
     materials: tuple[Material, ...],
     compression: Compression = "gzip",
 ) -> None:
-    """Write ``/truth``."""
+    """Write ``/truth``.
+
+    Parameters
+    ----------
+    file : open dataset
+    truth : the truth, whole or in slabs
+    materials : the materials
+    compression : of the volumes
+    """
     group = truth_group(file)
     volumes = _new_volumes(group, truth, compression)
     for first, slab in truth.slabs():
@@ -190,19 +233,43 @@ def write_truth(
 
 
 def write_grid(group: h5py.Group, grid: Grid) -> None:
-    """Write a grid, triples in array order (z, y, x)."""
+    """Write a grid, triples in array order (z, y, x).
+
+    Parameters
+    ----------
+    group : group that gets it
+    grid : the voxels
+    """
     put(group, "shape", np.array(grid.shape, dtype=np.int32))
     put(group, "spacing", np.array(grid.spacing), "mm")
     put(group, "origin", np.array(grid.origin), "mm")
 
 
 def truth_group(file: h5py.File) -> h5py.Group:
-    """``/truth`` of a file that is being written, made where it is missing."""
+    """Return ``/truth`` of a file that is being written; create it where it is missing.
+
+    Parameters
+    ----------
+    file : open dataset
+
+    Returns
+    -------
+    the group
+    """
     return group_at(file, "truth") if "truth" in file else new_group(file, "truth", "NXentry", default="basis")
 
 
 def read_truth(path: Path | str) -> Truth | None:
-    """The truth of a dataset, or None where the file has none."""
+    """Read the truth of a dataset.
+
+    Parameters
+    ----------
+    path : the dataset
+
+    Returns
+    -------
+    the truth; None where the file has none
+    """
     path = Path(path)
     with open_file(path) as file, damaged_file(path):
         if "truth" not in file:
@@ -222,7 +289,16 @@ def read_truth(path: Path | str) -> Truth | None:
 
 
 def read_fit(materials: h5py.Group) -> CoefficientFit | None:
-    """How coefficients were fitted, or None where the file does not say."""
+    """Read how coefficients were fitted.
+
+    Parameters
+    ----------
+    materials : group of the materials
+
+    Returns
+    -------
+    the fit; None where the file does not say
+    """
     if "fit_error" not in materials:
         return None
     low, high = array_at(materials, "fit_window")[()]
@@ -275,12 +351,16 @@ def _composition(material: Material) -> str:
 
 
 def true_volumes(path: Path, labels: bool = False) -> Volumes:
-    """Basis volumes of a dataset's truth, or what fills most of each voxel.
+    """Read the basis volumes of a dataset's truth, or the label of the material that fills most of each voxel.
 
     Parameters
     ----------
     path : of the dataset
     labels : 0 for the background, i + 1 for material i, in place of the bases
+
+    Returns
+    -------
+    the volumes
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""All checks of a dataset that take reading it whole; `open_dataset` makes the quick ones."""
+"""Checks of a dataset that require reading all of it; `open_dataset` makes the quick ones."""
 
 from collections.abc import Callable, Iterator
 from itertools import combinations
@@ -33,12 +33,16 @@ _UNITS = {
 
 
 def validate(path: Path | str, air: str | None = None) -> list[str]:
-    """Everything that is wrong with a dataset, one sentence each; empty when nothing is.
+    """Return everything that is wrong with a dataset, one sentence each; empty when nothing is.
 
     Parameters
     ----------
     path : of the dataset
     air : region of the panel that sees only air, for a file without flats
+
+    Returns
+    -------
+    sentences
 
     Raises
     ------
@@ -53,7 +57,16 @@ def validate(path: Path | str, air: str | None = None) -> list[str]:
 
 
 def newer_minor(dataset: Dataset) -> str | None:
-    """A warning when the file was written by a newer program, which is harmless."""
+    """Return a warning when the file was written by a newer program, which is harmless.
+
+    Parameters
+    ----------
+    dataset : open dataset
+
+    Returns
+    -------
+    one sentence, or None
+    """
     version = str(dataset.file.attrs["schema_version"])
     minor = version.partition(".")[2]
     if minor.isdigit() and int(minor) > SCHEMA_VERSION[1]:

@@ -1,4 +1,4 @@
-"""What a real scan has beyond exposure and photon noise: one file for each effect, each off unless a scene asks for it.
+"""Effects of a real scan beyond exposure and photon noise: one file for each effect, each off by default.
 
 Effects meet a frame in the order of physics: the tube's output, then what happens on the way to the panel, then what
 the detector makes of it. `phantomgen.simulation.forward_model.frames` applies them; an effect that is off costs
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from phantomgen.effects.aperture import Aperture
 from phantomgen.effects.blur import Blur
 from phantomgen.effects.defects import Defects
-from phantomgen.effects.electronic_noise import Electronics
+from phantomgen.effects.electronic_noise import ElectronicNoise
 from phantomgen.effects.focal_spot import FocalSpot
 from phantomgen.effects.lag import Lag
 from phantomgen.effects.pixel_gain import Gain
@@ -23,7 +23,7 @@ __all__ = [
     "ComptonScatter",
     "Defects",
     "Effects",
-    "Electronics",
+    "ElectronicNoise",
     "FocalSpot",
     "Gain",
     "Lag",
@@ -34,7 +34,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Effects:
-    """The effects of a scan; None where one is off.
+    """Effects of a scan; None where one is off.
 
     Parameters
     ----------
@@ -56,5 +56,5 @@ class Effects:
     blur: Blur | None = None
     gain: Gain | None = None
     lag: Lag | None = None
-    electronics: Electronics | None = None
+    electronics: ElectronicNoise | None = None
     defects: Defects | None = None

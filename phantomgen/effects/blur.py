@@ -26,7 +26,7 @@ Kernel = Float[np.ndarray, " _tap"]
 
 @dataclass(frozen=True)
 class Blur:
-    """A Gaussian point spread.
+    """Gaussian point spread of the detector.
 
     Parameters
     ----------
@@ -46,7 +46,22 @@ class Blur:
 
     @classmethod
     def of_mtf(cls, mtf: float, frequency: float) -> "Blur":
-        """With the given MTF, between 0 and 1, at a frequency [1/mm]."""
+        """Create the blur with the given MTF at one frequency.
+
+        Parameters
+        ----------
+        mtf : modulation transfer, between 0 and 1
+        frequency : spatial frequency [1/mm]
+
+        Returns
+        -------
+        the blur
+
+        Raises
+        ------
+        InputError
+            When the MTF is not between 0 and 1, or the frequency is not positive.
+        """
         if not (0 < mtf < 1 and 0 < frequency < np.inf):
             raise InputError(
                 f"an MTF between 0 and 1 at a positive frequency is needed, got {mtf:g} at {frequency:g} /mm"
@@ -55,24 +70,59 @@ class Blur:
 
     @classmethod
     def of_fwhm(cls, fwhm: float) -> "Blur":
-        """With the given full width at half maximum [mm]."""
+        """Create the blur with the given full width at half maximum.
+
+        Parameters
+        ----------
+        fwhm : full width at half maximum [mm]
+
+        Returns
+        -------
+        the blur
+        """
         return cls(fwhm / (2 * np.sqrt(2 * np.log(2))))
 
     def mtf(self, frequency: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-        """Modulation transfer at frequencies [1/mm]."""
+        """Compute the modulation transfer function.
+
+        Parameters
+        ----------
+        frequency : spatial frequencies [1/mm]
+
+        Returns
+        -------
+        modulation transfer, 0 to 1
+        """
         return np.exp(-2 * (np.pi * self.sigma * frequency) ** 2)
 
     def kernels(self, panel: Panel) -> tuple[Kernel, Kernel]:
-        """Weights of neighbouring pixels along a column and along a row."""
+        """Compute the weights of neighbouring pixels along a column and along a row.
+
+        Parameters
+        ----------
+        panel : the pixel grid
+
+        Returns
+        -------
+        both kernels
+        """
         return sampled_gaussian(self.sigma / panel.row_pitch), sampled_gaussian(self.sigma / panel.column_pitch)
 
 
 def sampled_gaussian(sigma: float) -> Kernel:
-    """Weights exp(-k^2 / 2 s^2) that sum to one, with s such that their standard deviation is `sigma` [pixel].
+    """Compute weights exp(-k^2 / 2 s^2) that sum to one, with s such that their standard deviation is `sigma`.
 
     Samples of a function much narrower than a pixel would blur less than they should, and their integrals over pixels
     more: the wanted second moment keeps the MTF right at low frequencies, and weights stay positive. From 0.7 pixels
     on s and `sigma` differ by less than 1 %.
+
+    Parameters
+    ----------
+    sigma : standard deviation [pixel]
+
+    Returns
+    -------
+    weights of pixels -n to n
     """
     steps = np.arange(-int(np.ceil(_REACH * sigma)) - 1, int(np.ceil(_REACH * sigma)) + 2)
 
@@ -86,7 +136,17 @@ def sampled_gaussian(sigma: float) -> Kernel:
 
 
 def blurred(image: Float[np.ndarray, "row column"], kernels: tuple[Kernel, Kernel]) -> Float[np.ndarray, "row column"]:
-    """An image spread over neighbouring pixels; its sum stays the same."""
+    """Spread an image over neighbouring pixels; its sum does not change.
+
+    Parameters
+    ----------
+    image : values, (row, column)
+    kernels : along columns and along rows
+
+    Returns
+    -------
+    blurred image, (row, column)
+    """
     along_columns, along_rows = kernels
     half = correlate1d(np.asarray(image, dtype=np.float64), along_columns, axis=0, mode="reflect")
     return correlate1d(half, along_rows, axis=1, mode="reflect")

@@ -22,7 +22,7 @@ Image = Shaped[np.ndarray, "row column"]
 
 @dataclass(frozen=True)
 class Defects:
-    """Which pixels do not measure.
+    """Pixels that do not measure.
 
     Parameters
     ----------
@@ -56,7 +56,16 @@ class Defects:
                 raise InputError(f"the {name} of defects must be finite and not negative, got {getattr(self, name):g}")
 
     def mask(self, seed: int, rows: int, columns: int) -> UInt32[np.ndarray, "row column"]:
-        """What is wrong with each pixel, in bits; 0 is a good one.
+        """Compute the bits that say what is wrong with each pixel; 0 is a good pixel.
+
+        Parameters
+        ----------
+        seed : of the scan
+        rows, columns : number of pixels
+
+        Returns
+        -------
+        bits, (row, column)
 
         Raises
         ------
@@ -90,13 +99,33 @@ class Defects:
 
 
 def stuck(image: Image, mask: UInt32[np.ndarray, "row column"], level: float) -> Image:
-    """An image whose dead pixels read 0, and hot ones a level; the type of its numbers stays."""
+    """Set dead pixels of an image to 0, and hot ones to a level; the type of the values does not change.
+
+    Parameters
+    ----------
+    image : readings, (row, column)
+    mask : bits of each pixel
+    level : reading of hot pixels
+
+    Returns
+    -------
+    the image with defects
+    """
     read = np.where(mask & DEAD, 0.0, level)
     return np.where(mask == 0, image, np.rint(read) if image.dtype.kind == "i" else read).astype(image.dtype)
 
 
 def dead_or_hot(mask: UInt32[np.ndarray, "..."]) -> tuple[int, int]:
-    """How many pixels of a mask are dead, and how many hot."""
+    """Count the dead and the hot pixels of a mask.
+
+    Parameters
+    ----------
+    mask : bits of each pixel
+
+    Returns
+    -------
+    number of dead and of hot pixels
+    """
     return int(np.count_nonzero(mask & DEAD)), int(np.count_nonzero(mask & HOT))
 
 

@@ -1,4 +1,4 @@
-"""Electronics of detectors that integrate energy: an offset, and noise of every reading.
+"""Electronic noise of energy-integrating detectors: an offset, and noise of every reading.
 
 Model: a reading is the signal plus a constant offset plus a normal number of standard deviation `sigma`, independent
 from pixel to pixel and from frame to frame (Whiting et al. 2006, doi:10.1118/1.2230762). Dark frames hold the offset
@@ -21,8 +21,8 @@ _STREAM = {
 
 
 @dataclass(frozen=True)
-class Electronics:
-    """Offset and noise of readings.
+class ElectronicNoise:
+    """Offset and electronic noise of readings.
 
     Parameters
     ----------
@@ -51,6 +51,16 @@ class Electronics:
         channel: int,
         stream: Stream = Stream.PROJECTION,
     ) -> Float[np.ndarray, "row column"]:
-        """What is read for a signal [keV]; the key says which frame it is."""
+        """Draw the reading of a signal.
+
+        Parameters
+        ----------
+        signal : signal [keV], (row, column)
+        seed, frame, channel, stream : key of the noise
+
+        Returns
+        -------
+        reading [keV], (row, column)
+        """
         random = generator(seed, _STREAM[stream], frame, channel)
         return signal + self.offset + self.sigma * random.standard_normal(signal.shape)

@@ -7,7 +7,7 @@ triangles, an edge at magnification M = SDD / SOD is blurred on the panel by M -
 
 Points are a lattice with equal weights (Sloan & Joe 1994, "Lattice Methods for Multiple Integration"): n of them have
 n different places along the width, and along the height, whereas a product of two rules has sqrt(n). The view of each
-point is averaged over pixels exactly, so errors at upright and level edges fall with the square of n. Lattices that
+point is averaged over pixels exactly, so errors at edges along rows or columns fall with the square of n. Lattices that
 look alike after a quarter turn, step^2 = -1 modulo n, integrate xy exactly and err least at slanting edges and corners.
 """
 
@@ -37,7 +37,7 @@ _NEAREST = 0.05
 
 @dataclass(frozen=True)
 class FocalSpot:
-    """A rectangle, or a normal distribution, of points that photons start from.
+    """Focal spot: a rectangle, or a normal distribution, of points that photons start from.
 
     Parameters
     ----------
@@ -65,7 +65,16 @@ class FocalSpot:
             )
 
     def offsets(self, n: int) -> Float[np.ndarray, "point 2"]:
-        """Places along width and height of the smallest lattice of at least `n` points [mm], from the spot's centre."""
+        """Compute the source points of the smallest lattice of at least `n` points.
+
+        Parameters
+        ----------
+        n : least number of points
+
+        Returns
+        -------
+        places along width and height from the spot's centre [mm]
+        """
         places = spot_lattice(_at_least(n))
         if self.shape == "gaussian":
             places = ndtri(places + 0.5)
@@ -74,7 +83,17 @@ class FocalSpot:
         return places * (self.width, self.height)
 
     def frames(self, frame: Float[np.ndarray, "4 3"], n: int) -> Float[np.ndarray, "point 4 3"]:
-        """Ray frames (source, vector to pixel (0, 0), column step, row step) of `n` points; the panel stays."""
+        """Compute the ray frames of `n` source points; the panel does not move.
+
+        Parameters
+        ----------
+        frame : source, vector to pixel (0, 0), column step and row step [mm]
+        n : least number of points
+
+        Returns
+        -------
+        frames, (point, 4, 3)
+        """
         along = frame[2:] / np.linalg.norm(frame[2:], axis=1, keepdims=True)
         moved = self.offsets(n) @ along
         frames = np.tile(frame, (len(moved), 1, 1))
@@ -83,20 +102,48 @@ class FocalSpot:
         return frames
 
     def blur(self, frame: Float[np.ndarray, "4 3"], places: Float[np.ndarray, "place 3"]) -> float:
-        """Widest blur [pixel] of edges at some places of the object, (1 / t - 1) spots with t the way to the panel."""
+        """Compute the widest blur of edges in the object, (1 / t - 1) spots with t the relative distance to the panel.
+
+        Parameters
+        ----------
+        frame : source, vector to pixel (0, 0), column step and row step [mm]
+        places : places in the object [mm]
+
+        Returns
+        -------
+        blur [pixel]
+        """
         way = np.linalg.solve(frame[1:].T, (places - frame[0]).T)[0]
         pixels = np.linalg.norm(frame[2:], axis=1)
         widest = float((np.array([self.width, self.height]) / pixels).max())
         return widest * float((1 / np.clip(way, _NEAREST, 1.0) - 1).max(initial=0.0))
 
     def points_for(self, blur: float) -> int:
-        """Points that err by some 3e-3 of the contrast, at worst, where the spot blurs an edge over `blur` pixels."""
+        """Return the number of points that errs by about 3e-3 of the contrast, at worst, at a given blur of edges.
+
+        Parameters
+        ----------
+        blur : width of the blur [pixel]
+
+        Returns
+        -------
+        number of points
+        """
         wide = blur * (_TAILS if self.shape == "gaussian" else 1.0)
         return _at_least(max(1, min(ceil(_POINTS * wide**1.5), _MOST)))
 
 
 def spot_lattice(n: int) -> Float[np.ndarray, "point 2"]:
-    """Points of the square [-1/2, 1/2]^2, symmetric to its centre, `n` different places along either side."""
+    """Compute points of the square [-1/2, 1/2]^2, symmetric to its centre, with `n` different places along each side.
+
+    Parameters
+    ----------
+    n : number of points
+
+    Returns
+    -------
+    points, (point, 2)
+    """
     number = np.arange(n) - n // 2
     return np.stack([number, (number * LATTICES[n] + n // 2) % n - n // 2], axis=1) / n
 

@@ -27,7 +27,7 @@ Stored = Float[np.ndarray, "term channel row column"]
 
 @dataclass(frozen=True)
 class Lag:
-    """Parts of a signal that are stored, and for how long.
+    """Afterglow: parts of a signal that are stored, and their time constants.
 
     Parameters
     ----------
@@ -57,39 +57,80 @@ class Lag:
 
     @property
     def kept(self) -> Float[np.ndarray, " term"]:
-        """What is left of each store after one view, e_i."""
+        """Part of each store that is left after one view, e_i."""
         return np.exp(-1 / np.array(self.decays))
 
     def response(self, views: int) -> Float[np.ndarray, " view"]:
-        """h_k: how the signal of one view shows in it and in those after it."""
+        """Compute h_k, the response to the signal of one view in this view and in those after it.
+
+        Parameters
+        ----------
+        views : number of views
+
+        Returns
+        -------
+        parts of the signal
+        """
         later = np.arange(1, views)[:, None]
         parts = np.array(self.fractions) * (1 - self.kept) * self.kept ** (later - 1)
         return np.append(1 - sum(self.fractions), parts.sum(axis=1))[:views]
 
     def memory(self, tail: float) -> int:
-        """Views after which less than `tail` of a signal is still stored."""
+        """Return the number of views after which less than `tail` of a signal is still stored.
+
+        Parameters
+        ----------
+        tail : part of a signal
+
+        Returns
+        -------
+        number of views
+        """
         slowest = max(self.decays)
         return max(int(np.ceil(slowest * np.log(sum(self.fractions) / tail))), 1) if sum(self.fractions) > tail else 1
 
     def empty(self, shape: tuple[int, ...]) -> Stored:
-        """Nothing stored, for frames of such a shape."""
+        """Return the state with nothing stored.
+
+        Parameters
+        ----------
+        shape : shape of a frame
+
+        Returns
+        -------
+        zeros, (term, *shape)
+        """
         return np.zeros((len(self.decays), *shape))
 
     def read(self, signal: Frame, stored: Stored) -> tuple[Frame, Stored]:
-        """What is measured of a signal, and what is stored after it."""
+        """Compute the measured signal, and the state after it.
+
+        Parameters
+        ----------
+        signal : signal of a view
+        stored : state before it
+
+        Returns
+        -------
+        measured signal, and new state
+        """
         signal = np.asarray(signal, dtype=np.float64)
         kept, fractions = (np.reshape(x, (-1, 1, 1, 1)) for x in (self.kept, self.fractions))
         measured = (1 - sum(self.fractions)) * signal + ((1 - kept) * stored).sum(axis=0)
         return measured, kept * stored + fractions * signal
 
     def first_needed(self, view: int, starts: Collection[int], tail: float = 0.0) -> int:
-        """View to begin with, nothing stored, so that all is right from `view` on.
+        """Return the view to begin with, nothing stored, so that all is right from `view` on.
 
         Parameters
         ----------
         view : to go on from
         starts : views with which an acquisition begins
         tail : part of a signal that may be forgotten; 0 begins with the acquisition and gives every bit
+
+        Returns
+        -------
+        number of the view
         """
         first = max((start for start in starts if start <= view), default=0)
         return max(first, view - self.memory(tail)) if tail > 0 else first

@@ -29,7 +29,7 @@ Image = Float[np.ndarray, "row column"]
 
 @dataclass(frozen=True)
 class Gain:
-    """Relative standard deviations of a gain map, each at most 0.2.
+    """Gain map of pixels: relative standard deviations, each at most 0.2.
 
     Parameters
     ----------
@@ -59,7 +59,20 @@ class Gain:
     def maps(
         self, seed: int, channels: int, rows: int, columns: int, stream: Stream = Stream.PROJECTION
     ) -> Float[np.ndarray, "channel row column"]:
-        """Gain of every pixel in views, or in flats; no map depends on how many channels there are."""
+        """Compute the gain of every pixel in views, or in flats.
+
+        The map of a channel does not depend on the number of channels.
+
+        Parameters
+        ----------
+        seed : of the scan
+        channels, rows, columns : their numbers
+        stream : views or flats
+
+        Returns
+        -------
+        gains, (channel, row, column)
+        """
         return np.stack([self._map(seed, channel, rows, columns, stream) for channel in range(channels)])
 
     def _map(self, seed: int, channel: int, rows: int, columns: int, stream: Stream) -> Image:

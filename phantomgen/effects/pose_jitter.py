@@ -19,7 +19,7 @@ from spectra.errors import InputError
 
 @dataclass(frozen=True)
 class Jitter:
-    """Standard deviations, all per axis.
+    """Standard deviations of random displacements, per axis.
 
     Parameters
     ----------
@@ -32,13 +32,33 @@ class Jitter:
     rotation: float = 0.0
 
     def numbers(self, seed: int, views: int) -> Float[np.ndarray, "view 9"]:
-        """Standard normal numbers of each view, which do not depend on the number of views."""
+        """Draw standard normal numbers of each view, which do not depend on the number of views.
+
+        Parameters
+        ----------
+        seed : of the scan
+        views : number of views
+
+        Returns
+        -------
+        numbers, (view, 9)
+        """
         drawn = [generator(seed, Stream.JITTER, view, 0).standard_normal(9) for view in range(views)]
         return np.array(drawn).reshape(views, 9)
 
 
 def jittered(geometry: Geometry, jitter: Jitter, seed: int) -> Geometry:
-    """The true geometry of a scan whose nominal one is given.
+    """Compute the true geometry of a scan from the nominal one.
+
+    Parameters
+    ----------
+    geometry : nominal poses
+    jitter : standard deviations
+    seed : of the scan
+
+    Returns
+    -------
+    true poses
 
     Raises
     ------

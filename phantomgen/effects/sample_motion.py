@@ -22,7 +22,7 @@ _NONE: Triple = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Motion(ABC):
-    """A rigid motion.
+    """Rigid motion of the sample.
 
     Parameters
     ----------
@@ -35,16 +35,31 @@ class Motion(ABC):
 
     @abstractmethod
     def amplitudes(self, times: Times, steps: int, seed: int) -> Float[np.ndarray, "view 6"]:
-        """What part of each shift and of each rotation is reached at `times`; `steps` views are from 0 to 1."""
+        """Compute the part of each shift and of each rotation that is reached at `times`.
+
+        Parameters
+        ----------
+        times : of the views, 0 to 1
+        steps : number of training views, at equal steps of time
+        seed : of random motion
+
+        Returns
+        -------
+        parts, (view, 6)
+        """
 
     def poses(self, times: Times, steps: int, seed: int) -> Float[np.ndarray, "view 4 4"]:
-        """Matrix of each view that takes points of the sample at rest to where they are [mm].
+        """Compute the matrix of each view from points of the sample at rest to their places.
 
         Parameters
         ----------
         times : of the views, 0 to 1
         steps : number of training views, which stand at equal steps of time
         seed : of random motion
+
+        Returns
+        -------
+        matrices [mm], (view, 4, 4)
         """
         parts = self.amplitudes(times, steps, seed) * np.array([*self.shift, *self.rotation])
         poses = np.tile(np.eye(4), (len(times), 1, 1))
@@ -59,7 +74,18 @@ class Drift(Motion):
     """Uniform motion: shift and rotation are reached at the end of the scan."""
 
     def amplitudes(self, times: Times, steps: int, seed: int) -> Float[np.ndarray, "view 6"]:
-        """Time itself."""
+        """Return the time as amplitude of all six.
+
+        Parameters
+        ----------
+        times : of the views, 0 to 1
+        steps : not used
+        seed : not used
+
+        Returns
+        -------
+        parts, (view, 6)
+        """
         return np.repeat(times[:, None], 6, axis=1)
 
 
@@ -77,7 +103,18 @@ class Sinusoid(Motion):
     phase: float = 0.0
 
     def amplitudes(self, times: Times, steps: int, seed: int) -> Float[np.ndarray, "view 6"]:
-        """The same sine for all six."""
+        """Compute one sine for all six amplitudes.
+
+        Parameters
+        ----------
+        times : of the views, 0 to 1
+        steps : not used
+        seed : not used
+
+        Returns
+        -------
+        parts, (view, 6)
+        """
         return np.repeat(np.sin(2 * np.pi * self.periods * times + self.phase)[:, None], 6, axis=1)
 
 
@@ -86,7 +123,18 @@ class RandomWalk(Motion):
     """Brownian motion: shift and rotation are the standard deviations of a step from one training view to the next."""
 
     def amplitudes(self, times: Times, steps: int, seed: int) -> Float[np.ndarray, "view 6"]:
-        """Sums of independent normal numbers, one set per view in the order of time, of variance steps x time."""
+        """Add independent normal numbers in the order of time, one set per view, of variance steps x time.
+
+        Parameters
+        ----------
+        times : of the views, 0 to 1
+        steps : number of training views, at equal steps of time
+        seed : of the random numbers
+
+        Returns
+        -------
+        sums, (view, 6)
+        """
         order = np.argsort(times, kind="stable")
         drawn = np.array([generator(seed, Stream.MOTION, view, 0).standard_normal(6) for view in range(len(times))])
         waits = np.diff(times[order], prepend=0.0) * steps
@@ -96,6 +144,16 @@ class RandomWalk(Motion):
 
 
 def seen_from_sample(geometry: Geometry, poses: Float[np.ndarray, "view 4 4"]) -> Geometry:
-    """Source and panel of each view in the frame of the sample: what moves is them, the other way."""
+    """Compute source and panel of each view in the frame of the sample, where they move the opposite way.
+
+    Parameters
+    ----------
+    geometry : poses in the frame of the room
+    poses : matrices of the sample's poses [mm], (view, 4, 4)
+
+    Returns
+    -------
+    poses in the frame of the sample
+    """
     back = np.swapaxes(poses[:, :3, :3], 1, 2)
     return geometry.moved(back, -np.einsum("vij,vj->vi", back, poses[:, :3, 3]))

@@ -43,7 +43,7 @@ _BLOCKS = 8
 
 @dataclass(frozen=True)
 class ScatterKernel:
-    """Smooth scatter that is estimated from the primary signal.
+    """Smooth scatter that is estimated from the primary signal by a kernel.
 
     Parameters
     ----------
@@ -66,14 +66,36 @@ class ScatterKernel:
             raise InputError(f"the width of a scatter kernel must be positive, got {self.width:g} mm")
 
     def spread(self, primary: Images, open_beam: Images, panel: Panel) -> Images:
-        """Scatter of strength 1: p exp(-p) I0 of each group, spread over the panel."""
+        """Compute the scatter of strength 1: p exp(-p) I0 of each group, spread over the panel.
+
+        Parameters
+        ----------
+        primary : primary signals, (group, row, column)
+        open_beam : signals without object, (group, row, column)
+        panel : the pixel grid
+
+        Returns
+        -------
+        scattered signals, (group, row, column)
+        """
         part = np.divide(primary, open_beam, out=np.ones_like(primary), where=open_beam > 0)
         sources = -primary * np.log(np.clip(part, 1e-300, 1.0))
         sigma = self.width / FWHM
         return _spread_rows(_spread_rows(sources, panel.column_pitch, sigma), panel.row_pitch, sigma)
 
     def strength(self, primary: Images, open_beam: Images, panel: Panel) -> float:
-        """Factor on `spread` that gives the ratio asked for in one view; 0 where no object casts a shadow."""
+        """Compute the factor on `spread` that gives the required ratio in one view.
+
+        Parameters
+        ----------
+        primary : primary signals, (group, row, column)
+        open_beam : signals without object, (group, row, column)
+        panel : the pixel grid
+
+        Returns
+        -------
+        factor; 0 where no object casts a shadow
+        """
         total, air = primary.sum(axis=0), open_beam.sum(axis=0)
         shadow = total < air * np.exp(-SHADOW)
         scattered = self.spread(primary, open_beam, panel).sum(axis=0)[shadow].sum()
@@ -91,13 +113,13 @@ def _spread_rows(images: Images, pitch: float, sigma: float) -> Float[np.ndarray
 
 @dataclass(frozen=True)
 class ComptonScatter:
-    """Single scatter of the scene's own objects and photons; nothing is to be chosen."""
+    """Single Compton scatter of the scene's own objects and photons; it has no parameters."""
 
 
 def scatterers(
     density: Float[np.ndarray, "z y x"], grid: Grid, cells: int, rng: np.random.RandomState
 ) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, " point"]]:
-    """A random place (x, y, z) [mm] in each of `cells`^3 blocks that holds anything, and how much the block holds.
+    """Draw a random place in each of `cells`^3 blocks that contains anything, and sum the content of the block.
 
     Parameters
     ----------
@@ -105,6 +127,10 @@ def scatterers(
     grid : of the voxels, whose number along each axis is a multiple of `cells`
     cells : along each axis
     rng : random numbers
+
+    Returns
+    -------
+    places (x, y, z) [mm], and content of their blocks
     """
     block = [n for size in density.shape for n in (cells, size // cells)]
     held = (density * grid.voxel_volume).reshape(block).transpose(0, 2, 4, 1, 3, 5).reshape(cells**3, -1)
@@ -119,21 +145,52 @@ def scatterers(
 
 
 def spline_weights(count: int, places: int) -> Float[np.ndarray, "pixel place"]:
-    """Values at the centres of `count` pixels from values at places evenly spread from edge to edge of their line."""
+    """Compute spline weights from values at evenly spread places to values at the centres of pixels.
+
+    Parameters
+    ----------
+    count : number of pixels in the line
+    places : number of places, from edge to edge of the line
+
+    Returns
+    -------
+    weights, (pixel, place)
+    """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - slow to import, and seldom needed
 
     return make_interp_spline(line_places(count, places), np.eye(places), k=min(3, places - 1))(np.arange(count))
 
 
 def line_places(count: int, places: int) -> Float[np.ndarray, " place"]:
-    """Places from the first to the last edge of a line of `count` pixels [pixel]."""
+    """Return places from the first to the last edge of a line of pixels.
+
+    Parameters
+    ----------
+    count : number of pixels in the line
+    places : number of places
+
+    Returns
+    -------
+    places [pixel]
+    """
     return np.linspace(-0.5, count - 0.5, places)
 
 
 def on_panel(
     frame: Float[np.ndarray, "4 3"], place: Float[np.ndarray, "point 3"], rows: int, columns: int
 ) -> tuple[Bool[np.ndarray, " point"], Float[np.ndarray, "point 2"]]:
-    """Which points lie in the beam between source and panel, and the row and column that they project to [pixel]."""
+    """Find the points in the beam between source and panel, and project them.
+
+    Parameters
+    ----------
+    frame : source, vector to pixel (0, 0), column step and row step [mm]
+    place : points [mm], (point, 3)
+    rows, columns : number of pixels
+
+    Returns
+    -------
+    True for points in the beam, and their row and column [pixel]
+    """
     depth, column, row = np.linalg.solve(frame[1:].T, (place - frame[0]).T)
     column, row = column / depth, row / depth
     beam = (depth > 0) & (depth < 1) & (np.abs(column - (columns - 1) / 2) < columns / 2)

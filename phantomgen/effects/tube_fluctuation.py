@@ -1,7 +1,7 @@
 """Tube output that varies from exposure to exposure.
 
 Model: every view and every flat has its own factor on all photons, normal around 1 with a standard deviation `sigma`,
-independent of all others. A monitor may record the factors; a reconstructor that is not told them has to find them in
+independent of all others. A monitor may record the factors; a reconstructor without them has to estimate them in
 air.
 """
 
@@ -18,7 +18,7 @@ _LARGEST = 0.2
 
 @dataclass(frozen=True)
 class TubeOutput:
-    """Factors on the photons of each exposure.
+    """Fluctuation of the tube output between exposures.
 
     Parameters
     ----------
@@ -39,6 +39,19 @@ class TubeOutput:
             raise InputError(f"the standard deviation of tube output must lie in 0 .. {_LARGEST}, got {self.sigma:g}")
 
     def factors(self, seed: int, stream: Stream, frames: int) -> Float[np.ndarray, " frame"]:
-        """Output of each frame, relative to the mean; those of one frame do not depend on how many there are."""
+        """Draw the output of each frame, relative to the mean.
+
+        The factor of a frame does not depend on the number of frames.
+
+        Parameters
+        ----------
+        seed : of the scan
+        stream : views or flats
+        frames : number of frames
+
+        Returns
+        -------
+        one factor per frame
+        """
         drawn = [generator(seed, Stream.TUBE, frame, int(stream)).standard_normal() for frame in range(frames)]
         return np.maximum(1 + self.sigma * np.array(drawn), 0.0)

@@ -21,7 +21,11 @@ _SCANNER = 1  # NIfTI's code of coordinates of the scanner
 
 
 def writer() -> Callable[[Path, Volumes], None]:
-    """What writes the format.
+    """Return the function that writes the format.
+
+    Returns
+    -------
+    function of path and volumes
 
     Raises
     ------
@@ -36,7 +40,13 @@ def writer() -> Callable[[Path, Volumes], None]:
 
 
 def write_nifti(path: Path, volumes: Volumes) -> None:
-    """Write an array (x, y, z), or (x, y, z, volume) of several volumes, in mm; a comment says what each of them is."""
+    """Write an array (x, y, z), or (x, y, z, volume) of several volumes, in mm, with a comment on each volume.
+
+    Parameters
+    ----------
+    path : the file
+    volumes : the volumes
+    """
     import nibabel  # noqa: PLC0415
     from nibabel.nifti1 import Nifti1Extension  # noqa: PLC0415
 

@@ -17,7 +17,7 @@ FORMATS = {".vti": "vti", ".nii": "nifti", ".nii.gz": "nifti"}  # suffix: module
 
 @dataclass(frozen=True, eq=False)
 class Volumes:
-    """Volumes of one grid.
+    """Named volumes on one grid.
 
     Parameters
     ----------
@@ -40,13 +40,33 @@ class Volumes:
 
 
 def basis_volumes(grid: Grid, names: tuple[str, ...], volumes: Shaped[np.ndarray, "basis z y x"]) -> Volumes:
-    """Volumes of basis functions [1/mm]."""
+    """Create the volumes of basis functions.
+
+    Parameters
+    ----------
+    grid : the voxels
+    names : names of the basis functions
+    volumes : coefficients [1/mm], (basis, z, y, x)
+
+    Returns
+    -------
+    the volumes
+    """
     values = {name: volume.astype(np.float32) for name, volume in zip(names, volumes, strict=True)}
     return Volumes(grid, values, f"basis coefficients [1/mm]: {', '.join(names)}")
 
 
 def suffix_of(path: Path, known: dict[str, str] = FORMATS) -> str:
-    """The suffix of a file that can be written, in lower case.
+    """Return the suffix of a file that can be written, in lower case.
+
+    Parameters
+    ----------
+    path : the file
+    known : suffixes that can be written
+
+    Returns
+    -------
+    the suffix
 
     Raises
     ------
@@ -60,7 +80,15 @@ def suffix_of(path: Path, known: dict[str, str] = FORMATS) -> str:
 
 
 def writer_of(path: Path) -> Callable[[Path, Volumes], None]:
-    """What writes the format that a suffix says.
+    """Return the function that writes the format of a file's suffix.
+
+    Parameters
+    ----------
+    path : the file
+
+    Returns
+    -------
+    function of path and volumes
 
     Raises
     ------
@@ -73,7 +101,12 @@ def writer_of(path: Path) -> Callable[[Path, Volumes], None]:
 
 
 def write_volumes(path: Path, volumes: Volumes) -> None:
-    """Write the format that the suffix of `path` says; a file that is there is replaced.
+    """Write volumes in the format of the suffix; an existing file is replaced.
+
+    Parameters
+    ----------
+    path : the file
+    volumes : the volumes
 
     Raises
     ------

@@ -7,12 +7,23 @@ from phantomgen.exporters.volumes import Volumes
 
 
 def writer() -> Callable[[Path, Volumes], None]:
-    """What writes the format."""
+    """Return the function that writes the format.
+
+    Returns
+    -------
+    function of path and volumes
+    """
     return write_vti
 
 
 def write_vti(path: Path, volumes: Volumes) -> None:
-    """Write values at points, which are the centres of voxels: x, y and z are those of the scan [mm]."""
+    """Write values at points, which are the centres of voxels, in the coordinates of the scan [mm].
+
+    Parameters
+    ----------
+    path : the file
+    volumes : the volumes
+    """
     import pyvista  # noqa: PLC0415 - a second
 
     grid = volumes.grid

@@ -1,4 +1,1 @@
-"""Where source.
-
-Panel and volume are: poses, orbits, panel, voxel grid, and the YAML and table files that state them.
-"""
+"""Geometry of scans: positions of source, panel and volume, orbits, and the YAML and table files that state them."""

@@ -32,7 +32,15 @@ Values = dict[str, Any]
 
 
 def read_geometry_file(path: Path) -> Geometry:
-    """Views in the order of a dataset: those for training, then those for tests.
+    """Read views in the order of a dataset: training views, then test views.
+
+    Parameters
+    ----------
+    path : YAML file
+
+    Returns
+    -------
+    nominal poses
 
     Raises
     ------
@@ -90,7 +98,7 @@ class _Place:
         return float(value)
 
     def count(self, name: str, values: Values, default: int | None = None) -> int:
-        """The same, whole and not negative."""
+        """Read a number that is whole and not negative."""
         value = self.number(name, values, default)
         if value != int(value) or value < 0:
             raise InputError(f"{self.path}: {name} must be a whole number, 0 or more, got {value:g}")

@@ -1,4 +1,4 @@
-"""How the beam differs over the panel before it meets any object: a bowtie filter, the heel effect.
+"""Fan angles and obliquity of pixels, for the differences of the beam over the panel: bowtie filter, heel effect.
 
 Both act like sheets of absorber whose thickness depends on the pixel: photons of energy E that are on their way to a
 pixel are those of the central ray, which meets the centre of a panel that is not offset, times
@@ -16,29 +16,62 @@ _STRAIGHT = Mount()
 
 
 def fan_angles(panel: Panel, sdd: float, mount: Mount = _STRAIGHT) -> Image:
-    """Angle of each pixel's ray, projected on the plane of the orbit, from the central ray [rad]; up with columns."""
+    """Compute the angle of each pixel's ray from the central ray, projected on the plane of the orbit.
+
+    Parameters
+    ----------
+    panel : the pixel grid
+    sdd : distance from source to panel [mm]
+    mount : shift and tilt of the panel
+
+    Returns
+    -------
+    angles [rad], (row, column); they grow with columns
+    """
     across, _, depth = _positions(panel, sdd, mount)
     return np.arctan2(across, depth) + np.zeros((panel.rows, 1))
 
 
 def obliquity(panel: Panel, sdd: float, mount: Mount = _STRAIGHT) -> Image:
-    """Length of each pixel's ray over that of its projection on the plane of the orbit."""
+    """Compute the length of each pixel's ray over that of its projection on the plane of the orbit.
+
+    Parameters
+    ----------
+    panel : the pixel grid
+    sdd : distance from source to panel [mm]
+    mount : shift and tilt of the panel
+
+    Returns
+    -------
+    ratios, (row, column)
+    """
     across, up, depth = _positions(panel, sdd, mount)
     along = np.hypot(across, depth)
     return np.hypot(along, up) / along
 
 
 def anode_angles(panel: Panel, sdd: float, mount: Mount = _STRAIGHT) -> Image:
-    """Angle of each pixel's ray from the central ray towards an anode on the side of +z [rad], the same along a row.
+    """Compute the angle of each pixel's ray from the central ray towards an anode on the side of +z.
 
-    Fan angles do not count, as SpekPy has it; its spectra then change by 3e-4 at most over 11 degrees.
+    Angles are equal along a row. Fan angles are ignored, as SpekPy does; its spectra then change by 3e-4 at most over
+    11 degrees.
+
+    Parameters
+    ----------
+    panel : the pixel grid
+    sdd : distance from source to panel [mm]
+    mount : shift and tilt of the panel
+
+    Returns
+    -------
+    angles [rad], (row, column)
     """
     _, up, depth = _positions(panel, sdd, mount)
     return np.arctan2(up, depth) + np.zeros((1, panel.columns))
 
 
 def _positions(panel: Panel, sdd: float, mount: Mount) -> tuple[np.ndarray, np.ndarray, np.ndarray | float]:
-    """Where pixels are from the source [mm]: across the central ray in the plane of the orbit, up, and along it."""
+    """Compute positions of pixels from the source [mm]: across the central ray in the orbit's plane, up, along it."""
     across, up = _across(panel)[None], _up(panel)[:, None]
     if mount.tilt != _STRAIGHT.tilt:
         turned = np.einsum("ip,prk->irk", mount.turn[:, :2], np.stack(np.broadcast_arrays(across, -up)))

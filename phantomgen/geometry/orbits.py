@@ -1,4 +1,4 @@
-"""Orbits: where the source goes around the object, as functions that return a `Geometry`.
+"""Orbits: paths of the source around the object, as functions that return a `Geometry`.
 
 All turn about the z axis and begin, at angle 0, on the side of +x; columns count the way the source moves, and rows
 from +z downwards. The circular orbit itself is `Geometry.circular`.
@@ -17,10 +17,21 @@ Angles = Float[np.ndarray, " view"]
 
 
 def spread_angles(views: int, test_views: int, arc: float = 360.0, start: float = 0.0) -> Angles:
-    """Angles of the source [rad]: training views, then test views.
+    """Compute angles of the source: training views, then test views.
 
     Training views stand at start + i arc / views degrees, so that the end of the arc belongs to it no more than 360
     degrees do to a circle; test views at start + (j + 1/2) arc / test_views.
+
+    Parameters
+    ----------
+    views : number of training views
+    test_views : number of test views
+    arc : angle of the arc [degree]
+    start : first angle [degree]
+
+    Returns
+    -------
+    angles [rad]
     """
     train = np.arange(views) * (arc / views)
     test = (np.arange(test_views) + 0.5) * (arc / max(test_views, 1))
@@ -28,7 +39,16 @@ def spread_angles(views: int, test_views: int, arc: float = 360.0, start: float 
 
 
 def between(positions: Float[np.ndarray, " view"], count: int) -> Float[np.ndarray, " between"]:
-    """Middles of `count` of the gaps between neighbours, evenly picked.
+    """Compute the middles of `count` of the gaps between neighbours, evenly selected.
+
+    Parameters
+    ----------
+    positions : of the training views, ascending
+    count : number of gaps
+
+    Returns
+    -------
+    middles
 
     Raises
     ------
@@ -43,11 +63,15 @@ def between(positions: Float[np.ndarray, " view"], count: int) -> Float[np.ndarr
 
 
 def short_arc(half_fan: float) -> float:
-    """Arc [degree] on which every ray through the object is met at least once: half a turn and the fan.
+    """Compute the arc on which every ray through the object is measured at least once: half a turn and the fan.
 
     Parameters
     ----------
     half_fan : largest fan angle of a ray to the panel [rad]
+
+    Returns
+    -------
+    arc [degree]
 
     References
     ----------
@@ -57,7 +81,7 @@ def short_arc(half_fan: float) -> float:
 
 
 def helical(sod: float, sdd: float, angles: Angles, pitch: float, panel: Panel, z: float = 0.0) -> Geometry:
-    """Helical orbit: a circle whose source and panel rise together.
+    """Create a helical orbit: a circle whose source and panel rise together.
 
     Parameters
     ----------
@@ -66,6 +90,10 @@ def helical(sod: float, sdd: float, angles: Angles, pitch: float, panel: Panel, 
     pitch : rise per turn [mm]; negative for a helix that falls
     panel : the pixel grid
     z : height of the source at angle 0 [mm]
+
+    Returns
+    -------
+    poses of all views
     """
     circle = Geometry.circular(sod, sdd, angles, panel)
     rise = np.zeros_like(circle.source)
@@ -75,7 +103,7 @@ def helical(sod: float, sdd: float, angles: Angles, pitch: float, panel: Panel, 
 
 
 def laminography(sod: float, sdd: float, angles: Angles, tilt: float, panel: Panel) -> Geometry:
-    """Circular orbit of a source above a flat object: the beam is tilted against the plane across the axis.
+    """Create a circular orbit of a source above a flat object, with the beam tilted against the plane of the orbit.
 
     Parameters
     ----------
@@ -83,6 +111,10 @@ def laminography(sod: float, sdd: float, angles: Angles, tilt: float, panel: Pan
     angles : of the source, counter-clockwise from +x [rad]
     tilt : how far the rotation axis leans out of the plane across the beam; 0 is a circular orbit [rad]
     panel : the pixel grid, across the central ray
+
+    Returns
+    -------
+    poses of all views
     """
     _check_distances("laminography", sod, sdd)
     beam, tangent, down = _tilted_frames(angles, tilt)
@@ -98,7 +130,7 @@ def laminography(sod: float, sdd: float, angles: Angles, tilt: float, panel: Pan
 
 
 def parallel(distance: float, angles: Angles, panel: Panel, tilt: float = 0.0) -> Geometry:
-    """Parallel beam across the axis, or tilted against that.
+    """Create views in a parallel beam across the axis, or tilted against that.
 
     Parameters
     ----------
@@ -106,6 +138,15 @@ def parallel(distance: float, angles: Angles, panel: Panel, tilt: float = 0.0) -
     angles : where the beam comes from, counter-clockwise from +x [rad]
     panel : the pixel grid, across the beam
     tilt : of the rotation axis, as in `laminography` [rad]
+
+    Returns
+    -------
+    poses of all views
+
+    Raises
+    ------
+    GeometryError
+        When the geometry is impossible.
     """
     if not distance > 0:
         raise GeometryError(f"a parallel beam needs a panel behind the axis, distance > 0, got {distance:g} mm")

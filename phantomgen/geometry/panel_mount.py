@@ -1,4 +1,4 @@
-"""How a panel is mounted: shifted in its plane, tilted, turned in its plane."""
+"""Mount of a panel: shifts in its plane, tilts, and rotation in its plane."""
 
 from dataclasses import dataclass, replace
 
@@ -13,7 +13,7 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Mount:
-    """Where a panel stands, compared with one whose centre is met at right angles by the central ray.
+    """Shift and tilt of a panel from the nominal one, whose centre the central ray meets at right angles.
 
     The panel's axes are u, along which columns count, v, along which rows count, and w = u x v, away from the source.
 
@@ -33,7 +33,17 @@ class Mount:
 
 
 def mounted(geometry: Geometry, mount: Mount) -> Geometry:
-    """The same scan with its panel shifted, tilted and turned."""
+    """Shift, tilt and turn the panel of a scan.
+
+    Parameters
+    ----------
+    geometry : poses with the nominal panel
+    mount : shift and tilt
+
+    Returns
+    -------
+    poses with the mounted panel
+    """
     if mount == Mount():
         return geometry
     steps = np.stack([geometry.column_step, geometry.row_step], axis=1)
@@ -47,7 +57,16 @@ def mounted(geometry: Geometry, mount: Mount) -> Geometry:
 
 
 def with_parallel_source(geometry: Geometry) -> Geometry:
-    """The same views; in a parallel beam the far source stands behind the panel's centre, wherever that is."""
+    """Put the far source of a parallel beam behind the panel's centre in each view.
+
+    Parameters
+    ----------
+    geometry : poses
+
+    Returns
+    -------
+    poses; unchanged where the beam is not parallel
+    """
     if geometry.ray_direction is None:
         return geometry
     return replace(geometry, source=geometry.panel_center - FAR * geometry.ray_direction)

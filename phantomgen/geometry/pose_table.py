@@ -28,6 +28,10 @@ def read_poses(path: Path, panel: Panel) -> Geometry:
         .npz or .h5 with arrays (view, 3) of the names source, panel_center, column_step and row_step; or a dataset
     panel : the pixel grid
 
+    Returns
+    -------
+    poses of all views
+
     Raises
     ------
     InputError

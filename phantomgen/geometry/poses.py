@@ -1,4 +1,4 @@
-"""Where the source and the panel stand in every view.
+"""Poses of source and panel in every view.
 
 One frame for everything: right-handed, z is the rotation axis, the origin is the isocentre, lengths in mm. A view is
 four vectors (the vector form that ASTRA, tomosipo and RTK also accept): the source point, the panel's centre, and the
@@ -29,7 +29,7 @@ FAR = 1e9
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Poses of a scan; vectors are (x, y, z) in mm.
+    """Geometry of a scan: poses of source and panel in every view; vectors are (x, y, z) in mm.
 
     Parameters
     ----------
@@ -73,13 +73,22 @@ class Geometry:
 
     @classmethod
     def circular(cls, sod: float, sdd: float, angles: Float[np.ndarray, " view"], panel: Panel) -> "Geometry":
-        """Circular orbit in the plane z = 0.
+        """Create a circular orbit in the plane z = 0.
 
         Parameters
         ----------
         sod, sdd : source-to-object (rotation axis) and source-to-detector distance [mm]
         angles : position of the source, counter-clockwise from +x [rad]
         panel : the pixel grid; row 0 is on top (+z), columns run counter-clockwise
+
+        Returns
+        -------
+        poses of all views
+
+        Raises
+        ------
+        GeometryError
+            When the distances are impossible.
         """
         if not 0 < sod < sdd:
             raise GeometryError(f"a circular orbit needs 0 < sod < sdd, got sod {sod:g} mm and sdd {sdd:g} mm")
@@ -108,12 +117,21 @@ class Geometry:
         panel: Panel,
         angles: Float[np.ndarray, " view"] | None = None,
     ) -> "Geometry":
-        """Views in a parallel beam: rays that leave a source at a distance of `FAR` from the panel.
+        """Create views in a parallel beam: rays from a source at a distance of `FAR` from the panel.
 
         Parameters
         ----------
         ray_direction : unit vectors from source to panel
         panel_center, column_step, row_step, panel, angles : as of any geometry
+
+        Returns
+        -------
+        poses of all views
+
+        Raises
+        ------
+        GeometryError
+            When the directions are no unit vectors.
         """
         ray_direction, panel_center = (np.asarray(a, dtype=np.float64) for a in (ray_direction, panel_center))
         length = np.linalg.norm(ray_direction, axis=-1)
@@ -155,11 +173,21 @@ class Geometry:
 
     @property
     def is_parallel(self) -> bool:
-        """Whether all rays of a view are parallel."""
+        """True when all rays of a view are parallel."""
         return self.ray_direction is not None
 
     def moved(self, turns: Float[np.ndarray, "view 3 3"], shifts: VectorPerView) -> "Geometry":
-        """Source and panel turned about the isocentre, then shifted [mm], each view by its own rotation and vector."""
+        """Turn source and panel of each view about the isocentre, then shift them.
+
+        Parameters
+        ----------
+        turns : rotation of each view, (view, 3, 3)
+        shifts : vector of each view [mm], (view, 3)
+
+        Returns
+        -------
+        moved poses
+        """
 
         def turned(vectors: VectorPerView) -> VectorPerView:
             return np.einsum("vij,vj->vi", turns, vectors)
@@ -177,7 +205,17 @@ class Geometry:
         )
 
     def normals(self) -> VectorPerView:
-        """Unit normal of the panel in each view (column step x row step)."""
+        """Compute the unit normal of the panel in each view (column step x row step).
+
+        Returns
+        -------
+        unit vectors, (view, 3)
+
+        Raises
+        ------
+        GeometryError
+            When the steps of a view are parallel or zero.
+        """
         normal = np.cross(self.column_step, self.row_step)
         length = np.linalg.norm(normal, axis=1, keepdims=True)
         if (length == 0).any():
@@ -185,17 +223,35 @@ class Geometry:
         return normal / length
 
     def ray_frames(self) -> Float[np.ndarray, "view 4 3"]:
-        """Per view: source, d0, column step, row step, all (x, y, z) [mm].
+        """Compute the ray frame of each view: source, d0, column step, row step, all (x, y, z) [mm].
 
         The ray through the point (column, row) of the panel, in pixels and possibly fractional, is
         ``source + t (d0 + column * column_step + row * row_step)`` with t = 1 on the panel; integers are pixel centres.
+
+        Returns
+        -------
+        frames, (view, 4, 3)
         """
         rows, columns = self.panel.rows, self.panel.columns
         first = self.panel_center - (columns - 1) / 2 * self.column_step - (rows - 1) / 2 * self.row_step
         return np.stack([self.source, first - self.source, self.column_step, self.row_step], axis=1)
 
     def binned(self, factor: int) -> "Geometry":
-        """Geometry of the same panel with `factor` x `factor` pixels summed into one."""
+        """Return the geometry of the same panel with `factor` x `factor` pixels summed into one.
+
+        Parameters
+        ----------
+        factor : pixels along each side
+
+        Returns
+        -------
+        poses with larger pixels
+
+        Raises
+        ------
+        GeometryError
+            When the panel cannot be divided by the factor.
+        """
         panel = self.panel
         if panel.rows % factor or panel.columns % factor:
             raise GeometryError(f"a panel of {panel.rows} x {panel.columns} pixels cannot be binned by {factor}")
@@ -205,19 +261,32 @@ class Geometry:
         return replace(self, column_step=self.column_step * factor, row_step=self.row_step * factor, panel=coarse)
 
     def subdivided(self, factor: int) -> "Geometry":
-        """Geometry of the same panel with each pixel cut into `factor` x `factor`."""
+        """Return the geometry of the same panel with each pixel divided into `factor` x `factor`.
+
+        Parameters
+        ----------
+        factor : parts along each side of a pixel
+
+        Returns
+        -------
+        poses with smaller pixels
+        """
         panel = self.panel
         pitch = (panel.row_pitch / factor, panel.column_pitch / factor)
         fine = Panel(panel.rows * factor, panel.columns * factor, pitch)
         return replace(self, column_step=self.column_step / factor, row_step=self.row_step / factor, panel=fine)
 
     def draw(self, path: Path | str | None = None, grid: Grid | None = None) -> "Figure":
-        """A figure of the scan: from above, from the side, and the panel as the source sees it.
+        """Draw the scan: from above, from the side, and the panel as the source sees it.
 
         Parameters
         ----------
         path : PNG, PDF or SVG to write; none is written where left out
         grid : a volume to draw with it
+
+        Returns
+        -------
+        the figure
         """
         from phantomgen.display.figures.geometry import draw  # noqa: PLC0415 - matplotlib only where it draws
 
@@ -228,9 +297,17 @@ _VECTORS = ("source", "panel_center", "column_step", "row_step")
 
 
 def distances(geometry: Geometry) -> dict[str, float | None]:
-    """Distances in view 0 [mm]: from source to axis and to panel, None in a parallel beam, and from axis to panel.
+    """Compute the distances in view 0: from source to axis and to panel, and from axis to panel.
 
     Those to the panel are along its normal. In a helical scan the axis is met at the height of the source.
+
+    Parameters
+    ----------
+    geometry : poses
+
+    Returns
+    -------
+    distances by name [mm]; those from the source are None in a parallel beam
     """
     source, center, normal = geometry.source[0].copy(), geometry.panel_center[0].copy(), geometry.normals()[0]
     if geometry.kind == "helical":

@@ -10,7 +10,7 @@ from spectra.errors import InputError
 
 @dataclass(frozen=True)
 class Grid:
-    """A regular grid of voxels, every triple in array order (z, y, x).
+    """Regular grid of voxels, every triple in array order (z, y, x).
 
     Parameters
     ----------
@@ -31,17 +31,46 @@ class Grid:
 
     @classmethod
     def cube(cls, voxels: int, size: float) -> "Grid":
-        """Cube of `voxels`^3 voxels and edge length `size` [mm], centred on the isocentre."""
+        """Create a cube centred on the isocentre.
+
+        Parameters
+        ----------
+        voxels : number along each edge
+        size : edge length [mm]
+
+        Returns
+        -------
+        the grid
+        """
         spacing = size / voxels
         first = (spacing - size) / 2
         return cls((voxels, voxels, voxels), (spacing, spacing, spacing), (first, first, first))
 
     def slices(self, first: int, count: int) -> "Grid":
-        """The part of the grid that begins with slice `first`."""
+        """Return the part of the grid that begins with slice `first`.
+
+        Parameters
+        ----------
+        first : index of the first slice
+        count : number of slices
+
+        Returns
+        -------
+        the part
+        """
         return self.part((slice(first, first + count), slice(None), slice(None)))
 
     def part(self, box: tuple[slice, slice, slice]) -> "Grid":
-        """The voxels of a box of the array (z, y, x)."""
+        """Return the voxels of a box of the array (z, y, x).
+
+        Parameters
+        ----------
+        box : slices along z, y and x
+
+        Returns
+        -------
+        the part
+        """
         ranges = [range(n)[one] for n, one in zip(self.shape, box, strict=True)]
         shape = tuple(len(r) for r in ranges)
         origin = tuple(o + r.start * s for o, r, s in zip(self.origin, ranges, self.spacing, strict=True))
@@ -53,7 +82,16 @@ class Grid:
         return float(np.prod(self.spacing))
 
     def axis(self, name: str) -> Float[np.ndarray, " voxel"]:
-        """Voxel centres along axis ``"x"``, ``"y"`` or ``"z"`` [mm]."""
+        """Return the voxel centres along an axis.
+
+        Parameters
+        ----------
+        name : ``"x"``, ``"y"`` or ``"z"``
+
+        Returns
+        -------
+        positions [mm]
+        """
         i = "zyx".index(name)
         return self.origin[i] + self.spacing[i] * np.arange(self.shape[i])
 

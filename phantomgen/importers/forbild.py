@@ -38,11 +38,15 @@ Object = dict[str, Any]
 
 
 def forbild_scene(path: Path | str) -> str:
-    """A FORBILD phantom as the text of a scene, in mm, with a nominal scan around it.
+    """Convert a FORBILD phantom to the text of a scene, in mm, with a nominal scan around it.
 
     Parameters
     ----------
     path : the phantom; files that it includes lie beside it
+
+    Returns
+    -------
+    the YAML
 
     Raises
     ------
@@ -176,7 +180,7 @@ def _angles(turn: Float[np.ndarray, "3 3"]) -> Vector:
 
 
 def _head(file: str, name: str) -> str:
-    """How the scene begins."""
+    """Return the first lines of the scene."""
     return (
         f"# From the FORBILD phantom {file}; centimetres became millimetres. Source, panel and distances are nominal.\n"
         f"version: 1\nname: {name}\n\nsource:\n  type: tube\n  kvp: 120\n  filters:\n"

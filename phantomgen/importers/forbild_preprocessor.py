@@ -17,7 +17,15 @@ _DEEPEST = 20
 
 @dataclass(frozen=True)
 class Token:
-    """A word of the text, where it stands, and the macro without arguments that it is the value of, if it is one."""
+    """Word of the text.
+
+    Parameters
+    ----------
+    kind : kind of word
+    text : the word
+    place : file, line and column
+    macro : macro without arguments that the word is the value of; empty if none
+    """
 
     kind: str
     text: str
@@ -27,14 +35,28 @@ class Token:
 
 @dataclass(frozen=True)
 class Macro:
-    """What a name is replaced by; `parameters` is None for a name without parentheses."""
+    """Replacement of a name.
+
+    Parameters
+    ----------
+    parameters : names of the arguments; None for a name without parentheses
+    body : words that replace it
+    """
 
     parameters: tuple[str, ...] | None
     body: tuple[Token, ...]
 
 
 def read_words(path: Path) -> list[Token]:
-    """All words of a file and of those that it includes, macros replaced.
+    """Read all words of a file and of those that it includes, with macros replaced.
+
+    Parameters
+    ----------
+    path : the file
+
+    Returns
+    -------
+    the words
 
     Raises
     ------
@@ -130,7 +152,7 @@ def _expanded(
 def _arguments(
     tokens: Sequence[Token], i: int, call: Token, parameters: tuple[str, ...]
 ) -> tuple[dict[str, list[Token]], int]:
-    """What stands between the parentheses of a macro, by parameter, and the position behind them."""
+    """Return the words between the parentheses of a macro, by parameter, and the position behind them."""
     found: list[list[Token]] = [[]]
     depth = 0
     for end in range(i, len(tokens)):

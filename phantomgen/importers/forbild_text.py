@@ -31,7 +31,7 @@ Vector = tuple[float, float, float]
 
 @dataclass
 class Block:
-    """One object as it stands in the file.
+    """Object as it stands in the file.
 
     Parameters
     ----------
@@ -54,7 +54,15 @@ class Block:
 
 
 def read_blocks(path: Path) -> list[Block]:
-    """All objects of a file and of those that it includes, in their order.
+    """Read all objects of a file and of those that it includes, in their order.
+
+    Parameters
+    ----------
+    path : the file
+
+    Returns
+    -------
+    the objects
 
     Raises
     ------
@@ -152,7 +160,7 @@ class _Parser:
         self.expression()
 
     def plane(self, block: Block, normal: Vector) -> None:
-        """What follows the normal of a plane."""
+        """Read the text behind the normal of a plane."""
         sign = 1.0 if self.take("<", ">").text == "<" else -1.0
         length = sqrt(sum(n * n for n in normal))
         if length == 0:

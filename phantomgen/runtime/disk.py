@@ -1,4 +1,4 @@
-"""Whether a disk has room, and what to say when it has not."""
+"""Disk space: checks before writing, and errors of full disks as sentences."""
 
 import errno
 import os
@@ -15,17 +15,31 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 def free_bytes(path: Path) -> int:
-    """Room left on the disk that holds the folder of `path` [byte]."""
+    """Return the free room on the disk of a path's folder.
+
+    Parameters
+    ----------
+    path : of an output, whose folder exists
+
+    Returns
+    -------
+    room [byte]
+    """
     return shutil.disk_usage(path.absolute().parent).free
 
 
 def check_room(path: Path, needed: float) -> None:
-    """Refuse what cannot fit.
+    """Refuse an output that cannot fit on the disk.
 
     Parameters
     ----------
     path : of an output, whose folder is there
     needed : room that it still takes [byte]
+
+    Raises
+    ------
+    InputError
+        When the disk has less room.
     """
     free = free_bytes(path)
     if needed > free:
@@ -36,7 +50,17 @@ def check_room(path: Path, needed: float) -> None:
 
 
 def reserve(path: Path) -> None:
-    """Write a file of zeros, a small part of the room that is left, to be removed when it is needed."""
+    """Write a file of zeros, a small part of the free room, to be removed when the room is required.
+
+    Parameters
+    ----------
+    path : the file
+
+    Raises
+    ------
+    OSError
+        When the disk is full.
+    """
     size = min(max(free_bytes(path) // 64, _LEAST_RESERVE), _MOST_RESERVE)
     with path.open("wb", buffering=0) as file:
         if file.write(bytes(size)) < size:
@@ -44,7 +68,16 @@ def reserve(path: Path) -> None:
 
 
 def readable(size: float) -> str:
-    """A number of bytes for people."""
+    """Format a number of bytes as text.
+
+    Parameters
+    ----------
+    size : [byte]
+
+    Returns
+    -------
+    such as ``1.5 GB``
+    """
     for unit, power in (("TB", 12), ("GB", 9), ("MB", 6), ("kB", 3)):
         if size >= 10**power:
             return f"{size / 10**power:.1f} {unit}"
@@ -53,12 +86,21 @@ def readable(size: float) -> str:
 
 @contextmanager
 def one_sentence(path: Path, needed: float | None = None) -> Iterator[None]:
-    """Turn what a file system or HDF5 says while `path` is written into one sentence.
+    """Convert errors of the file system or of HDF5 while `path` is written to one sentence; a context manager.
 
     Parameters
     ----------
     path : the file
     needed : room that it still takes [byte], where somebody knows
+
+    Yields
+    ------
+    nothing
+
+    Raises
+    ------
+    StorageError
+        When the disk is full or cannot be written.
     """
     try:
         yield
@@ -77,13 +119,34 @@ def one_sentence(path: Path, needed: float | None = None) -> Iterator[None]:
 
 
 def is_full(error: BaseException) -> bool:
-    """Whether an error of a file system or of HDF5 means that there is no room; HDF5 says so in words only."""
+    """Return whether an error of a file system or of HDF5 means that there is no room.
+
+    HDF5 says so in its message only.
+
+    Parameters
+    ----------
+    error : the error
+
+    Returns
+    -------
+    True where it does
+    """
     return getattr(error, "errno", None) in _FULL or os.strerror(errno.ENOSPC) in str(error)
 
 
 @contextmanager
 def complete_file(path: Path, suffix: str) -> Iterator[Path]:
-    """A name with the same suffix beside `path`, which it is renamed to at the end."""
+    """Yield a name with the same suffix beside `path`, which is renamed to `path` at the end.
+
+    Parameters
+    ----------
+    path : final name
+    suffix : of the file
+
+    Yields
+    ------
+    the name to write
+    """
     beside = path.with_name(f"{path.name}.part{suffix}")
     try:
         with one_sentence(path):

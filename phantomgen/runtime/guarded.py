@@ -1,4 +1,4 @@
-"""What follows a fit, scores and figures, cannot lose it: a failure there becomes a warning of one sentence."""
+"""Guards for steps after a fit, such as scores and figures: their failure becomes a warning of one sentence."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -6,7 +6,7 @@ from typing import Protocol
 
 
 class Guard(Protocol):
-    """Runs a block of code that may fail."""
+    """Interface of a guard, which runs a block of code that may fail."""
 
     def __call__(self, what: str) -> AbstractContextManager[None]:
         """Guard a block; `what` names what it makes."""
@@ -14,7 +14,7 @@ class Guard(Protocol):
 
 
 class Salvage:
-    """Turns the failure of a block of code into a warning, and goes on after it.
+    """Guard that turns the failure of a block of code into a warning, and continues after it.
 
     Parameters
     ----------
@@ -46,5 +46,14 @@ class Salvage:
 
 @contextmanager
 def unguarded(what: str) -> Iterator[None]:
-    """A guard that lets errors pass."""
+    """Run a block without a guard: errors pass.
+
+    Parameters
+    ----------
+    what : name of the block, not used
+
+    Yields
+    ------
+    nothing
+    """
     yield

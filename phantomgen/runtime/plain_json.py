@@ -1,4 +1,4 @@
-"""JSON of whatever a run computes: numbers of numpy become numbers, and NaN and infinity, which JSON lacks, null."""
+"""JSON of results: numbers of numpy become numbers; NaN and infinity, which JSON lacks, become null."""
 
 import json
 from collections.abc import Mapping
@@ -10,11 +10,15 @@ import numpy as np
 
 
 def plain(value: Any) -> Any:
-    """The same with nothing but dict, list, str, int, float, bool and None.
+    """Convert a value to dict, list, str, int, float, bool and None.
 
     Parameters
     ----------
     value : nested mappings and sequences that may hold numbers and arrays of numpy, and paths
+
+    Returns
+    -------
+    the converted value
 
     Raises
     ------
@@ -37,10 +41,26 @@ def plain(value: Any) -> Any:
 
 
 def to_json(value: Any, indent: int | None = None) -> str:
-    """JSON of what `plain` takes."""
+    """Convert a value to JSON.
+
+    Parameters
+    ----------
+    value : as for `plain`
+    indent : blanks per level; None for one line
+
+    Returns
+    -------
+    the JSON
+    """
     return json.dumps(plain(value), indent=indent, allow_nan=False)
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write indented JSON."""
+    """Write a value as indented JSON.
+
+    Parameters
+    ----------
+    path : the file
+    content : as for `plain`
+    """
     path.write_text(to_json(content, 1) + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Seconds per stage, and memory."""
+"""Stopwatch of stages, and peak memory."""
 
 import sys
 import time
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 
 class Stopwatch:
-    """Times named stages: ``with clock("fdk"): ...`` adds to ``clock.seconds``.
+    """Stopwatch of named stages: ``with clock("fdk"): ...`` adds to ``clock.seconds``.
 
     Parameters
     ----------
@@ -30,7 +30,12 @@ class Stopwatch:
 
 
 def peak_memory_mib() -> float | None:
-    """Largest memory this process has held [MiB]; None where the system does not tell."""
+    """Return the largest memory this process has used.
+
+    Returns
+    -------
+    memory [MiB]; None where the system does not tell
+    """
     try:
         import resource  # noqa: PLC0415 - not on Windows
     except ImportError:

@@ -1,4 +1,4 @@
-"""What notebooks show of objects: a line of words above small pictures."""
+"""Display of objects in notebooks: a line of text above small pictures."""
 
 import base64
 import html
@@ -12,7 +12,17 @@ HEIGHT = 120  # pixels on the screen
 
 
 def thumbnails(words: str, images: Sequence[tuple[str, Real[np.ndarray, "row column"]]]) -> str:
-    """HTML with gray pictures side by side, black for 0 and white for almost the largest value, and their names."""
+    """Create HTML with gray pictures side by side, black for 0 and white for almost the largest value.
+
+    Parameters
+    ----------
+    words : line of text
+    images : names and values, (row, column)
+
+    Returns
+    -------
+    the HTML
+    """
     pictures = "".join(
         f'<figure style="margin:4px 8px 0 0"><img style="height:{HEIGHT}px;image-rendering:pixelated" '
         f'alt="{html.escape(name)}" src="data:image/png;base64,{_png(image)}">'

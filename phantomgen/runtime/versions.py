@@ -1,4 +1,4 @@
-"""Which program, and which of its libraries, made a file."""
+"""Versions of the program and of its libraries, for provenance."""
 
 import platform
 from importlib import metadata
@@ -7,7 +7,12 @@ PACKAGES = ("spectral-ct", "numpy", "scipy", "torch", "numba", "h5py", "xraylib"
 
 
 def program_version() -> str:
-    """Version of this distribution; ``0`` in a source tree that is not installed."""
+    """Return the version of this distribution.
+
+    Returns
+    -------
+    version; ``0`` in a source tree that is not installed
+    """
     try:
         return metadata.version("spectral-ct")
     except metadata.PackageNotFoundError:
@@ -15,7 +20,12 @@ def program_version() -> str:
 
 
 def environment() -> dict[str, str]:
-    """Versions of Python, the platform and the libraries that numbers depend on."""
+    """Return the versions of Python, the platform and the libraries that results depend on.
+
+    Returns
+    -------
+    versions by name
+    """
     versions = {"python": platform.python_version(), "platform": platform.platform()}
     for package in PACKAGES:
         try:

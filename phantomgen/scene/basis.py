@@ -22,7 +22,7 @@ def scene_basis(
     source: Source,
     detector: AnyDetector,
 ) -> Basis:
-    """The basis of the file, or photoelectric, Compton and one element function per K edge that channels see.
+    """Return the basis of the file, or photoelectric, Compton and one element function per K edge that channels see.
 
     Parameters
     ----------
@@ -30,6 +30,10 @@ def scene_basis(
     materials : all materials of the scene
     used : names of those that an object or the background consists of
     source, detector : what the scan is seen with
+
+    Returns
+    -------
+    raw basis functions
     """
     models = file.model.basis
     if models is None:
@@ -54,7 +58,17 @@ def scene_basis(
 
 
 def needed(basis: Basis, materials: Sequence[Material]) -> Basis:
-    """The basis without K-edge functions that no material uses."""
+    """Remove the K-edge functions that no material uses.
+
+    Parameters
+    ----------
+    basis : raw basis functions
+    materials : materials of the scene
+
+    Returns
+    -------
+    the basis without them
+    """
     functions = tuple(f for f in basis.functions if f.edge_energy is None or any(_uses(m, f) for m in materials))
     return Basis(functions, basis.reference_energy)
 
@@ -82,7 +96,7 @@ def _svd(
 
 
 def _composition(file: SceneFile, name: str, place: Location, materials: Mapping[str, Material]) -> Composition:
-    """Of a material of the scene, else the name or formula itself."""
+    """Return the composition of a material of the scene, else the name or formula itself."""
     if name in materials:
         composition = materials[name].composition
         if composition is None:
@@ -110,7 +124,7 @@ def _edge_elements(materials: Sequence[Material], detector: AnyDetector) -> list
 
 
 def _uses(material: Material, function: BasisFunction) -> bool:
-    """Whether a material has a coefficient for a K-edge function, or an edge where the function has its own."""
+    """Return whether a material has a coefficient for a K-edge function, or a K edge at the function's own."""
     if material.coefficients is not None:
         return material.coefficients.get(function.name, 0.0) > 0
     edge = float(function.edge_energy or 0.0)

@@ -1,4 +1,4 @@
-"""What bowtie and heel do to the beam in each pixel."""
+"""Beam profile: absorption by the bowtie filter and the heel effect in each pixel."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -8,16 +8,25 @@ from jaxtyping import Float
 
 
 class Absorber(Protocol):
-    """Anything with an attenuation curve."""
+    """Interface of an absorber: anything with an attenuation curve."""
 
     def attenuation(self, energy: Float[np.ndarray, " energy"]) -> Float[np.ndarray, " energy"]:
-        """Attenuation [1/mm], or without unit where lengths have none, at `energy` [keV]."""
+        """Compute the attenuation at given energies.
+
+        Parameters
+        ----------
+        energy : photon energies [keV]
+
+        Returns
+        -------
+        attenuation [1/mm], or without unit where lengths have none
+        """
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Sheets of absorber, with their lengths relative to the central ray.
+    """Beam profile: sheets of absorber, with their lengths relative to the central ray.
 
     Parameters
     ----------
@@ -31,5 +40,14 @@ class Profile:
     lengths: Float[np.ndarray, "part row column"]
 
     def attenuation(self, energy: Float[np.ndarray, " energy"]) -> Float[np.ndarray, "part energy"]:
-        """Curves of all parts [1/mm]."""
+        """Compute the attenuation curves of all parts.
+
+        Parameters
+        ----------
+        energy : photon energies [keV]
+
+        Returns
+        -------
+        curves [1/mm], (part, energy)
+        """
         return np.stack([absorber.attenuation(energy) for absorber in self.absorbers])

@@ -20,7 +20,16 @@ _LEAST = 1e-12
 
 
 def scene_detector(file: SceneFile, source: Source) -> AnyDetector:
-    """The detector; its last channel ends with the source.
+    """Create the detector of a scene; its last channel ends at the highest energy of the source.
+
+    Parameters
+    ----------
+    file : the scene file
+    source : the source of the scene
+
+    Returns
+    -------
+    the detector
 
     Raises
     ------
@@ -34,9 +43,23 @@ def scene_detector(file: SceneFile, source: Source) -> AnyDetector:
 
 
 def scene_dead_time(file: SceneFile) -> DeadTime | None:
-    """Dead time of the detector's pixels."""
+    """Create the dead-time model of the detector's pixels.
+
+    Parameters
+    ----------
+    file : the scene file
+
+    Returns
+    -------
+    the model; None where every event is recorded
+
+    Raises
+    ------
+    SceneError
+        Where the scene has several sources.
+    """
     model = getattr(file.model.detector, "dead_time", None)
-    if model is not None and isinstance(file.model.source, schema.SeveralSourcesModel):
+    if model is not None and isinstance(file.model.source, schema.MultiSourceModel):
         raise file.error(("detector", "dead_time"), "is known for a single source only, got several")
     return None if model is None else DeadTime(model.tau_ns, model.exposure_ms, model.model)
 

@@ -8,7 +8,7 @@ from phantomgen.effects import (
     ComptonScatter,
     Defects,
     Effects,
-    Electronics,
+    ElectronicNoise,
     FocalSpot,
     Gain,
     Lag,
@@ -21,7 +21,15 @@ from spectra.errors import InputError
 
 
 def scene_effects(file: SceneFile) -> Effects:
-    """The effects that a scene asks for.
+    """Create the effects that a scene requires.
+
+    Parameters
+    ----------
+    file : the scene file
+
+    Returns
+    -------
+    the effects; None for those that are off
 
     Raises
     ------
@@ -81,7 +89,15 @@ def _needs_a_source_point(file: SceneFile, key: str, what: str) -> None:
 
 
 def detector_effects(file: SceneFile) -> dict[str, Any]:
-    """Effects of the detector by their names; None where one is off.
+    """Create the effects of the detector by their names; None where one is off.
+
+    Parameters
+    ----------
+    file : the scene file
+
+    Returns
+    -------
+    effects by field name of `Effects`
 
     Raises
     ------
@@ -134,9 +150,9 @@ def _lag(model: schema.LagModel) -> Lag:
     return Lag(model.fractions, model.decays)
 
 
-def _electronics(model: schema.ElectronicsModel) -> Electronics:
+def _electronics(model: schema.ElectronicsModel) -> ElectronicNoise:
     """Noise and offset."""
-    return Electronics(model.sigma, model.offset)
+    return ElectronicNoise(model.sigma, model.offset)
 
 
 def _defects(file: SceneFile) -> Defects | None:

@@ -27,9 +27,9 @@ class SceneGeometry(NamedTuple):
 
     Parameters
     ----------
-    true : what is simulated, in the frame of the sample
-    nominal : what a reconstructor is told, None where that is the truth
-    sample : where the sample is, None where it rests; matrices from its rest to there [mm]
+    true : simulated poses, in the frame of the sample
+    nominal : poses given to a reconstructor; None where they equal the true ones
+    sample : pose of the sample in each view, as matrices from its rest to there [mm]; None where it does not move
     splits : indices of the views in ``train``, ``test`` and ``val``
     """
 
@@ -40,7 +40,15 @@ class SceneGeometry(NamedTuple):
 
 
 def scene_geometry(file: SceneFile) -> SceneGeometry:
-    """Geometry that a scene asks for.
+    """Create the geometry of a scene.
+
+    Parameters
+    ----------
+    file : the scene file
+
+    Returns
+    -------
+    true and nominal poses, poses of the sample, and splits of the views
 
     Raises
     ------
@@ -65,19 +73,46 @@ def scene_geometry(file: SceneFile) -> SceneGeometry:
 
 
 def panel_of(scene: schema.SceneModel) -> Panel:
-    """The pixel grid."""
+    """Create the pixel grid.
+
+    Parameters
+    ----------
+    scene : model of the scene file
+
+    Returns
+    -------
+    rows, columns and pitch
+    """
     return Panel(scene.panel.rows, scene.panel.columns, scene.panel.pitch)
 
 
 def mount_of(scene: schema.SceneModel) -> Mount:
-    """How the panel stands."""
+    """Create the shift and the tilt of the panel.
+
+    Parameters
+    ----------
+    scene : model of the scene file
+
+    Returns
+    -------
+    offsets [mm] and angles [rad]
+    """
     offset, tilt = scene.panel.offset or schema.OffsetModel(), scene.panel.tilt or schema.TiltModel()
     turns = np.deg2rad([tilt.columns, tilt.rows, tilt.in_plane]).tolist()
     return Mount((offset.columns, offset.rows), (turns[0], turns[1], turns[2]))
 
 
 def panel_distance(scene: schema.SceneModel, what: str) -> float:
-    """Distance from source to panel [mm]; `what` needs one.
+    """Return the distance from source to panel.
+
+    Parameters
+    ----------
+    scene : model of the scene file
+    what : what requires the distance, for the message
+
+    Returns
+    -------
+    distance [mm]
 
     Raises
     ------
@@ -90,7 +125,16 @@ def panel_distance(scene: schema.SceneModel, what: str) -> float:
 
 
 def motion_of(model: schema.MotionModel) -> Motion:
-    """The motion of the sample."""
+    """Create the motion of the sample.
+
+    Parameters
+    ----------
+    model : its model in the scene file
+
+    Returns
+    -------
+    the motion
+    """
     a, b, c = np.deg2rad(model.rotation).tolist()
     if isinstance(model, schema.SinusoidModel):
         return Sinusoid(model.shift, (a, b, c), model.periods, float(np.deg2rad(model.phase)))
@@ -137,7 +181,7 @@ def _angles(
 
 
 def _times(views: int, test_views: int) -> Float[np.ndarray, " view"]:
-    """When views are taken, from 0 to 1, those for tests between the others."""
+    """Return the times of the views, from 0 to 1; test views lie between the training views."""
     return np.concatenate([np.arange(views) / views, (np.arange(test_views) + 0.5) / max(test_views, 1)])
 
 

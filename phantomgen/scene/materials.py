@@ -14,7 +14,13 @@ _WAYS = ("composition", "coefficients", "mixture", "solution")
 
 
 def check_material(file: SceneFile, name: str, place: Location) -> None:
-    """Refuse a name that is neither of a material of the scene nor of one whose density is known.
+    """Refuse a name that is neither a material of the scene nor a material with known density.
+
+    Parameters
+    ----------
+    file : the scene file
+    name : name of a material
+    place : place of the name in the file
 
     Raises
     ------
@@ -37,12 +43,18 @@ def check_material(file: SceneFile, name: str, place: Location) -> None:
 
 
 def scene_materials(file: SceneFile, used: Iterable[str] = ()) -> dict[str, Material]:
-    """All materials of a scene, also those that no object uses, then those of `used` that are known by name.
+    """Create all materials of a scene, then those of `used` that are known by name.
+
+    Materials that no object uses are included.
 
     Parameters
     ----------
     file : the scene file
     used : names of materials that objects consist of, which `check_material` has passed
+
+    Returns
+    -------
+    materials by name
 
     Raises
     ------

@@ -28,14 +28,14 @@ from phantomgen.shapes import Shape, solids_of
 from spectra.basis.basis import Basis
 from spectra.detector.dead_time import DeadTime
 from spectra.detector.detector import AnyDetector
-from spectra.detector.multi_source import SeveralSources, added
+from spectra.detector.multi_source import MultiSource, added
 from spectra.materials.material import Material
 from spectra.source.source import Source
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Objects; later ones override earlier ones where they overlap.
+    """Objects of a scene; later ones override earlier ones where they overlap.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """Everything that `simulate` needs.
+    """Everything that `simulate` requires.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class Scan:
     splits : indices of the views in ``train``, ``test`` and ``val``
     source, detector : photons, and the channels that count them
     basis : raw basis functions that the scene needs
-    grid : voxels of the truth and of the volume asked for
+    grid : voxels of the truth and of the volume to reconstruct
     seed, noise : key of the Poisson noise, and whether there is any
     flats, darks : number of open-beam frames and of frames without beam
     source_fields : what a file says about the tube, as (value, unit)
@@ -77,7 +77,7 @@ class Scan:
     dead_time : of the detector's pixels, None where every event is recorded
     effects : what a real scan has beyond exposure and photon noise
     file : the scene that it was read from, where smooth surfaces may become finer triangles; else None
-    nominal : poses that a reconstructor is told; None where they are those of `geometry`, which are simulated
+    nominal : poses that a reconstructor is given; None where they are those of `geometry`, which are simulated
     sample_poses : where a sample that moves is in each view, as matrices [mm]; None where it rests
     """
 
@@ -109,7 +109,16 @@ class Scan:
         return f"Scan({self.name}: {objects} objects, {self.geometry!r}, {channels} channels, basis {self.basis.names})"
 
     def tessellated(self, fineness: int) -> "Scan":
-        """The same scan with smooth surfaces of so many times finer triangles than usual."""
+        """Return the scan with smooth surfaces of finer triangles.
+
+        Parameters
+        ----------
+        fineness : how many times finer than usual
+
+        Returns
+        -------
+        the scan; unchanged where it was not read from a scene file
+        """
         if self.file is None:
             return self
         return load_scene(replace(self.file, overrides=(*self.file.overrides, f"tessellation={fineness}")))
@@ -121,12 +130,16 @@ class Scan:
 
 
 def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> Scan:
-    """Read a scene.
+    """Read a scene file or preset and create its scan.
 
     Parameters
     ----------
     scene : path of a scene file, or name of a preset
     overrides : ``path=value`` with dotted paths, such as ``geometry.views=180``
+
+    Returns
+    -------
+    the scan
 
     Raises
     ------
@@ -195,12 +208,12 @@ def _indices(filling: Filling, used: list[str]) -> int | tuple[int, ...]:
 
 
 def _source_and_detector(file: SceneFile) -> tuple[Source, AnyDetector]:
-    """What sends photons, and what counts them."""
+    """Create the source and the detector of a scene."""
     sources = sources_of(file)
     detectors = tuple(scene_detector(file, source) for source in sources.values())
     if len(sources) == 1:
         return next(iter(sources.values())), detectors[0]
-    return added(tuple(sources.values())), SeveralSources.of(sources, detectors)
+    return added(tuple(sources.values())), MultiSource.of(sources, detectors)
 
 
 def _background(file: SceneFile) -> str | None:
@@ -230,7 +243,7 @@ def _exposure(
     file: SceneFile, splits: Mapping[str, Int[np.ndarray, " view"]], detector: AnyDetector
 ) -> Float[np.ndarray, "view channel"] | None:
     """Exposure of views that sources take in turn, training and test views each from the first source on."""
-    if not isinstance(detector, SeveralSources) or file.model.source.type != "switching":
+    if not isinstance(detector, MultiSource) or file.model.source.type != "switching":
         return None
     order = np.concatenate([np.arange(len(views)) for views in splits.values()])
     turn = order % len(detector.sources)

@@ -20,9 +20,18 @@ Location = tuple[str | int, ...]
 
 
 def sources_of(file: SceneFile) -> dict[str, Source]:
-    """The sources by name, most often one; a tube takes SpekPy about a second."""
+    """Create the sources of a scene by name; most scenes have one. A tube takes SpekPy about a second.
+
+    Parameters
+    ----------
+    file : the scene file
+
+    Returns
+    -------
+    sources by name
+    """
     model = file.model.source
-    if not isinstance(model, schema.SeveralSourcesModel):
+    if not isinstance(model, schema.MultiSourceModel):
         return {"source": _source(file, model, ("source",))}
     return {name: _source(file, one, ("source", "sources", name)) for name, one in model.sources.items()}
 
@@ -37,7 +46,7 @@ def _source(file: SceneFile, model: schema.OneSourceModel, at: Location) -> Sour
 
 
 def _unscaled(file: SceneFile, model: schema.OneSourceModel, at: Location) -> Source:
-    """The same with any number of photons; a tube per cm^2 and mAs at 1 m."""
+    """Create a source with any number of photons; a tube per cm^2 and mAs at 1 m."""
     with file.at(*at):
         sheets = []
         for i, sheet in enumerate(getattr(model, "filters", ())):
@@ -71,9 +80,19 @@ def _bare(file: SceneFile, model: schema.OneSourceModel, at: Location) -> Source
 
 
 def profile_of(file: SceneFile, source: Source) -> Profile | None:
-    """Bowtie and heel effect; None where every pixel gets the same beam."""
+    """Create the beam profile from bowtie filter and heel effect.
+
+    Parameters
+    ----------
+    file : the scene file
+    source : the source of the scene
+
+    Returns
+    -------
+    the profile; None where every pixel gets the same beam
+    """
     model, panel, mount = file.model.source, panel_of(file.model), mount_of(file.model)
-    if isinstance(model, schema.SeveralSourcesModel):
+    if isinstance(model, schema.MultiSourceModel):
         return None
     parts: list[tuple[str, Absorber, np.ndarray]] = []
     if model.bowtie is not None:
@@ -96,7 +115,16 @@ def profile_of(file: SceneFile, source: Source) -> Profile | None:
 
 
 def source_fields(file: SceneFile) -> dict[str, tuple[float | str, str | None]]:
-    """What a file says about the source, as (value, unit)."""
+    """Return the fields that a dataset states about the source.
+
+    Parameters
+    ----------
+    file : the scene file
+
+    Returns
+    -------
+    (value, unit) by name
+    """
     model = file.model.source
     if isinstance(model, schema.TubeModel):
         return {
@@ -106,7 +134,7 @@ def source_fields(file: SceneFile) -> dict[str, tuple[float | str, str | None]]:
             "target_material": (model.anode, None),
             "focal_spot": (_spot_size(file), "mm"),
         }
-    if isinstance(model, schema.SeveralSourcesModel):
+    if isinstance(model, schema.MultiSourceModel):
         return {"type": ("Fixed Tube X-ray", None), "focal_spot": (_spot_size(file), "mm")}
     if isinstance(model, schema.MonochromaticModel | schema.BandModel):
         return {"type": ("Synchrotron X-ray Source", None)}
@@ -130,12 +158,21 @@ def _charge(file: SceneFile, model: schema.TubeModel) -> dict[str, tuple[float, 
 
 
 def composition_name(composition: str | Mapping[str, float]) -> str:
-    """A name for a material that has only a composition."""
+    """Return a name for a material that has only a composition.
+
+    Parameters
+    ----------
+    composition : formula, name or mass fractions
+
+    Returns
+    -------
+    the name
+    """
     return composition if isinstance(composition, str) else " ".join(composition)
 
 
 def _material(model: schema.FilterModel | schema.BowtieModel) -> Material:
-    """What a filter consists of."""
+    """Create the material of a filter."""
     return Material(composition_name(model.composition), model.density, model.composition)
 
 

@@ -13,7 +13,13 @@ from phantomgen.shapes.base import Primitive, Triple, checked_lengths, checked_t
 
 @dataclass(frozen=True)
 class Sphere(Primitive):
-    """A ball of `radius` [mm] around `center` (x, y, z) [mm]."""
+    """Ball.
+
+    Parameters
+    ----------
+    center : (x, y, z) [mm]
+    radius : [mm]
+    """
 
     center: Triple
     radius: float
@@ -32,7 +38,7 @@ class Sphere(Primitive):
 
 @dataclass(frozen=True)
 class Ellipsoid(Primitive):
-    """An ellipsoid.
+    """Ellipsoid.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What all shapes share: each is made of unit primitives under affine maps.
+"""Base of all shapes: each consists of unit primitives under affine maps.
 
 A primitive says how its local axes lie in space, ``x_world = center + axes @ x_local``. A shape is a union of terms; a
 term is what lies inside all of some primitives and outside some others. Bounds, points, chords and silhouettes follow
@@ -27,7 +27,7 @@ _UNIT_VOLUME = {BALL: 4 / 3 * pi, CYLINDER: 2 * pi, BOX: 8.0, CONE: pi / 3}
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A primitive that a term lies inside, or outside.
+    """Primitive that a term lies inside, or outside.
 
     Parameters
     ----------
@@ -52,7 +52,17 @@ class Part:
         return replace(self, inside=not self.inside)
 
     def placed(self, matrix: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, " 3"]) -> "Part":
-        """The part after every point x has gone to ``matrix @ x + offset``."""
+        """Transform the part: every point x goes to ``matrix @ x + offset``.
+
+        Parameters
+        ----------
+        matrix : (3, 3)
+        offset : [mm]
+
+        Returns
+        -------
+        the transformed part
+        """
         if self.surface is not None:
             vertices, triangles = self.surface
             turned = triangles if np.linalg.det(matrix) > 0 else triangles[:, ::-1]
@@ -84,7 +94,16 @@ class Part:
         return center - reach, center + reach
 
     def contains(self, points: Float[np.ndarray, "point 3"]) -> Bool[np.ndarray, " point"]:
-        """Which points (x, y, z) [mm] the part contains; flat faces are half open."""
+        """Return which points the part contains; flat faces are half open.
+
+        Parameters
+        ----------
+        points : (x, y, z) [mm], (point, 3)
+
+        Returns
+        -------
+        True for points inside
+        """
         if self.surface is not None:
             return (enclosures(points, *self.surface) % 2 == 1) == self.inside
         x, y, z = self.local[:, :3] @ np.asarray(points, dtype=np.float64).T + self.local[:, 3:]
@@ -103,21 +122,31 @@ Term = tuple[Part, ...]
 
 
 def _in_box(x: np.ndarray, y: np.ndarray, z: np.ndarray, voxels: VoxelMap | None) -> Bool[np.ndarray, " point"]:
-    """Which local points lie in a box, of a voxel map only in voxels that are not empty."""
+    """Return which local points lie in a box, of a voxel map only in voxels that are not empty."""
     if voxels is not None:
         return np.any(voxels.at(np.stack([x, y, z])) > 0, axis=1)
     return (x >= -1) & (x < 1) & (y >= -1) & (y < 1) & (z >= -1) & (z < 1)
 
 
 def mesh_part(vertices: Float[np.ndarray, "vertex 3"], triangles: Int64[np.ndarray, "triangle 3"]) -> Part:
-    """The inside of a closed mesh."""
+    """Create the part inside a closed mesh.
+
+    Parameters
+    ----------
+    vertices : (x, y, z) [mm], (vertex, 3)
+    triangles : indices of vertices, (triangle, 3)
+
+    Returns
+    -------
+    the part
+    """
     low, high = vertices[triangles.ravel()].min(axis=0), vertices[triangles.ravel()].max(axis=0)
     half = np.maximum((high - low) / 2, 1e-9)
     return Part(MESH, local_map(np.diag(half), (low + high) / 2), surface=(vertices, triangles))
 
 
 class Shape(ABC):
-    """A region of space; subclasses are frozen dataclasses."""
+    """Region of space; subclasses are frozen dataclasses."""
 
     @property
     @abstractmethod
@@ -137,7 +166,16 @@ class Shape(ABC):
         return low, np.max([np.min([high for _, high in box], axis=0) for box in boxes], axis=0)
 
     def contains(self, points: Float[np.ndarray, "point 3"]) -> Bool[np.ndarray, " point"]:
-        """Which points (x, y, z) [mm] lie inside."""
+        """Return which points lie inside.
+
+        Parameters
+        ----------
+        points : (x, y, z) [mm], (point, 3)
+
+        Returns
+        -------
+        True for points inside
+        """
         inside = np.zeros(len(points), np.bool_)
         for term in self.terms:
             inside |= np.logical_and.reduce([part.contains(points) for part in term])
@@ -145,7 +183,7 @@ class Shape(ABC):
 
 
 class Primitive(Shape):
-    """A shape that is one primitive around a `center` (x, y, z) [mm]."""
+    """Shape that is one primitive around a centre."""
 
     KIND: ClassVar[int]
     center: Triple
@@ -172,13 +210,32 @@ class Primitive(Shape):
 
 
 def local_map(axes: Float[np.ndarray, "3 3"], center: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 4"]:
-    """Map from world [mm] to coordinates along orthogonal `axes` from `center` on."""
+    """Compute the map from world coordinates [mm] to coordinates along orthogonal `axes` from `center`.
+
+    Parameters
+    ----------
+    axes : half axes as columns [mm]
+    center : (x, y, z) [mm]
+
+    Returns
+    -------
+    map, (3, 4)
+    """
     inverse = (axes / (axes**2).sum(axis=0)).T
     return np.column_stack([inverse, -inverse @ center])
 
 
 def shortest_turn(axis: Triple) -> Float[np.ndarray, "3 3"]:
-    """Rotation that takes z into `axis` about their common normal; a half turn about x where axis is -z."""
+    """Compute the rotation that takes z into `axis` about their common normal.
+
+    Parameters
+    ----------
+    axis : direction, any length
+
+    Returns
+    -------
+    rotation matrix; a half turn about x where the axis is -z
+    """
     x, y, z = np.asarray(axis) / np.linalg.norm(axis)
     if x * x + y * y == 0:
         return np.diag([1.0, z, z])
@@ -188,7 +245,22 @@ def shortest_turn(axis: Triple) -> Float[np.ndarray, "3 3"]:
 
 
 def checked_triple(shape: str, name: str, value: object) -> Triple:
-    """`value` as three finite floats, or a sentence that names the shape and its parameter."""
+    """Return a value as three finite floats.
+
+    Parameters
+    ----------
+    shape, name : of the shape and of its parameter, for the message
+    value : the value
+
+    Returns
+    -------
+    three floats
+
+    Raises
+    ------
+    InputError
+        When it is not three finite numbers.
+    """
     array = np.asarray(value, dtype=np.float64)
     if array.shape != (3,) or not np.isfinite(array).all():
         raise InputError(f"{shape} {name} must be three finite numbers, got {value!r}")
@@ -196,7 +268,22 @@ def checked_triple(shape: str, name: str, value: object) -> Triple:
 
 
 def checked_axis(shape: str, name: str, value: object) -> Triple:
-    """`value` as a direction."""
+    """Return a value as a direction.
+
+    Parameters
+    ----------
+    shape, name : of the shape and of its parameter, for the message
+    value : the value
+
+    Returns
+    -------
+    three floats
+
+    Raises
+    ------
+    InputError
+        When it is not three finite numbers, or zero.
+    """
     triple = checked_triple(shape, name, value)
     if not any(triple):
         raise InputError(f"{shape} {name} must not be the zero vector")
@@ -204,7 +291,18 @@ def checked_axis(shape: str, name: str, value: object) -> Triple:
 
 
 def checked_lengths(shape: str, name: str, values: tuple[float, ...]) -> None:
-    """Refuse lengths that are not positive, finite, and within 1e-9 .. 1e9 mm, where the local map stays exact."""
+    """Refuse lengths that are not positive, finite, and within 1e-9 .. 1e9 mm, where the local map stays exact.
+
+    Parameters
+    ----------
+    shape, name : of the shape and of its parameter, for the message
+    values : lengths [mm]
+
+    Raises
+    ------
+    InputError
+        When a length is out of range.
+    """
     if not all(1e-9 <= value <= 1e9 for value in values) or prod(values) == 0:
         shown = values[0] if len(set(values)) == 1 else values
         raise InputError(f"{shape} {name} must be positive and finite [mm], got {shown!r}")

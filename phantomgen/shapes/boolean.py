@@ -1,4 +1,4 @@
-"""Shapes made of shapes: unions, intersections, differences, and shapes that are moved, turned or scaled."""
+"""Boolean shapes: unions, intersections, differences, and shapes that are moved, turned or scaled."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ _MOST_TERMS = 500
 
 @dataclass(frozen=True)
 class HalfSpace(Shape):
-    """What lies below a plane, ``normal . x < offset``; it cuts other shapes and is none by itself.
+    """Half space below a plane, ``normal . x < offset``; it cuts other shapes and is not an object by itself.
 
     Parameters
     ----------
@@ -43,7 +43,12 @@ class HalfSpace(Shape):
 
 @dataclass(frozen=True)
 class Union(Shape):
-    """What lies in any of some shapes."""
+    """Union of shapes: points that lie in at least one of them.
+
+    Parameters
+    ----------
+    shapes : the shapes
+    """
 
     shapes: tuple[Shape, ...]
 
@@ -55,7 +60,12 @@ class Union(Shape):
 
 @dataclass(frozen=True)
 class Intersection(Shape):
-    """What lies in all of some shapes."""
+    """Intersection of shapes: points that lie in all of them.
+
+    Parameters
+    ----------
+    shapes : the shapes
+    """
 
     shapes: tuple[Shape, ...]
 
@@ -67,7 +77,13 @@ class Intersection(Shape):
 
 @dataclass(frozen=True)
 class Difference(Shape):
-    """What lies in one shape and in none of some others."""
+    """Difference of shapes: points that lie in one shape and in none of the others.
+
+    Parameters
+    ----------
+    base : the shape
+    cut : shapes that are removed from it
+    """
 
     base: Shape
     cut: tuple[Shape, ...]
@@ -80,7 +96,14 @@ class Difference(Shape):
 
 @dataclass(frozen=True, eq=False)
 class Placed(Shape):
-    """A shape whose every point x has gone to ``matrix @ x + offset``."""
+    """Transformed shape: every point x of the original is at ``matrix @ x + offset``.
+
+    Parameters
+    ----------
+    shape : the original
+    matrix : (3, 3)
+    offset : [mm]
+    """
 
     shape: Shape
     matrix: Float[np.ndarray, "3 3"]

@@ -1,4 +1,4 @@
-"""Whether shapes have a common interior, and whether one encloses another."""
+"""Tests whether shapes have a common interior, and whether one encloses another."""
 
 from collections.abc import Iterator, Sequence
 from itertools import product
@@ -22,17 +22,35 @@ _NORMS = {BALL: ([0, 1, 2],), CYLINDER: ([0, 1], [2]), BOX: ([0], [1], [2])}
 
 
 def meet(shapes: Sequence[Shape]) -> bool:
-    """Whether some shapes have a common interior.
+    """Return whether shapes have a common interior.
 
     Exact for what is made of convex primitives and planes: there the point that lies deepest in all of them is sought.
     Where a part is a torus, a mesh or something cut out, random points decide, and a common interior that fills less
     than about 1e-4 of the box around it is missed.
+
+    Parameters
+    ----------
+    shapes : the shapes
+
+    Returns
+    -------
+    True where they have
     """
     return any(_common([part for term in choice for part in term]) for choice in product(*(s.terms for s in shapes)))
 
 
 def encloses(outer: Shape, inner: Shape) -> bool:
-    """Whether `inner` lies in `outer` for certain; where that is hard to tell, the answer is no."""
+    """Return whether `inner` certainly lies in `outer`; False where that is hard to decide.
+
+    Parameters
+    ----------
+    outer : outer shape
+    inner : inner shape
+
+    Returns
+    -------
+    True where it certainly does
+    """
     return all(
         any(all(any(_part_encloses(part, core) for core in term) for part in whole) for whole in outer.terms)
         for term in inner.terms
@@ -40,7 +58,7 @@ def encloses(outer: Shape, inner: Shape) -> bool:
 
 
 def _common(parts: Sequence[Part]) -> bool:
-    """Whether all parts together leave a space."""
+    """Return whether all parts together leave a space."""
     boxes = [part.bounds for part in parts if part.inside and part.kind != HALFSPACE]
     low, high = np.max([box[0] for box in boxes], axis=0), np.min([box[1] for box in boxes], axis=0)
     if (high - low <= 0).any():
@@ -55,7 +73,7 @@ def _common(parts: Sequence[Part]) -> bool:
 
 
 def _depth(parts: Sequence[Part], box: Bounds) -> float:
-    """How deep the deepest point lies inside all of some convex parts, relative to their size; negative outside."""
+    """Compute the depth of the deepest point in all of some convex parts, relative to their size; negative outside."""
     low, high = box
     middle, half = (low + high) / 2, (high - low) / 2
 
@@ -89,7 +107,7 @@ def _values(part: Part, point: Float[np.ndarray, " 3"], size: float) -> list[flo
 
 
 def _part_encloses(outer: Part, inner: Part) -> bool:
-    """Whether all of a primitive lies in another one, or on the right side of a plane."""
+    """Return whether all of a primitive lies in another one, or on the right side of a plane."""
     if not inner.inside or inner.kind == HALFSPACE or (outer.kind != HALFSPACE and not outer.inside):
         return False
     axes = np.linalg.inv(inner.local[:, :3])

@@ -1,4 +1,4 @@
-"""An ordered list of shapes with their materials, as the arrays that operators work on."""
+"""Arrays for the operators from an ordered list of shapes with their materials."""
 
 from collections.abc import Iterable
 
@@ -12,9 +12,22 @@ from spectra.errors import InputError
 
 
 def solids_of(objects: Iterable[tuple[Shape, int | tuple[int, ...]]]) -> Solids:
-    """Arrays of (shape, material index) pairs; a later shape owns what it shares with an earlier one.
+    """Create the arrays of (shape, material index) pairs; a later shape owns what it shares with an earlier one.
 
     A voxel map comes with the material of each of its parts.
+
+    Parameters
+    ----------
+    objects : shapes with the index of their material, or of each part of a voxel map
+
+    Returns
+    -------
+    arrays for the operators
+
+    Raises
+    ------
+    InputError
+        When a material index is negative.
     """
     parts: list[Part] = []
     maps: list[tuple[VoxelMap, tuple[int, ...]] | None] = []

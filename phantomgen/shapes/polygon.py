@@ -19,7 +19,7 @@ FLAT = 1e-12
 
 @dataclass(frozen=True)
 class Polygon(Shape):
-    """A prism: a simple polygon in the x-y plane, drawn out along z and then turned and moved.
+    """Prism: a simple polygon in the x-y plane, extruded along z and then turned and moved.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class _Terms(Shape):
 
 
 def _side(corners: Points, a: int, b: int, planes: dict):
-    """What lies left of the edge from corner a to corner b; a shared edge cuts both neighbours at the same numbers."""
+    """Return the half space left of the edge from corner a to b; a shared edge cuts both neighbours identically."""
     if (b, a) in planes:
         return planes[b, a].opposite
     (dx, dy), (x, y) = corners[b] - corners[a], corners[a]
@@ -134,7 +134,7 @@ def _triangles(points: Points) -> list[np.ndarray]:
 
 
 def _any_inside(triangle: Points, points: Points) -> bool:
-    """Whether a triangle contains any of the points, its edges included."""
+    """Return whether a triangle contains any of the points, its edges included."""
     edges = np.roll(triangle, -1, axis=0) - triangle
     offsets = points[:, None] - triangle
     return bool((edges[:, 0] * offsets[..., 1] - edges[:, 1] * offsets[..., 0] >= 0).all(axis=1).any())

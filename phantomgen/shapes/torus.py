@@ -22,7 +22,7 @@ from spectra.errors import InputError
 
 @dataclass(frozen=True)
 class Torus(Shape):
-    """A ring with a circular cross-section.
+    """Ring with a circular cross-section.
 
     Parameters
     ----------

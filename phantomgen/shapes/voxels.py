@@ -13,7 +13,7 @@ from spectra.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Voxels(Shape):
-    """A voxel map in space; it has a material for each of its parts, and fills its box also where it is empty.
+    """Voxel map in space; it has a material for each of its parts, and fills its box also where it is empty.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ from phantomgen.simulation.forward_model.frames import Views
 from phantomgen.simulation.forward_model.truth import streamed_truth
 from phantomgen.simulation.planning.make_plan import make_plan
 from phantomgen.simulation.planning.plan import TOLERANCE
-from phantomgen.simulation.projection_cache.cache import Keeper, usable
+from phantomgen.simulation.projection_cache.cache import CacheWriter, usable
 from phantomgen.simulation.summary import Summary
 from phantomgen.simulation.write_frames import compute_frames, write_frames
 
@@ -82,12 +82,12 @@ def simulate(
         spectra = reconstructor_spectra(scan)
     with watch("plan"):
         wanted = TOLERANCE if tolerance is None else tolerance
-        plan, kept_views = (make_plan(scan, wanted), None) if kept is None else kept.planned(scan, wanted)
+        plan, cached_views = (make_plan(scan, wanted), None) if kept is None else kept.planned(scan, wanted)
         if tolerance is not None:
             plan.check()
         scan = plan.scan
-        views = Views(scan, plan.exposure, plan.settings, cached=kept_views.primary if kept_views else None)
-        keeper = Keeper.of(plan) if keep_paths else None
+        views = Views(scan, plan.exposure, plan.settings, cached=cached_views.primary if cached_views else None)
+        cache_writer = CacheWriter.of(plan) if keep_paths else None
         warnings = [*plan.warnings, *coverage_warnings(scan), *fit_warnings(scan, material_fit(scan))]
         warnings += [*scan.detector.poor, *plan.exposure.warnings]
     nominal, options = (
@@ -99,7 +99,7 @@ def simulate(
     same = identity(scan, plan.settings, plan.exposure.groups, options)
     with FrameJournal(writer.path, same, resume, overwrite) as journal:
         with watch("views"):
-            compute_frames(journal, views, keep_expected, compression, progress, keeper)
+            compute_frames(journal, views, keep_expected, compression, progress, cache_writer)
         with writer:
             writer.write_scan(
                 scan.name, nominal, spectra, scan.grid, dict(scan.splits), scan.scheme, views.recorded_exposure
@@ -108,7 +108,7 @@ def simulate(
             writer.write_mask(spectra.channels, views.detector.recorded_mask)
             writer.write_process("phantomgen make", scan.seed)
             with watch("write"):
-                write_frames(writer, views, journal, keep_expected, keeper)
+                write_frames(writer, views, journal, keep_expected, cache_writer)
             with watch("truth"):
                 filled = None if kept is None else kept.fractions(scan)
                 writer.write_truth(streamed_truth(scan, filled), scan.scene.materials)

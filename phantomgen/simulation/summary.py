@@ -11,7 +11,7 @@ from phantomgen.simulation.planning.plan import Plan
 
 @dataclass(frozen=True)
 class Summary:
-    """What a simulation made, what it took, and how wrong it is.
+    """Summary of a simulation: dataset, time, plan and error.
 
     Parameters
     ----------
@@ -33,7 +33,12 @@ class Summary:
     warnings: list[str] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON: all numbers under stable keys."""
+        """Return all numbers under stable keys, for JSON.
+
+        Returns
+        -------
+        the mapping
+        """
         return {
             "path": str(self.path),
             "shape": list(self.shape),
@@ -46,7 +51,7 @@ class Summary:
 
     @property
     def text(self) -> str:
-        """For people."""
+        """Summary as text."""
         views, channels, rows, columns = self.shape
         stages = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in self.seconds.items())
         return "\n".join(

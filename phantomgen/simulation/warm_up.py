@@ -14,7 +14,7 @@ from threading import Timer
 import numpy as np
 
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.ops.expected_counts import expose, expose_brute
+from phantomgen.ops.expected_counts import expected_counts, expected_counts_by_grid
 from phantomgen.ops.primitives import BALL
 from phantomgen.ops.solids import Solids
 from phantomgen.ops.trace import trace
@@ -25,9 +25,15 @@ PATIENCE = 2.0  # s
 
 @contextmanager
 def compiling_ahead(say: Callable[[str], None]) -> Iterator[Callable[[], None]]:
-    """Compile beside what happens in here; the function it gives waits for the kernels that the views need.
+    """Compile kernels in another process while the body runs; a context manager.
 
-    `say` is told when that takes longer than `PATIENCE`.
+    Parameters
+    ----------
+    say : called with a sentence when compilation takes longer than `PATIENCE`
+
+    Yields
+    ------
+    function that waits for the kernels that the views require
     """
     command = [sys.executable, "-m", __name__]
     with subprocess.Popen(
@@ -48,17 +54,17 @@ def compiling_ahead(say: Callable[[str], None]) -> Iterator[Callable[[], None]]:
 
 
 def _compile() -> None:
-    """Run the smallest job through each operation, in the order in which a simulation asks for them."""
+    """Run the smallest job through each operation, in the order in which a simulation requires them."""
     ball = Solids.plain(np.array([BALL]), np.eye(3, 4)[None], np.array([0]))
     spectrum = np.ones((1, 1)), np.ones(1), np.array([0, 1])
     source, step = np.array([[0.0, -5.0, 0.0]]), np.array([[0.0, 10.0, 0.0]])
     frame = np.concatenate([source, step, np.eye(3)[[0, 2]]])
     trace(source, step, ball, 1)
-    expose(frame, 1, 1, ball, *spectrum)
+    expected_counts(frame, 1, 1, ball, *spectrum)
     sys.stdout.write("ready for views\n")
     sys.stdout.flush()
     fractions(Grid(shape=(1, 1, 1), spacing=(1.0, 1.0, 1.0), origin=(0.0, 0.0, 0.0)), ball, 1)
-    expose_brute(frame, np.array([[0, 0]]), ball, *spectrum, n=1)
+    expected_counts_by_grid(frame, np.array([[0, 0]]), ball, *spectrum, n=1)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from phantomgen.runtime.disk import check_room
 from phantomgen.simulation.forward_model.detector import Frame as Images
 from phantomgen.simulation.forward_model.frames import Views
 from phantomgen.simulation.forward_model.readout import dark, flat, projections
-from phantomgen.simulation.projection_cache.cache import Keeper
+from phantomgen.simulation.projection_cache.cache import CacheWriter
 from spectra.threads import run_parallel
 
 
@@ -23,16 +23,32 @@ def compute_frames(
     keep_expected: bool,
     compression: Compression,
     progress: bool,
-    keeper: Keeper | None = None,
+    cache_writer: CacheWriter | None = None,
 ) -> None:
-    """Compute all views, flats and darks that the journal lacks; darks only where the detector reads anything."""
+    """Compute all views, flats and darks that the journal lacks.
+
+    Darks are computed only where the detector reads anything without beam.
+
+    Parameters
+    ----------
+    journal : stores finished frames
+    views : frames of the scan
+    keep_expected : store counts without noise as well
+    compression : of the frames
+    progress : show a progress bar on stderr
+    cache_writer : stores projections at a few energies; None where they are not wanted
+    """
 
     def packed(images: Images) -> Packed:
         return [pack_image(image, compression) for image in images]
 
     def view(number: int, counts: Images, means: Images) -> Frame:
         expected = {"expected": packed(means)} if keep_expected else {}
-        return {"data": packed(counts)} | expected | ({"paths": packed(keeper.images(number))} if keeper else {})
+        return (
+            {"data": packed(counts)}
+            | expected
+            | ({"paths": packed(cache_writer.images(number))} if cache_writer else {})
+        )
 
     flats, darks = views.scan.flats, 0 if views.detector.reads_zero else views.scan.darks
     found = projections(views, view, keep_expected, journal.done("views"))
@@ -44,15 +60,28 @@ def compute_frames(
 
 
 def write_frames(
-    writer: DatasetWriter, views: Views, journal: FrameJournal, keep_expected: bool, keeper: Keeper | None = None
+    writer: DatasetWriter,
+    views: Views,
+    journal: FrameJournal,
+    keep_expected: bool,
+    cache_writer: CacheWriter | None = None,
 ) -> None:
-    """Write all frames of a journal; darks that are not in it stay zero."""
+    """Write all frames of a journal to the dataset; darks that are not in it stay zero.
+
+    Parameters
+    ----------
+    writer : the dataset
+    views : frames of the scan
+    journal : stores finished frames
+    keep_expected : write counts without noise as well
+    cache_writer : writes projections at a few energies; None where they are not wanted
+    """
     scan = views.scan
     arrays = writer.new_counts(views.shape, scan.flats, scan.darks, scan.noise, scan.detector.units)
     if keep_expected:
         arrays["expected"] = writer.new_expected(views.shape, scan.detector.units)
-    if keeper:
-        arrays["paths"] = keeper.new_array(writer.file, writer.compression)
+    if cache_writer:
+        arrays["paths"] = cache_writer.new_array(writer.file, writer.compression)
     for _, number, frame in journal.frames():
         for name, images in frame.items():
             for channel, image in enumerate(images):
@@ -74,7 +103,7 @@ def _keep(journal: FrameJournal, kind: str, frames: Iterator[Frame], count: int,
 
 
 def _shown(frames: Iterator[Frame], first: int, count: int, name: str, progress: bool) -> Iterator[Frame]:
-    """The same frames, with a progress bar where somebody can see it."""
+    """Yield the frames unchanged, with a progress bar on a terminal."""
     if not progress:
         yield from frames
         return

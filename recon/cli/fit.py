@@ -44,7 +44,7 @@ from recon.runs.methods import METHODS
     type=click.Choice(["gaussian", *METHODS]),
     default="gaussian",
     show_default=True,
-    help="Gaussians, or an opponent, classical or learned; `--sweeps` are then its iterations.",
+    help="Gaussians, or a method to compare with, classical or learned; `--sweeps` are then its iterations.",
 )
 @click.option(
     "--pipeline",
@@ -112,7 +112,7 @@ def fit(
     from recon.kedge.basis_names import parse_bases, with_named
     from recon.kedge.report import parse_edges
     from recon.published_methods.paper.recipe import PAPER_STEPS, PaperRecipe
-    from recon.runs.expected_cost import forecast
+    from recon.runs.expected_cost import expected_cost
     from recon.runs.methods import method_named
     from recon.runs.run_gaussians import chosen_recipe, run
     from recon.runs.run_voxels import run_classical
@@ -136,7 +136,7 @@ def fit(
     if dry_run and not isinstance(how, PaperRecipe):
         with open_dataset(source, air) as opened:
             named, count = with_named(opened, asked)
-            found = forecast(named, how, count, memory, device)
+            found = expected_cost(named, how, count, memory, device)
         click.echo(json.dumps(found.to_dict()) if as_json else str(found))
         return
     with joined() as processes, open_dataset(source, air) as opened:

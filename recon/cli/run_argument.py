@@ -5,9 +5,9 @@ from typing import Any
 
 import click
 
+from phantomgen.runtime.hdf5_signature import is_hdf5
 from spectra.errors import DatasetError
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 _OF_A_RUN = ("volumes.h5", "model.safetensors", "metrics.json", "scan.json", "report.html", "log.jsonl")
 
 
@@ -26,7 +26,7 @@ class RunFolder(click.ParamType):
             raise DatasetError(f"there is no run folder {path}; make one by recon fit")
         if path.name in _OF_A_RUN:
             raise DatasetError(f"{path} is a file in a run folder: name the folder, {path.parent}")
-        if _is_hdf5(path):
+        if is_hdf5(path):
             raise DatasetError(
                 f"{path} is a dataset and no run folder: `recon fit {path}` makes one from it, "
                 f"`phantomgen view {path}` shows the dataset"
@@ -38,12 +38,3 @@ def check_run_name(path: Path, option: str = "--out") -> None:
     """Refuse the name of a file for a folder that is to be written."""
     if path.suffix.lower() in {".h5", ".hdf5", ".nxs", ".yaml", ".html", ".png", ".json", ".vti", ".nii", ".ply"}:
         raise DatasetError(f"{option} names a folder, got {path}: write {path.with_suffix('')}, for example")
-
-
-def _is_hdf5(path: Path) -> bool:
-    """Whether a file begins as HDF5 does."""
-    try:
-        with path.open("rb") as file:
-            return file.read(len(_HDF5)) == _HDF5
-    except OSError:
-        return False

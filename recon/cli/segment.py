@@ -95,7 +95,7 @@ def segment(
 
     if out is not None:
         check_run_name(out)
-    say = _silent if quiet or as_json else _say
+    say = _silent if quiet or as_json else _statistical_weights
     chosen = parse_views(views) or DEFAULT_VIEWS
     options = Options(domain, features, bandwidth, energies or (ENERGY,), seed)
     if truth is not None:
@@ -148,7 +148,7 @@ def _reference(run: Path, truth: Path | None, found: "Segmentation", say) -> "Re
     return reference
 
 
-def _say(sentence: str) -> None:
+def _statistical_weights(sentence: str) -> None:
     click.echo(sentence, err=True)
 
 

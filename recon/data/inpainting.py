@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float, Int
 Lines = Int[np.ndarray, "row column"]
 
 
-def filled(
+def inpainted(
     images: Float[np.ndarray, "... row column"], unseen: Bool[np.ndarray, "row column"]
 ) -> Float[np.ndarray, "... row column"]:
     """Images whose unseen pixels are interpolated linearly between the nearest seen ones along a row or a column.
@@ -29,7 +29,7 @@ def filled(
         whole[..., r, c] = (1 - part) * ends[0] + part * ends[1]
     left = np.zeros_like(unseen)
     left[row[np.isinf(best)], column[np.isinf(best)]] = True
-    return filled(whole, left)
+    return inpainted(whole, left)
 
 
 def _between(seen: Bool[np.ndarray, "row column"]) -> list[np.ndarray]:

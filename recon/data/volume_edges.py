@@ -1,7 +1,7 @@
 """Where volumes hold something, where their edges are, and how dense they are.
 
-Structure is measured in units of noise, on volumes whitened by the mean Fisher matrix, so that the choice of bases does
-not matter.
+Structure is measured in units of noise, on volumes whitened by the mean Fisher matrix, so that the choice of bases
+does not matter.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ _FAINT = 0.02  # for the typical value, see there
 
 
 @dataclass(frozen=True, eq=False)
-class Structure:
+class VolumeEdges:
     """Of volumes.
 
     Parameters
@@ -35,8 +35,8 @@ class Structure:
     strength: Float[np.ndarray, "z y x"]
 
     @classmethod
-    def of(cls, volumes: Float[np.ndarray, "basis z y x"], fisher: Float[np.ndarray, "basis basis"]) -> "Structure":
-        """Structure of volumes.
+    def of(cls, volumes: Float[np.ndarray, "basis z y x"], fisher: Float[np.ndarray, "basis basis"]) -> "VolumeEdges":
+        """Find the edges of volumes.
 
         Parameters
         ----------

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Real
 from scipy import ndimage
 
-from recon.data.inpainting import filled
+from recon.data.inpainting import inpainted
 from recon.data.projection_edges import edge_mask
 from spectra.errors import InputError
 
@@ -168,7 +168,7 @@ class HeldOutView:
     ) -> "HeldOutView":
         """With the rays more than `distance` pixels from the edges that the model's own log projections show."""
         logs = log_projections(expected, open_beam)
-        whole = np.stack([filled(image, air <= 0) for image, air in zip(logs, open_beam, strict=True)])
+        whole = np.stack([inpainted(image, air <= 0) for image, air in zip(logs, open_beam, strict=True)])
         return cls(counts, expected, open_beam, edge_mask(whole, distance), marked)
 
 

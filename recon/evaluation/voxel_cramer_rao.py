@@ -69,8 +69,8 @@ class VoxelInformation:
             some = slice(first, first + VIEWS_AT_ONCE)
             lengths = forward(flat, self.geometry[some], self.grid)
             lengths = lengths.reshape(count, bases, *lengths.shape[1:])
-            pulls = np.einsum("vrcmn,knvrc->kmvrc", self.rays[some], lengths, optimize=True)
-            out += transpose(pulls.reshape(-1, *pulls.shape[2:]), self.geometry[some], self.grid)
+            ray_gradients = np.einsum("vrcmn,knvrc->kmvrc", self.rays[some], lengths, optimize=True)
+            out += transpose(ray_gradients.reshape(-1, *ray_gradients.shape[2:]), self.geometry[some], self.grid)
         return out.reshape(vectors.shape).astype(np.float64)
 
     @cached_property

@@ -37,13 +37,14 @@ def coefficient_curvature(
         some = measurements[slice(first, first + VIEWS_AT_ONCE)]
         frames = torch.from_numpy(some.geometry.ray_frames())
         images = rasterize(*parts, values, frames, panel.rows, panel.columns)
-        pulls = torch.zeros_like(images)  # what is pulled need not be what was drawn: the operator is linear in values
+        # what is pulled need not be what was drawn: the operator is linear in values
+        ray_gradients = torch.zeros_like(images)
         for view in range(len(some)):  # matrices of one view at a time, in float64
             line_integrals = images[[view], :bases].detach().cpu().numpy()
             information = ray_information(some[[view]], line_integrals, dispersion)[0][:, :, *upper]
-            pulls[view, : len(upper[0])] = torch.from_numpy(information).movedim(-1, 0).to(pulls)
-        pulls *= images[:, bases : bases + 1].detach()
-        sums += torch.autograd.grad(images, values, pulls)[0]
+            ray_gradients[view, : len(upper[0])] = torch.from_numpy(information).movedim(-1, 0).to(ray_gradients)
+        ray_gradients *= images[:, bases : bases + 1].detach()
+        sums += torch.autograd.grad(images, values, ray_gradients)[0]
     sums = sums[:, : len(upper[0])]
     blocks = sums.new_empty(len(gaussians), bases, bases)
     blocks[:, upper[0], upper[1]] = sums

@@ -21,7 +21,7 @@ from spectra.differentiable import transmit
 
 
 @dataclass(frozen=True, eq=False)
-class Agreement:
+class Likelihood:
     """Of a model with some views.
 
     Parameters
@@ -36,10 +36,10 @@ class Agreement:
     chi_square: Float[np.ndarray, " channel"]
 
 
-def agreement(
+def likelihood(
     model: Gaussians | Voxels, data: Measurements, dispersion: float, processes: Processes = ALONE
-) -> Agreement:
-    """Agreement with all views of `data`, whose work `processes` share."""
+) -> Likelihood:
+    """Likelihood with all views of `data`, whose work `processes` share."""
     sums = torch.zeros(2 * data.counts.shape[1] + 2, dtype=torch.float64, device="cpu")
     with torch.no_grad():
         for view in processes.share(np.arange(len(data))):
@@ -55,14 +55,14 @@ def deviances(model: Gaussians | Voxels, data: Measurements, dispersion: float) 
         return np.array([float(_view_sums(model.line_integrals(o.geometry), o, dispersion)[1][0]) for o in ones])
 
 
-def agreement_and_gradients(
+def likelihood_and_gradients(
     gaussians: Gaussians,
     data: Measurements,
     views: Int[np.ndarray, " view"],
     dispersion: float,
     processes: Processes = ALONE,
-) -> Agreement:
-    """Agreement with some views of `data`; the gradients of the mean deviance are left in the tensors of `gaussians`.
+) -> Likelihood:
+    """Likelihood with some views of `data`; the gradients of the mean deviance are left in the tensors of `gaussians`.
 
     Parameters
     ----------
@@ -79,13 +79,13 @@ def agreement_and_gradients(
         part.grad = None
     if len(mine):
         images = gaussians.line_integrals(mine.geometry)
-        known, pull = images.detach(), torch.empty_like(images)
+        known, ray_gradient = images.detach(), torch.empty_like(images)
         for view in range(len(mine)):
             lengths = known[view : view + 1].requires_grad_()
             loss, found = _view_sums(lengths, mine[[view]], dispersion)
-            pull[view] = torch.autograd.grad(loss / values, lengths)[0][0]
+            ray_gradient[view] = torch.autograd.grad(loss / values, lengths)[0][0]
             sums += found
-        images.backward(pull)
+        images.backward(ray_gradient)
     else:
         for part in parts:
             part.grad = torch.zeros_like(part)
@@ -119,9 +119,9 @@ def _expected(images: Float[Tensor, "view basis row column"], data: Measurements
     return torch.from_numpy(data.counts).to(images.device), expected, gains > 0
 
 
-def _summed(sums: Float[Tensor, " sum"], processes: Processes) -> Agreement:
+def _summed(sums: Float[Tensor, " sum"], processes: Processes) -> Likelihood:
     """Ratios of sums over the views of all processes."""
     processes.add_up([sums])
     (total, *squares), (least, *noise) = np.array(sums.tolist()).reshape(2, -1)
     found = np.divide(squares, noise, out=np.full(len(noise), np.nan), where=np.array(noise) > 0)
-    return Agreement(float(total / least) if least > 0 else 0.0, found)
+    return Likelihood(float(total / least) if least > 0 else 0.0, found)

@@ -22,7 +22,9 @@ _SCHEMA = "spectral-ct gaussians 1.0"
 
 @dataclass(frozen=True, eq=False)
 class Gaussians:
-    """mu(x, E) = sum_m B_m(E) sum_i b_im exp(-|S_i^-1 R_i^T (x - p_i)|^2 / 2).
+    """Sums of Gaussians that describe the attenuation of a volume.
+
+    The model is ``mu(x, E) = sum_m B_m(E) sum_i b_im exp(-|S_i^-1 R_i^T (x - p_i)|^2 / 2)``.
 
     Parameters
     ----------

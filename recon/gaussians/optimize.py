@@ -20,13 +20,13 @@ from recon.data.array_store import IN_MEMORY, ArrayStore
 from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import every, kinds_of, parts_of, rounds_of
 from recon.gaussians.fisher import coefficient_curvature
-from recon.gaussians.likelihood import Agreement, agreement, agreement_and_gradients
+from recon.gaussians.likelihood import Likelihood, likelihood, likelihood_and_gradients
 from recon.gaussians.model import Gaussians
 from recon.gaussians.processes import ALONE, Processes
 from recon.gaussians.recipe import Recipe
 from recon.gaussians.state import FitState
-from recon.gaussians.voxel_prior import Anchor
-from recon.ops.nonnegative_newton import positive_step
+from recon.gaussians.voxel_prior import VoxelPrior
+from recon.ops.nonnegative_newton import nonnegative_newton_step
 from spectra.threads import without_other_pools
 
 SNAPSHOTS = 10  # models kept along the way, for error against time
@@ -72,7 +72,7 @@ def fit(
     on_step: Callable[[Progress], bool | None] = lambda progress: None,
     held_out: Measurements | None = None,
     processes: Processes = ALONE,
-    anchor: Anchor | None = None,
+    anchor: VoxelPrior | None = None,
     store: ArrayStore = IN_MEMORY,
 ) -> Gaussians:
     """Improve Gaussians until the recipe's sweeps are used up.
@@ -113,14 +113,14 @@ def fit(
                 state.inverse, state.weight = _inverse_curvature(state.gaussians, data, recipe, processes, anchor)
             fraction = state.done / steps
             ramp = min(1.0, (state.done + 1) / max(recipe.warm_up * per_sweep, 1.0))
-            found = agreement_and_gradients(state.gaussians, data, views, recipe.dispersion, processes)
+            found = likelihood_and_gradients(state.gaussians, data, views, recipe.dispersion, processes)
             scale = float(np.prod(data.counts.shape)) / 2  # from a mean deviance to the likelihood of all views
             if anchor is not None:
                 anchor.add_gradients(state.gaussians, state.weight / scale, state.done)
             state.adam.step(rates * ramp * recipe.final_rate**fraction, state.done + 1)
-            pull = torch.einsum("gmn,gn->gm", state.inverse, coefficients.grad) * scale
+            newton_step = torch.einsum("gmn,gn->gm", state.inverse, coefficients.grad) * scale
             rate = state.restraint * recipe.coefficient_rate * min(1.0, 10 ** (1 - 2 * fraction))
-            _project_step(coefficients, state.velocity, pull, state.inverse, rate, recipe.momentum)
+            _project_step(coefficients, state.velocity, newton_step, state.inverse, rate, recipe.momentum)
             _restrain(state, found.deviance, (step + 1) % per_sweep == 0)
             state.done += 1
             snapshot = state.done % max(steps // SNAPSHOTS, 1) == 0 or state.done == steps
@@ -146,16 +146,16 @@ def _restrain(state: FitState, deviance: float, swept: bool) -> None:
     state.last_sweep, state.sweep = state.sweep, 0.0
 
 
-def _progress(state: FitState, steps: int, found: Agreement, snapshot: bool, unseen: Agreement | None) -> Progress:
+def _progress(state: FitState, steps: int, found: Likelihood, snapshot: bool, unseen: Likelihood | None) -> Progress:
     held_out = None if unseen is None else unseen.chi_square
     return Progress(
         state.done, steps, state.seconds, found.deviance, state.gaussians, found.chi_square, state, snapshot, held_out
     )  # fmt: skip
 
 
-def _judge(state: FitState, held_out: Measurements, recipe: Recipe, processes: Processes) -> Agreement:
-    """Agreement with held-out rays; the state remembers the best."""
-    found = agreement(state.gaussians, held_out, recipe.dispersion, processes)
+def _judge(state: FitState, held_out: Measurements, recipe: Recipe, processes: Processes) -> Likelihood:
+    """Likelihood with held-out rays; the state remembers the best."""
+    found = likelihood(state.gaussians, held_out, recipe.dispersion, processes)
     mean = float(np.nanmean(found.chi_square))
     better = mean < state.lowest
     state.lowest, state.unimproved = min(mean, state.lowest), 0 if better else state.unimproved + 1
@@ -171,7 +171,7 @@ def _subsets(kinds: Int[np.ndarray, " view"], per_sweep: int, steps: int) -> Ite
 
 
 def _inverse_curvature(
-    gaussians: Gaussians, data: Measurements, recipe: Recipe, processes: Processes, anchor: Anchor | None
+    gaussians: Gaussians, data: Measurements, recipe: Recipe, processes: Processes, anchor: VoxelPrior | None
 ) -> tuple[Tensor, Tensor]:
     """Inverse blocks of the coefficients' curvature, from some of the views, and the weight of the prior."""
     some = every(kinds_of(data.exposure), -(-len(data) // CURVATURE_VIEWS))
@@ -190,10 +190,10 @@ def _inverse_curvature(
 
 @torch.no_grad()
 def _project_step(
-    coefficients: Tensor, velocity: Tensor, pull: Tensor, inverse: Tensor, rate: float, momentum: float
+    coefficients: Tensor, velocity: Tensor, newton_step: Tensor, inverse: Tensor, rate: float, momentum: float
 ) -> None:
     """Heavy-ball step, in place, that ends at non-negative coefficients."""
-    moved = coefficients + momentum * velocity - (1 - momentum) * rate * pull
+    moved = coefficients + momentum * velocity - (1 - momentum) * rate * newton_step
     outside = (moved < 0).any(dim=1)
     moved[outside] = _nearest_non_negative(moved[outside], inverse[outside])
     velocity.copy_(moved - coefficients)
@@ -210,4 +210,4 @@ def _nearest_non_negative(
     """
     rows, columns = np.triu_indices(wanted.shape[1])
     volumes, blocks = wanted.T.cpu().numpy(), inverse[:, rows, columns].T.cpu().numpy()
-    return torch.from_numpy(positive_step(volumes, blocks, np.zeros_like(volumes))).T.to(wanted)
+    return torch.from_numpy(nonnegative_newton_step(volumes, blocks, np.zeros_like(volumes))).T.to(wanted)

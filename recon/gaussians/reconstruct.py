@@ -14,12 +14,12 @@ from phantomgen.runtime.stopwatch import Stopwatch
 from recon.data.array_store import IN_MEMORY, ArrayStore
 from recon.data.coverage import Coverage, inner_box
 from recon.data.devices import device_named
-from recon.data.inpainting import filled
+from recon.data.inpainting import inpainted
 from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import every, kinds_of, rounds_of
 from recon.gaussians.fitted_grid import read_with_coverage
-from recon.gaussians.initial.fit_to_volume import approximate, evaluations_for, metric_of
+from recon.gaussians.initial.fit_to_volume import evaluations_for, fit_to_volume, metric_of
 from recon.gaussians.initial.initialize import initialize
 from recon.gaussians.model import Gaussians
 from recon.gaussians.optimize import Progress, fit
@@ -27,8 +27,8 @@ from recon.gaussians.processes import ALONE, Processes
 from recon.gaussians.recipe import Recipe
 from recon.gaussians.state import FitState
 from recon.gaussians.unseen_rays import UnseenRays, with_rays_apart
-from recon.gaussians.voxel_prior import Anchor
-from recon.voxel.initial_volumes import start_volumes, starting_method
+from recon.gaussians.voxel_prior import VoxelPrior
+from recon.voxel.initial_volumes import initial_volumes, starting_method
 from recon.voxel.iterative.multigrid import occupied
 from recon.voxel.iterative.one_step import OneStep
 from recon.voxel.method import CountsMethod, Method, OnIteration, unwatched
@@ -50,7 +50,7 @@ class Reconstruction:
     ----------
     gaussians : the fitted model
     start : name of the method that made the volumes to start from
-    start_volumes : those [1/mm]
+    initial_volumes : those [1/mm]
     node_error : worst error of the log counts from compressing the energy grid
     transmission : the spectral model of the fit
     seconds : time per stage
@@ -61,7 +61,7 @@ class Reconstruction:
 
     gaussians: Gaussians
     start: str
-    start_volumes: Float[np.ndarray, "basis z y x"]
+    initial_volumes: Float[np.ndarray, "basis z y x"]
     node_error: float
     transmission: Transmission
     seconds: dict[str, float] = field(default_factory=dict)
@@ -70,7 +70,7 @@ class Reconstruction:
     unreliable: Unreliable | None = None
 
 
-class Keeper(Protocol):
+class CheckpointStore(Protocol):
     """What keeps a fit that may be interrupted, as `recon.runs.unfinished_run.PartialRun` does."""
 
     def found(self, measured: Measurements) -> tuple[FitState, np.ndarray, dict[str, float]] | None:
@@ -87,7 +87,7 @@ def reconstruct(
     bases: int | None = None,
     on_stage: Callable[[str], None] = lambda name: None,
     on_step: Callable[[Progress], bool | None] = lambda progress: None,
-    keeper: Keeper | None = None,
+    checkpoints: CheckpointStore | None = None,
     processes: Processes = ALONE,
     store: ArrayStore = IN_MEMORY,
     on_iteration: OnIteration = unwatched,
@@ -101,7 +101,7 @@ def reconstruct(
     recipe : hyper-parameters
     bases : how many of the dataset's basis functions to use, default all
     on_stage, on_step : called when a stage begins, and after each step of the fit, which ends where that returns True
-    keeper : knows where an interrupted fit stands, and is told where a new one starts
+    checkpoints : knows where an interrupted fit stands, and is told where a new one starts
     processes : that share the fit; the first one makes the start
     store : where counts and line integrals live
     on_iteration : called along the start, after every pass of voxels and every evaluation of Gaussians that follow them
@@ -118,7 +118,7 @@ def reconstruct(
             measured = with_rays_apart(measured, voxel, recipe.seed)
         fitted, held_out = _set_apart(measured, recipe)
         fisher = _mean_information(measured, voxel, recipe)
-        kept = keeper.found(measured) if keeper is not None and processes.first else None
+        kept = checkpoints.found(measured) if checkpoints is not None and processes.first else None
     if kept is not None:
         state, volumes, seconds = kept
         stage.seconds.update(seconds | {"fit": state.seconds})
@@ -126,8 +126,8 @@ def reconstruct(
         air = _AIR if grid != dataset.grid else 0
         volumes, start = _first_guess(measured, grid, air, fisher, recipe, stage, store, on_iteration, place)
         state = FitState.begin(start)
-        if keeper is not None:
-            keeper.begin(volumes, stage.seconds, state)
+        if checkpoints is not None:
+            checkpoints.begin(volumes, stage.seconds, state)
     else:
         state, volumes = None, np.zeros((len(measured.basis_names), *grid.shape), np.float32)
     state, volumes = _shared(state, processes).to(place), processes.from_first(volumes)
@@ -135,7 +135,7 @@ def reconstruct(
     if recipe.prior:
         along = recipe.prior_along_edges(rounds_of(kinds_of(fitted.exposure)))
         filled = _filled_part(volumes, grid, _AIR if grid != dataset.grid else 0)
-        anchor = Anchor.off_edges(*filled, fisher, recipe.prior, along).holding(measured.basis_names)
+        anchor = VoxelPrior.off_edges(*filled, fisher, recipe.prior, along).holding(measured.basis_names)
     with stage("fit"):
         gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, processes, anchor, store)
     name, notes = _starting(measured, grid, recipe).name, ()
@@ -188,9 +188,9 @@ def _first_guess(
         with stage("decompose"):
             line_integrals = decompose_views(coarse, recipe.dispersion, store)[0]
             for image in line_integrals if coarse.unseen.any() else ():
-                image[:] = filled(image, coarse.unseen)
+                image[:] = inpainted(image, coarse.unseen)
         with stage(method.name):
-            volumes = start_volumes(line_integrals, coarse.unseen, coarse.geometry, grid, method)
+            volumes = initial_volumes(line_integrals, coarse.unseen, coarse.geometry, grid, method)
     with stage("initialize"):
         seen, inner = _filled_part(volumes, grid, air)
         spacing = recipe.distance(len(measured)) * voxel
@@ -200,7 +200,7 @@ def _first_guess(
     metric = metric_of(seen, fisher)
     with stage("approximate"):
         evaluations = evaluations_for(len(gaussians), recipe.approximation)
-        gaussians = approximate(gaussians.to(place), seen, inner, metric, evaluations, on_iteration)
+        gaussians = fit_to_volume(gaussians.to(place), seen, inner, metric, evaluations, on_iteration)
     return volumes, gaussians.to("cpu")
 
 

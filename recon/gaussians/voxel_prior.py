@@ -17,7 +17,7 @@ from scipy.ndimage import maximum_filter
 from torch import Tensor
 
 from phantomgen.geometry.voxel_grid import Grid
-from recon.data.volume_edges import Structure, metal_without_agents, over_metal
+from recon.data.volume_edges import VolumeEdges, metal_without_agents, over_metal
 from recon.gaussians.model import Gaussians
 from recon.ops.voxelize import mass_within, voxelize_tensor
 
@@ -28,7 +28,7 @@ _BESIDE = 3  # voxels across that an edge reaches
 
 
 @dataclass(frozen=True, eq=False)
-class Anchor:
+class VoxelPrior:
     """Volumes to stay near.
 
     Parameters
@@ -54,7 +54,7 @@ class Anchor:
         fisher: Float[np.ndarray, "basis basis"],
         strength: float,
         along: float,
-    ) -> "Anchor":
+    ) -> "VoxelPrior":
         """Volumes to be trusted where they have no edges.
 
         Parameters
@@ -65,11 +65,11 @@ class Anchor:
         strength : information of the prior over that of the data
         along : weight on an edge over that far from all of them
         """
-        edge = maximum_filter(np.clip(Structure.of(volumes, fisher).strength, 0, 1), size=_BESIDE)
+        edge = maximum_filter(np.clip(VolumeEdges.of(volumes, fisher).strength, 0, 1), size=_BESIDE)
         trusted = np.maximum(1 - edge, along / over_metal(volumes) ** 4)
         return cls(volumes, grid, strength, trusted.astype(np.float32))
 
-    def holding(self, names: tuple[str, ...]) -> "Anchor":
+    def holding(self, names: tuple[str, ...]) -> "VoxelPrior":
         """The same, which holds the K edges among bases of such names where there is metal (`agents_in_metal`)."""
         return replace(self, metal=metal_without_agents(self.volumes, names)[1])
 

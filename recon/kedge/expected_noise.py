@@ -26,8 +26,12 @@ from jaxtyping import Float, Int
 from recon.kedge.profile_likelihood import EdgeLikelihood, Functions
 from spectra.basis.basis import BasisFunction
 
-# Relative error of expected counts, in any channel, that is not taken for a K edge: twice what simulated scans
-# guarantee, since thickness varies within pixels that are joined.
+# Relative error of expected counts, in any channel, that is not taken for a K edge: twice the most that scans without
+# an edge need for a score below 5. Six such scans with the source and detector of `contrast-vials` (PMMA; bone in
+# water; aluminium of 30 and 40 mm; PMMA with aluminium, steel, calcium and bone; thin rods), of 4e5 and 4e6 photons,
+# judged for I, Gd and Au, need 0.10 % at most (aluminium of 40 mm, Au): `python -m
+# benchmarks.reconstruction.kedge_presets`. What errs there: simulated counts are exact to 0.1 %, and thickness varies
+# within pixels that are joined.
 MISFIT = 2e-3
 
 

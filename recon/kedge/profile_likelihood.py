@@ -7,7 +7,7 @@ drop in deviance, summed over the rays,
 
 and nothing where the line integrals of the edge sum up to less than 0. The energy with the highest sum is the likeliest
 one. One sigma is where the sum has fallen by 1. Line integrals of single rays may be negative: held at 0, rays with
-little of the element would pull the energy away, since noise then has a mean that depends on it.
+little of the element would move the energy away, since noise then has a mean that depends on it.
 """
 
 from collections.abc import Callable, Iterable
@@ -134,8 +134,10 @@ class EdgeLikelihood:
         expected, jacobian = expected * gains, jacobian[..., : len(functions)] * gains[..., None]
         variance = expected * (1 + self.dispersion**2 * expected)
         precision = np.divide(1.0, variance, out=np.zeros_like(variance), where=variance > 0)
-        pulls = [self._slope(functions, i, lengths) for i, f in enumerate(functions) if f.edge_energy is not None]
-        slopes = np.stack(pulls, axis=-1)
+        ray_gradients = [
+            self._slope(functions, i, lengths) for i, f in enumerate(functions) if f.edge_energy is not None
+        ]
+        slopes = np.stack(ray_gradients, axis=-1)
         own = np.einsum("rc,rce,rcf->ref", precision, slopes, slopes)
         cross = np.einsum("rc,rcm,rce->rme", precision, jacobian, slopes)
         fisher = np.einsum("rc,rcm,rcn->rmn", precision, jacobian, jacobian)
@@ -232,9 +234,9 @@ def _spread(
 ) -> float:
     """Standard deviation of the energy by how much single rays disagree [keV]; infinite where the profile is no peak.
 
-    Rays with less of the element than their noise pull the energy about, each by its own noise, and the width of the
-    profile does not see that. With slopes d_r of the rays' deviances and the bend H of their sum, the deviation is
-    sqrt(sum d_r^2) / H (Huber 1967; White 1982, doi:10.2307/1912526).
+    Rays with less of the element than their noise move the energy at random, each by its own noise, and the width
+    of the profile does not see that. With slopes d_r of the rays' deviances and the bend H of their sum, the deviation
+    is sqrt(sum d_r^2) / H (Huber 1967; White 1982, doi:10.2307/1912526).
     """
     half = (high - low) / 2
     if half >= best:

@@ -15,7 +15,7 @@ TIMED_STEPS = 3
 
 
 @dataclass(frozen=True)
-class Forecast:
+class ExpectedCost:
     """Of a fit.
 
     Parameters
@@ -47,7 +47,9 @@ class Forecast:
         )
 
 
-def forecast(dataset: Dataset, recipe: Recipe, bases: int | None, limit: float | None, device: str = "cpu") -> Forecast:
+def expected_cost(
+    dataset: Dataset, recipe: Recipe, bases: int | None, limit: float | None, device: str = "cpu"
+) -> ExpectedCost:
     """Make the start and a few steps, and say what all of them will take.
 
     Parameters
@@ -69,7 +71,7 @@ def forecast(dataset: Dataset, recipe: Recipe, bases: int | None, limit: float |
     count, grid = len(result.gaussians), result.coverage.grid if result.coverage else dataset.grid
     rounds = rounds_of(kinds_of(dataset.exposure[dataset.splits["train"][recipe.held_out :]]))
     start = sum(seconds for name, seconds in result.seconds.items() if name != "fit")
-    return Forecast(
+    return ExpectedCost(
         count,
         grid.shape,
         timed[-1].steps,

@@ -112,14 +112,14 @@ def run(
                 watcher.say(sentence)
     else:
         dataset, bases = with_named(dataset, bases)
-    keeper = None if folder is None else PartialRun(folder, dataset.spectra.channels, _options(dataset, recipe))
+    checkpoints = None if folder is None else PartialRun(folder, dataset.spectra.channels, _options(dataset, recipe))
     last: list[Progress] = []
     with Interruption() as interruption:
 
         def on_step(progress: Progress) -> bool:
             last[:] = [progress]
-            if keeper is not None:
-                keeper.add(progress)
+            if checkpoints is not None:
+                checkpoints.add(progress)
             watcher.step(progress)
             return interruption.asked
 
@@ -133,15 +133,24 @@ def run(
                 plan = plan_memory(dataset, recipe, bases, memory, grid=grid)
             with array_store(folder or Path(), plan.on_disk) as store:
                 result = reconstruct(
-                    dataset, recipe, bases, watcher.stage, on_step, keeper, processes, store, watcher.iterated, device
+                    dataset,
+                    recipe,
+                    bases,
+                    watcher.stage,
+                    on_step,
+                    checkpoints,
+                    processes,
+                    store,
+                    watcher.iterated,
+                    device,
                 )
-    if folder is None or keeper is None:
+    if folder is None or checkpoints is None:
         return {}
     for sentence in result.notes:
         watcher.say(sentence)
     write_model(dataset, recipe, result, folder)
     if interruption.asked and last and last[0].step < last[0].steps:
-        raise _stopped(last[0], keeper, folder)
+        raise _stopped(last[0], checkpoints, folder)
     with clock("write"):
         write_result(dataset, result, folder)
     missing = left_out(stated, result.gaussians.basis_names)
@@ -157,7 +166,7 @@ def run(
             truth = read_truth(dataset.path)
         metrics = metrics_of(dataset, truth, result, recipe.seed, guard) | about
         with guard("scoring the models along the way"):
-            keeper.add_scores(_psnr_along_the_way(keeper, truth))
+            checkpoints.add_scores(_psnr_along_the_way(checkpoints, truth))
     first = {name: 0.0 for name in ("check", "basis") if name in clock.seconds}
 
     def write_metrics() -> None:
@@ -170,7 +179,7 @@ def run(
         with clock("figures"):
             draw_model(dataset, truth, result.gaussians, folder / "figures", missing, guard)
             with guard("drawing convergence.png"):
-                _draw_convergence(keeper.log, folder / "figures")
+                _draw_convergence(checkpoints.log, folder / "figures")
             if choice is not None:
                 with guard("drawing edge.png"):
                     draw_choice(choice, dataset, folder / "figures" / "edge.png")
@@ -201,14 +210,14 @@ def write_model(dataset: Dataset, recipe: Recipe | PaperRecipe, result: Reconstr
 def write_result(dataset: Dataset, result: Reconstruction, folder: Path) -> None:
     """Write the volumes of the model and those that it started from."""
     volumes = result.gaussians.volume(dataset.grid)
-    others = {result.start: result.start_volumes}
+    others = {result.start: result.initial_volumes}
     write_volumes(folder / "volumes.h5", volumes, result.gaussians.basis_names, dataset.grid, others, result.unreliable)
 
 
-def _stopped(progress: Progress, keeper: PartialRun, folder: Path) -> Stopped:
+def _stopped(progress: Progress, checkpoints: PartialRun, folder: Path) -> Stopped:
     """Write a checkpoint, if the fit can go on from one, and how far the model is."""
     if progress.state is not None:
-        keeper.save(progress.state)
+        checkpoints.save(progress.state)
     done = {"gaussians": len(progress.gaussians), "step": progress.step, "steps": progress.steps}
     write_json(folder / "metrics.json", {"interrupted": done})
     return Stopped(f"after step {progress.step} of {progress.steps}")
@@ -233,7 +242,9 @@ def metrics_of(
     if truth is not None:
         with guard("scoring against the truth"):
             metrics.update(score_truth(truth, gaussians, result.unreliable))
-            metrics.update(score_start(result.start, truth, result.start_volumes, gaussians.basis_names, dataset.grid))
+            metrics.update(
+                score_start(result.start, truth, result.initial_volumes, gaussians.basis_names, dataset.grid)
+            )
     metrics["channels"] = {}
     if len(dataset.splits["test"]):
         with guard("scoring the test views"):
@@ -259,11 +270,11 @@ def verdict_of_fit(dataset: Dataset, result: Reconstruction, channels: dict[str,
     )
 
 
-def _psnr_along_the_way(keeper: PartialRun, truth: Truth | None) -> dict[int, dict[str, float]]:
+def _psnr_along_the_way(checkpoints: PartialRun, truth: Truth | None) -> dict[int, dict[str, float]]:
     """PSNR of each basis of the models along the way, by their step."""
     if truth is None:
         return {}
-    models = ((step, Gaussians.load(path)) for step, path in keeper.snapshots().items())
+    models = ((step, Gaussians.load(path)) for step, path in checkpoints.snapshots().items())
     return {step: psnr_of_bases(truth, model) for step, model in models}
 
 

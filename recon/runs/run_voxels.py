@@ -22,7 +22,7 @@ from phantomgen.runtime.plain_json import to_json, write_json
 from phantomgen.runtime.stopwatch import Stopwatch, peak_memory_mib
 from phantomgen.runtime.versions import environment
 from recon.data.coverage import coverage, inner_box
-from recon.data.inpainting import filled
+from recon.data.inpainting import inpainted
 from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import Measurements, matching_bin, read_measurements
 from recon.evaluation.scoring import psnr_of_bases, score_test_views, score_truth
@@ -33,7 +33,7 @@ from recon.kedge.basis_names import Asked, left_out, left_out_sentence, with_nam
 from recon.runs.run_folder import write_scan
 from recon.runs.run_views import Watcher, run_views
 from recon.runs.write_run import write_volumes
-from recon.voxel.filtered.circular_orbit import circle_of
+from recon.voxel.filtered.circular_orbit import circular_orbit_of
 from recon.voxel.filtered.fdk import Fdk
 from recon.voxel.image_domain import reconstruct_channels
 from recon.voxel.initial_volumes import check_directions
@@ -178,7 +178,7 @@ def check_method(method: Method | ViewMethod, pipeline: str, dataset: Dataset) -
     train = dataset.geometry[dataset.splits["train"]]
     check_directions(train)
     if isinstance(method, Fdk):
-        circle_of(train, dataset.grid)
+        circular_orbit_of(train, dataset.grid)
 
 
 def reconstruct_volumes(
@@ -200,7 +200,7 @@ def reconstruct_volumes(
         with stage(method.name):
             return reconstruct_channels(coarse, seen, method, grid, on_iteration)
     with stage("decompose"):
-        lengths = filled(decompose_views(coarse, Recipe().dispersion)[0], unseen)
+        lengths = inpainted(decompose_views(coarse, Recipe().dispersion)[0], unseen)
     with stage(method.name):
         images = np.ascontiguousarray(np.moveaxis(lengths, 1, 0))
         return method.reconstruct(images, seen, coarse.geometry, grid, on_iteration)

@@ -2,7 +2,7 @@
 
 The attenuation that a channel sees is taken for a sum over bases, mu_c = sum_m Q_cm alpha_m, with Q the mean of each
 basis over the open beam of the channel. That is right for little attenuation only; the rest is beam hardening. Kept for
-comparison, as the usual opponent of methods that know the spectrum.
+comparison, as what is usually compared with methods that know the spectrum.
 """
 
 from dataclasses import replace
@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from phantomgen.geometry.voxel_grid import Grid
-from recon.data.inpainting import filled
+from recon.data.inpainting import inpainted
 from recon.data.measurements import Measurements
 from recon.voxel.method import Iteration, LinearMethod, OnIteration, Volumes, Weights, unwatched
 
@@ -23,7 +23,7 @@ def log_projections(measured: Measurements) -> Float[np.ndarray, "channel view r
     open_beam = measured.exposure[:, :, None, None] * (measured.gains * measured.open_beam)
     logs = np.log(np.maximum(open_beam, FEWEST) / np.maximum(measured.counts, FEWEST))
     channels = zip(np.moveaxis(logs, 1, 0), measured.gains, strict=True)
-    return np.stack([filled(images, gains <= 0) for images, gains in channels]).astype(np.float32)
+    return np.stack([inpainted(images, gains <= 0) for images, gains in channels]).astype(np.float32)
 
 
 def linear_response(measured: Measurements) -> Float[np.ndarray, "channel basis"]:

@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float
 
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
-from recon.voxel.filtered.circular_orbit import circle_of
+from recon.voxel.filtered.circular_orbit import circular_orbit_of
 from recon.voxel.filtered.fdk import Fdk, fdk
 from recon.voxel.iterative.sart import Sart
 from recon.voxel.method import LinearMethod
@@ -25,13 +25,13 @@ def starting_method(geometry: Geometry, grid: Grid) -> LinearMethod:
     """
     check_directions(geometry)
     try:
-        circle_of(geometry, grid)
+        circular_orbit_of(geometry, grid)
     except GeometryError:
         return SWEEPS
     return Fdk("hann") if min(geometry.panel.rows, geometry.panel.columns) > 1 else SWEEPS
 
 
-def start_volumes(
+def initial_volumes(
     line_integrals: Float[np.ndarray, "view basis row column"],
     unseen: Bool[np.ndarray, "row column"],
     geometry: Geometry,

@@ -110,11 +110,30 @@ class BasisFunction:
         return 1.0 / self.edge_width if self.edge_width > 0 else np.inf
 
     def normalisation_energy(self, reference: float = REFERENCE_ENERGY) -> float:
-        """E_n: the reference energy, or the K edge where that is higher [keV]."""
+        """Return E_n [keV]: the reference energy, or the K edge where that is higher.
+
+        Parameters
+        ----------
+        reference : E_ref [keV]
+
+        Returns
+        -------
+        E_n [keV]
+        """
         return max(reference, self.edge_energy or 0.0)
 
     def evaluate(self, energy: EnergyArray, reference: float = REFERENCE_ENERGY) -> EnergyArray:
-        """Values at `energy` [keV]; no unit."""
+        """Evaluate the function.
+
+        Parameters
+        ----------
+        energy : energies [keV]
+        reference : E_ref [keV]
+
+        Returns
+        -------
+        values without unit
+        """
         energy = np.asarray(energy, dtype=np.float64)
         above = self.normalisation_energy(reference)
         if self.kind == "photoelectric":
@@ -133,7 +152,7 @@ class BasisFunction:
 
 @dataclass(frozen=True)
 class Basis:
-    """Functions in the order of the coefficients.
+    """Basis functions in the order of the coefficients.
 
     Parameters
     ----------
@@ -154,7 +173,16 @@ class Basis:
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> "Basis":
-        """From the columns that `to_dict` gives, as a dataset stores them (text may be bytes)."""
+        """Create a basis from the columns that `to_dict` returns, as a dataset stores them.
+
+        Parameters
+        ----------
+        table : columns by name; text may be bytes
+
+        Returns
+        -------
+        the basis
+        """
         names, kinds, elements = (_texts(table[key]) for key in ("basis_name", "basis_kind", "element"))
         compositions = _texts(table.get("basis_composition", [""] * len(names)))
         edges, widths = (np.asarray(table[key], dtype=np.float64) for key in ("edge_energy", "edge_width"))
@@ -174,9 +202,14 @@ class Basis:
         return cls(functions, float(np.asarray(table["reference_energy"])))
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns for a file: lists of text and float64 arrays, NaN where a function has no edge.
+        """Return the basis as columns for a file: lists of text and float64 arrays.
 
-        Only bases of materials have the column ``basis_composition``.
+        An `edge_energy` of NaN means that a function has no edge. Only bases of materials have the column
+        ``basis_composition``.
+
+        Returns
+        -------
+        columns by name
         """
         compositions = [to_text(f.amounts) for f in self.functions]
         edges = [f.edge_energy for f in self.functions]
@@ -206,18 +239,39 @@ class Basis:
 
     @property
     def signed(self) -> bool:
-        """Whether coefficients may be negative."""
+        """True when coefficients may be negative."""
         return any(f.kind == "svd" for f in self.functions)
 
     def evaluate(self, energy: EnergyArray) -> Float[np.ndarray, "basis energy"]:
-        """Raw functions at `energy` [keV]; no unit."""
+        """Evaluate the raw functions.
+
+        Parameters
+        ----------
+        energy : energies [keV]
+
+        Returns
+        -------
+        values without unit, (M, E)
+        """
         return np.stack([f.evaluate(energy, self.reference_energy) for f in self.functions])
 
 
 def klein_nishina(energy: EnergyArray) -> EnergyArray:
-    """Total Klein-Nishina cross section per electron, in units of 2 pi r_e^2, at `energy` [keV].
+    """Compute the total Klein-Nishina cross section per electron, in units of 2 pi r_e^2.
 
     Computed in float64; the closed form cancels at low energies (relative error 1e-9 at 1 keV, 1e-13 at 20 keV).
+
+    Parameters
+    ----------
+    energy : photon energies [keV]
+
+    Returns
+    -------
+    cross sections
+
+    References
+    ----------
+    Klein & Nishina 1929, Zeitschrift fuer Physik 52, 853-868, doi:10.1007/BF01366453
     """
     a = np.asarray(energy, dtype=np.float64) / _ELECTRON_REST_ENERGY
     log_term = np.log1p(2 * a)
@@ -226,14 +280,34 @@ def klein_nishina(energy: EnergyArray) -> EnergyArray:
 
 
 def edge_step(energy: EnergyArray, edge: float, width: float) -> EnergyArray:
-    """Logistic function s((E - E_K) / width); for width 0 a step that is 1 at the edge and above."""
+    """Evaluate the logistic function s((E - E_K) / width).
+
+    Parameters
+    ----------
+    energy : energies [keV]
+    edge : E_K [keV]
+    width : inverse slope 1/gamma [keV]; 0 for a step that is 1 at the edge and above
+
+    Returns
+    -------
+    values from 0 to 1
+    """
     if width == 0:
         return (np.asarray(energy) >= edge).astype(np.float64)
     return expit((np.asarray(energy, dtype=np.float64) - edge) / width)
 
 
 def pretty(name: str) -> str:
-    """A basis function's name for readers."""
+    """Return the name of a basis function as shown in figures and reports.
+
+    Parameters
+    ----------
+    name : name of the function, such as ``kedge_I``
+
+    Returns
+    -------
+    such as ``K-edge I``
+    """
     if name.startswith("kedge_"):
         what = name.removeprefix("kedge_")
         return f"K-edge {what} keV" if what[:1].isdigit() else f"K-edge {what}"

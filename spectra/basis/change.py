@@ -19,7 +19,7 @@ _EXACT = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class BasisChange:
-    """Coefficients in one raw basis as coefficients in another.
+    """Linear map from coefficients in one raw basis to coefficients in another.
 
     Parameters
     ----------
@@ -32,28 +32,43 @@ class BasisChange:
 
     @property
     def exact(self) -> bool:
-        """Whether the new basis spans the old one."""
+        """True when the new basis spans the old one."""
         return bool((self.residuals < _EXACT).all())
 
     def coefficients(self, old: Float[np.ndarray, "... old"]) -> Float[np.ndarray, "... new"]:
-        """Coefficients [1/mm] or line integrals, basis in the last axis; they may become negative."""
+        """Convert coefficients or line integrals to the new basis; they may become negative.
+
+        Parameters
+        ----------
+        old : coefficients [1/mm] or line integrals in the old basis, (..., M)
+
+        Returns
+        -------
+        values in the new basis, (..., N)
+        """
         return old @ self.matrix
 
 
 def basis_change(
     old: Basis, new: Basis, energy: Float[np.ndarray, " energy"], weights: Float[np.ndarray, " energy"]
 ) -> BasisChange:
-    """Change from one raw basis to another: exact where the new one spans the old one, else by least squares.
+    """Compute the change from one raw basis to another.
+
+    It is exact where the new basis spans the old one; else it is a least-squares fit.
 
     Parameters
     ----------
     old, new : raw bases
     energy, weights : detected spectrum, energies [keV] and photons
 
+    Returns
+    -------
+    matrix and residuals of the change
+
     Raises
     ------
     InputError
-        When functions of the new basis cannot be told apart over the spectrum.
+        When functions of the new basis are linearly dependent over the spectrum.
     """
     root = np.sqrt(np.asarray(weights, dtype=np.float64) / np.sum(weights))
     before, after = old.evaluate(energy) * root, new.evaluate(energy) * root
@@ -76,7 +91,7 @@ def svd_functions(
     energy: Float[np.ndarray, " energy"],
     weights: Float[np.ndarray, " energy"],
 ) -> tuple[BasisFunction, ...]:
-    """The functions ``svd1``, ``svd2``, ... that describe a set of materials best.
+    """Compute the functions ``svd1``, ``svd2``, ... that describe a set of materials best.
 
     Parameters
     ----------

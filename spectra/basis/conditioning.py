@@ -29,28 +29,64 @@ class Conditioning:
     inverse: Float[np.ndarray, "basis basis"]
 
     def columns(self, raw: Float[np.ndarray, "basis energy"]) -> Float[np.ndarray, "basis energy"]:
-        """Conditioned functions of raw ones."""
+        """Convert raw functions to conditioned ones.
+
+        Parameters
+        ----------
+        raw : raw columns, (M, E)
+
+        Returns
+        -------
+        conditioned columns, (M, E)
+        """
         return self.transform @ raw
 
     def conditioned(self, raw: Float[np.ndarray, "... basis"]) -> Float[np.ndarray, "... basis"]:
-        """Coefficients or line integrals, from the raw to the conditioned basis."""
+        """Convert coefficients or line integrals from the raw to the conditioned basis.
+
+        Parameters
+        ----------
+        raw : values in the raw basis, (..., M)
+
+        Returns
+        -------
+        values in the conditioned basis, (..., M)
+        """
         return raw @ self.inverse
 
     def raw(self, conditioned: Float[np.ndarray, "... basis"]) -> Float[np.ndarray, "... basis"]:
-        """Coefficients or line integrals, from the conditioned to the raw basis."""
+        """Convert coefficients or line integrals from the conditioned to the raw basis.
+
+        Parameters
+        ----------
+        conditioned : values in the conditioned basis, (..., M)
+
+        Returns
+        -------
+        values in the raw basis, (..., M)
+        """
         return conditioned @ self.transform
 
 
 def conditioning_of(columns: Float[np.ndarray, "basis energy"], weights: Float[np.ndarray, " energy"]) -> Conditioning:
-    """Whiten basis columns in the norm of `weights` (photons per node, say): (T B) W (T B)^T = 1 for sum(W) = 1.
+    """Whiten basis columns in the norm of `weights`: (T B) W (T B)^T = 1 for sum(W) = 1.
 
     Symmetric whitening of the unit-norm columns stays closest to the raw functions, so that a conditioned coefficient
     keeps the meaning of its raw one.
 
+    Parameters
+    ----------
+    columns : raw basis columns, (M, E)
+    weights : weight of each energy, such as photons per node
+
+    Returns
+    -------
+    transform and inverse
+
     Raises
     ------
     InputError
-        When the columns cannot be told apart (condition number of their correlation matrix above 1e12).
+        When the columns cannot be separated (condition number of their correlation matrix above 1e12).
     """
     share = np.asarray(weights, dtype=np.float64) / np.sum(weights)
     gram = (columns * share) @ columns.T

@@ -58,24 +58,63 @@ class DeadTime:
         return _SATURATED if self.model == "nonparalyzable" else 1.0
 
     def live(self, events: Image) -> Image:
-        """Part of the events that is recorded, of all events in the exposure time."""
+        """Compute the fraction of the events that is recorded.
+
+        Parameters
+        ----------
+        events : events of all channels in the exposure time, per pixel
+
+        Returns
+        -------
+        fraction from 0 to 1
+        """
         load = self.per_count * events
         return 1 / (1 + load) if self.model == "nonparalyzable" else np.exp(-load)
 
     def fano(self, events: Image) -> Image:
-        """Variance of all recorded counts over their mean, 1 / (1 + x)^2 or 1 - 2 x exp(-x) with x the load.
+        """Compute the variance of all recorded counts over their mean, 1 / (1 + x)^2 or 1 - 2 x exp(-x) with load x.
 
-        For exposures of many dead times (Yu & Fessler 2000, doi:10.1088/0031-9155/45/7/324).
+        It holds for exposures of many dead times.
+
+        Parameters
+        ----------
+        events : events of all channels in the exposure time, per pixel
+
+        Returns
+        -------
+        variance over mean, per pixel
+
+        References
+        ----------
+        Yu & Fessler 2000, Physics in Medicine and Biology 45, 2043, doi:10.1088/0031-9155/45/7/324
         """
         load = self.per_count * events
         return (1 + load) ** -2 if self.model == "nonparalyzable" else 1 - 2 * load * np.exp(-load)
 
     def recorded(self, events: Counts) -> Counts:
-        """Mean recorded counts of each channel, of mean events of each channel."""
+        """Compute the mean recorded counts of each channel.
+
+        Parameters
+        ----------
+        events : mean events, (..., channel, row, column)
+
+        Returns
+        -------
+        mean recorded counts, (..., channel, row, column)
+        """
         return events * self.live(events.sum(axis=-3, keepdims=True))
 
     def corrected(self, recorded: Counts) -> Counts:
-        """Events of each channel that recorded counts stand for; the inverse of `recorded` up to `highest_load`."""
+        """Compute the events of each channel from recorded counts, the inverse of `recorded` up to `highest_load`.
+
+        Parameters
+        ----------
+        recorded : recorded counts, (..., channel, row, column)
+
+        Returns
+        -------
+        events, (..., channel, row, column)
+        """
         load = self.per_count * recorded.sum(axis=-3, keepdims=True)
         if self.model == "nonparalyzable":
             return recorded * (1 + np.minimum(load / np.maximum(1 - load, 1e-9), _SATURATED))

@@ -20,7 +20,13 @@ from spectra.materials.material import Material
 
 @dataclass(frozen=True)
 class Channel:
-    """One counter, open for energies from `lower` up to but not including `upper` [keV]."""
+    """Channel of a detector: one counter, open from `lower` up to but not including `upper`.
+
+    Parameters
+    ----------
+    name : of the channel
+    lower, upper : limits of the energy [keV]
+    """
 
     name: str
     lower: float
@@ -29,7 +35,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class AnyDetector(ABC):
-    """What channels measure of photons of each energy.
+    """Base class of detectors: measured signal of each channel per photon of each energy.
 
     Parameters
     ----------
@@ -68,10 +74,28 @@ class AnyDetector(ABC):
 
     @abstractmethod
     def response(self, energies: Energies) -> Float[np.ndarray, "channel energy"]:
-        """What each channel measures per photon of each bin."""
+        """Compute the mean signal of each channel per photon of each bin.
+
+        Parameters
+        ----------
+        energies : energy bins
+
+        Returns
+        -------
+        signal per photon, (channel, energy), in `units`
+        """
 
     def variance(self, energies: Energies) -> Float[np.ndarray, "channel energy"] | None:
-        """What a photon of each bin adds to the variance; None for counts, where that is the response."""
+        """Compute the variance that a photon of each bin adds to the signal.
+
+        Parameters
+        ----------
+        energies : energy bins
+
+        Returns
+        -------
+        variance per photon, (channel, energy); None for counts, where it equals the response
+        """
         del energies
         return None
 
@@ -83,7 +107,7 @@ class AnyDetector(ABC):
 
 @dataclass(frozen=True)
 class Detector(AnyDetector):
-    """Counters behind one sensor.
+    """Ideal photon-counting detector: counters behind one sensor.
 
     Parameters
     ----------
@@ -99,7 +123,7 @@ class Detector(AnyDetector):
     def photon_counting(
         cls, thresholds: Sequence[float], top: float, material: Material | str = "CdTe", thickness: float = 1.6
     ) -> "Detector":
-        """Disjoint channels ``bin0``, ``bin1``, ... between thresholds.
+        """Create disjoint channels ``bin0``, ``bin1``, ... between thresholds.
 
         Parameters
         ----------
@@ -107,6 +131,10 @@ class Detector(AnyDetector):
         top : highest energy of the source, its tube voltage [keV]
         material : of the sensor, or a formula with a known density
         thickness : of the sensor [mm]
+
+        Returns
+        -------
+        the detector
         """
         sensor = Material(material, composition=material) if isinstance(material, str) else material
         return cls(channels_between(thresholds, top), sensor, float(thickness))
@@ -122,13 +150,30 @@ class Detector(AnyDetector):
         return tuple(sorted({*self.thresholds, *edges}))
 
     def absorption(self, energy: Float[np.ndarray, " energy"]) -> Float[np.ndarray, " energy"]:
-        """Part of the photons that the sensor absorbs, 1 - exp(-mu t)."""
+        """Compute the fraction of the photons that the sensor absorbs, 1 - exp(-mu t).
+
+        Parameters
+        ----------
+        energy : photon energies [keV]
+
+        Returns
+        -------
+        fraction of each energy
+        """
         return absorbed(self.material, self.thickness, energy)
 
     def response(self, energies: Energies) -> Float[np.ndarray, "channel energy"]:
-        """Counts per photon of each bin.
+        """Compute the counts per photon of each bin.
 
         A bin that a threshold cuts counts in proportion to its part above the threshold: snap grids to `breaks`.
+
+        Parameters
+        ----------
+        energies : energy bins; snap them to `breaks`
+
+        Returns
+        -------
+        counts per photon, (channel, energy)
         """
         uppers = [channel.upper for channel in self.channels[:-1]]
         limits = np.array([*self.thresholds, np.inf]), np.array([*uppers, np.inf])
@@ -141,7 +186,22 @@ class Detector(AnyDetector):
 
 
 def channels_between(thresholds: Sequence[float], top: float) -> tuple[Channel, ...]:
-    """Channels ``bin0``, ``bin1``, ... between thresholds, the last one up to `top` [keV]."""
+    """Create channels ``bin0``, ``bin1``, ... between thresholds.
+
+    Parameters
+    ----------
+    thresholds : lower limit of each channel, ascending [keV]
+    top : upper limit of the last channel [keV]
+
+    Returns
+    -------
+    the channels
+
+    Raises
+    ------
+    InputError
+        When thresholds do not ascend, are below 1 keV, or reach `top`.
+    """
     limits = [float(t) for t in thresholds]
     _check_thresholds(limits, float(top))
     return tuple(Channel(f"bin{i}", a, b) for i, (a, b) in enumerate(pairwise([*limits, float(top)])))
@@ -150,7 +210,18 @@ def channels_between(thresholds: Sequence[float], top: float) -> tuple[Channel, 
 def absorbed(
     material: Material, thickness: float, energy: Float[np.ndarray, " energy"]
 ) -> Float[np.ndarray, " energy"]:
-    """Part of the photons that a sheet of `thickness` [mm] absorbs, 1 - exp(-mu t)."""
+    """Compute the fraction of the photons that a sheet absorbs, 1 - exp(-mu t).
+
+    Parameters
+    ----------
+    material : of the sheet
+    thickness : of the sheet [mm]
+    energy : photon energies [keV]
+
+    Returns
+    -------
+    fraction of each energy
+    """
     return -np.expm1(-thickness * material.attenuation(energy))
 
 

@@ -20,8 +20,8 @@ EnergyArray = Float[np.ndarray, " energy"]
 
 
 @dataclass(frozen=True, eq=False)
-class SeveralSources(AnyDetector):
-    """A detector that measures the photons of each source apart, as if it had the channels of a detector for each.
+class MultiSource(AnyDetector):
+    """Detector that measures the photons of each source separately, as if each source had a detector of its own.
 
     Parameters
     ----------
@@ -36,8 +36,23 @@ class SeveralSources(AnyDetector):
     detectors: tuple[AnyDetector, ...]
 
     @classmethod
-    def of(cls, sources: Mapping[str, Source], detectors: Sequence[AnyDetector]) -> "SeveralSources":
-        """Channels ``<source>_<channel>`` of named sources, with a detector for each."""
+    def of(cls, sources: Mapping[str, Source], detectors: Sequence[AnyDetector]) -> "MultiSource":
+        """Create channels ``<source>_<channel>`` of named sources, with a detector for each.
+
+        Parameters
+        ----------
+        sources : sources by name
+        detectors : one for each source
+
+        Returns
+        -------
+        the detector
+
+        Raises
+        ------
+        InputError
+            When there are not as many detectors as sources.
+        """
         if len(sources) != len(detectors):
             raise InputError(f"{len(sources)} sources need as many detectors, got {len(detectors)}")
         pairs = zip(sources, detectors, strict=True)
@@ -46,7 +61,7 @@ class SeveralSources(AnyDetector):
 
     @property
     def groups(self) -> tuple[int, ...]:
-        """Which source each channel belongs to."""
+        """Index of the source that each channel belongs to."""
         return tuple(g for g, detector in enumerate(self.detectors) for _ in detector.channels)
 
     @property
@@ -70,12 +85,30 @@ class SeveralSources(AnyDetector):
         return tuple(dict.fromkeys(sentence for detector in self.detectors for sentence in detector.poor))
 
     def response(self, energies: Energies) -> Float[np.ndarray, "channel energy"]:
-        """What each channel measures per photon of all sources together, for each bin."""
+        """Compute the mean signal of each channel per photon of all sources together, for each bin.
+
+        Parameters
+        ----------
+        energies : energy bins
+
+        Returns
+        -------
+        signal per photon, (channel, energy), in `units`
+        """
         shares = self._shares(energies)
         return np.concatenate([s * d.response(energies) for s, d in zip(shares, self.detectors, strict=True)])
 
     def variance(self, energies: Energies) -> Float[np.ndarray, "channel energy"] | None:
-        """What a photon of each bin adds to the variance; None for counts, where that is the response."""
+        """Compute the variance that a photon of each bin adds to the signal.
+
+        Parameters
+        ----------
+        energies : energy bins
+
+        Returns
+        -------
+        variance per photon, (channel, energy); None for counts, where it equals the response
+        """
         variances = [detector.variance(energies) for detector in self.detectors]
         pairs = zip(self._shares(energies), variances, strict=True)
         parts = [share * variance for share, variance in pairs if variance is not None]
@@ -89,7 +122,18 @@ class SeveralSources(AnyDetector):
 
 
 def added(sources: Sequence[Source]) -> Source:
-    """One source with the photons of all; its density jumps and bends wherever one of theirs does."""
+    """Add the photons of several sources to one source.
+
+    Its density jumps and bends wherever one of theirs does.
+
+    Parameters
+    ----------
+    sources : sources to add
+
+    Returns
+    -------
+    one source
+    """
     corners = np.unique(np.concatenate([source.energy for source in sources]))
     left, right = (
         sum((_limit(s, corners, side) for s in sources), np.zeros_like(corners)) for side in ("left", "right")

@@ -41,7 +41,13 @@ _NEGLIGIBLE = 1e-9  # counts per absorbed photon
 
 @dataclass(frozen=True)
 class Sharing:
-    """Charge shared between pixels: pitch of the sensor's square pixels, standard deviation of a charge cloud [mm]."""
+    """Charge sharing between pixels.
+
+    Parameters
+    ----------
+    pitch : of the sensor's square pixels [mm]
+    cloud : standard deviation of a charge cloud [mm]
+    """
 
     pitch: float
     cloud: float
@@ -55,7 +61,7 @@ class Sharing:
 
 @dataclass(frozen=True)
 class PulseHeightDetector(Detector):
-    """Counters behind one sensor with a finite resolution, fluorescence and shared charge.
+    """Photon-counting detector with finite energy resolution, K fluorescence and charge sharing.
 
     Parameters
     ----------
@@ -114,12 +120,30 @@ class PulseHeightDetector(Detector):
         )
 
     def response(self, energies: Energies) -> PerChannel:
-        """Counts of each channel in all pixels, per photon of each bin."""
+        """Compute the counts of each channel in all pixels, per photon of each bin.
+
+        Parameters
+        ----------
+        energies : energy bins
+
+        Returns
+        -------
+        counts per photon, (channel, energy)
+        """
         energy = energies.nodes
         return self.absorption(energy) * self.pulses(energy)
 
     def pulses(self, energy: EnergyArray) -> PerChannel:
-        """Counts of each channel in all pixels, per absorbed photon of each energy [keV]."""
+        """Compute the counts of each channel in all pixels, per absorbed photon of each energy.
+
+        Parameters
+        ----------
+        energy : photon energies [keV]
+
+        Returns
+        -------
+        counts per absorbed photon, (channel, energy)
+        """
         counts = whole = self._clouds(energy)
         for number, line, per_hole in self._lines:
             emitted = per_hole * k_shell_share(self._composition, number, energy)
@@ -158,7 +182,7 @@ class PulseHeightDetector(Detector):
         return dict(zip(lines, run_parallel(self._lifted_beside, lines), strict=True))
 
     def _lifted_beside(self, line: float) -> CubicSpline:
-        """The same for one line, as a function of the photon's energy [keV]."""
+        """Compute the entry of `_lifted` for one line, as a function of the photon's energy [keV]."""
         mu_line, limits = float(self.material.attenuation(np.array([line]))[0]), np.array(self.thresholds)[:, None]
         energy = self._ladder(line, _EVENT_STEPS)
         above = np.empty((len(self), len(energy)))
@@ -185,7 +209,7 @@ class PulseHeightDetector(Detector):
 
     @property
     def _composition(self) -> str | dict[str, float]:
-        """What the sensor consists of."""
+        """Composition of the sensor."""
         return self.material.composition or {}  # type: ignore[return-value]
 
     @cached_property

@@ -20,7 +20,7 @@ _EVEN = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ResponseMatrix(AnyDetector):
-    """Counters whose response is a table.
+    """Photon-counting detector whose response is a table.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class ResponseMatrix(AnyDetector):
         thresholds: Sequence[float],
         top: float,
     ) -> "ResponseMatrix":
-        """A column for each channel.
+        """Create a detector from a table with a column for each channel.
 
         Parameters
         ----------
@@ -56,6 +56,10 @@ class ResponseMatrix(AnyDetector):
         matrix : counts per incident photon
         thresholds : nominal lower limit of each channel [keV]
         top : highest energy of the source [keV]
+
+        Returns
+        -------
+        the detector
         """
         return cls(channels_between(thresholds, top), np.asarray(energy, float), np.asarray(matrix, float))
 
@@ -69,7 +73,9 @@ class ResponseMatrix(AnyDetector):
         top: float,
         per_keV: bool = False,
     ) -> "ResponseMatrix":
-        """A column for each bin of deposited energy, of equal widths; a threshold shares the bin that it cuts.
+        """Create a detector from a table with a column for each bin of deposited energy.
+
+        The bins have equal widths. Counts of a bin that a threshold cuts are split in proportion.
 
         Parameters
         ----------
@@ -79,6 +85,10 @@ class ResponseMatrix(AnyDetector):
         thresholds : lower limit of each channel [keV]
         top : highest energy of the source [keV]
         per_keV : whether the matrix holds a density
+
+        Returns
+        -------
+        the detector
         """
         energy, deposited, matrix = (np.asarray(x, float) for x in (energy, deposited, matrix))
         _check_energies("incident", energy)
@@ -101,7 +111,16 @@ class ResponseMatrix(AnyDetector):
         return tuple(self.energy[(self.energy > self.lowest) & (self.energy < self.channels[-1].upper)].tolist())
 
     def response(self, energies: Energies) -> Float[np.ndarray, "channel energy"]:
-        """Counts of each channel per incident photon of each bin; 0 below the table."""
+        """Compute the counts of each channel per incident photon of each bin; 0 below the table.
+
+        Parameters
+        ----------
+        energies : energy bins
+
+        Returns
+        -------
+        counts per photon, (channel, energy)
+        """
         return np.stack([np.interp(energies.nodes, self.energy, column, left=0.0) for column in self.counts.T])
 
 

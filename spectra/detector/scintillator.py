@@ -30,7 +30,14 @@ GROUPS = 12
 
 @dataclass(frozen=True)
 class Scintillator:
-    """A scintillator as it is usually made: composition, nominal density with packing [g/cm^3] and thickness [mm]."""
+    """Scintillator as it is usually made.
+
+    Parameters
+    ----------
+    composition : formula
+    density : nominal density, packing included [g/cm^3]
+    thickness : usual thickness [mm]
+    """
 
     composition: str
     density: float
@@ -50,7 +57,7 @@ SCINTILLATORS = MappingProxyType(
 
 @dataclass(frozen=True)
 class EnergyIntegrating(AnyDetector):
-    """One channel that sums up the energy of all absorbed photons [keV].
+    """Energy-integrating detector: one channel that adds the energies of all absorbed photons [keV].
 
     Parameters
     ----------
@@ -72,13 +79,22 @@ class EnergyIntegrating(AnyDetector):
     def behind(
         cls, source: Source, material: Material | str = "CsI", thickness: float | None = None
     ) -> "EnergyIntegrating":
-        """A detector for a source.
+        """Create a detector for a source.
 
         Parameters
         ----------
         source : its energies bound the channel
         material : of the scintillator, or a name of `SCINTILLATORS`
         thickness : of the scintillator [mm]; that of `SCINTILLATORS` where left out
+
+        Returns
+        -------
+        the detector
+
+        Raises
+        ------
+        InputError
+            When a scintillator that is not in `SCINTILLATORS` has no thickness.
         """
         if isinstance(material, str):
             usual = usual_scintillator(material)
@@ -91,7 +107,7 @@ class EnergyIntegrating(AnyDetector):
 
     @property
     def units(self) -> str:
-        """The signal is an energy."""
+        """Unit of the signal, an energy."""
         return "keV"
 
     @property
@@ -100,11 +116,29 @@ class EnergyIntegrating(AnyDetector):
         return self.material.k_edges(self.lowest, self.channels[0].upper)
 
     def response(self, energies: Energies) -> Float[np.ndarray, "channel energy"]:
-        """Mean signal of a photon, E (1 - exp(-mu t)) [keV]."""
+        """Compute the mean signal of a photon, E (1 - exp(-mu t)).
+
+        Parameters
+        ----------
+        energies : energy bins
+
+        Returns
+        -------
+        signal per photon [keV], (1, energy)
+        """
         return (energies.nodes * absorbed(self.material, self.thickness, energies.nodes))[None]
 
     def variance(self, energies: Energies) -> Float[np.ndarray, "channel energy"]:
-        """What a photon adds to the variance of the signal, E^2 (1 - exp(-mu t)) [keV^2]."""
+        """Compute the variance that a photon adds to the signal, E^2 (1 - exp(-mu t)).
+
+        Parameters
+        ----------
+        energies : energy bins
+
+        Returns
+        -------
+        variance per photon [keV^2], (1, energy)
+        """
         return energies.nodes * self.response(energies)
 
     def _first_energy(self, source: Source) -> float:
@@ -118,7 +152,21 @@ class EnergyIntegrating(AnyDetector):
 
 
 def usual_scintillator(name: str) -> Scintillator:
-    """A scintillator by its name."""
+    """Return a scintillator by its name.
+
+    Parameters
+    ----------
+    name : key of `SCINTILLATORS`
+
+    Returns
+    -------
+    composition, density and usual thickness
+
+    Raises
+    ------
+    InputError
+        When the name is unknown.
+    """
     if name not in SCINTILLATORS:
         raise InputError(
             f"unknown scintillator {name!r}: choose from {_listed(SCINTILLATORS)}, or give density and thickness"

@@ -38,13 +38,17 @@ class Events(NamedTuple):
 
 
 def escape(mu: Float[np.ndarray, " energy"], mu_line: float, thickness: float) -> Float[np.ndarray, " energy"]:
-    """Probability that K fluorescence leaves the sensor.
+    """Compute the probability that K fluorescence leaves the sensor.
 
     Parameters
     ----------
     mu : attenuation of the photons that excite it [1/mm]; it says how deep they are absorbed
     mu_line : attenuation of the fluorescence [1/mm]
     thickness : of the sensor [mm]
+
+    Returns
+    -------
+    probability for each energy
 
     Notes
     -----
@@ -56,20 +60,37 @@ def escape(mu: Float[np.ndarray, " energy"], mu_line: float, thickness: float) -
 
 
 def collected(place: Array, pitch: float, cloud: float) -> Array:
-    """Fraction of a charge cloud at a distance along one axis [mm] that lands in the pixel around 0."""
+    """Compute the fraction of a charge cloud that the pixel around 0 collects, along one axis.
+
+    Parameters
+    ----------
+    place : centre of the cloud [mm]
+    pitch : pixel width [mm]
+    cloud : standard deviation of the cloud [mm]
+
+    Returns
+    -------
+    fraction for each place
+    """
     if cloud == 0:
         return (np.abs(place) < pitch / 2) * 1.0
     return ndtr((place + pitch / 2) / cloud) - ndtr((place - pitch / 2) / cloud)
 
 
 def moved_charge(mu: float, mu_line: float, thickness: float, pitch: float, cloud: float) -> Events:
-    """A lattice of events in which a pixel collects charge that a photon left when its fluorescence moved on.
+    """Compute a lattice of fluorescence events in which one pixel collects charge of the primary photon.
+
+    A pixel may also collect the charge of the fluorescence photon, which is absorbed at another place.
 
     Parameters
     ----------
     mu, mu_line : attenuation of photon and fluorescence in the sensor [1/mm]
     thickness, pitch : of the sensor and of its square pixels [mm]
     cloud : standard deviation of a charge cloud [mm]
+
+    Returns
+    -------
+    the events
     """
     share, azimuth, flight, x, y, cosine = _lattice(_EVENTS, 6)
     depth, cosine, azimuth = _depths(mu, thickness, share), 2 * cosine - 1, 2 * np.pi * azimuth
@@ -87,7 +108,7 @@ def moved_charge(mu: float, mu_line: float, thickness: float, pitch: float, clou
 
 @lru_cache(maxsize=16)
 def charge_fractions(pitch: float, cloud: float) -> tuple[Float[np.ndarray, " part"], Float[np.ndarray, " part"]]:
-    """Fractions of a charge cloud that pixels collect, and how many pixels collect each, per cloud.
+    """Compute the fractions of a charge cloud that pixels collect, and the number of pixels for each, per cloud.
 
     Parameters
     ----------

@@ -27,7 +27,21 @@ _HEAVIEST = 98
 
 
 def atomic_number(element: str) -> int:
-    """Atomic number of an element's symbol."""
+    """Return the atomic number of an element.
+
+    Parameters
+    ----------
+    element : symbol
+
+    Returns
+    -------
+    atomic number
+
+    Raises
+    ------
+    InputError
+        When the element is unknown or heavier than Cf.
+    """
     text = str(element).strip()
     if not re.fullmatch(r"[A-Z][a-z]?", text):
         raise _unknown_element(element)
@@ -41,22 +55,44 @@ def atomic_number(element: str) -> int:
 
 
 def edge_energy(element: str) -> float:
-    """K edge of an element [keV]."""
+    """Return the K edge of an element.
+
+    Parameters
+    ----------
+    element : symbol
+
+    Returns
+    -------
+    energy [keV]
+    """
     return xraylib.EdgeEnergy(atomic_number(element), xraylib.K_SHELL)
 
 
 def symbol(number: int) -> str:
-    """Symbol of an element by its atomic number."""
+    """Return the symbol of an element.
+
+    Parameters
+    ----------
+    number : atomic number
+
+    Returns
+    -------
+    symbol
+    """
     return xraylib.AtomicNumberToSymbol(number)
 
 
 def mass_fractions(composition: Composition) -> MassFractions:
-    """Elements and mass fractions of a formula, a named material, or a mapping of mass fractions.
+    """Compute elements and mass fractions of a formula, a named material, or a mapping of mass fractions.
 
     Parameters
     ----------
     composition : ``"H2O"``, ``"Water, Liquid"`` (a NIST compound), ``"liver"`` (of `spectra.elements.named_materials`),
         or ``{"H": 0.112, "O": 0.888}`` (must sum to 1 within 1e-3)
+
+    Returns
+    -------
+    pairs of atomic number and mass fraction
 
     Raises
     ------
@@ -70,7 +106,16 @@ def mass_fractions(composition: Composition) -> MassFractions:
 
 
 def natural_density(composition: Composition) -> float | None:
-    """Density of an element or of a named material [g/cm^3]; None for another formula or a mixture."""
+    """Return the density of an element or of a named material.
+
+    Parameters
+    ----------
+    composition : formula, name or mass fractions
+
+    Returns
+    -------
+    density [g/cm^3]; None for any other formula or a mixture
+    """
     fractions = mass_fractions(composition)
     name = composition.strip() if isinstance(composition, str) else ""
     if name in LIBRARY:
@@ -82,18 +127,52 @@ def natural_density(composition: Composition) -> float | None:
 
 @lru_cache(maxsize=1)
 def nist_names() -> tuple[str, ...]:
-    """Names of the NIST compounds that xraylib knows."""
+    """Return the names of the NIST compounds that xraylib knows.
+
+    Returns
+    -------
+    names
+    """
     return tuple(xraylib.GetCompoundDataNISTList())
 
 
 def k_edges(composition: Composition, low: float, high: float) -> tuple[float, ...]:
-    """K edges of the elements of a composition that lie strictly between two energies [keV], ascending."""
+    """Return the K edges of a composition that lie strictly between two energies.
+
+    Parameters
+    ----------
+    composition : formula, name or mass fractions
+    low, high : limits [keV]
+
+    Returns
+    -------
+    energies, ascending [keV]
+    """
     edges = (xraylib.EdgeEnergy(number, xraylib.K_SHELL) for number, _ in mass_fractions(composition))
     return tuple(sorted(edge for edge in edges if low < edge < high))
 
 
 def mass_attenuation(composition: Composition, energy: Float[np.ndarray, " energy"]) -> Float[np.ndarray, " energy"]:
-    """Total mass attenuation coefficient mu/rho [cm^2/g] at `energy` [keV]; at a K edge, its upper side."""
+    """Compute the total mass attenuation coefficient mu/rho; at a K edge, its upper side.
+
+    Parameters
+    ----------
+    composition : formula, name or mass fractions
+    energy : photon energies [keV]
+
+    Returns
+    -------
+    mu/rho [cm^2/g]
+
+    Raises
+    ------
+    InputError
+        When an energy is outside the tables.
+
+    References
+    ----------
+    xraylib's tables; the module's docstring says how they compare with NIST SRD 126
+    """
     energy = np.atleast_1d(np.asarray(energy, dtype=np.float64))
     bad = ~((energy >= LOWEST_ENERGY) & (energy <= HIGHEST_ENERGY))
     if bad.any():
@@ -109,18 +188,48 @@ def mass_attenuation(composition: Composition, energy: Float[np.ndarray, " energ
 def linear_attenuation(
     composition: Composition, density: float, energy: Float[np.ndarray, " energy"]
 ) -> Float[np.ndarray, " energy"]:
-    """Linear attenuation coefficient [1/mm] at `energy` [keV] for a density in g/cm^3."""
+    """Compute the linear attenuation coefficient.
+
+    Parameters
+    ----------
+    composition : formula, name or mass fractions
+    density : mass density [g/cm^3]
+    energy : photon energies [keV]
+
+    Returns
+    -------
+    mu [1/mm]
+    """
     return mass_attenuation(composition, energy) * (density / 10.0)
 
 
 def electrons_per_gram(composition: Composition) -> float:
-    """Electrons in a gram of a composition [1/g]."""
+    """Compute the number of electrons per gram of a composition.
+
+    Parameters
+    ----------
+    composition : formula, name or mass fractions
+
+    Returns
+    -------
+    electrons [1/g]
+    """
     parts = ((n, share / xraylib.AtomicWeight(n)) for n, share in mass_fractions(composition))
     return xraylib.AVOGNUM * 1e24 * sum(n * moles for n, moles in parts)
 
 
 def compton_share(composition: Composition, energy: Float[np.ndarray, " energy"]) -> Float[np.ndarray, " energy"]:
-    """Part of the attenuation at `energy` [keV] that is Compton scattering."""
+    """Compute the fraction of the attenuation that is Compton scattering.
+
+    Parameters
+    ----------
+    composition : formula, name or mass fractions
+    energy : photon energies [keV]
+
+    Returns
+    -------
+    fraction of each energy
+    """
     parts = [
         fraction * xraylib_np.CS_Compt(np.array([number]), energy)[0]
         for number, fraction in mass_fractions(composition)
@@ -131,7 +240,22 @@ def compton_share(composition: Composition, energy: Float[np.ndarray, " energy"]
 def k_shell_share(
     composition: Composition, number: int, energy: Float[np.ndarray, " energy"]
 ) -> Float[np.ndarray, " energy"]:
-    """Part of the attenuation at `energy` [keV] that ionises the K shell of one element (Kissel's cross sections)."""
+    """Compute the fraction of the attenuation that ionises the K shell of one element.
+
+    Parameters
+    ----------
+    composition : formula, name or mass fractions
+    number : atomic number of the element
+    energy : photon energies [keV]
+
+    Returns
+    -------
+    fraction of each energy
+
+    References
+    ----------
+    Kissel's cross sections, as xraylib tabulates them
+    """
     above = energy > xraylib.EdgeEnergy(number, xraylib.K_SHELL)
     share = np.zeros_like(energy)
     ionised = [xraylib.CS_Photo_Partial(number, xraylib.K_SHELL, float(e)) for e in energy[above]]
@@ -141,7 +265,20 @@ def k_shell_share(
 
 
 def k_lines(number: int) -> tuple[tuple[float, float], ...]:
-    """K-alpha and K-beta of an element: mean energy [keV], and photons per ionised K shell."""
+    """Return the K-alpha and K-beta lines of an element.
+
+    Parameters
+    ----------
+    number : atomic number
+
+    Returns
+    -------
+    for each of the two lines: mean energy [keV], and photons per ionised K shell
+
+    References
+    ----------
+    xraylib's tables
+    """
     per_hole = xraylib.FluorYield(number, xraylib.K_SHELL)
     lines = (xraylib.KA_LINE, xraylib.KB_LINE)
     return tuple((xraylib.LineEnergy(number, k), per_hole * xraylib.RadRate(number, k)) for k in lines)

@@ -16,12 +16,30 @@ EnergyArray = Float[np.ndarray, " energy"]
 
 
 def amounts_of(composition: Composition) -> Amounts:
-    """Mass fractions by symbol of a name, a formula or a mapping."""
+    """Compute mass fractions by element symbol.
+
+    Parameters
+    ----------
+    composition : formula, name or mass fractions
+
+    Returns
+    -------
+    pairs of symbol and mass fraction
+    """
     return tuple((symbol(number), share) for number, share in mass_fractions(composition))
 
 
 def added(parts: Iterable[tuple[Amounts, float]]) -> Amounts:
-    """Sum of amounts, each times a factor."""
+    """Add amounts of elements, each multiplied by a factor.
+
+    Parameters
+    ----------
+    parts : pairs of amounts and factor
+
+    Returns
+    -------
+    sum of all parts
+    """
     total: dict[str, float] = {}
     for amounts, factor in parts:
         for element, amount in amounts:
@@ -30,7 +48,17 @@ def added(parts: Iterable[tuple[Amounts, float]]) -> Amounts:
 
 
 def curve(amounts: Amounts, energy: EnergyArray) -> EnergyArray:
-    """Sum of amounts times mu/rho [cm^2/g] at `energy` [keV]."""
+    """Compute the attenuation curve of amounts of elements: the sum of amount times mu/rho.
+
+    Parameters
+    ----------
+    amounts : pairs of symbol and amount
+    energy : photon energies [keV]
+
+    Returns
+    -------
+    curve [cm^2/g]
+    """
     total = np.zeros(len(np.atleast_1d(energy)))
     for element, amount in amounts:
         total += amount * mass_attenuation({element: 1.0}, energy)
@@ -38,17 +66,43 @@ def curve(amounts: Amounts, energy: EnergyArray) -> EnergyArray:
 
 
 def edges_of(amounts: Amounts) -> tuple[float, ...]:
-    """K edges of the elements from 1 to 800 keV, ascending [keV]."""
+    """Return the K edges of the elements from 1 to 800 keV.
+
+    Parameters
+    ----------
+    amounts : pairs of symbol and amount
+
+    Returns
+    -------
+    energies, ascending [keV]
+    """
     return tuple(sorted({edge for element, _ in amounts for edge in k_edges({element: 1.0}, 1.0, 800.0)}))
 
 
 def to_text(amounts: Amounts) -> str:
-    """Such as ``H 0.111898 O 0.888102``, with all digits."""
+    """Write amounts as text such as ``H 0.111898 O 0.888102``, with all digits.
+
+    Parameters
+    ----------
+    amounts : pairs of symbol and amount
+
+    Returns
+    -------
+    the text
+    """
     return " ".join(f"{element} {float(amount)!r}" for element, amount in amounts)
 
 
 def from_text(text: str) -> Amounts:
-    """What `to_text` wrote.
+    """Read amounts from the text that `to_text` writes.
+
+    Parameters
+    ----------
+    text : such as ``H 0.111898 O 0.888102``
+
+    Returns
+    -------
+    pairs of symbol and amount
 
     Raises
     ------

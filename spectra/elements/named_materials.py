@@ -111,9 +111,18 @@ ELEMENTS = tuple(_NAMES.split())
 
 
 def near(word: str, known: Iterable[str]) -> str | None:
-    """The known name that is probably meant, whatever its capitals; None where none is close.
+    """Return the known name that is closest to a word, upper and lower case ignored.
 
-    A word that begins a name counts as close, too: ``Water`` is ``Water, Liquid``.
+    A word that begins a name is close, too: ``Water`` is ``Water, Liquid``.
+
+    Parameters
+    ----------
+    word : the word
+    known : known names
+
+    Returns
+    -------
+    the name; None where none is close
     """
     names = list(known)
     folded = [name.casefold() for name in names]
@@ -132,5 +141,14 @@ def _atomic_numbers() -> dict[str, int]:
 
 
 def element_number(word: str) -> int | None:
-    """Atomic number of an element called by its English name; None for any other word."""
+    """Return the atomic number of an element by its English name.
+
+    Parameters
+    ----------
+    word : the name
+
+    Returns
+    -------
+    atomic number; None for any other word
+    """
     return _atomic_numbers().get(word.strip().casefold())

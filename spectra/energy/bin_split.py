@@ -17,7 +17,7 @@ _CLOSE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class BinSplit:
-    """Bins after cuts.
+    """Energy bins after cuts.
 
     Parameters
     ----------
@@ -35,13 +35,17 @@ class BinSplit:
 def split_bins(
     edges: Float[np.ndarray, " energy_plus_1"], nodes: Float[np.ndarray, " energy"], cuts: Iterable[float]
 ) -> BinSplit:
-    """Bins that end at every cut; each keeps the photons and the mean energy that it had.
+    """Split bins so that one ends at every cut; photons and mean energy of each bin do not change.
 
     Parameters
     ----------
     edges : of the bins [keV]
     nodes : mean energy of the photons in each [keV]
     cuts : energies at which bins are to end [keV]; those outside, or on a bin's end, change nothing
+
+    Returns
+    -------
+    new bins and their part of the old ones
 
     Notes
     -----

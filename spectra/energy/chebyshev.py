@@ -14,9 +14,10 @@ _ON_NODE = 1e-13
 
 @dataclass(frozen=True)
 class PiecewiseChebyshev:
-    """A polynomial in log energy on each interval, through its values at Chebyshev points of the first kind.
+    """Piecewise interpolation by a polynomial in log energy on each interval.
 
-    No node lies on a bound, so that a bound may be an absorption edge.
+    Its nodes are Chebyshev points of the first kind. No node lies on a bound, so that a bound may be an absorption
+    edge.
 
     Parameters
     ----------
@@ -42,7 +43,15 @@ class PiecewiseChebyshev:
         return np.concatenate([_points(a, b, n) for (a, b), n in zip(pairwise(self.bounds), self.counts, strict=True)])
 
     def matrix(self, energy: Float[np.ndarray, " energy"]) -> Float[np.ndarray, "energy node"]:
-        """From values at the nodes to those at `energy` [keV]; each row sums to 1.
+        """Compute the matrix from values at the nodes to values at `energy`; each row sums to 1.
+
+        Parameters
+        ----------
+        energy : energies [keV]
+
+        Returns
+        -------
+        matrix, (energy, node)
 
         Raises
         ------

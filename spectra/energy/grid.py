@@ -54,13 +54,32 @@ class Energies:
 
     @classmethod
     def midpoint(cls, low: float, high: float, count: int) -> "Energies":
-        """`count` equal bins from `low` to `high` [keV], nodes in the middle."""
+        """Create `count` equal bins with nodes in the middle.
+
+        Parameters
+        ----------
+        low, high : limits of the grid [keV]
+        count : number of bins
+
+        Returns
+        -------
+        the grid
+        """
         _check_range(low, high, count)
         return cls.from_edges(np.linspace(low, high, count + 1))
 
     @classmethod
     def from_edges(cls, edges: EdgeArray) -> "Energies":
-        """Bins with nodes in the middle."""
+        """Create bins with nodes in the middle.
+
+        Parameters
+        ----------
+        edges : bin edges, ascending [keV]
+
+        Returns
+        -------
+        the grid
+        """
         edges = np.asarray(edges, dtype=np.float64)
         return cls(edges, (edges[:-1] + edges[1:]) / 2)
 
@@ -68,9 +87,20 @@ class Energies:
     def snapped(
         cls, low: float, high: float, count: int, breaks: Iterable[float] = (), lines: Iterable[float] = ()
     ) -> "Energies":
-        """About `count` equal bins such that every break is an edge, plus a narrow bin around every line [keV].
+        """Create about `count` equal bins such that every break is an edge and every line has a narrow bin.
 
         Breaks and lines outside ``low .. high`` are ignored.
+
+        Parameters
+        ----------
+        low, high : limits of the grid [keV]
+        count : approximate number of bins
+        breaks : energies that become edges [keV]
+        lines : energies of lines [keV]
+
+        Returns
+        -------
+        the grid
         """
         _check_range(low, high, count)
         cuts = _cuts(low, high, breaks)
@@ -83,10 +113,21 @@ class Energies:
     def gauss_legendre(
         cls, low: float, high: float, per_interval: int, breaks: Iterable[float] = (), lines: Iterable[float] = ()
     ) -> "Energies":
-        """Gauss-Legendre nodes in every interval between breaks and line bins [keV].
+        """Create Gauss-Legendre nodes in every interval between breaks and line bins.
 
         The weights of the rule sum to the interval and interlace with its nodes (Chebyshev, Markov, Stieltjes), so
         they serve as bin widths and the bins stay contiguous.
+
+        Parameters
+        ----------
+        low, high : limits of the grid [keV]
+        per_interval : nodes in each interval
+        breaks : energies that bound intervals [keV]
+        lines : energies of lines [keV]
+
+        Returns
+        -------
+        the grid
         """
         _check_range(low, high, per_interval)
         bins = _line_bins(low, high, np.asarray(_cuts(low, high, breaks)), lines)
@@ -103,7 +144,16 @@ class Energies:
 
     @classmethod
     def single(cls, energy: float) -> "Energies":
-        """One energy [keV]; its bin starts there, so that a threshold of the same energy counts it."""
+        """Create a grid of one energy; its bin starts there, so that a threshold of the same energy counts it.
+
+        Parameters
+        ----------
+        energy : the energy [keV]
+
+        Returns
+        -------
+        the grid
+        """
         return cls(np.array([energy, energy + _SAME]), np.array([energy]))
 
     def __len__(self) -> int:

@@ -8,10 +8,10 @@ from scipy.linalg import qr, solve_triangular
 _GLANCE = 50
 
 
-def spanning_columns(
+def interpolative_decomposition(
     columns: Float[np.ndarray, "column node"], lengths: Float[np.ndarray, "ray column"], tolerance: float
 ) -> tuple[Int[np.ndarray, " few"], Float[np.ndarray, "column few"], float]:
-    """Columns that the others are combinations of, well enough for all rays.
+    """Select the columns that the others are combinations of, to a tolerance on all rays.
 
     Attenuation curves of tissues and solutions differ by little more than photoelectric effect, scattering and the
     elements dissolved, so that twenty of them are combinations of six.

@@ -27,7 +27,13 @@ _ONE_THREAD = 262144
 
 
 class Nodes(NamedTuple):
-    """Weights (K,) and columns (K, M) of a channel's nodes, columns scaled to the box."""
+    """Energy nodes of one channel.
+
+    Parameters
+    ----------
+    weights : of the nodes, (K,)
+    columns : functions at the nodes, scaled to the box, (K, M)
+    """
 
     weights: Float[np.ndarray, " node"]
     columns: Float[np.ndarray, "node basis"]
@@ -42,7 +48,7 @@ def compress_channel(
     refine: bool = True,
     thorough: bool = False,
 ) -> tuple[Float[np.ndarray, " few"], Float[np.ndarray, "basis few"], float]:
-    """Fewest nodes found whose log counts err by at most `tolerance` in the box.
+    """Find the fewest nodes whose log counts err by at most `tolerance` in the box.
 
     Parameters
     ----------
@@ -85,7 +91,7 @@ def choose_nodes(
     rays: Float[np.ndarray, "ray basis"],
     tolerance: float,
 ) -> tuple[Float[np.ndarray, " few"], Float[np.ndarray, "basis few"], float]:
-    """Some of the given nodes, with weights of their own, whose log counts err by at most `tolerance` on given rays.
+    """Select some of the given nodes, with new weights, whose log counts err by at most `tolerance` on given rays.
 
     Parameters
     ----------
@@ -112,7 +118,18 @@ def choose_nodes(
 def sample_box(
     box: Float[np.ndarray, "2 basis"], count: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "ray basis"]:
-    """Corners of the box, and points drawn denser towards its faces, where polynomial-like fits err most."""
+    """Sample a box: its corners, and random points denser towards its faces, where polynomial-like fits err most.
+
+    Parameters
+    ----------
+    box : smallest and largest line integral of each column, (2, M)
+    count : number of random points
+    rng : source of the random points
+
+    Returns
+    -------
+    line integrals, (ray, M)
+    """
     basis = box.shape[1]
     corners = np.stack(np.meshgrid(*([0.0, 1.0] for _ in range(basis)), indexing="ij"), axis=-1).reshape(-1, basis)
     inside = (1 - np.cos(np.pi * rng.random((count, basis)))) / 2
@@ -120,7 +137,17 @@ def sample_box(
 
 
 def log_counts(nodes: Nodes, rays: Float[np.ndarray, "ray basis"]) -> Float[np.ndarray, " ray"]:
-    """Log of sum_k w_k exp(-c_k . L)."""
+    """Compute the logarithm of sum_k w_k exp(-c_k . L).
+
+    Parameters
+    ----------
+    nodes : weights and columns
+    rays : line integrals, (ray, M)
+
+    Returns
+    -------
+    log counts of each ray
+    """
     return _log_shares(nodes, rays)[0]
 
 
@@ -239,8 +266,10 @@ def _blocked(
     limits: tuple[Float[np.ndarray, " basis"], Float[np.ndarray, " basis"]],
 ) -> Bool[np.ndarray, " parameter"]:
     """Parameters that stand at a limit and would cross it."""
-    pull = gradient.reshape(len(nodes.weights), -1)[:, 1:]
-    columns = ((nodes.columns <= limits[0]) & (pull <= 0)) | ((nodes.columns >= limits[1]) & (pull >= 0))
+    node_gradient = gradient.reshape(len(nodes.weights), -1)[:, 1:]
+    columns = ((nodes.columns <= limits[0]) & (node_gradient <= 0)) | (
+        (nodes.columns >= limits[1]) & (node_gradient >= 0)
+    )
     return np.concatenate([np.zeros((len(columns), 1), dtype=bool), columns], axis=1).ravel()
 
 

@@ -12,16 +12,25 @@ ELECTRON_RADIUS = 2.8179403262e-12
 
 
 def electron_density(material: Material, basis: Basis) -> float:
-    """Electrons per volume [1/mm^3].
+    """Compute the number of electrons per volume.
 
-    Those of a composition follow from its elements. Of explicit coefficients, `compton` is the Klein-Nishina cross
-    section of all electrons; those of elements and materials say how much of them there is; `photoelectric`, `step` and
+    For a composition it follows from the elements. For explicit coefficients, `compton` is the Klein-Nishina cross
+    section of all electrons; coefficients of elements and materials give their amount; `photoelectric`, `step` and
     `sigmoid` mean absorption alone.
 
     Parameters
     ----------
     material : by composition or by coefficients
     basis : that coefficients belong to
+
+    Returns
+    -------
+    electrons [1/mm^3]
+
+    Raises
+    ------
+    InputError
+        When a coefficient belongs to a function that gives no number of electrons.
     """
     if material.composition is not None:
         return float(material.density or 0.0) / 1000 * electrons_per_gram(material.composition)

@@ -26,7 +26,7 @@ EnergyArray = Float[np.ndarray, " energy"]
 
 @dataclass(frozen=True)
 class Material:
-    """What an object consists of.
+    """Material of an object: a composition with a density, or explicit basis coefficients.
 
     Parameters
     ----------
@@ -61,11 +61,35 @@ class Material:
         return float(density)
 
     def k_edges(self, low: float, high: float) -> tuple[float, ...]:
-        """K edges of a composition between two energies [keV]; none for explicit coefficients."""
+        """Return the K edges of a composition between two energies; none for explicit coefficients.
+
+        Parameters
+        ----------
+        low, high : limits [keV]
+
+        Returns
+        -------
+        energies, ascending [keV]
+        """
         return () if self.composition is None else k_edges(self.composition, low, high)
 
     def attenuation(self, energy: EnergyArray, basis: Basis | None = None) -> EnergyArray:
-        """Linear attenuation coefficient [1/mm] at `energy` [keV]: the exact curve, or coefficients times `basis`."""
+        """Compute the linear attenuation coefficient: the exact curve, or coefficients times `basis`.
+
+        Parameters
+        ----------
+        energy : photon energies [keV]
+        basis : basis of explicit coefficients; not used for a composition
+
+        Returns
+        -------
+        mu [1/mm]
+
+        Raises
+        ------
+        InputError
+            When a material with explicit coefficients has no basis.
+        """
         if self.composition is not None and self.density is not None:
             return linear_attenuation(self.composition, self.density, energy)
         if basis is None:
@@ -73,7 +97,7 @@ class Material:
         return self._explicit(basis) @ basis.evaluate(energy)
 
     def coefficients_in(self, basis: Basis, energy: EnergyArray, weights: EnergyArray) -> Float[np.ndarray, " basis"]:
-        """Coefficients in `basis` [1/mm].
+        """Compute the coefficients of the material in `basis` [1/mm].
 
         Parameters
         ----------
@@ -100,7 +124,17 @@ class Material:
         return found
 
     def fit_error(self, basis: Basis, energy: EnergyArray, weights: EnergyArray) -> float:
-        """Weighted rms relative error of mu(E) as `coefficients_in` describes it; 0 for explicit coefficients."""
+        """Compute the weighted rms relative error of mu(E) as `coefficients_in` describes it.
+
+        Parameters
+        ----------
+        basis : raw basis functions
+        energy, weights : detected spectrum, energies [keV] and photons
+
+        Returns
+        -------
+        relative error; 0 for explicit coefficients
+        """
         if self.composition is None:
             return 0.0
         fitted = self.coefficients_in(basis, energy, weights) @ basis.evaluate(energy)

@@ -19,7 +19,7 @@ _MG_PER_ML = 1e-3  # in g/cm^3
 
 @dataclass(frozen=True)
 class Part:
-    """What goes into a mixture, and how much of it.
+    """Part of a mixture: a material and its amount.
 
     Parameters
     ----------
@@ -36,7 +36,22 @@ class Part:
 
     @classmethod
     def of(cls, material: Material | str, amount: float) -> "Part":
-        """From a material, or from a formula or name, whose density need not be known."""
+        """Create a part from a material, or from a formula or name whose density may be unknown.
+
+        Parameters
+        ----------
+        material : material, formula or name
+        amount : fraction of the mass or the volume [no unit], or concentration [mg/ml]
+
+        Returns
+        -------
+        the part
+
+        Raises
+        ------
+        InputError
+            When the material is given by coefficients.
+        """
         if isinstance(material, str):
             return cls(material, amount, material, natural_density(material))
         if material.composition is None:
@@ -52,13 +67,17 @@ class Part:
 
 
 def mix_by_mass(name: str, parts: Sequence[Part], density: float | None = None) -> Material:
-    """A mixture by mass fractions.
+    """Compute a mixture by mass fractions.
 
     Parameters
     ----------
     name : of the mixture
     parts : with mass fractions that sum to 1 within 1e-3
     density : measured one [g/cm^3]; that of additive volumes where left out
+
+    Returns
+    -------
+    the mixture
     """
     shares = _shares(name, parts, "mass")
     if density is None:
@@ -67,13 +86,17 @@ def mix_by_mass(name: str, parts: Sequence[Part], density: float | None = None) 
 
 
 def mix_by_volume(name: str, parts: Sequence[Part], density: float | None = None) -> Material:
-    """A mixture by volume fractions.
+    """Compute a mixture by volume fractions.
 
     Parameters
     ----------
     name : of the mixture
     parts : with volume fractions, before mixing, that sum to 1 within 1e-3
     density : measured one [g/cm^3]; that of additive volumes where left out
+
+    Returns
+    -------
+    the mixture
     """
     shares = _shares(name, parts, "volume")
     masses = [share * part.known_density for share, part in zip(shares, parts, strict=True)]
@@ -83,7 +106,7 @@ def mix_by_volume(name: str, parts: Sequence[Part], density: float | None = None
 
 
 def dissolve(name: str, solvent: Part, solutes: Sequence[Part], density: float | None = None) -> Material:
-    """A solution or suspension.
+    """Compute a solution or suspension.
 
     Parameters
     ----------
@@ -91,6 +114,15 @@ def dissolve(name: str, solvent: Part, solutes: Sequence[Part], density: float |
     solvent : its amount is not used
     solutes : with their mass per volume of the finished solution [mg/ml]
     density : measured one [g/cm^3], see below
+
+    Returns
+    -------
+    the solution
+
+    Raises
+    ------
+    InputError
+        When the solutes fill more than the volume, or weigh more than the density allows.
 
     Notes
     -----

@@ -39,7 +39,16 @@ FLAGS: set[str] = set(_FUSE)
 @njit(forceinline=True, fastmath=FLAGS, error_model="numpy")
 @no_type_check
 def fast_exp(x):
-    """Exponential of `x`, relative error below 1e-14; below -708 it is 0, above 709 it is exp(709), NaN stays NaN."""
+    """Compute the exponential with a relative error below 1e-14.
+
+    Parameters
+    ----------
+    x : a float64
+
+    Returns
+    -------
+    exp(x); below -708 it is 0, above 709 it is exp(709), NaN stays NaN
+    """
     return _exp(x)
 
 
@@ -61,6 +70,19 @@ def attenuated_lanes(typing_context, lengths, columns, weights, at, first, last)
 
     Only the `LANES` nodes from `at` on are looked at; all of them must exist. Call it from a function with
     ``fastmath=FLAGS`` only.
+
+    Parameters
+    ----------
+    typing_context : numba's context; calls leave it out
+    lengths : line integrals of one ray, (M,)
+    columns : functions at the nodes, (M, K)
+    weights : photons x response of each node
+    at : first of the `LANES` nodes that are read
+    first, last : nodes of the channel are ``first .. last - 1``
+
+    Returns
+    -------
+    the sum
     """
     signature = types.float64(lengths, columns, weights, types.int64, types.int64, types.int64)
 
@@ -126,7 +148,7 @@ def _load_lanes(builder: Any, first: Value, at: Value) -> Value:
 
 
 def _spread(builder: Any, value: Value) -> Value:
-    """The same value in all lanes."""
+    """Return a vector with one value in all lanes."""
     empty = ir.Constant(ir.VectorType(value.type, LANES), ir.Undefined)
     single = builder.insert_element(empty, value, ir.Constant(_INDEX, 0))
     return builder.shuffle_vector(single, empty, ir.Constant(ir.VectorType(_INDEX, LANES), [0] * LANES))

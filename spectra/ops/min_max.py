@@ -13,12 +13,30 @@ from numba import njit
 @njit(inline="always")
 @no_type_check
 def larger(a, b):
-    """The larger of two numbers of one type."""
+    """Return the larger of two numbers of one type.
+
+    Parameters
+    ----------
+    a, b : the numbers
+
+    Returns
+    -------
+    the larger one
+    """
     return a if a > b else b
 
 
 @njit(inline="always")
 @no_type_check
 def smaller(a, b):
-    """The smaller of two numbers of one type."""
+    """Return the smaller of two numbers of one type.
+
+    Parameters
+    ----------
+    a, b : the numbers
+
+    Returns
+    -------
+    the smaller one
+    """
     return a if a < b else b

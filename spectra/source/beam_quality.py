@@ -39,7 +39,7 @@ _MOST_STEPS = 200
 
 @dataclass(frozen=True)
 class BeamQuality:
-    """What a dosimeter behind sheets of metal would say of a source.
+    """Beam quality of a source, as measured with a dosimeter behind metal sheets.
 
     Parameters
     ----------
@@ -57,7 +57,17 @@ class BeamQuality:
 
     @classmethod
     def of(cls, source: Source, material: Material = ALUMINIUM) -> "BeamQuality":
-        """Quality of a source, with layers of `material`."""
+        """Compute the beam quality of a source.
+
+        Parameters
+        ----------
+        source : spectrum
+        material : of the attenuating layers
+
+        Returns
+        -------
+        mean energy, kerma, half-value layers and effective energy
+        """
         first, second = half_value_layers(source, material)
         kerma = kerma_per_fluence(source)
         return cls(mean_energy(source), kerma, first, second, effective_energy(source, material))
@@ -69,25 +79,68 @@ class BeamQuality:
 
 
 def mean_energy(source: Source) -> float:
-    """Mean energy of the photons [keV]."""
+    """Compute the mean energy of the photons.
+
+    Parameters
+    ----------
+    source : spectrum
+
+    Returns
+    -------
+    energy [keV]
+    """
     photons, mean = source.photons_in(np.array([0.0, source.maximum]))
     return float(mean[0] if photons[0] > 0 else source.maximum)
 
 
 def kerma_per_fluence(source: Source) -> float:
-    """Air kerma over photon fluence [Gy mm^2]: times photons per mm^2 it is air kerma in Gy."""
+    """Compute the air kerma per photon fluence.
+
+    Parameters
+    ----------
+    source : spectrum
+
+    Returns
+    -------
+    kerma per fluence [Gy mm^2]; times photons per mm^2 it is air kerma in Gy
+    """
     energy, photons = _nodes(source, ())
     return float(photons @ (energy * air_absorption(energy)) / photons.sum()) * _GRAY_MM2
 
 
 def half_value_layers(source: Source, material: Material = ALUMINIUM) -> tuple[float, float]:
-    """First and second half-value layer [mm]: what halves the air kerma, and what halves it again."""
+    """Compute the first and the second half-value layer of air kerma.
+
+    Parameters
+    ----------
+    source : spectrum
+    material : of the layers
+
+    Returns
+    -------
+    thickness that halves the air kerma, and further thickness that halves it again [mm]
+    """
     half, quarter = (attenuating_thickness(source, material, part) for part in (0.5, 0.25))
     return half, quarter - half
 
 
 def attenuating_thickness(source: Source, material: Material, fraction: float) -> float:
-    """Thickness of `material` that leaves `fraction` of the air kerma [mm].
+    """Compute the thickness of `material` that transmits `fraction` of the air kerma.
+
+    Parameters
+    ----------
+    source : spectrum
+    material : of the sheet
+    fraction : air kerma behind the sheet over air kerma without it, between 0 and 1
+
+    Returns
+    -------
+    thickness [mm]
+
+    Raises
+    ------
+    InputError
+        When the fraction is not between 0 and 1.
 
     Notes
     -----
@@ -110,9 +163,18 @@ def attenuating_thickness(source: Source, material: Material, fraction: float) -
 
 
 def effective_energy(source: Source, material: Material = ALUMINIUM) -> float:
-    """Energy at which `material` attenuates as much as its first half-value layer says [keV].
+    """Compute the energy of a single-energy source with the same first half-value layer.
 
     Where K edges make several energies possible, the one next to the mean energy.
+
+    Parameters
+    ----------
+    source : spectrum
+    material : of the layers
+
+    Returns
+    -------
+    energy [keV]
     """
     if source.is_monochromatic:
         return source.maximum
@@ -129,9 +191,22 @@ def effective_energy(source: Source, material: Material = ALUMINIUM) -> float:
 
 
 def air_absorption(energy: EnergyArray) -> EnergyArray:
-    """Mass energy-absorption coefficient of dry air [cm^2/g] at `energy` [keV], 1 to 800 keV.
+    """Compute the mass energy-absorption coefficient of dry air.
 
     Cubic splines of the logarithms through the printed values, one on either side of argon's K edge.
+
+    Parameters
+    ----------
+    energy : photon energies, 1 to 800 keV
+
+    Returns
+    -------
+    coefficient [cm^2/g]
+
+    Raises
+    ------
+    InputError
+        When an energy is outside the table.
     """
     energy = np.asarray(energy, dtype=np.float64)
     if not ((energy >= LOWEST_ENERGY) & (energy <= HIGHEST_ENERGY)).all():

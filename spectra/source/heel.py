@@ -19,7 +19,7 @@ from spectra.source.source import Source
 # Weighted rms error of a spectrum's logarithm, over any direction of the panel, down to which curves are added.
 TOLERANCE = 3e-3
 _MOST_CURVES = 3
-# SpekPy is asked for so many directions; between them amplitudes are splines.
+# SpekPy computes so many directions; between them amplitudes are splines.
 _ANGLES = 17
 # Rays must leave the anode at this angle or more [degree]: below, its roughness decides, which no model has.
 LEAST_TAKE_OFF = 1.0
@@ -31,7 +31,7 @@ _LEAST = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A function of energy without unit: linear between corners, with values of its own at lines.
+    """Function of energy without unit: linear between corners, with separate values at lines.
 
     Parameters
     ----------
@@ -45,7 +45,16 @@ class Curve:
     line_value: Float[np.ndarray, " line"]
 
     def attenuation(self, energy: Float[np.ndarray, " energy"]) -> Float[np.ndarray, " energy"]:
-        """Values at `energy` [keV]; constant beyond the corners."""
+        """Evaluate the curve; constant beyond the corners.
+
+        Parameters
+        ----------
+        energy : energies [keV]
+
+        Returns
+        -------
+        values without unit
+        """
         out = np.interp(energy, self.energy, self.value)
         for line, value in zip(self.line_energy, self.line_value, strict=True):
             out[np.abs(energy - line) <= _AT_LINE] = value
@@ -54,12 +63,12 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Heel:
-    """A tube's spectrum in all directions of a panel: that on the axis times exp(-sum_i curve_i(E) amplitude_i(angle)).
+    """Spectrum of a tube in all directions of a panel: on the axis times exp(-sum_i curve_i(E) amplitude_i(angle)).
 
     Parameters
     ----------
     curves : functions of energy
-    angles, amplitudes : directions that were asked for [rad], and the amplitudes there
+    angles, amplitudes : directions of the fit [rad], and the amplitudes there
     error : largest weighted rms error of the spectrum's logarithm over these directions
     """
 
@@ -69,7 +78,16 @@ class Heel:
     error: float
 
     def amplitudes_at(self, angles: Float[np.ndarray, "..."]) -> Float[np.ndarray, "curve ..."]:
-        """Amplitudes in other directions between the outermost ones [rad]."""
+        """Interpolate the amplitudes at other directions between the outermost ones.
+
+        Parameters
+        ----------
+        angles : directions from the axis towards the anode [rad]
+
+        Returns
+        -------
+        amplitudes, (curve, ...)
+        """
         return CubicSpline(self.angles, self.amplitudes, axis=1)(angles)
 
 
@@ -81,6 +99,15 @@ def heel_of(source: Source, kvp: float, angle: float, anode: str, low: float, hi
     source : the tube behind its filters, as weight of energies
     kvp, angle, anode : tube voltage [kV], anode angle [degree], and anode as for `Source.tube`
     low, high : outermost angles from the axis towards the anode [rad], which include 0
+
+    Returns
+    -------
+    curves, amplitudes and error
+
+    Raises
+    ------
+    InputError
+        When rays to the edge of the panel leave the anode at too small an angle.
     """
     from spectra.source.tube import off_axis  # noqa: PLC0415 - SpekPy takes a second to import
 

@@ -28,7 +28,13 @@ _BAND_CORNERS = 401
 
 @dataclass(frozen=True)
 class Filter:
-    """A flat filter: material and thickness [mm]."""
+    """Flat filter.
+
+    Parameters
+    ----------
+    material : of the filter
+    thickness : of the filter [mm]
+    """
 
     material: Material
     thickness: float
@@ -41,20 +47,29 @@ class Filter:
             )
 
     def transmission(self, energy: EnergyArray) -> EnergyArray:
-        """Part of the photons that passes at normal incidence."""
+        """Compute the fraction of the photons that passes at normal incidence.
+
+        Parameters
+        ----------
+        energy : photon energies [keV]
+
+        Returns
+        -------
+        fraction of each energy
+        """
         return np.exp(-self.thickness * self.material.attenuation(energy))
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Photons that reach one pixel in one view at the panel centre, when nothing is in the beam.
+    """Source spectrum: photons that reach one pixel in one view at the panel centre without an object.
 
     Parameters
     ----------
     energy, density : corners of the piecewise-linear density, [keV] and [photons/keV]; equal energies make a jump
     line_energy, line_photons : characteristic lines, [keV] and [photons]
-    breaks : energies where the density jumps [keV]
     maximum : highest energy, the tube voltage of a tube [keV]
+    breaks : energies where the density jumps [keV]
     """
 
     energy: Float[np.ndarray, " corner"]
@@ -73,7 +88,7 @@ class Source:
         filters: Sequence[Filter] = (),
         anode: str = "tungsten",
     ) -> "Source":
-        """Reflection tube by SpekPy's model `casim`.
+        """Create the spectrum of a reflection tube by SpekPy's model `casim`.
 
         Parameters
         ----------
@@ -83,6 +98,10 @@ class Source:
         angle : anode angle [degree]
         filters : all filtration, inherent filtration included: the model itself has none
         anode : ``tungsten``, or ``molybdenum``, ``rhodium``, ``silver`` up to 50 kV
+
+        Returns
+        -------
+        the source
         """
         from spectra.source.tube import unfiltered_tube  # noqa: PLC0415 - SpekPy takes a second to import
 
@@ -91,7 +110,22 @@ class Source:
 
     @classmethod
     def monochromatic(cls, energy: float, photons: float) -> "Source":
-        """All photons at one energy [keV]."""
+        """Create a source with all photons at one energy.
+
+        Parameters
+        ----------
+        energy : the energy [keV]
+        photons : number of photons
+
+        Returns
+        -------
+        the source
+
+        Raises
+        ------
+        InputError
+            When the energy is outside 1 .. 800 keV.
+        """
         if not 1 <= energy <= 800:
             raise InputError(f"the energy of a monochromatic source must lie in 1 .. 800 keV, got {energy:g}")
         none = np.empty(0)
@@ -99,12 +133,21 @@ class Source:
 
     @classmethod
     def of_lines(cls, lines: Mapping[float, float], photons: float | None = None) -> "Source":
-        """Several single energies, such as those of a radionuclide.
+        """Create a source of several single energies, such as those of a radionuclide.
 
         Parameters
         ----------
         lines : energy [keV] to photons, or to relative weights where `photons` is given
         photons : of all lines together; None where `lines` has them
+
+        Returns
+        -------
+        the source
+
+        Raises
+        ------
+        InputError
+            When there is no line, or one has no positive weight or lies outside 1 .. 800 keV.
         """
         if not lines:
             raise InputError("a source of lines needs at least one line")
@@ -120,7 +163,7 @@ class Source:
 
     @classmethod
     def band(cls, energy: float, width: float, photons: float, shape: str = "gaussian") -> "Source":
-        """One band of energies, such as a monochromator lets through.
+        """Create a source with one band of energies, such as a monochromator transmits.
 
         Parameters
         ----------
@@ -129,6 +172,15 @@ class Source:
         photons : in the whole band
         shape : ``gaussian``, density ~ exp(-4 ln 2 (E - E0)^2 / w^2), cut off at E0 +- 2 w; or ``box``, constant within
             E0 +- w / 2
+
+        Returns
+        -------
+        the source
+
+        Raises
+        ------
+        InputError
+            When the shape is unknown, or the band does not lie within 1 .. 800 keV.
         """
         if shape not in {"gaussian", "box"}:
             raise InputError(f"the shape of a band is gaussian or box, got {shape!r}")
@@ -146,12 +198,23 @@ class Source:
 
     @classmethod
     def of_bins(cls, edges: Float[np.ndarray, " energy_plus_1"], photons: EnergyArray) -> "Source":
-        """A histogram; in each bin the density is constant. Lines in it cannot be told from the rest.
+        """Create a source from a histogram; the density in each bin is constant.
+
+        Lines inside a bin cannot be separated from the rest.
 
         Parameters
         ----------
         edges : contiguous bin edges, ascending [keV]
         photons : in each bin
+
+        Returns
+        -------
+        the source
+
+        Raises
+        ------
+        InputError
+            When photons are negative or not finite, or lie outside 1 .. 800 keV.
         """
         edges, photons = Energies.from_edges(edges).edges, np.asarray(photons, dtype=np.float64)
         if photons.shape != (len(edges) - 1,):
@@ -171,13 +234,22 @@ class Source:
     def of_corners(
         cls, energy: EnergyArray, density: EnergyArray, lines: Mapping[float, float], breaks: tuple[float, ...] = ()
     ) -> "Source":
-        """A density that is linear between corners, and lines.
+        """Create a source from a density that is linear between corners, and lines.
 
         Parameters
         ----------
         energy, density : corners, ascending [keV] and [photons/keV]; two of the same energy make a jump
         lines : energy [keV] to photons
         breaks : energies that grids of bins are to keep, such as the K edges of filters [keV]
+
+        Returns
+        -------
+        the source
+
+        Raises
+        ------
+        InputError
+            When there are no photons, or some lie outside 1 .. 800 keV.
         """
         at, photons = np.array(sorted(lines.items()), dtype=np.float64).reshape(-1, 2).T.copy()
         used = np.concatenate([energy, at])
@@ -197,23 +269,40 @@ class Source:
 
     @property
     def is_monochromatic(self) -> bool:
-        """Whether there is a single energy."""
+        """True when there is a single energy."""
         return len(self.energy) == 0 and len(self.line_energy) == 1
 
     @property
     def photons(self) -> float:
-        """All photons."""
+        """Number of all photons."""
         return float(self._cumulative(np.array([np.inf]))[0][0] + self.line_photons.sum())
 
     def density_at(self, energy: EnergyArray) -> EnergyArray:
-        """Photons per keV without the lines at `energy` [keV]; at a jump, its upper side."""
+        """Evaluate the density without the lines; at a jump, its upper side.
+
+        Parameters
+        ----------
+        energy : energies [keV]
+
+        Returns
+        -------
+        density [photons/keV]
+        """
         return self._inside(np.asarray(energy, dtype=np.float64))[1]
 
     def photons_in(self, edges: Float[np.ndarray, " energy_plus_1"]) -> tuple[EnergyArray, EnergyArray]:
-        """Photons in contiguous bins, exactly, and their mean energy [keV].
+        """Compute the exact number of photons in contiguous bins, and their mean energies.
 
         A line on an edge belongs to the bin above it, or to the last bin. Bins without photons have their middle as
         mean energy.
+
+        Parameters
+        ----------
+        edges : bin edges, ascending [keV]
+
+        Returns
+        -------
+        photons, and mean energy [keV], of each bin
         """
         edges = np.asarray(edges, dtype=np.float64)
         photons, energy = (np.diff(integral) for integral in self._cumulative(edges))
@@ -228,7 +317,18 @@ class Source:
         return photons, np.clip(mean, edges[:-1], edges[1:])
 
     def sampled(self, energies: Energies) -> tuple[Energies, EnergyArray]:
-        """Photons per bin of a grid, and the grid with its nodes moved to the mean energies (Gauss nodes stay)."""
+        """Compute the photons per bin of a grid, and move its nodes to the mean energies.
+
+        Gauss nodes do not move.
+
+        Parameters
+        ----------
+        energies : energy bins
+
+        Returns
+        -------
+        the grid with moved nodes, and the photons of each bin
+        """
         if not energies.gauss:
             photons, mean = self.photons_in(energies.edges)
             return Energies(energies.edges, mean), photons
@@ -236,23 +336,56 @@ class Source:
         return energies, self.density_at(energies.nodes) * energies.widths + lines
 
     def grid(self, low: float, count: int, breaks: Sequence[float] = ()) -> Energies:
-        """About `count` bins from `low` [keV] to the maximum, snapped to `breaks` and to those of the source.
+        """Create a grid of about `count` bins up to the maximum, snapped to `breaks` and to those of the source.
 
         Every line has a bin of its own; a monochromatic source has one bin.
+
+        Parameters
+        ----------
+        low : lower end of the grid [keV]
+        count : approximate number of bins
+        breaks : further energies that become edges [keV]
+
+        Returns
+        -------
+        the grid
         """
         if self.is_monochromatic:
             return Energies.single(self.maximum)
         return Energies.snapped(low, self.maximum, count, (*breaks, *self.breaks), self.line_energy)
 
     def scaled(self, photons: float) -> "Source":
-        """The same spectrum with another number of photons."""
+        """Scale the spectrum to another number of photons.
+
+        Parameters
+        ----------
+        photons : number of all photons
+
+        Returns
+        -------
+        source with the same shape of the spectrum
+
+        Raises
+        ------
+        InputError
+            When the number is not positive.
+        """
         if not 0 < photons < np.inf:
             raise InputError(f"the number of photons must be positive, got {photons:g}")
         factor = photons / self.photons
         return replace(self, density=self.density * factor, line_photons=self.line_photons * factor)
 
     def behind(self, sheets: Sequence[Filter]) -> "Source":
-        """Behind a stack of flat filters."""
+        """Compute the spectrum behind a stack of flat filters.
+
+        Parameters
+        ----------
+        sheets : the filters
+
+        Returns
+        -------
+        source behind all of them
+        """
         _check_stack(self, sheets)
         source = self
         for sheet in sheets:
@@ -260,7 +393,21 @@ class Source:
         return source
 
     def filtered(self, sheet: Filter) -> "Source":
-        """Behind a flat filter, whose K edges join the breaks."""
+        """Compute the spectrum behind a flat filter, whose K edges become breaks.
+
+        Parameters
+        ----------
+        sheet : the filter
+
+        Returns
+        -------
+        source behind it
+
+        Raises
+        ------
+        InputError
+            When the filter absorbs all photons.
+        """
         low = float(self.energy[0]) if len(self.energy) else 0.0
         edges = sheet.material.k_edges(low, self.maximum)
         split = self

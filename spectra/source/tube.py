@@ -1,7 +1,7 @@
 """Bare X-ray tubes from SpekPy, with bremsstrahlung and lines kept apart.
 
 SpekPy 2 (Poludniowski et al. 2021, doi:10.1002/mp.14945) with its default model `casim`: half-value layers of measured
-beams within 5 %. This module imports SpekPy and is itself imported only when a tube is asked for.
+beams within 5 %. This module imports SpekPy and is itself imported only when a tube is required.
 """
 
 from collections.abc import Iterator
@@ -28,13 +28,17 @@ _ANODES = {
 
 @lru_cache
 def unfiltered_tube(kvp: float, angle: float, anode: str = "tungsten") -> Source:
-    """Spectrum of a bare reflection target, per cm^2 and mAs at 1 m.
+    """Compute the spectrum of a bare reflection target, per cm^2 and mAs at 1 m.
 
     Parameters
     ----------
     kvp : tube voltage [kV], from 10 to 500 for tungsten, to 50 for the other anodes
     angle : anode angle [degree], 5 to 25
     anode : ``tungsten``, ``molybdenum``, ``rhodium`` or ``silver``
+
+    Returns
+    -------
+    the source
     """
     symbol = _checked(kvp, angle, anode)
     tube = _spekpy_tube(kvp, angle, symbol)
@@ -50,12 +54,12 @@ def unfiltered_tube(kvp: float, angle: float, anode: str = "tungsten") -> Source
 
 
 class OffAxis(NamedTuple):
-    """Spectra beside the axis over that on it, at equal distance from the focal spot, as natural logarithms.
+    """Spectra beside the axis over that on the axis, at equal distance from the focal spot, as natural logarithms.
 
     Parameters
     ----------
     energy, bremsstrahlung : bin middles [keV], and log ratio of each angle
-    line_energy, lines : the same of characteristic lines
+    line_energy, lines : energies of characteristic lines [keV], and log ratio of each angle
     """
 
     energy: Float[np.ndarray, " bin"]
@@ -65,12 +69,16 @@ class OffAxis(NamedTuple):
 
 
 def off_axis(kvp: float, angle: float, anode: str, offsets: Float[np.ndarray, " angle"]) -> OffAxis:
-    """How a bare tube's spectrum changes with the direction of the rays.
+    """Compute the change of a bare tube's spectrum with the direction of the rays.
 
     Parameters
     ----------
     kvp, angle, anode : as for `unfiltered_tube`
     offsets : angles from the axis towards the anode [rad], in the plane of the electrons and the axis
+
+    Returns
+    -------
+    log ratios to the spectrum on the axis
     """
     tube = _spekpy_tube(kvp, angle, _checked(kvp, angle, anode))
     parts = []

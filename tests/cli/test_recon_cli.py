@@ -485,7 +485,7 @@ def test_every_help_ends_with_two_examples(command):
 @pytest.mark.parametrize("option", ["--help", "--version"])
 def test_help_and_version_import_nothing_heavy(program, option):
     code = (
-        f"import sys; from {program}.cli import main; main([{option!r}], standalone_mode=False);"
+        f"import sys; from {program}.cli.main import main; main([{option!r}], standalone_mode=False);"
         "print(sorted({'torch', 'numba', 'h5py', 'scipy', 'numpy', 'matplotlib'} & set(sys.modules)), file=sys.stderr)"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -68,7 +68,7 @@ def test_all_parts_together_fit_better_and_better(scan, bases):
     assert max(counts) > 400
     assert len(result.gaussians) <= 600
     assert result.gaussians.basis_names == ("photoelectric", "compton", "kedge_63.3")[:bases]
-    assert result.start_volumes.shape == (bases, 16, 16, 16)
+    assert result.initial_volumes.shape == (bases, 16, 16, 16)
     assert 0 < result.node_error < 0.05
 
 

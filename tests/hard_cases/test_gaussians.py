@@ -35,8 +35,8 @@ SHORT = Recipe(stages=(Stage(1.0, 3.0),))
 def image_and_gradients(parts, geometry, function=rasterize, footprint=1.0, *cutoff):
     leaves = [part.clone().requires_grad_() for part in parts]
     image = function(*leaves, frames_of(geometry), geometry.panel.rows, geometry.panel.columns, footprint, *cutoff)
-    pull = torch.from_numpy(np.random.default_rng(0).normal(size=image.shape)).to(image)
-    return image.detach(), torch.autograd.grad(image, leaves, pull)
+    cotangent = torch.from_numpy(np.random.default_rng(0).normal(size=image.shape)).to(image)
+    return image.detach(), torch.autograd.grad(image, leaves, cotangent)
 
 
 def needles(count=30, thin=0.02, aspect=1e3):

@@ -32,9 +32,9 @@ def test_every_entry_point_gives_the_formula(seed, columns, sizes):
     out = np.empty(len(model))
     expected_ray(lengths[0], model.columns, model.weights, model.starts, out)
     np.testing.assert_allclose(out, truth.detach()[0], rtol=1e-12)
-    pull = torch.tensor(rng.normal(size=truth.shape))
-    (gradient,) = torch.autograd.grad(truth, leaf, pull)
-    np.testing.assert_allclose(np.einsum("rc,rcm->rm", pull, jacobian), gradient, rtol=1e-9, atol=1e-12)
+    cotangent = torch.tensor(rng.normal(size=truth.shape))
+    (gradient,) = torch.autograd.grad(truth, leaf, cotangent)
+    np.testing.assert_allclose(np.einsum("rc,rcm->rm", cotangent, jacobian), gradient, rtol=1e-9, atol=1e-12)
 
 
 def test_transmit_passes_gradcheck_and_keeps_shape_and_dtype():
@@ -192,3 +192,10 @@ def test_the_bound_is_infinite_where_nothing_can_be_known(transmission_on):
     assert np.isinf(fewer.cramer_rao(np.zeros((2, 3)))).all()  # fewer channels than columns
     blind = Transmission(np.array([[0.0, 0.0], [0.1, 0.4]]), np.ones(2), [0, 1, 2])
     assert np.isinf(blind.cramer_rao([0.0, 0.0])).all()  # a column that nothing attenuates
+
+
+def test_no_rays_have_empty_results_with_all_axes(transmission_on):
+    model, none = transmission_on(64), np.zeros((0, 3))
+    for counts, slopes in (model.expected_and_jacobian(none), model.log_projection_and_slopes(none)):
+        assert counts.shape == (0, len(model))
+        assert slopes.shape == (0, len(model), 3)

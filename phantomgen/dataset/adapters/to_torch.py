@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class ViewSet(TorchDataset):
-    """Some views of a dataset.
+    """Views of a dataset as a map-style dataset of torch.
 
     An item is a dict with ``counts`` and ``line_integrals``, float32 tensors (channel, row, column), and ``view``, its
     number. The file is opened when the first item is read, in each process anew, as open files do not survive a fork.
@@ -33,7 +33,16 @@ class ViewSet(TorchDataset):
 
     @classmethod
     def of(cls, dataset: Dataset, split: str = "train") -> "ViewSet":
-        """The views of a split of an open dataset; ``all`` for all.
+        """Create the view set of a split of an open dataset.
+
+        Parameters
+        ----------
+        dataset : open dataset
+        split : ``train``, ``test``, ``val``, or ``all`` for all views
+
+        Returns
+        -------
+        the view set
 
         Raises
         ------

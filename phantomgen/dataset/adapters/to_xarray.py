@@ -14,7 +14,16 @@ if TYPE_CHECKING:
 
 
 def to_xarray(dataset: "Dataset", views: Sequence[int] | None = None) -> "DataArray":
-    """Counts of some views (default all) with axes (view, channel, row, column) and what is known along them.
+    """Read counts of some views with axes (view, channel, row, column) and coordinates along them.
+
+    Parameters
+    ----------
+    dataset : open dataset
+    views : numbers of the views; all where left out
+
+    Returns
+    -------
+    the counts
 
     Raises
     ------

@@ -26,12 +26,33 @@ _LONGEST_HEAD = 1 << 20
 
 
 def journal_path(out: Path) -> Path:
-    """Name of the journal of a dataset."""
+    """Return the name of the journal of a dataset.
+
+    Parameters
+    ----------
+    out : final name of the dataset
+
+    Returns
+    -------
+    name of the journal
+    """
     return out.with_name(out.name + SUFFIX)
 
 
 def check_journal(out: Path, resume: bool, overwrite: bool) -> None:
-    """Refuse to begin where an interrupted run left its frames, unless told what to do with them."""
+    """Refuse to begin where an interrupted run left its frames, unless given an option for them.
+
+    Parameters
+    ----------
+    out : final name of the dataset
+    resume : go on with these frames
+    overwrite : remove them
+
+    Raises
+    ------
+    InputError
+        When frames exist and neither option is given.
+    """
     path = journal_path(out)
     if path.exists() and not (resume or overwrite):
         raise InputError(f"{path} holds what an interrupted run finished: go on by --resume, or anew by --overwrite")
@@ -92,11 +113,20 @@ class FrameJournal:
         return os.fstat(self._file.fileno()).st_size
 
     def done(self, kind: str) -> int:
-        """How many frames of a kind are there; they are finished in order."""
+        """Return the number of finished frames of a kind; they are finished in order.
+
+        Parameters
+        ----------
+        kind : kind of frame
+
+        Returns
+        -------
+        number of frames
+        """
         return self.finished.get(kind, 0)
 
     def append(self, kind: str, number: int, frame: Frame, needed: float | None = None) -> None:
-        """Add a finished frame.
+        """Append a finished frame.
 
         Parameters
         ----------
@@ -110,7 +140,12 @@ class FrameJournal:
         self.finished[kind] = number + 1
 
     def frames(self) -> Iterator[tuple[str, int, Frame]]:
-        """All frames, in the order in which they were added."""
+        """Yield all frames in the order in which they were appended.
+
+        Yields
+        ------
+        kind, number and frame
+        """
         with self.path.open("rb") as reader:
             for head, body in _records(reader):
                 if "kind" in head:
@@ -151,7 +186,7 @@ class FrameJournal:
         return end
 
     def _is_mine(self, identity: dict[str, str]) -> bool:
-        """Whether frames with this identity are those of this scan."""
+        """Return whether frames with this identity are those of this scan."""
         names = {*identity, *self.identity}
         other = sorted(name for name in names if identity.get(name) != self.identity.get(name))
         if other and not self.overwrite:

@@ -17,7 +17,15 @@ _NXTOMO_VERSION = 1.4
 
 
 def write_aliases(file: h5py.File, spectra: Spectra) -> None:
-    """Add ``/nxtomo_<channel>``; NXtomo knows integer counts and rotation angles only, so other files get none."""
+    """Add ``/nxtomo_<channel>``; files that NXtomo cannot express get none.
+
+    NXtomo knows integer counts and rotation angles only.
+
+    Parameters
+    ----------
+    file : open dataset
+    spectra : channels of the dataset
+    """
     angles = array_at(file, "entry/sample/rotation_angle")[()]
     if not np.issubdtype(array_at(file, f"{DETECTOR}/data").dtype, np.integer) or not np.isfinite(angles).all():
         return

@@ -35,7 +35,7 @@ Splits = dict[str, Int[np.ndarray, " view"]]
 
 
 class DatasetWriter:
-    """A dataset that is being written; use it in a ``with`` statement.
+    """Writer of a dataset; use it in a ``with`` statement.
 
     Parameters
     ----------
@@ -101,7 +101,18 @@ class DatasetWriter:
         scheme: str,
         exposure: Float[np.ndarray, " view"] | Float[np.ndarray, "view channel"] | None = None,
     ) -> None:
-        """Everything about the scan but its counts; the exposure of all views is 1 where none is given."""
+        """Write everything about the scan except its counts.
+
+        Parameters
+        ----------
+        title : name of the scan
+        geometry : nominal poses
+        spectra : the spectral model
+        grid : voxels of the volume to reconstruct
+        splits : indices of the views of each split
+        scheme : name of the split
+        exposure : of each view [and channel]; 1 for all where left out
+        """
         entry = new_group(self.file, "entry", "NXentry", default="data")
         put(entry, "title", title)
         entry["start_time"] = h5py.SoftLink("/entry/process_1_simulate/date")
@@ -120,7 +131,7 @@ class DatasetWriter:
         write_grid(new_group(entry, "reconstruction_grid", "NXcollection"), grid)
 
     def write_instrument(self, geometry: Geometry, spectra: Spectra, source: dict[str, tuple[Any, str | None]]) -> None:
-        """Detector and source.
+        """Write detector and source.
 
         Parameters
         ----------
@@ -145,13 +156,31 @@ class DatasetWriter:
             put(group, name, value, units)
 
     def write_mask(self, channels: tuple[str, ...], mask: UInt32[np.ndarray, "row column"] | None) -> None:
-        """Which pixels do not measure; nothing where there is no mask."""
+        """Write the pixels that do not measure; nothing where there is no mask.
+
+        Parameters
+        ----------
+        channels : names of the channels
+        mask : bits of each pixel; None for no mask
+        """
         write_mask(self.file, channels, mask)
 
     def new_counts(
         self, shape: tuple[int, int, int, int], flats: int, darks: int, noise: bool, units: str = "counts"
     ) -> dict[str, h5py.Dataset]:
-        """Empty arrays ``data``, ``flat`` and ``dark``, to be filled by `write_image`."""
+        """Create empty arrays ``data``, ``flat`` and ``dark``, to be filled by `write_image`.
+
+        Parameters
+        ----------
+        shape : views, channels, rows, columns
+        flats, darks : number of open-beam frames and of frames without beam
+        noise : whether counts have noise
+        units : unit of the values
+
+        Returns
+        -------
+        arrays by name
+        """
         dtype = np.int32 if noise and units == "counts" else np.float32
         instrument = group_at(self.file, "entry/instrument")
         how = (dtype, units, self.compression)
@@ -161,23 +190,56 @@ class DatasetWriter:
         return {"data": data, "flat": flat, "dark": dark}
 
     def new_expected(self, shape: tuple[int, int, int, int], units: str = "counts") -> h5py.Dataset:
-        """Empty array for the counts without noise, in the truth."""
+        """Create an empty array for the counts without noise, in the truth.
+
+        Parameters
+        ----------
+        shape : views, channels, rows, columns
+        units : unit of the values
+
+        Returns
+        -------
+        the array
+        """
         return new_frames(truth_group(self.file), "expected", shape, np.float32, units, self.compression)
 
     def write_truth(self, truth: Truth | StreamedTruth, materials: tuple[Material, ...]) -> None:
-        """Write the truth."""
+        """Write the truth.
+
+        Parameters
+        ----------
+        truth : the truth, whole or in slabs
+        materials : the materials
+        """
         write_truth(self.file, truth, materials, self.compression)
 
     def write_plan(self, text: str) -> None:
-        """How finely the scan was computed and how wrong that is, as JSON."""
+        """Write the plan of the simulation and its errors as JSON.
+
+        Parameters
+        ----------
+        text : the JSON
+        """
         put_note(truth_group(self.file), "plan", text, "application/json")
 
     def write_true_geometry(self, geometry: Geometry, sample: Float[np.ndarray, "view 4 4"] | None) -> None:
-        """Write true poses beside the nominal ones, and those of a sample that moved."""
+        """Write true poses beside the nominal ones, and those of a sample that moved.
+
+        Parameters
+        ----------
+        geometry : true poses
+        sample : matrices of the sample's poses [mm]; None where it did not move
+        """
         write_true_geometry(truth_group(self.file), geometry, sample)
 
     def write_process(self, command: str, seed: int) -> None:
-        """How the file was made; nothing about the object."""
+        """Write how the file was made; nothing about the object.
+
+        Parameters
+        ----------
+        command : the command
+        seed : of the noise
+        """
         process = new_group(group_at(self.file, "entry"), "process_1_simulate", "NXprocess")
         put(process, "program", "phantomgen")
         put(process, "version", program_version())
@@ -188,7 +250,12 @@ class DatasetWriter:
         put_note(process, "environment", json.dumps(environment(), indent=1), "application/json")
 
     def finish(self, spectra: Spectra) -> None:
-        """Add the default plot and the views of the file that other programs look for."""
+        """Add the default plot and the aliases that other programs read.
+
+        Parameters
+        ----------
+        spectra : the spectral model
+        """
         data = new_group(
             group_at(self.file, "entry"), "data", "NXdata", signal="data", axes=("view", "channel", ".", ".")
         )
@@ -200,7 +267,17 @@ class DatasetWriter:
 
 
 def check_dataset_name(path: Path) -> None:
-    """Refuse a name that would hide that a dataset is HDF5, before any work is done."""
+    """Refuse a name that would hide that a dataset is HDF5, before any work is done.
+
+    Parameters
+    ----------
+    path : name of the dataset
+
+    Raises
+    ------
+    InputError
+        When the name does not end as those of HDF5 files do.
+    """
     if path.suffix.lower() in SUFFIXES or path.is_dir():
         return
     volume = next((end for end in (".nii.gz", ".nii", ".vti") if path.name.lower().endswith(end)), "")
@@ -210,7 +287,19 @@ def check_dataset_name(path: Path) -> None:
 
 
 def check_output(path: Path, overwrite: bool, option: str = "--out") -> None:
-    """Refuse an output that exists or has no folder, before any work is done; `option` is what names it."""
+    """Refuse an output that exists or has no folder, before any work is done.
+
+    Parameters
+    ----------
+    path : name of the output
+    overwrite : whether an existing file may be replaced
+    option : option that names the output, for the message
+
+    Raises
+    ------
+    InputError
+        When the output cannot be written.
+    """
     if path.is_dir():
         raise InputError(f"the output {path} is a folder: name a file in it, such as {path / 'scan.h5'}")
     if path.exists() and not overwrite:

@@ -15,12 +15,16 @@ from phantomgen.runtime.versions import program_version
 
 
 def dataset_report(path: Path, air: str | None = None) -> Page:
-    """A page about a dataset.
+    """Create the page about a dataset.
 
     Parameters
     ----------
     path : of the dataset
     air : a part of the panel that sees only air, for lack of flats
+
+    Returns
+    -------
+    the page
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How a dataset was computed: plan, measured error, and where it comes from."""
+"""Provenance of a dataset: plan, measured error, and the programs that wrote it."""
 
 import json
 from typing import Any
@@ -18,14 +18,32 @@ _ERRORS = {
 
 
 def plan_of(dataset: Dataset) -> dict[str, Any]:
-    """The plan, as the file keeps it; empty where it has none."""
+    """Read the plan of the simulation.
+
+    Parameters
+    ----------
+    dataset : open dataset
+
+    Returns
+    -------
+    the plan; empty where the file has none
+    """
     if "truth/plan/data" not in dataset.file:
         return {}
     return json.loads(text_of(array_at(dataset.file, "truth/plan/data")[()]))
 
 
 def plan_parts(dataset: Dataset) -> list[Part]:
-    """Errors of all parts against their shares, and what was measured."""
+    """Create the parts about the errors of the plan against their shares, and the measured error.
+
+    Parameters
+    ----------
+    dataset : open dataset
+
+    Returns
+    -------
+    parts of the page
+    """
     plan = plan_of(dataset)
     if not plan:
         return []
@@ -49,7 +67,16 @@ def plan_parts(dataset: Dataset) -> list[Part]:
 
 
 def provenance_parts(dataset: Dataset) -> list[Part]:
-    """Programs that wrote the file, with their seeds and environments."""
+    """Create the parts about the programs that wrote the file, with their seeds and environments.
+
+    Parameters
+    ----------
+    dataset : open dataset
+
+    Returns
+    -------
+    parts of the page
+    """
     processes = [(name, item) for name, item in dataset.file["entry"].items() if name.startswith("process_")]  # type: ignore[union-attr]
     found: list[Part] = []
     for name, group in processes:

@@ -1,4 +1,4 @@
-"""How a dataset was scanned: geometry, energies, views."""
+"""Parts of the page about the scan: geometry, energies, views."""
 
 from pathlib import Path
 
@@ -16,7 +16,17 @@ MOST_CHANNELS = 6  # in one picture of a view
 
 
 def geometry_parts(dataset: Dataset, folder: Path) -> list[Part]:
-    """The orbit, with its poses as a table."""
+    """Create the parts about the orbit, with its poses as a table.
+
+    Parameters
+    ----------
+    dataset : open dataset
+    folder : folder for the pictures
+
+    Returns
+    -------
+    parts of the page
+    """
     path = folder / "geometry.svg"
     geometry = dataset.geometry
     draw(geometry, path, dataset.grid, upright=True)
@@ -28,7 +38,17 @@ def geometry_parts(dataset: Dataset, folder: Path) -> list[Part]:
 
 
 def energy_parts(dataset: Dataset, folder: Path) -> list[Part]:
-    """Spectrum, channels and bases."""
+    """Create the parts about spectrum, channels and bases.
+
+    Parameters
+    ----------
+    dataset : open dataset
+    folder : folder for the pictures
+
+    Returns
+    -------
+    parts of the page
+    """
     s, path = dataset.spectra, folder / "spectrum.svg"
     spectrum(
         s.energy, s.edges, s.source, s.response, s.channels, s.basis.names, s.basis_values, path, s.basis.breaks,
@@ -48,7 +68,17 @@ def energy_parts(dataset: Dataset, folder: Path) -> list[Part]:
 
 
 def view_parts(dataset: Dataset, folder: Path) -> list[Part]:
-    """The first view and the flats per channel, and the sinograms."""
+    """Create the parts about the first view and the flats per channel, and the sinograms.
+
+    Parameters
+    ----------
+    dataset : open dataset
+    folder : folder for the pictures
+
+    Returns
+    -------
+    parts of the page
+    """
     s = dataset.spectra
     shown = slice(0, MOST_CHANNELS)
     seen = np.where(dataset.mask, np.nan, 1.0)

@@ -1,4 +1,4 @@
-"""What was scanned: true volumes and materials."""
+"""Parts of the page about the truth: true volumes and materials."""
 
 from pathlib import Path
 
@@ -15,7 +15,17 @@ PLANES = (("axial", "x", "y"), ("coronal", "x", "z"), ("sagittal", "y", "z"))
 
 
 def truth_parts(truth: Truth, folder: Path) -> list[Part]:
-    """Slices, materials, and the scene as text."""
+    """Create the parts about slices, materials, and the scene as text.
+
+    Parameters
+    ----------
+    truth : the truth
+    folder : folder for the pictures
+
+    Returns
+    -------
+    parts of the page
+    """
     path = truth_slices(truth, folder / "truth.svg")
     caption = "Middle slices of the true basis volumes, in 1/mm at 70 keV. The table has the range of each."
     found: list[Part] = [picture(path, caption), _materials(truth)]
@@ -23,7 +33,17 @@ def truth_parts(truth: Truth, folder: Path) -> list[Part]:
 
 
 def truth_slices(truth: Truth, path: Path) -> Path:
-    """A row per basis, a column per plane, one scale per row; with a CSV."""
+    """Draw slices of the true basis volumes: a row per basis, a column per plane, one scale per row; with a CSV.
+
+    Parameters
+    ----------
+    truth : the truth
+    path : the picture
+
+    Returns
+    -------
+    path of the picture
+    """
     names, grid = truth.basis_names, truth.grid
     middle = [n // 2 for n in grid.shape]
     size = np.multiply(grid.shape, grid.spacing)

@@ -1,4 +1,4 @@
-"""The energies of a dataset as a picture: what the source sends, what channels count of it, and the basis functions."""
+"""Figure of the energies of a dataset: source, counts of the channels, and basis functions."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -23,16 +23,22 @@ def spectrum(
     k_edges: Sequence[float] = (),
     width: float = WIDTH,
 ) -> Path:
-    """Source and what each channel counts of it, per keV, above the basis functions; with a CSV of all bins.
+    """Draw source and counts of each channel, per keV, above the basis functions; with a CSV of all bins.
 
     Parameters
     ----------
-    energy, edges : mean energy and borders of the bins [keV]
+    energy, edges : mean energy and limits of the bins [keV]
     source : incident photons per bin
     response : counts per photon
+    channel_names, basis_names : names for the legends
     basis_values : basis functions at `energy` [no unit]
+    path : the picture
     k_edges : energies to mark [keV], `Basis.breaks`
     width : of the picture [inch]
+
+    Returns
+    -------
+    path of the picture
     """
     counted = source * response
     columns = {"energy_keV": energy, "bin_low_keV": edges[:-1], "bin_high_keV": edges[1:], "source": source}

@@ -39,7 +39,7 @@ class _Side:
 def draw(
     geometry: Geometry, path: Path | str | None = None, grid: Grid | None = None, upright: bool = False
 ) -> "Figure":
-    """Draw a scan: the way of source and panel, and view 0 with its fan.
+    """Draw a scan: path of source and panel, and view 0 with its fan.
 
     Parameters
     ----------
@@ -47,6 +47,10 @@ def draw(
     path : PNG, PDF or SVG to write; none is written where left out
     grid : a volume to draw with it
     upright : one below the other, for a narrow page, in place of side by side
+
+    Returns
+    -------
+    the figure
     """
     if path is not None:
         check_picture(Path(path))
@@ -81,7 +85,20 @@ def draw(
 
 
 def drawn_sources(geometry: Geometry, grid: Grid | None) -> Points:
-    """Source of each view; in a parallel beam a point on the central ray, as far before the axis as things are big."""
+    """Return the source of each view as it is drawn.
+
+    In a parallel beam it is a point on the central ray, at a distance before the axis that depends on the size of the
+    drawing.
+
+    Parameters
+    ----------
+    geometry : poses
+    grid : volume in the drawing
+
+    Returns
+    -------
+    points [mm], (view, 3)
+    """
     if geometry.ray_direction is None:
         return geometry.source
     panel = geometry.panel
@@ -92,9 +109,18 @@ def drawn_sources(geometry: Geometry, grid: Grid | None) -> Points:
 
 
 def field_of_view(geometry: Geometry) -> float:
-    """Radius about the rotation axis [mm] that rays to the panel's middle row pass by on both sides in every view.
+    """Compute the radius of the field of view in the panel's middle row.
 
-    0 where the panel leaves the axis out in some view.
+    Rays to the middle row pass by this circle about the rotation axis on both sides in every view. The radius is 0
+    where the panel does not contain the axis in some view.
+
+    Parameters
+    ----------
+    geometry : poses
+
+    Returns
+    -------
+    radius [mm]
     """
     frames, panel = geometry.ray_frames(), geometry.panel
     sides = []

@@ -1,4 +1,4 @@
-"""A picture of a material: mu(E) from tables, its fit in the basis, and the error between the two."""
+"""Figure of a material: mu(E) from tables, its fit in the basis, and the error between the two."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,11 +12,21 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _TICKS = (20, 30, 40, 50, 60, 80, 100, 140)
-_BESIDE_EDGE = 0.01  # keV, so that edges stand upright
+_BESIDE_EDGE = 0.01  # keV, so that edges are vertical
 
 
 def write_figure(fit: MaterialFit, path: Path | str) -> Path:
-    """Write mu(E), its parts and the fit on logarithmic axes, and the relative error below, as PNG, PDF or SVG."""
+    """Draw mu(E), its parts and the fit on logarithmic axes, and the relative error below, as PNG, PDF or SVG.
+
+    Parameters
+    ----------
+    fit : material and its fit
+    path : the picture
+
+    Returns
+    -------
+    path of the picture
+    """
     path = Path(path)
     check_picture(path)
     with figure_file(path, (6.5, 5.5)) as figure:

@@ -1,4 +1,4 @@
-"""A picture of the energies of a scan: the source, what each channel counts, the basis functions, and K edges."""
+"""Figure of the energies of a scan: source, counts of the channels, basis functions, and K edges."""
 
 from math import floor
 from pathlib import Path
@@ -16,12 +16,22 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 BIN = 0.5  # keV, in which photons are drawn: lines stand out as bins, and areas stay photons
-_BESIDE_EDGE = 0.01  # keV, so that edges stand upright
+_BESIDE_EDGE = 0.01  # keV, so that edges are vertical
 _UNSEEN = 1e-4  # part of the photons that lies to the left of the picture
 
 
 def write_figure(scan: Scan, path: Path | str) -> Path:
-    """Write photons of the source, counts of the channels and basis functions over energy, as PNG, PDF or SVG."""
+    """Draw photons of the source, counts of the channels and basis functions over energy, as PNG, PDF or SVG.
+
+    Parameters
+    ----------
+    scan : the scan
+    path : the picture
+
+    Returns
+    -------
+    path of the picture
+    """
     path = Path(path)
     check_picture(path)
     low = _lowest(scan)
@@ -42,7 +52,17 @@ def write_figure(scan: Scan, path: Path | str) -> Path:
 
 
 def scene_edges(scan: Scan, low: float) -> dict[str, float]:
-    """K edges of the materials and of the basis from `low` to the highest energy, by element or name [keV]."""
+    """Return the K edges of the materials and of the basis from `low` to the highest energy.
+
+    Parameters
+    ----------
+    scan : the scan
+    low : lowest energy [keV]
+
+    Returns
+    -------
+    energies [keV] by element or name
+    """
     compositions = [m.composition for m in scan.scene.materials if m.composition is not None]
     elements = {symbol(number) for c in compositions for number, _ in mass_fractions(c)}
     edges = {e: edge_energy(e) for e in elements if k_edges(e, low, scan.source.maximum)}
@@ -116,7 +136,14 @@ def _draw_basis(axes: "Axes", scan: Scan, low: float) -> None:
 
 
 def draw_edges(panels: list["Axes"], scan: Scan, low: float) -> None:
-    """Draw the K edges above `low` [keV] through all panels, and name them on top of the first one."""
+    """Draw the K edges through all panels, with their names above the first one.
+
+    Parameters
+    ----------
+    panels : axes, the upper one first
+    scan : the scan
+    low : lowest energy [keV]
+    """
     for name, edge in scene_edges(scan, low).items():
         for axes in panels:
             axes.axvline(edge, color="0.35", linewidth=0.8, linestyle=(0, (2, 2)), zorder=1.5)

@@ -1,4 +1,4 @@
-"""How every picture looks and is written: one column wide, readable in print, safe for the colour-blind."""
+"""Style of all figures: one column wide, readable in print, safe for the colour-blind."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,7 +34,7 @@ _STYLE: Any = {
     "image.interpolation": "nearest",
 }
 GRAY, BLUE, BLACK, RED, GRID = "0.6", "#0072B2", "black", "#D55E00", "0.9"
-# Colours that the colour-blind tell apart (Okabe and Ito), each with dashes of its own.
+# Colours that the colour-blind can distinguish (Okabe and Ito), each with dashes of its own.
 LINES = (
     *(("#0072B2", (0, (4, 2))), ("#E69F00", (0, (1, 1))), ("#009E73", (0, (5, 1, 1, 1))), ("#CC79A7", (0, (2, 2)))),
     *(("#56B4E9", (0, (6, 1))), ("#F0E442", (0, (3, 1, 1, 1, 1, 1))), ("black", (0, (1, 2)))),
@@ -53,6 +53,10 @@ _STAMPS = {
 def check_picture(path: Path) -> None:
     """Refuse a picture that cannot be written.
 
+    Parameters
+    ----------
+    path : the picture
+
     Raises
     ------
     InputError
@@ -64,7 +68,7 @@ def check_picture(path: Path) -> None:
 
 
 def _kind_of(path: Path) -> str:
-    """Format that the suffix of a picture asks for."""
+    """Return the format of a picture by its suffix."""
     kind = path.suffix.removeprefix(".")
     if kind not in _STAMPS:
         raise InputError(f"a picture ends in .png, .pdf or .svg, got {path.name!r}")
@@ -73,12 +77,16 @@ def _kind_of(path: Path) -> str:
 
 @contextmanager
 def styled_figure(inches: tuple[float, float], **style: Any) -> Iterator["Figure"]:
-    """A figure in the house style, whatever backend the process uses and without any display.
+    """Yield a figure in the common style; it requires no display, and the backend of the process does not matter.
 
     Parameters
     ----------
-    inches : width and height
-    style : settings of matplotlib that replace those of the house style
+    inches : width and height [inch]
+    **style : settings of matplotlib that replace those of the common style
+
+    Yields
+    ------
+    the figure
     """
     from matplotlib import rc_context  # noqa: PLC0415 - half a second
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
@@ -92,7 +100,17 @@ def styled_figure(inches: tuple[float, float], **style: Any) -> Iterator["Figure
 
 @contextmanager
 def figure_file(path: Path, inches: tuple[float, float]) -> Iterator["Figure"]:
-    """A figure that is written at the end: PNG, PDF, or SVG without a background, for pages."""
+    """Yield a figure that is written at the end: PNG, PDF, or SVG without a background, for pages.
+
+    Parameters
+    ----------
+    path : the picture
+    inches : width and height [inch]
+
+    Yields
+    ------
+    the figure
+    """
     kind = _kind_of(Path(path))
     with styled_figure(inches, **(_SCALABLE if kind == "svg" else {})) as figure:
         yield figure
@@ -102,7 +120,13 @@ def figure_file(path: Path, inches: tuple[float, float]) -> Iterator["Figure"]:
 
 
 def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
-    """Equally long columns, beside the picture."""
+    """Write columns of equal length as CSV beside the picture.
+
+    Parameters
+    ----------
+    path : the picture or the CSV file
+    columns : values by name
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     table = np.column_stack(list(columns.values()))
@@ -111,14 +135,29 @@ def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
 
 
 def few_ticks(steps: int = 5) -> Any:
-    """Round numbers with at most so many steps between them."""
+    """Return a locator of round numbers.
+
+    Parameters
+    ----------
+    steps : largest number of steps between ticks
+
+    Returns
+    -------
+    locator of matplotlib
+    """
     from matplotlib.ticker import MaxNLocator  # noqa: PLC0415
 
     return MaxNLocator(steps, steps=[1, 2, 5, 10])
 
 
 def decades_or_zero(ax: Any, values: np.ndarray) -> None:
-    """Make the vertical axis logarithmic where positive values span a decade; else it begins at 0."""
+    """Make the vertical axis logarithmic where positive values span a decade; otherwise begin it at 0.
+
+    Parameters
+    ----------
+    ax : axes of matplotlib
+    values : values that are drawn
+    """
     positive = values[values > 0]
     if positive.max(initial=0.0) > 10 * positive.min(initial=np.inf):
         ax.set_yscale("log")
@@ -128,7 +167,16 @@ def decades_or_zero(ax: Any, values: np.ndarray) -> None:
 
 
 def channel_colours(count: int) -> Any:
-    """Distinct colours in order of energy, dark to light."""
+    """Return distinct colours in order of energy, dark to light.
+
+    Parameters
+    ----------
+    count : number of colours
+
+    Returns
+    -------
+    colours
+    """
     from matplotlib import colormaps  # noqa: PLC0415
 
     return colormaps["viridis"](np.linspace(0.05, 0.9, count))

@@ -1,4 +1,4 @@
-"""A picture of chosen thresholds: the least noise against each of them, the others in their best places."""
+"""Figure of chosen thresholds: the least noise against each of them, with the others at their best values."""
 
 from pathlib import Path
 
@@ -13,7 +13,19 @@ _HIGHEST = 1.6  # times the least noise
 
 
 def write_figure(choice: ThresholdChoice, path: Path | str) -> Path:
-    """Write the bound over each threshold as PNG, PDF or SVG; dots are the choice, the dashed line what was before."""
+    """Draw the bound over each threshold as PNG, PDF or SVG.
+
+    Dots are the chosen thresholds; the dashed line is the bound of the thresholds before.
+
+    Parameters
+    ----------
+    choice : chosen thresholds
+    path : the picture
+
+    Returns
+    -------
+    path of the picture
+    """
     path = Path(path)
     check_picture(path)
     candidates, chosen = choice.candidates, choice.chosen

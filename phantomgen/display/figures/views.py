@@ -1,4 +1,4 @@
-"""Pictures of what a scan measured: single views, and sinograms of one row of pixels."""
+"""Figures of measured data: single views, and sinograms of one row of pixels."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,13 +21,19 @@ LOG = "−log(counts / open beam)"
 def view_images(
     columns: Sequence[tuple[str, Real[np.ndarray, "channel row column"]]], channels: Sequence[str], path: Path
 ) -> Path:
-    """One view, a row of images per channel; images of the same title share a scale within a row. With a CSV of ranges.
+    """Draw one view, a row of images per channel; with a CSV of ranges.
+
+    Images of the same title have one scale within a row.
 
     Parameters
     ----------
     columns : titles and images, such as counts and log projections; NaN where a pixel does not measure
     channels : names
     path : of the picture
+
+    Returns
+    -------
+    path of the picture
     """
     titles = [title for title, _ in columns]
     groups = {title.partition(", ")[0]: None for title in titles}
@@ -55,7 +61,19 @@ def view_images(
 
 
 def sinograms(dataset: Dataset, path: Path) -> Path:
-    """Log projections of the middle row of pixels in the training views, per channel, with a CSV of the first one."""
+    """Draw log projections of the middle row of pixels in the training views, per channel.
+
+    A CSV of the first channel lies beside the picture.
+
+    Parameters
+    ----------
+    dataset : open dataset
+    path : the picture
+
+    Returns
+    -------
+    path of the picture
+    """
     views, up, label = _ordered(dataset)
     row = dataset.counts.shape[2] // 2
     images = np.stack([dataset.line_integrals(int(view))[:, row] for view in views], axis=1)

@@ -1,4 +1,4 @@
-"""Pages for people: figures, tables and words in one HTML file that needs nothing else."""
+"""HTML pages with figures, tables and text in one file that requires no other file."""
 
 from phantomgen.display.html.content import Code, Page, Part, Picture, Section, Table, Words, picture
 from phantomgen.display.html.output import check_page, write_page

@@ -1,4 +1,4 @@
-"""What a page consists of."""
+"""Parts of a page: figures, tables, text."""
 
 import io
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from typing import ClassVar
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure.
+    """Figure of a page.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Table:
-    """Numbers in rows.
+    """Table of a page.
 
     Parameters
     ----------
@@ -55,7 +55,12 @@ class Table:
 
 @dataclass(frozen=True)
 class Words:
-    """A paragraph."""
+    """Paragraph of a page.
+
+    Parameters
+    ----------
+    text : the paragraph
+    """
 
     kind: ClassVar[str] = "words"
     text: str
@@ -63,7 +68,13 @@ class Words:
 
 @dataclass(frozen=True)
 class Code:
-    """A long text that is folded away under a heading."""
+    """Long text that is folded below a heading.
+
+    Parameters
+    ----------
+    heading : the heading
+    text : the text
+    """
 
     kind: ClassVar[str] = "code"
     heading: str
@@ -75,7 +86,7 @@ Part = Picture | Table | Words | Code
 
 @dataclass(frozen=True)
 class Section:
-    """A chapter of a page.
+    """Chapter of a page.
 
     Parameters
     ----------
@@ -89,15 +100,16 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole page.
+    """Whole page.
 
     Parameters
     ----------
     title : large, on top
-    subtitle : what it is about, below
-    facts : a few numbers that matter most, as (number, what it is)
+    subtitle : subject of the page, below the title
+    facts : the most important numbers, as (number, its meaning)
     sections : in their order
-    footer : where it comes from
+    footer : origin of the page
+    left_out : names of parts that could not be made, and why
     """
 
     title: str
@@ -109,14 +121,36 @@ class Page:
 
 
 def picture(path: Path, caption: str, csv: str = "", wide: bool = False) -> Picture:
-    """A figure that was written as SVG, with its numbers: those given, or those in the CSV beside it."""
+    """Create a figure from an SVG file, with its numbers: those given, or those in the CSV beside it.
+
+    Parameters
+    ----------
+    path : the SVG file
+    caption : what the figure shows
+    csv : its numbers; those of the CSV file where left out
+    wide : whether it takes the whole width of the page
+
+    Returns
+    -------
+    the figure
+    """
     numbers = path.with_suffix(".csv")
     text = csv or (numbers.read_text(encoding="utf-8") if numbers.is_file() else "")
     return Picture(path.read_text(encoding="utf-8"), caption, path.stem, text, wide)
 
 
 def csv_of(header: Sequence[object], rows: Sequence[Sequence[object]]) -> str:
-    """Rows as text with commas."""
+    """Write rows as comma-separated text.
+
+    Parameters
+    ----------
+    header : of the columns
+    rows : cells
+
+    Returns
+    -------
+    the text
+    """
     out = io.StringIO()
     writer(out, lineterminator="\n").writerows([header, *rows])
     return out.getvalue()

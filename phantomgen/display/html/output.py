@@ -1,4 +1,4 @@
-"""Where a page goes."""
+"""Output of pages."""
 
 import os
 from pathlib import Path
@@ -10,6 +10,11 @@ from spectra.errors import InputError
 
 def check_page(path: Path, overwrite: bool) -> None:
     """Refuse a page that cannot be written, before any work.
+
+    Parameters
+    ----------
+    path : the page
+    overwrite : whether an existing file may be replaced
 
     Raises
     ------
@@ -27,7 +32,22 @@ def check_page(path: Path, overwrite: bool) -> None:
 
 
 def write_page(page: Page, path: Path) -> int:
-    """Write a page beside its name, then rename; returns its size [byte]."""
+    """Write a page beside its name, then rename it.
+
+    Parameters
+    ----------
+    page : the page
+    path : its file
+
+    Returns
+    -------
+    size [byte]
+
+    Raises
+    ------
+    InputError
+        When the page cannot be written.
+    """
     part = path.with_name(path.name + ".part")
     try:
         part.write_text(render(page), encoding="utf-8")

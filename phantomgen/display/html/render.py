@@ -1,4 +1,4 @@
-"""From a page to its HTML."""
+"""Conversion of a page to HTML."""
 
 import base64
 import re
@@ -10,7 +10,16 @@ _LARGEST = 1.45  # a figure is shown at most so many times larger than it was dr
 
 
 def render(page: Page) -> str:
-    """The page as text; everything that it shows is in it."""
+    """Convert a page to HTML that contains everything it shows.
+
+    Parameters
+    ----------
+    page : the page
+
+    Returns
+    -------
+    the HTML
+    """
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - only where a page is written
 
     environment = Environment(

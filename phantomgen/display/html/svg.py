@@ -8,7 +8,7 @@ _SIZE = re.compile(r'width="([0-9.]+)pt" height="[0-9.]+pt"')
 
 
 def adapted(svg: str, prefix: str) -> str:
-    """An SVG that matplotlib wrote, to stand in a page beside others.
+    """Adapt an SVG of matplotlib for a page with other figures.
 
     Parameters
     ----------
@@ -29,7 +29,16 @@ def adapted(svg: str, prefix: str) -> str:
 
 
 def natural_width(svg: str) -> float:
-    """Width that a figure was drawn for [pt]."""
+    """Return the width that a figure was drawn for.
+
+    Parameters
+    ----------
+    svg : the SVG
+
+    Returns
+    -------
+    width [pt]
+    """
     found = _SIZE.search(svg)
     return float(found[1]) if found else 0.0
 

@@ -1,4 +1,4 @@
-"""What there is to see of a scan, as numbers: planes of its volumes, bounds of its objects, the way of its source."""
+"""Content of the viewer as numbers: planes of volumes, bounds of objects, path of the source."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -21,13 +21,13 @@ _FULL_TURN = 2 * np.pi
 
 @dataclass(frozen=True, eq=False)
 class Content:
-    """What is shown of a scan.
+    """Content of the viewer for one scan.
 
     Parameters
     ----------
     name : of the scan
     geometry : poses of all views
-    grid : voxels of the truth, or of the volume asked for where there is no truth
+    grid : voxels of the truth, or of the volume to reconstruct where there is no truth
     truth : basis volumes and material fractions
     at : where the planes x, y and z cut the volumes [mm]
     """
@@ -51,7 +51,7 @@ class Content:
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """One layer of voxels across an axis.
+    """Layer of voxels across an axis.
 
     Parameters
     ----------
@@ -68,14 +68,23 @@ class Plane:
     high: Triple
 
     def thinned(self, most: int) -> "Plane":
-        """The same layer with no more than `most` voxels along an edge, some of its own."""
+        """Select some voxels of the layer.
+
+        Parameters
+        ----------
+        most : largest number of voxels along an edge
+
+        Returns
+        -------
+        the layer with fewer voxels
+        """
         picks = (((np.arange(k := min(n, most)) + 0.5) * n / k).astype(int) for n in self.values.shape)
         return replace(self, values=self.values[np.ix_(*picks)])
 
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """The part of a volume that one material fills, cut out with one empty voxel around it.
+    """Part of a volume that one material fills, cut out with one empty voxel around it.
 
     Parameters
     ----------
@@ -94,7 +103,16 @@ class Material:
     level: float
 
     def coarsened(self, most: int) -> "Material":
-        """The same in larger voxels, about `most` along the longest edge; means keep the surface where it is."""
+        """Average the part over larger voxels; means leave the surface in its place.
+
+        Parameters
+        ----------
+        most : number of voxels along the longest edge, about
+
+        Returns
+        -------
+        the part in larger voxels
+        """
         factor = -(-max(self.grid.shape) // most)
         if factor <= 1:
             return self
@@ -108,14 +126,34 @@ class Material:
 
 
 def limits(grid: Grid) -> Limits:
-    """Smallest and largest (x, y, z), outer edges of the voxels [mm]."""
+    """Return the smallest and largest (x, y, z) of a grid, outer edges of the voxels.
+
+    Parameters
+    ----------
+    grid : the voxels
+
+    Returns
+    -------
+    corners [mm]
+    """
     low = [o - s / 2 for o, s in zip(grid.origin, grid.spacing, strict=True)]
     high = [a + n * s for a, n, s in zip(low, grid.shape, grid.spacing, strict=True)]
     return _triple(low[::-1]), _triple(high[::-1])
 
 
 def planes(volume: Float[np.ndarray, "z y x"], grid: Grid, at: Triple) -> Iterator[Plane]:
-    """The layers of voxels that hold the point `at` (x, y, z) [mm]: across x, across y and across z."""
+    """Yield the layers of voxels that contain a point: across x, across y and across z.
+
+    Parameters
+    ----------
+    volume : values, (z, y, x)
+    grid : the voxels
+    at : the point (x, y, z) [mm]
+
+    Yields
+    ------
+    the three layers
+    """
     low, high = (np.array(corner) for corner in limits(grid))
     for axis, position in zip("xyz", at, strict=True):
         array_axis, i, layer = "zyx".index(axis), "xyz".index(axis), layer_at(grid, axis, position)
@@ -126,23 +164,51 @@ def planes(volume: Float[np.ndarray, "z y x"], grid: Grid, at: Triple) -> Iterat
 
 
 def layer_at(grid: Grid, axis: str, position: float) -> int:
-    """Index of the layer across an axis that holds a position [mm], the first or last one beyond them."""
+    """Return the index of the layer across an axis that contains a position.
+
+    Parameters
+    ----------
+    grid : the voxels
+    axis : ``"x"``, ``"y"`` or ``"z"``
+    position : along the axis [mm]
+
+    Returns
+    -------
+    index; the first or last one for positions outside
+    """
     i = "zyx".index(axis)
     edge = grid.origin[i] - grid.spacing[i] / 2
     return int(np.clip((position - edge) // grid.spacing[i], 0, grid.shape[i] - 1))
 
 
 def materials(truth: Truth) -> list[Material]:
-    """All materials that fill a part of the volume.
+    """Return all materials that fill a part of the volume.
 
     The surface lies where a voxel is half full, or half as full as it gets where a material is thinner than a voxel.
+
+    Parameters
+    ----------
+    truth : the truth
+
+    Returns
+    -------
+    the materials
     """
     boxes = {i: box_of(fraction) for i, fraction in enumerate(truth.fractions) if fraction.any()}
     return [_material(truth, i, boxes) for i in boxes]
 
 
 def object_limits(truth: Truth) -> Limits | None:
-    """Smallest and largest (x, y, z) of what is not empty [mm], None where everything is."""
+    """Return the smallest and largest (x, y, z) of the voxels that are not empty.
+
+    Parameters
+    ----------
+    truth : the truth
+
+    Returns
+    -------
+    corners [mm]; None where all voxels are empty
+    """
     filled = np.logical_or.reduce(truth.fractions)
     if not filled.any():
         return None
@@ -151,7 +217,16 @@ def object_limits(truth: Truth) -> Limits | None:
 
 
 def round_scale(top: float) -> tuple[float, int]:
-    """End of a colour bar that begins at 0 and holds `top`, and how many ticks at round numbers it has."""
+    """Choose the end of a colour bar that begins at 0 and contains `top`, and the number of its ticks.
+
+    Parameters
+    ----------
+    top : largest value
+
+    Returns
+    -------
+    end of the bar, and number of ticks at round values
+    """
     if not top > 0:
         return 1.0, 3
     decade = 10.0 ** np.floor(np.log10(top))
@@ -162,7 +237,16 @@ def round_scale(top: float) -> tuple[float, int]:
 
 
 def usual_top(values: Float32[np.ndarray, "z y x"]) -> float:
-    """Largest value, or what all but 1 % of the filled voxels stay below where metal would drown the rest."""
+    """Return the largest value, or the 99th percentile of the filled voxels where metal exceeds all else.
+
+    Parameters
+    ----------
+    values : values, (z, y, x)
+
+    Returns
+    -------
+    upper end of a colour scale
+    """
     filled = values[values > 0]
     if not filled.size:
         return 0.0
@@ -171,10 +255,19 @@ def usual_top(values: Float32[np.ndarray, "z y x"]) -> float:
 
 
 def source_path(geometry: Geometry, grid: Grid | None = None) -> Float[np.ndarray, "point 3"]:
-    """Curve through all source points in the order of the angle, an arc for a circular orbit [mm].
+    """Compute the curve through all source points in the order of the angle, an arc for a circular orbit.
 
     In a parallel beam it goes where `drawn_sources` has its start, which depends on the size of the volume `grid`.
     It is closed when the gap between its ends is no larger than twice that between other views.
+
+    Parameters
+    ----------
+    geometry : poses
+    grid : volume in the drawing
+
+    Returns
+    -------
+    points [mm]
     """
     source = drawn_sources(geometry, grid)
     if geometry.kind not in {"circular", "parallel"} or len(source) < 2:
@@ -195,7 +288,17 @@ def source_path(geometry: Geometry, grid: Grid | None = None) -> Float[np.ndarra
 
 
 def panel_corners(geometry: Geometry, view: int) -> Float[np.ndarray, "4 3"]:
-    """Outer corners of the panel, around it from that of pixel (0, 0) along its row [mm]."""
+    """Return the outer corners of the panel, beginning with that of pixel (0, 0), along its row.
+
+    Parameters
+    ----------
+    geometry : poses
+    view : number of the view
+
+    Returns
+    -------
+    points [mm], (4, 3)
+    """
     columns = geometry.column_step[view] * geometry.panel.columns / 2
     rows = geometry.row_step[view] * geometry.panel.rows / 2
     signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
@@ -203,7 +306,16 @@ def panel_corners(geometry: Geometry, view: int) -> Float[np.ndarray, "4 3"]:
 
 
 def scan_title(geometry: Geometry) -> str:
-    """The scan in one line."""
+    """Return a line of text about the scan.
+
+    Parameters
+    ----------
+    geometry : poses
+
+    Returns
+    -------
+    the line
+    """
     found = distances(geometry)
     if found["sod_mm"] is None:
         return f"{geometry.kind} scan, {len(geometry)} views, {found['object_to_panel_mm']:.4g} mm from axis to panel"
@@ -214,7 +326,16 @@ Box = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
 
 
 def box_of(filled: Shaped[np.ndarray, "z y x"]) -> Box:
-    """First index and behind the last index of what is not zero, along z, y and x."""
+    """Return the first index and the index after the last one of the values that are not zero, along z, y and x.
+
+    Parameters
+    ----------
+    filled : values, (z, y, x)
+
+    Returns
+    -------
+    the box
+    """
     ends = []
     for axis in range(3):
         found = np.flatnonzero(filled.any(axis=tuple({0, 1, 2} - {axis})))
@@ -223,7 +344,17 @@ def box_of(filled: Shaped[np.ndarray, "z y x"]) -> Box:
 
 
 def part_of(grid: Grid, box: Box) -> Grid:
-    """The voxels of a box."""
+    """Return the voxels of a box.
+
+    Parameters
+    ----------
+    grid : the voxels
+    box : first index and index after the last one along each axis
+
+    Returns
+    -------
+    the part of the grid
+    """
     shape = tuple(last - first for first, last in box)
     origin = tuple(o + first * s for o, (first, _), s in zip(grid.origin, box, grid.spacing, strict=True))
     return Grid(shape, grid.spacing, origin)  # type: ignore[arg-type]
@@ -245,7 +376,7 @@ def _material(truth: Truth, index: int, boxes: dict[int, Box]) -> Material:
 
 
 def _cut(truth: Truth, index: int, box: Box) -> Float[np.ndarray, "z y x"]:
-    """How full a box is of one material, with one empty voxel around it."""
+    """Return the fraction of one material in a box, with one empty voxel around it."""
     inside = tuple(slice(first, last) for first, last in box)
     return np.pad(truth.fractions[index][inside].astype(np.float32) / FRACTION_SCALE, 1)
 
@@ -258,7 +389,16 @@ def _binned(volume: Float[np.ndarray, "z y x"], factor: int) -> Float[np.ndarray
 
 
 def lies_within(inner: Box, outer: Box) -> bool:
-    """Whether a box lies in another."""
+    """Return whether a box lies in another one.
+
+    Parameters
+    ----------
+    inner, outer : boxes
+
+    Returns
+    -------
+    True where it does
+    """
     return all(b[0] <= a[0] and a[1] <= b[1] for a, b in zip(inner, outer, strict=True))
 
 

@@ -1,4 +1,4 @@
-"""The window: slices per basis, surfaces per material, and the scan from outside."""
+"""Window of the viewer: slices per basis, surfaces per material, and the scan from outside."""
 
 from typing import Any, cast
 
@@ -35,7 +35,7 @@ _PAGE_VOXELS, _PAGE_TRIANGLES = 192, 400_000  # most along an edge, most of all 
 SOURCE, PANEL, CORNER, RAY = "#D55E00", "#0072B2", "#C2185B", "#E69F00"
 VIEW = 0  # the view whose panel is drawn
 SIZE = (1600, 1000)  # pixels
-COLUMN = 400  # pixels that a column of panels has at least, where no size is asked for
+COLUMN = 400  # pixels that a column of panels has at least, where no size is given
 _OBJECT_SEEN_FROM, _SCAN_SEEN_FROM = (0.6, -1.5, 0.95), (1.1, -1.4, 1.0)
 _OBJECT_MARGINS, _SCAN_MARGINS = (0.05, 0.2, 0.05, 0.1), (0.18, 0.04, 0.18, 0.12)
 SOLID: Any = {"ambient": 0.25, "diffuse": 0.85, "specular": 0.2, "specular_power": 20.0}
@@ -44,7 +44,7 @@ SOLID: Any = {"ambient": 0.25, "diffuse": 0.85, "specular": 0.2, "specular_power
 def draw(
     content: Content, size: tuple[int, int] | None = None, off_screen: bool = True, for_page: bool = False
 ) -> tuple[pyvista.Plotter, list[Pane]]:
-    """A window with everything, and its panels.
+    """Draw all content into a window.
 
     Parameters
     ----------
@@ -52,6 +52,10 @@ def draw(
     size : width and height [pixel]; None for one that holds all panels
     off_screen : for a picture, not for a window that opens
     for_page : leave out the words, which the caller finds in the panels, and what would make a page heavy
+
+    Returns
+    -------
+    the window and its panels
     """
     bases = len(content.truth.basis_names) if content.truth else 0
     shape, groups, places = _layout(bases)
@@ -80,12 +84,29 @@ def draw(
 
 
 def usual_size(columns: int) -> tuple[int, int]:
-    """Width and height of a window with so many columns of panels [pixel]."""
+    """Return the usual size of a window.
+
+    Parameters
+    ----------
+    columns : number of columns of panels
+
+    Returns
+    -------
+    width and height [pixel]
+    """
     return max(SIZE[0], COLUMN * columns), SIZE[1]
 
 
 def draw_basis(pane: Pane, content: Content, truth: Truth, basis: int) -> None:
-    """Three slices through one basis volume, where there is anything, with its colour bar."""
+    """Draw three slices through one basis volume that is not empty, with its colour bar.
+
+    Parameters
+    ----------
+    pane : the panel
+    content : content of the viewer
+    truth : the truth
+    basis : index of the basis
+    """
     values = truth.volumes[basis]
     highest, usual = float(values.max()), usual_top(values)
     top, ticks = round_scale(usual)
@@ -104,7 +125,16 @@ def draw_planes(
     grid: Grid,
     at: Triple,
 ) -> None:
-    """Three slices through `at` in the colours of the panel's bar, of voxels that are not zero in `filled`."""
+    """Draw three slices in the colours of the panel's bar, of voxels that are not zero in `filled`.
+
+    Parameters
+    ----------
+    pane : the panel
+    values : values, (z, y, x)
+    filled : not zero in the voxels that are drawn, (z, y, x)
+    grid : the voxels
+    at : point in the slices (x, y, z) [mm]
+    """
     pane.plotter.subplot(*pane.place)
     bar, most = cast("Bar", pane.words.bar), _PAGE_VOXELS if pane.for_page else max(grid.shape)
     colours: Any = {"clim": (bar.low, bar.top), "cmap": bar.colour_map, "lighting": False, "show_scalar_bar": False}
@@ -118,14 +148,29 @@ def draw_planes(
 
 
 def draw_materials(pane: Pane, content: Content, truth: Truth) -> None:
-    """Translucent surfaces, one colour per material."""
+    """Draw translucent surfaces, one colour per material.
+
+    Parameters
+    ----------
+    pane : the panel
+    content : content of the viewer
+    truth : the truth
+    """
     shown = materials(truth)
     draw_surfaces(pane, shown, [colour_of(m) for m in shown], content.grid)
     pane.words.title = "materials"
 
 
 def draw_surfaces(pane: Pane, shown: list[Material], colours: list[str], grid: Grid) -> None:
-    """Surfaces in their colours, translucent where something lies within, and their names."""
+    """Draw surfaces with their names, translucent where something lies inside.
+
+    Parameters
+    ----------
+    pane : the panel
+    shown : materials
+    colours : one for each material
+    grid : the voxels
+    """
     pane.plotter.subplot(*pane.place)
     most = _PAGE_TRIANGLES // max(len(shown), 10) if pane.for_page else None
     for material, colour in zip(shown, colours, strict=True):
@@ -138,7 +183,13 @@ def draw_surfaces(pane: Pane, shown: list[Material], colours: list[str], grid: G
 
 
 def draw_scan(pane: Pane, content: Content) -> None:
-    """Orbit of the source, and source, panel and central ray of one view around the object."""
+    """Draw the orbit of the source, and source, panel and central ray of one view around the object.
+
+    Parameters
+    ----------
+    pane : the panel
+    content : content of the viewer
+    """
     pane.plotter.subplot(*pane.place)
     plotter, geometry, truth = pane.plotter, content.geometry, content.truth
     sources, corners = drawn_sources(geometry, content.grid), panel_corners(geometry, VIEW)
@@ -170,7 +221,13 @@ def draw_scan(pane: Pane, content: Content) -> None:
 
 
 def look_at_volume(pane: Pane, grid: Grid) -> None:
-    """Axes at a corner, unless a legend stands there, and a camera that sees the whole volume."""
+    """Set a camera that shows the whole volume, and draw axes at a corner unless a legend stands there.
+
+    Parameters
+    ----------
+    pane : the panel
+    grid : the voxels
+    """
     if not pane.words.legend:
         _mark_axes(pane, grid, 0.2)
     pane.look(_corners(limits(grid)), _OBJECT_SEEN_FROM, _OBJECT_MARGINS)
@@ -183,7 +240,16 @@ def _mark_axes(pane: Pane, grid: Grid, part: float) -> None:
 
 
 def plane_mesh(plane: Plane) -> pyvista.ImageData:
-    """A layer of voxels as cells, true to their edges."""
+    """Create the mesh of a layer of voxels as cells, with exact edges.
+
+    Parameters
+    ----------
+    plane : the layer
+
+    Returns
+    -------
+    the mesh
+    """
     i = "xyz".index(plane.axis)
     cells = list(plane.values.shape[::-1])
     cells.insert(i, 0)
@@ -195,9 +261,18 @@ def plane_mesh(plane: Plane) -> pyvista.ImageData:
 
 
 def surface(material: Material, most: int | None = None) -> pyvista.PolyData:
-    """Where a material is as full as its level, in no more than about `most` triangles.
+    """Compute the surface of a material, where its fraction equals its level.
 
-    Where it borders on what lies within it, the surface is left to that, unless it is thinner than a voxel.
+    Where it borders on a material inside, the surface is left to that one, unless it is thinner than a voxel.
+
+    Parameters
+    ----------
+    material : the material
+    most : largest number of triangles, about
+
+    Returns
+    -------
+    triangles
     """
     material = material if most is None else material.coarsened(_PAGE_VOXELS)
     grid = material.grid
@@ -213,7 +288,16 @@ def surface(material: Material, most: int | None = None) -> pyvista.PolyData:
 
 
 def colour_of(material: Material) -> str:
-    """Colour of a material: one of eight, then their tints, then their shades."""
+    """Return the colour of a material: one of eight, then their tints, then their shades.
+
+    Parameters
+    ----------
+    material : the material
+
+    Returns
+    -------
+    hexadecimal colour
+    """
     turn, index = divmod(material.index, len(MATERIAL_COLOURS))
     other, part = _MIXED_WITH[turn % len(_MIXED_WITH)]
     return to_hex(((1 - part) * np.array(to_rgb(MATERIAL_COLOURS[index])) + part * other).tolist()).upper()

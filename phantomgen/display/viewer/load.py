@@ -1,4 +1,4 @@
-"""What there is to see, from a scene, a preset or a dataset."""
+"""Loading of the viewer's content from a scene, a preset or a dataset."""
 
 from pathlib import Path
 
@@ -15,14 +15,23 @@ from spectra.errors import InputError
 
 
 def load(source: str | None, preset: str | None, at: Triple | None = None, voxels: int | None = None) -> Content:
-    """What there is to see of a dataset, of a preset, or of a scene file.
+    """Load the viewer's content of a dataset, of a preset, or of a scene file.
 
     Parameters
     ----------
     source : path of a dataset or a scene file, or the name of a preset
     preset : the name of a preset, in place of `source`
     at : where the slices cut (x, y, z) [mm], by default the centre
-    voxels : along each edge of the volume, in place of those that a scene asks for
+    voxels : along each edge of the volume, in place of those of the scene
+
+    Returns
+    -------
+    the content
+
+    Raises
+    ------
+    InputError
+        When `voxels` is given for a dataset.
     """
     if source is not None and is_dataset(Path(source)):
         if voxels is not None:
@@ -32,12 +41,38 @@ def load(source: str | None, preset: str | None, at: Triple | None = None, voxel
 
 
 def scene_of(source: str | None, preset: str | None, overrides: list[str] | None = None) -> SceneFile:
-    """The scene of a file or a preset; the name of a preset may stand for a file."""
+    """Return the scene of a file or a preset; the name of a preset may stand for a file.
+
+    Parameters
+    ----------
+    source : scene file, or name of a preset
+    preset : name of a preset, in place of `source`
+    overrides : ``path=value`` with dotted paths
+
+    Returns
+    -------
+    the scene file
+    """
     return SceneFile.preset(preset, overrides or []) if preset else find_scene(source or "", overrides or [])
 
 
 def content_of_dataset(path: Path, at: Triple | None = None) -> Content:
-    """The truth and the geometry of a dataset; `at` is (x, y, z) [mm], by default the centre."""
+    """Read the truth and the geometry of a dataset.
+
+    Parameters
+    ----------
+    path : the dataset
+    at : point in the slices (x, y, z) [mm]; the centre where left out
+
+    Returns
+    -------
+    the content
+
+    Raises
+    ------
+    InputError
+        When the dataset has no views.
+    """
     anywhere = (slice(0, 1), slice(0, 1))  # a file without flats can be looked at, too
     with open_dataset(path, air=anywhere) as dataset:
         truth, name, geometry, grid = read_truth(path), dataset.name, dataset.geometry, dataset.grid
@@ -48,7 +83,17 @@ def content_of_dataset(path: Path, at: Triple | None = None) -> Content:
 
 
 def content_of_scene(file: SceneFile, at: Triple | None = None) -> Content:
-    """The scene as its dataset will hold it, voxelized here; `at` is (x, y, z) [mm], by default the centre."""
+    """Voxelize a scene as its dataset will contain it.
+
+    Parameters
+    ----------
+    file : the scene file
+    at : point in the slices (x, y, z) [mm]; the centre where left out
+
+    Returns
+    -------
+    the content
+    """
     from phantomgen.scene.scan import load_scene  # noqa: PLC0415 - what makes voxels is slow to import
     from phantomgen.simulation.forward_model.truth import scan_truth  # noqa: PLC0415
 
@@ -60,7 +105,16 @@ def content_of_scene(file: SceneFile, at: Triple | None = None) -> Content:
 
 
 def is_dataset(path: Path) -> bool:
-    """Whether a file is HDF5, or should be by its name."""
+    """Return whether a file is HDF5, or should be by its name.
+
+    Parameters
+    ----------
+    path : the file
+
+    Returns
+    -------
+    True for HDF5
+    """
     return path.suffix.lower() in SUFFIXES or (path.is_file() and h5py.is_hdf5(path))
 
 

@@ -1,11 +1,25 @@
-"""What options of a look say."""
+"""Options of the viewer as values."""
 
 from phantomgen.display.viewer.content import Triple
 from spectra.errors import InputError
 
 
 def point_of(text: str) -> Triple:
-    """``"x,y,z"`` as three numbers."""
+    """Parse ``"x,y,z"`` to three numbers.
+
+    Parameters
+    ----------
+    text : the point
+
+    Returns
+    -------
+    (x, y, z) [mm]
+
+    Raises
+    ------
+    InputError
+        When the text is not of this form.
+    """
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
@@ -14,7 +28,21 @@ def point_of(text: str) -> Triple:
 
 
 def size_of(text: str) -> tuple[int, int]:
-    """``"1600x1000"`` as two numbers of pixels."""
+    """Parse ``"1600x1000"`` to two numbers of pixels.
+
+    Parameters
+    ----------
+    text : the size
+
+    Returns
+    -------
+    width and height [pixel]
+
+    Raises
+    ------
+    InputError
+        When the text is not of this form.
+    """
     try:
         width, height = (int(part) for part in text.lower().split("x"))
     except ValueError:

@@ -1,4 +1,4 @@
-"""Where a look goes: a picture, a page, or a window."""
+"""Output of the viewer: a picture, a page, or a window."""
 
 import os
 import sys
@@ -24,7 +24,19 @@ NO_DISPLAY = (
 
 
 def check_outputs(screenshot: Path | None, html: Path | None, overwrite: bool) -> None:
-    """Refuse outputs that cannot be written, or a window without a display, before any work is done."""
+    """Refuse outputs that cannot be written, or a window without a display, before any work is done.
+
+    Parameters
+    ----------
+    screenshot : the picture, or None
+    html : the page, or None
+    overwrite : whether existing files may be replaced
+
+    Raises
+    ------
+    InputError
+        When an output is impossible.
+    """
     for path, option, suffix in ((screenshot, "--screenshot", ".png"), (html, "--html", ".html")):
         if path is None:
             continue
@@ -36,7 +48,15 @@ def check_outputs(screenshot: Path | None, html: Path | None, overwrite: bool) -
 
 
 def show(content: Content, screenshot: Path | None, html: Path | None, size: tuple[int, int] | None = None) -> None:
-    """Write the picture and the page of a scan that are named, or open a window where neither is."""
+    """Write a picture and a page of a scan, or open a window where neither is named.
+
+    Parameters
+    ----------
+    content : content of the viewer
+    screenshot : the picture, or None
+    html : the page, or None
+    size : width and height of the window [pixel]
+    """
 
     def draw(for_page: bool, off_screen: bool) -> "Drawn":
         from phantomgen.display.viewer import drawing  # noqa: PLC0415
@@ -47,12 +67,12 @@ def show(content: Content, screenshot: Path | None, html: Path | None, size: tup
 
 
 def put(name: str, draw: "Callable[[bool, bool], Drawn]", screenshot: Path | None, html: Path | None) -> None:
-    """Write what is drawn as a picture and a page, or open a window where neither is named.
+    """Write a drawing as a picture and a page, or open a window where neither is named.
 
     Parameters
     ----------
     name : title of the page
-    draw : makes a window and its panels; told whether for a page, and whether off screen
+    draw : function that creates a window and its panels, given whether for a page, and whether off screen
     screenshot, html : files to write
     """
     import pyvista  # noqa: PLC0415

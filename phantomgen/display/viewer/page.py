@@ -1,4 +1,4 @@
-"""One page that turns in a browser: the viewer, the meshes and all words in a single file, nothing to load."""
+"""Interactive page for a browser: viewer, meshes and text in a single file that loads nothing else."""
 
 import html
 import io
@@ -41,13 +41,17 @@ _SCRIPT = """
 
 
 def page(name: str, plotter: pyvista.Plotter, panes: list[Pane]) -> str:
-    """The page as text, in letters as large beside the window as those of the panels.
+    """Create the page, with letters as large beside the window as those of the panels.
 
     Parameters
     ----------
     name : title of the page
     plotter : a window that was drawn for a page
     panes : its panels
+
+    Returns
+    -------
+    the HTML
     """
     buffer = io.StringIO()
     write_html(_scene(plotter), buffer)

@@ -1,4 +1,4 @@
-"""What every panel of a window has: its place, its words, and its camera."""
+"""Panels of a window: place, text, and camera."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +22,16 @@ _FROM_FILE = 4  # VTK's code for a font that is read from a file
 
 @dataclass
 class Bar:
-    """A colour bar from `low` to `top` in `unit`, with `ticks` (part of its height, number) and some of its colours."""
+    """Colour bar of a panel.
+
+    Parameters
+    ----------
+    unit : unit of the values
+    low, top : values at both ends
+    ticks : (part of the height, number) of each tick
+    colour_map : its name
+    colours : some of its colours
+    """
 
     unit: str
     low: float
@@ -34,7 +43,15 @@ class Bar:
 
 @dataclass
 class Words:
-    """All that is written in a panel; a note stands below, or under the title where a legend stands below."""
+    """Text of a panel.
+
+    Parameters
+    ----------
+    title : at the top
+    note : below, or under the title where a legend stands below
+    legend : (text, colour) of each entry
+    bar : colour bar, or None
+    """
 
     title: str = ""
     note: str = ""
@@ -44,7 +61,7 @@ class Words:
 
 @dataclass(frozen=True, eq=False)
 class Pane:
-    """One panel of a window.
+    """Panel of a window.
 
     Parameters
     ----------
@@ -73,7 +90,7 @@ class Pane:
 
     @property
     def camera(self) -> pyvista.Camera:
-        """What the panel is seen by."""
+        """Camera of the panel."""
         return cast("pyvista.Camera", self.renderer.camera)
 
     @property
@@ -95,23 +112,51 @@ class Pane:
         return float(self.camera.parallel_scale)
 
     def set_bar(self, top: float, count: int, low: float = 0.0, colour_map: str = COLOUR_MAP) -> None:
-        """Give the panel a colour bar from `low` to `top` with `count` ticks, in 1/mm."""
+        """Give the panel a colour bar in 1/mm.
+
+        Parameters
+        ----------
+        top : upper end
+        count : number of ticks
+        low : lower end
+        colour_map : its name
+        """
         number = _number_format((top - low) / (count - 1))
         ticks = [(part, number % (low + part * (top - low))) for part in np.linspace(0, 1, count).tolist()]
         colours = [to_hex(colormaps[colour_map](i / 15)) for i in range(16)]
         self.words.bar = Bar("1/mm", low, top, ticks, colour_map, colours)
 
     def stroke(self, mesh: pyvista.PolyData, colour: str, width: float) -> None:
-        """Draw lines, `width` pixels in a page."""
+        """Draw lines.
+
+        Parameters
+        ----------
+        mesh : the lines
+        colour : their colour
+        width : in a page [pixel]
+        """
         self.plotter.add_mesh(mesh, color=colour, line_width=width * self._widening)
 
     def dots(self, points: Float[np.ndarray, "point 3"], colour: str, width: float) -> None:
-        """Draw points, `width` pixels in a page."""
+        """Draw points.
+
+        Parameters
+        ----------
+        points : (point, 3) [mm]
+        colour : their colour
+        width : in a page [pixel]
+        """
         mesh, size = pyvista.PolyData(points), width * self._widening
         self.plotter.add_mesh(mesh, color=colour, point_size=size, lighting=False, render_points_as_spheres=True)
 
     def mark_axes(self, corner: Float[np.ndarray, " 3"], length: float) -> None:
-        """Three lines in the colours of the axes, for a page, which has no other sign of them."""
+        """Draw three lines in the colours of the axes; only for a page, which has no other sign of them.
+
+        Parameters
+        ----------
+        corner : where they begin [mm]
+        length : of each line [mm]
+        """
         if self.for_page:
             for direction, colour in zip(np.eye(3), AXES.values(), strict=True):
                 self.stroke(pyvista.Line(corner, corner + length * direction), colour, 3)
@@ -122,7 +167,7 @@ class Pane:
         return 1.0 if self.for_page else 1.6 * self.font / FONT
 
     def clear(self) -> None:
-        """Take out what was drawn, words included; the camera stays."""
+        """Remove what was drawn, text included; the camera does not move."""
         self.plotter.subplot(*self.place)
         bars = self.plotter.scalar_bars
         for title in [title for title, bar in bars.items() if self.renderer.HasViewProp(bar)]:
@@ -131,7 +176,7 @@ class Pane:
         vars(self.words).update(vars(Words()))
 
     def finish(self) -> None:
-        """Draw all words and the axes into the panel."""
+        """Draw all text and the axes into the panel."""
         self.plotter.subplot(*self.place)
         if self.for_page:
             return
@@ -185,11 +230,11 @@ class Pane:
         direction: tuple[float, float, float],
         margins: tuple[float, float, float, float],
     ) -> None:
-        """White, with a parallel camera that sees all points.
+        """Set a white background and a parallel camera that shows all points.
 
         Parameters
         ----------
-        points : to be seen [mm]
+        points : points to show [mm]
         direction : from the points to the camera
         margins : left, right, bottom and top parts of the panel that stay free
         """

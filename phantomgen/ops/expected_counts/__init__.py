@@ -1,14 +1,14 @@
 """Expected counts of one view, averaged over the area of each pixel.
 
 A pixel averages *intensities*, not line integrals. Where nothing happens inside a pixel, one ray and the curvature over
-its neighbours give the average; where a silhouette passes, the pixel is split along it. `expose_brute` is the same
-average over a plain n x n grid of rays.
+its neighbours give the average; where a silhouette passes, the pixel is split along it. `expected_counts_by_grid` is
+the same average over a plain n x n grid of rays.
 
 Accuracy, as the largest error of a log-projection against 256 x 256 rays per pixel: 3e-5 where silhouettes cross, rms
 4e-6 (four nested cylinders, 0.8 mm pixels). Split exactly are the silhouettes of single shapes. Where surfaces of two
 shapes intersect, edges of a mesh pass, or panel or source cut a shape, counts have a kink: there, the pixel is halved
-into rectangles until their estimated errors come to less than `KINK_TOLERANCE`; true ones are about half as large, see
-`benchmarks/simulator/intersection_pixels.py`.
+into rectangles until their estimated errors come to less than `INTERSECTION_TOLERANCE`; true ones are about half as
+large, see `benchmarks/simulator/intersection_pixels.py`.
 """
 
 from itertools import pairwise
@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int64, UInt8
 
-from phantomgen.ops.expected_counts.pixel_classes import CLASSES, CROSSED, EMPTY, KINKED, NEAR, SMOOTH, VOXELS
+from phantomgen.ops.expected_counts.pixel_classes import CLASSES, CROSSED, EMPTY, INTERSECTED, NEAR, SMOOTH, VOXELS
 from phantomgen.ops.mesh import mesh_view
 from phantomgen.ops.solids import Solids
 from phantomgen.ops.voxel_maps import VoxelMaps
@@ -28,27 +28,27 @@ __all__ = [
     "CLASSES",
     "CROSSED",
     "EMPTY",
-    "KINKED",
-    "KINK_TOLERANCE",
+    "INTERSECTED",
+    "INTERSECTION_TOLERANCE",
     "NEAR",
     "SMOOTH",
     "VOXELS",
-    "Exposed",
-    "expose",
-    "expose_brute",
+    "ExpectedCounts",
+    "expected_counts",
+    "expected_counts_by_grid",
 ]
 
 
 # Gauss nodes across and along a silhouette for pixels of growing contrast.
 RULES = ((2, 2), (3, 2), (4, 3), (6, 4), (9, 6))
 MOST_SUB_RAYS = 16
-# Error of log counts that is left in pixels with kinks.
-KINK_TOLERANCE = 3e-4
+# Error of log counts that is left in pixels where surfaces intersect.
+INTERSECTION_TOLERANCE = 3e-4
 # Where a voxel map projects to: rays per voxel along each side of a pixel, and most rays along it.
 RAYS_PER_VOXEL, MOST_RAYS = 4.0, 64
 
 
-class Exposed(NamedTuple):
+class ExpectedCounts(NamedTuple):
     """Expected counts of a view, the class of each pixel, and how many rays each class took."""
 
     counts: Float[np.ndarray, "channel row column"]
@@ -56,7 +56,7 @@ class Exposed(NamedTuple):
     rays: Int64[np.ndarray, " class"]
 
 
-def expose(
+def expected_counts(
     frame: Float[np.ndarray, "4 3"],
     rows: int,
     columns: int,
@@ -68,11 +68,11 @@ def expose(
     rules: tuple[tuple[int, int], ...] = RULES,
     reach: float = 5.0,
     sub_rays: int | None = None,
-    kink_tolerance: float = KINK_TOLERANCE,
+    intersection_tolerance: float = INTERSECTION_TOLERANCE,
     rays_per_voxel: float = RAYS_PER_VOXEL,
     profile: Float[np.ndarray, "part row column"] | None = None,
     aperture: tuple[float, float] = (1.0, 1.0),
-) -> Exposed:
+) -> ExpectedCounts:
     """Expected counts of all pixels of one view, each averaged over the pixel's area.
 
     Parameters
@@ -88,21 +88,23 @@ def expose(
     reach : width of the band inside a tangent where one ray per pixel does not do [pixel]
     sub_rays : if given, a plain grid of so many rays along each edge of a pixel, 1 to 16, in place of Gauss nodes along
         silhouettes; 1 means the ray through the centre of every pixel and nothing else
-    kink_tolerance : estimated error of log counts that is left in pixels where surfaces intersect, in the worst channel
+    intersection_tolerance : estimated error of log counts that is left where surfaces intersect, in the worst channel
     rays_per_voxel : where a voxel map projects to, rays along each edge of a pixel for each voxel that fits there; a
         pixel has at least as many along an edge, and at most `MOST_RAYS`
     profile : lengths [mm] that the rays to each pixel have, objects aside, in the last materials of `attenuation`; the
         same for all rays to a pixel
     aperture : width and height of the sensitive part of a pixel, which the average is taken over [pixel]
     """
-    from phantomgen.ops.expected_counts.cpu import expose_view  # noqa: PLC0415 - numba only where it computes
+    from phantomgen.ops.expected_counts.cpu import expected_counts_of_view  # noqa: PLC0415 - numba only where it computes
     from phantomgen.ops.expected_counts.rectangles import scratch  # noqa: PLC0415
     from phantomgen.ops.silhouette.quadrature import make_room, make_rules  # noqa: PLC0415
 
     if sub_rays is not None and not 1 <= sub_rays <= MOST_SUB_RAYS:
         raise InputError(f"sub-rays along the edge of a pixel must be 1 to {MOST_SUB_RAYS}, got {sub_rays}")
-    if not kink_tolerance > 0:
-        raise InputError(f"the tolerance of pixels with kinks must be positive, got {kink_tolerance:g}")
+    if not intersection_tolerance > 0:
+        raise InputError(
+            f"the tolerance of pixels where surfaces intersect must be positive, got {intersection_tolerance:g}"
+        )
     view = _View.of(
         frame,
         rows,
@@ -122,7 +124,7 @@ def expose(
     classes, guess = np.empty(pixels, dtype=np.uint8), np.zeros(pixels, dtype=np.uint8)
     maps = (classes, guess, np.zeros(pixels, dtype=np.int64), np.empty((rows * columns, 5), dtype=np.int64))
     outline = (view.outline.forms, view.outline.shapes, view.outline.roots)
-    expose_view(
+    expected_counts_of_view(
         *view.shapes[:4],
         view.creases,
         view.shapes[4],
@@ -137,15 +139,19 @@ def expose(
         (*room, np.empty(len(room.nodes), dtype=np.int64)),
         view.ray,
         maps,
-        (0.0 if sub_rays else float(kink_tolerance), (float(aperture[0]), float(aperture[1])), *scratch(len(out))),
+        (
+            0.0 if sub_rays else float(intersection_tolerance),
+            (float(aperture[0]), float(aperture[1])),
+            *scratch(len(out)),
+        ),
         np.empty_like(out),
         out,
         rays,
     )
-    return Exposed(out, classes, rays)
+    return ExpectedCounts(out, classes, rays)
 
 
-def expose_brute(
+def expected_counts_by_grid(
     frame: Float[np.ndarray, "4 3"],
     pixels: Int64[np.ndarray, "pixel 2"],
     solids: Solids,
@@ -162,9 +168,9 @@ def expose_brute(
 
     Rays go through a grid of midpoints or, with `lattice`, through as many points of a lattice, no two of them in a row
     or column: beside edges along rows the grid errs by up to 1 / (2 n) of a pixel, the lattice by 1 / (2 n^2). The
-    other parameters are those of `expose`.
+    other parameters are those of `expected_counts`.
     """
-    from phantomgen.ops.expected_counts.cpu import expose_pixels  # noqa: PLC0415
+    from phantomgen.ops.expected_counts.cpu import expected_counts_of_pixels  # noqa: PLC0415
     from phantomgen.ops.silhouette.quadrature import lattice_step  # noqa: PLC0415
 
     pixels = np.ascontiguousarray(pixels, dtype=np.int64)
@@ -180,7 +186,7 @@ def expose_brute(
     across, down = aperture
     grid = np.stack([across * (where[0] - 0.5), down * (where[1] - 0.5), np.full(n * n, 1 / n**2)], axis=1)
     scratch = (np.empty((1, 5), dtype=np.int64), np.empty(n * n, dtype=np.int64))
-    expose_pixels(*view.shapes, view.spectrum, grid, view.ray, pixels, scratch, out)
+    expected_counts_of_pixels(*view.shapes, view.spectrum, grid, view.ray, pixels, scratch, out)
     return out[:, pixels[:, 0], pixels[:, 1]].T
 
 
@@ -209,7 +215,7 @@ class _View(NamedTuple):
         profile: np.ndarray | None,
         rays_per_voxel: float = RAYS_PER_VOXEL,
     ) -> "_View":
-        """Check and arrange the arguments of `expose`; silhouettes are left out for rays that do not ask for them."""
+        """Check and arrange the arguments of `expected_counts`; without silhouettes where no rule asks for them."""
         from phantomgen.ops.silhouette.forms import (  # noqa: PLC0415
             Silhouettes,
             cone_bounds,

@@ -8,7 +8,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from phantomgen.ops.expected_counts.pixel_classes import CROSSED, EMPTY, KINKED, NEAR, SMOOTH, VOXELS
+from phantomgen.ops.expected_counts.pixel_classes import CROSSED, EMPTY, INTERSECTED, NEAR, SMOOTH, VOXELS
 from phantomgen.ops.expected_counts.rectangles import begin_pixel, estimate, halve, measure, worst_of
 from phantomgen.ops.kernel_decorators import called, inlined
 from phantomgen.ops.mesh.cpu import list_pieces
@@ -175,7 +175,7 @@ def _adapt(view, ray, pixel, squares, target):
 
 @inlined
 @no_type_check
-def _is_kinked(nodes, seen, first, last):
+def _is_intersected(nodes, seen, first, last):
     """Whether rays without a silhouette between them meet the same in another order: surfaces intersect there."""
     for i in range(first + 1, last):
         j = i - 1  # most often the one before lies in the same part
@@ -192,7 +192,7 @@ def _settle(view, ray, outline, reach, rules, room, filled, pixel, squares, targ
     """Mend the counts of one pixel that silhouettes cross and where surfaces intersect; return the number of rays.
 
     The strongest Gauss rule does if it changes little; else the pixel is cut into rectangles. Parameters are those of
-    `_adapt` and of `expose_view`; nodes from index `filled` on are free.
+    `_adapt` and of `expected_counts_of_view`; nodes from index `filled` on are free.
     """
     forms, roots = outline[0], outline[2]
     local, lines, nodes, seen = room
@@ -219,9 +219,9 @@ def _settle(view, ray, outline, reach, rules, room, filled, pixel, squares, targ
 @called
 @no_type_check
 def _flush(view, jobs, count, ray, outline, reach, rules, room, completing, classes, signatures, squares, target, rays):
-    """Send the rays of pixels; then keep the signatures of centres, or look for kinks between silhouettes.
+    """Send the rays of pixels; then keep the signatures of centres, or look for intersections between silhouettes.
 
-    Parameters are those of `_send_rays` and of `expose_view`.
+    Parameters are those of `_send_rays` and of `expected_counts_of_view`.
     """
     nodes, seen = room[2], room[3]
     first = np.int64(0)
@@ -232,7 +232,7 @@ def _flush(view, jobs, count, ray, outline, reach, rules, room, completing, clas
         kind = classes[row, column]
         if not completing:
             signatures[row, column] = seen[last - 1]
-        elif squares[0] > 0.0 and kind in (CROSSED, NEAR) and _is_kinked(nodes, seen, first, last):
+        elif squares[0] > 0.0 and kind in (CROSSED, NEAR) and _is_intersected(nodes, seen, first, last):
             pixel = (row, column)
             rays[kind] += _settle(view, ray, outline, reach, rules, room, filled, pixel, squares, target)
         first = last
@@ -295,7 +295,7 @@ def _mark_creases(creases, classes):
     for row in range(classes.shape[0]):
         for column in range(classes.shape[1]):
             if creases[row, column]:
-                classes[row, column] = KINKED
+                classes[row, column] = INTERSECTED
 
 
 @inlined
@@ -357,12 +357,12 @@ def _gather(forms, roots, tiles, reach, aperture, row, column, active, local):
 def _settled(classes, signatures, level, row, column):
     """Class of a pixel in the light of the rays through its and its neighbours' centres.
 
-    A pixel one of whose eight neighbours, not crossed either, passes surfaces in another order is KINKED; a smooth one
-    is NEAR if it lacks a neighbour to take differences with, or if its contrast is high.
+    A pixel one of whose eight neighbours, not crossed either, passes surfaces in another order is INTERSECTED; a smooth
+    one is NEAR if it lacks a neighbour to take differences with, or if its contrast is high.
     """
     rows, columns = classes.shape
     kind = classes[row, column]
-    if kind in (EMPTY, CROSSED, KINKED, VOXELS):
+    if kind in (EMPTY, CROSSED, INTERSECTED, VOXELS):
         return kind
     if level > 0:
         kind = NEAR
@@ -372,7 +372,7 @@ def _settled(classes, signatures, level, row, column):
             if i % 2:  # the four that share a side, which differences are taken with
                 kind = max(kind, NEAR)
         elif (signatures[r, c] ^ signatures[row, column]) & ORDER:
-            return KINKED
+            return INTERSECTED
     return kind
 
 
@@ -448,7 +448,7 @@ def _average_of_centres(centres, air, profile, aperture, kind, row, column, targ
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def expose_view(  # noqa: PLR0912 - the choice of a rule per pixel
+def expected_counts_of_view(  # noqa: PLR0912 - the choice of a rule per pixel
     frame,
     table,
     tubes,
@@ -527,7 +527,7 @@ def expose_view(  # noqa: PLR0912 - the choice of a rule per pixel
                 conics = np.int64(0)
                 if completing and sub_rays == 0 and kind in (CROSSED, NEAR):
                     conics = _gather(forms, roots, tiles, reach, aperture, row, column, ray[0], local)
-                if completing and sub_rays == 0 and (kind == KINKED or conics > CONICS):
+                if completing and sub_rays == 0 and (kind == INTERSECTED or conics > CONICS):
                     pixel = (row, column)
                     rays[kind] += _adapt(view, ray, pixel, squares, out)
                     continue
@@ -570,7 +570,7 @@ def expose_view(  # noqa: PLR0912 - the choice of a rule per pixel
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def expose_pixels(
+def expected_counts_of_pixels(
     frame, table, tubes, mesh, maps, tiles, background, profile, spectrum, nodes, ray, pixels, scratch, out
 ):
     """Average over the same nodes in each of some pixels (row, column), written to ``out[:, row, column]``."""

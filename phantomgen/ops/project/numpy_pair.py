@@ -6,8 +6,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-from phantomgen.ops.project import cpu
-from phantomgen.ops.project import z_aligned as upright
+from phantomgen.ops.project import cpu, z_aligned
 from spectra.threads import run_parallel
 
 _LAYERS = 32  # of z per piece of work of the transpose
@@ -23,7 +22,7 @@ def forward(
     columns: int,
 ) -> Float32[np.ndarray, "component view row column"]:
     """Line integrals; frames in voxels and sizes of voxels [mm] in the order (z, y, x)."""
-    stacked = _are_upright(views, rows, columns, parallel)
+    stacked = _are_z_aligned(views, rows, columns, parallel)
     volume = np.asarray(volume, dtype=np.float32)
     components, *shape = volume.shape
     strides = _strides(shape)
@@ -38,7 +37,7 @@ def forward(
         for group, lanes, lines in groups:
             image = np.zeros((columns, rows * len(lanes)), dtype=np.float32)
             room, drawing = _room_for_lines(shape, rows, len(lanes), shape[0]), _room_for_pictures(shape, len(lanes))
-            upright.forward(lanes, lines, views[i], parallel, spacing, strides[0], room, drawing, image)
+            z_aligned.forward(lanes, lines, views[i], parallel, spacing, strides[0], room, drawing, image)
             out[i, group] = image.reshape(columns, rows, len(lanes)).T
 
     for _ in run_parallel(view, range(len(views))):
@@ -56,7 +55,7 @@ def backward(
     """Transpose of `forward`."""
     components, _, rows, columns = images.shape
     images = np.ascontiguousarray(np.moveaxis(images, 1, 0), dtype=np.float32)
-    stacked = _are_upright(views, rows, columns, parallel)
+    stacked = _are_z_aligned(views, rows, columns, parallel)
     out = np.zeros((components, *shape), dtype=np.float32)
     flat, strides = out.reshape(components, -1), _strides(shape)
     upright_views, groups = views[stacked], _columns_side_by_side(images[stacked]) if stacked.any() else []
@@ -125,7 +124,7 @@ def _upright_layers(
     room, narrow = _room_for_lines(shape, rows, len(lanes), layers), _room_for_beams(rows, len(lanes), layers)
     numbers = _strides(shape)[0]
     for image, view in zip(images, views, strict=True):
-        upright.backward(lanes, image, view, parallel, spacing, numbers, first, last, room, narrow, volume)
+        z_aligned.backward(lanes, image, view, parallel, spacing, numbers, first, last, room, narrow, volume)
     return np.moveaxis(volume.reshape(height, width + 1, layers, len(lanes))[:, :width], (3, 2), (0, 1))
 
 
@@ -147,19 +146,19 @@ def _room_for_lines(shape: Sequence[int], rows: int, lanes: int, layers: int) ->
 
 
 def _room_for_beams(rows: int, lanes: int, layers: int) -> tuple[np.ndarray, np.ndarray]:
-    """Scratch of `upright.backward` for beams up to two voxels wide."""
-    return np.empty((4, rows)), np.empty((layers + upright.PADDING) * lanes, dtype=np.float32)
+    """Scratch of `z_aligned.backward` for beams up to two voxels wide."""
+    return np.empty((4, rows)), np.empty((layers + z_aligned.PADDING) * lanes, dtype=np.float32)
 
 
 def _room_for_pictures(shape: Sequence[int], lanes: int) -> tuple[np.ndarray, ...]:
-    """Scratch of `upright.forward` for lines that are summed together."""
+    """Scratch of `z_aligned.forward` for lines that are summed together."""
     most = max(shape[1:])
-    pictures = np.zeros((most, (shape[0] + upright.PADDING) * lanes), dtype=np.float32)
+    pictures = np.zeros((most, (shape[0] + z_aligned.PADDING) * lanes), dtype=np.float32)
     steps, sizes = np.empty((2, most), dtype=np.float32)
     return pictures, steps, sizes, np.empty((3, most + 1), dtype=np.float32), np.empty(most + 1, dtype=np.int32)
 
 
-def _are_upright(
+def _are_z_aligned(
     views: Float[np.ndarray, "view 4 3"], rows: int, columns: int, parallel: bool
 ) -> Bool[np.ndarray, " view"]:
     """Views, in voxels, whose rows differ along z only and whose rays all rise by less than they advance."""
@@ -167,5 +166,5 @@ def _are_upright(
     across = 0.0 if parallel else np.arange(columns)[:, None, None] * views[:, 2]
     rise = np.maximum(np.abs(first + across)[..., 0], np.abs(last + across)[..., 0])
     advance = np.abs(first + across)[..., 1:].max(axis=-1)
-    upright = ~views[:, 3, 1:].any(axis=-1)
-    return np.logical_and(upright, np.atleast_2d(rise < advance).all(axis=0))
+    z_aligned = ~views[:, 3, 1:].any(axis=-1)
+    return np.logical_and(z_aligned, np.atleast_2d(rise < advance).all(axis=0))

@@ -1,20 +1,29 @@
-"""Which file or preset a name means, and what a file is that is no scene."""
+"""Find the scene file or preset of a name, and refuse files that are no scenes."""
 
 from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
 
+from phantomgen.runtime.hdf5_signature import is_hdf5
 from phantomgen.scene.file.scene_file import SceneFile, preset_names
 from spectra.errors import SceneError
 
 SUFFIXES = (".yaml", ".yml", ".json")
 _MESHES = (".stl", ".obj", ".ply", ".glb", ".3mf", ".step", ".stp")
 _VOXELS = (".npy", ".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".tif", ".tiff", ".dcm")
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def find_scene(name: str | Path, overrides: Sequence[str] = ()) -> SceneFile:
-    """The scene file of that name, else the preset.
+    """Return the scene file of a name, else the preset.
+
+    Parameters
+    ----------
+    name : path of a scene file, or name of a preset
+    overrides : ``path=value`` with dotted paths
+
+    Returns
+    -------
+    the scene file
 
     Raises
     ------
@@ -40,9 +49,19 @@ def find_scene(name: str | Path, overrides: Sequence[str] = ()) -> SceneFile:
 
 
 def refuse_other_files(path: Path) -> None:
-    """Refuse by its name or its first bytes a file that is something else than a scene."""
+    """Refuse a file that is no scene, by its name or its first bytes.
+
+    Parameters
+    ----------
+    path : the file
+
+    Raises
+    ------
+    SceneError
+        When it is a dataset, a mesh or a volume.
+    """
     name = path.name.lower()
-    if _is_hdf5(path):
+    if is_hdf5(path):
         raise SceneError(
             f"{path} is HDF5 and no scene: `phantomgen view {path}` shows a dataset, `recon fit {path}` fits one"
         )
@@ -55,14 +74,6 @@ def refuse_other_files(path: Path) -> None:
             raise SceneError(
                 f"{path} is {what} and no scene: write a scene that has it as an object, "
                 f"{{type: {kind}, file: {path.name}, {keys}}}; "
-                f"`phantomgen presets show kedge > my.yaml` gives one to start from, docs/reference/scenes.md describes it"
+                "`phantomgen presets show kedge > my.yaml` gives one to start from, "
+                "docs/reference/scenes.md describes it"
             )
-
-
-def _is_hdf5(path: Path) -> bool:
-    """Whether a file begins as HDF5 does."""
-    try:
-        with path.open("rb") as file:
-            return file.read(len(_HDF5)) == _HDF5
-    except OSError:
-        return False

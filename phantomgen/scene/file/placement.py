@@ -17,7 +17,7 @@ _REGIONS = {"sphere": {"radius"}, "cylinder": {"radius", "length"}, "box": {"siz
 def place(
     items: list[dict[str, Any]], rules: dict[str, Any], chances: Chances, refuse: Callable[[tuple, str], Exception]
 ) -> None:
-    """Write the centres of objects, and their radii where they are to fill a part of the region.
+    """Write the centres of objects, and their radii where they fill a given part of the region.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def _reach(item: dict[str, Any]) -> float:
 
 
 def _rooms(region: dict[str, Any], reach: Any) -> tuple[Any, ...]:
-    """What is left of the region's half widths for the centre of an object [mm]."""
+    """Return the half widths of the region for the centre of an object [mm]."""
     if region["type"] == "box":
         return tuple(width / 2 - reach for width in region["size"])
     if region["type"] == "cylinder":

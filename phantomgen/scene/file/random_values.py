@@ -33,12 +33,13 @@ _OBJECT_LISTS = ("objects", "shapes", "cut")
 
 
 class DrawnObject(dict):
-    """An object of a drawn scene that knows which entry of its list in the file it came from.
+    """Object of a drawn scene, with the entry of the file it came from.
 
     Parameters
     ----------
+    values : keys of the object
     source : index of the entry
-    item : which of the objects drawn from it, None where there is no `count`
+    item : number of the object among those drawn from the entry; None where there is no `count`
     """
 
     def __init__(self, values: dict[str, Any], source: int, item: int | None) -> None:
@@ -47,12 +48,16 @@ class DrawnObject(dict):
 
 
 def draw(values: dict[str, Any], refuse: Refuse) -> dict[str, Any]:
-    """The same scene with all numbers drawn from its seed.
+    """Draw all random numbers of a scene from its seed.
 
     Parameters
     ----------
     values : mapping of a scene file
     refuse : makes an error out of a place in the file and a sentence
+
+    Returns
+    -------
+    the scene with numbers in place of distributions
     """
     seed = values.get("seed", 0)
     if isinstance(seed, dict):
@@ -61,7 +66,17 @@ def draw(values: dict[str, Any], refuse: Refuse) -> dict[str, Any]:
 
 
 def source_place(values: Any, location: Location) -> Location:
-    """Where in the file stands what has the place `location` in a drawn scene."""
+    """Return the place in the file of an entry at `location` in the drawn scene.
+
+    Parameters
+    ----------
+    values : mapping of the drawn scene
+    location : keys and indices in the drawn scene
+
+    Returns
+    -------
+    keys and indices in the file
+    """
     place: list[str | int] = []
     for part in location:
         try:
@@ -73,7 +88,17 @@ def source_place(values: Any, location: Location) -> Location:
 
 
 def drawn_item(values: Any, location: Location) -> int | None:
-    """Number of the outermost object at a place among those of its entry; None where there is no `count`."""
+    """Return the number of the outermost object at a place among those of its entry.
+
+    Parameters
+    ----------
+    values : mapping of the drawn scene
+    location : keys and indices in the drawn scene
+
+    Returns
+    -------
+    number of the object, counted from 0; None where there is no `count`
+    """
     for part in location:
         try:
             values = values[part]
@@ -85,7 +110,18 @@ def drawn_item(values: Any, location: Location) -> int | None:
 
 
 def numbers(seed: str, path: Path, count: int) -> Float[np.ndarray, " item"]:
-    """Numbers in [0, 1) of the first items under a key; more items do not change them."""
+    """Draw the numbers in [0, 1) of the first items under a key; more items do not change them.
+
+    Parameters
+    ----------
+    seed : seed of the scene
+    path : key
+    count : number of items
+
+    Returns
+    -------
+    one number per item
+    """
     digest = sha256("\0".join((seed, *path)).encode()).digest()
     return np.random.Generator(np.random.Philox(key=np.frombuffer(digest[:16], np.uint64))).random(count)
 
@@ -141,7 +177,7 @@ class _Draw:
         return found
 
     def _count(self, entry: dict[str, Any], path: Path, where: Location) -> int:
-        """How many objects an entry stands for."""
+        """Return the number of objects of an entry."""
         count = self.values(entry.get("count", 1), (*path, "count"), (*where, "count"), 1)[0]
         if not isinstance(count, int) or isinstance(count, bool) or count < 0:
             hint = "; write such as {integers: [1, 9]}" if isinstance(count, dict) else ""

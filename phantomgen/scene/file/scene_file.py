@@ -25,7 +25,7 @@ _MANY = 1000
 
 @dataclass(frozen=True)
 class SceneFile:
-    """Text of a scene, where it came from, and the values that override it.
+    """Text of a scene, its origin, and the values that override it.
 
     Parameters
     ----------
@@ -40,7 +40,22 @@ class SceneFile:
 
     @classmethod
     def read(cls, path: Path | str, overrides: Sequence[str] = ()) -> "SceneFile":
-        """From a file."""
+        """Read a scene file.
+
+        Parameters
+        ----------
+        path : the file
+        overrides : ``path=value`` with dotted paths
+
+        Returns
+        -------
+        the scene file
+
+        Raises
+        ------
+        SceneError
+            When the file cannot be read.
+        """
         try:
             return cls(str(path), Path(path).read_text(encoding="utf-8"), tuple(overrides))
         except OSError as error:
@@ -50,7 +65,22 @@ class SceneFile:
 
     @classmethod
     def preset(cls, name: str, overrides: Sequence[str] = ()) -> "SceneFile":
-        """From a scene that comes with this package."""
+        """Read a scene that comes with this package.
+
+        Parameters
+        ----------
+        name : name of the preset
+        overrides : ``path=value`` with dotted paths
+
+        Returns
+        -------
+        the scene file
+
+        Raises
+        ------
+        SceneError
+            When there is no such preset.
+        """
         if name not in preset_names():
             raise SceneError(f"unknown preset {name!r}{closest(name, preset_names())}")
         text = resources.files("phantomgen").joinpath("scene", "presets", f"{name}.yaml").read_text(encoding="utf-8")
@@ -95,24 +125,50 @@ class SceneFile:
         return f"{_dump({key: data[key] for key in head})}objects:\n{lines}{rest}"
 
     def error(self, location: Location, message: str) -> SceneError:
-        """An error that says where in the file its cause stands, or which override put it there."""
+        """Create an error that names the place of its cause in the file, or the override that caused it.
+
+        Parameters
+        ----------
+        location : keys and indices in the drawn scene
+        message : one sentence
+
+        Returns
+        -------
+        the error
+        """
         keys = _keys(self.values, location)
         item = drawn_item(self.values, keys)
         drawn = "" if item is None else f" (object {item} of those drawn)"
         return self._error_at(source_place(self.values, keys), message + drawn)
 
     def _error_at(self, location: Location, message: str) -> SceneError:
-        """The same for a place in the file, where an entry may stand for many objects."""
+        """Create an error at a place in the file, where an entry may stand for many objects."""
         key = ".".join(map(str, location))
-        for override in self.overrides:
-            path = override.partition("=")[0].strip()
+        paths = {override: override.partition("=")[0].strip() for override in self.overrides}
+        for override, path in reversed(paths.items()):  # the last one of a path is in force
             if key == path or key.startswith(f"{path}."):
                 return SceneError(f"--set {override}: {key} - {message}")
-        return SceneError(f"{self.name}:{_mark(self._root, location)}: {key}{' - ' if key else ''}{message}")
+        parts = [f"--set {override}" for override, path in paths.items() if key and path.startswith(f"{key}.")]
+        where = f"{key} (with {', '.join(parts)})" if parts else key
+        return SceneError(f"{self.name}:{_mark(self._root, location)}: {where}{' - ' if where else ''}{message}")
 
     @contextmanager
     def at(self, *location: str | int) -> Iterator[None]:
-        """Give errors of physics and geometry their place in the file."""
+        """Add the place in the file to errors of physics and geometry; a context manager.
+
+        Parameters
+        ----------
+        *location : keys and indices in the drawn scene
+
+        Yields
+        ------
+        nothing
+
+        Raises
+        ------
+        SceneError
+            With the place in the file.
+        """
         try:
             yield
         except SceneError:
@@ -137,13 +193,23 @@ class SceneFile:
 
 
 def preset_names() -> list[str]:
-    """Names of the scenes that come with this package."""
+    """Return the names of the scenes that come with this package.
+
+    Returns
+    -------
+    names in alphabetical order
+    """
     files = resources.files("phantomgen").joinpath("scene", "presets").iterdir()
     return sorted(f.name.removesuffix(".yaml") for f in files if f.name.endswith(".yaml"))
 
 
 def preset_summaries() -> dict[str, str]:
-    """First sentence of the comment that opens each preset."""
+    """Return the first sentence of the comment that opens each preset.
+
+    Returns
+    -------
+    sentences by name of the preset
+    """
     comments = {}
     for name in preset_names():
         lines = [line[1:].strip() for line in SceneFile.preset(name).text.splitlines() if line.startswith("#")]
@@ -152,7 +218,17 @@ def preset_summaries() -> dict[str, str]:
 
 
 def closest(word: str, known: Iterable[str]) -> str:
-    """A hint at the known word that is meant, or at all of them."""
+    """Return a hint at the known word that is closest to a word, or at all known words.
+
+    Parameters
+    ----------
+    word : the unknown word
+    known : known words
+
+    Returns
+    -------
+    end of a sentence
+    """
     known = list(known)
     near = difflib.get_close_matches(word, known, 1)
     choice = f": choose from {', '.join(known)}" if known else ""
@@ -165,7 +241,7 @@ def _rank(error: Any) -> tuple[bool, bool]:
 
 
 def _sentence(error: Any) -> str:
-    """What pydantic found, in words for somebody who writes a scene."""
+    """Return the error that pydantic found as a sentence for the author of a scene."""
     kind, got = error["type"], error.get("input")
     if kind in {"missing", "union_tag_not_found"}:
         return f"is missing{_choices(str(error['loc'][-1]))}"
@@ -186,7 +262,7 @@ def _sentence(error: Any) -> str:
 
 
 def _choices(key: str) -> str:
-    """What a key may be, where it has a choice of values."""
+    """Return the allowed values of a key that has a choice of values."""
     for field in (model.model_fields[key] for model in _models() if key in model.model_fields):
         options = get_args(field.annotation) if get_origin(field.annotation) is Literal else ()
         if len(options) > 1:

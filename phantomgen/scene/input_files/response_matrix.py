@@ -16,13 +16,17 @@ Matrix = Float[np.ndarray, "row column"]
 
 
 def read_response(model: schema.ResponseMatrixModel, folder: Path, top: float) -> ResponseMatrix:
-    """The detector that a scene's response matrix describes.
+    """Read the response matrix of a scene and create its detector.
 
     Parameters
     ----------
     model : what the scene says
     folder : where relative file names start
     top : highest energy of the source [keV]
+
+    Returns
+    -------
+    the detector
 
     Raises
     ------

@@ -20,7 +20,13 @@ LINE, EDGE = "line", "edge"
 
 
 def write_source(source: Source, path: Path, title: str) -> None:
-    """Write all that a source is made of, with all digits; `read_source` gives the same back.
+    """Write a source to a text file with all digits; `read_source` reads the same source back.
+
+    Parameters
+    ----------
+    source : the source
+    path : the file
+    title : first line of the comment
 
     Raises
     ------
@@ -46,11 +52,20 @@ def write_source(source: Source, path: Path, title: str) -> None:
 
 
 def read_source(path: Path, values: str, energies: str) -> Source:
-    """The source that a table describes.
+    """Read the source that a table describes.
 
     Parameters
     ----------
     path, values, energies : as in `read_spectrum`, or `energies` are ``corners`` as `write_source` has them
+
+    Returns
+    -------
+    the source
+
+    Raises
+    ------
+    InputError
+        When the file is missing or is no such table.
     """
     if energies != "corners":
         return Source.of_bins(*read_spectrum(path, values, energies))
@@ -73,7 +88,7 @@ def read_source(path: Path, values: str, energies: str) -> Source:
 def read_spectrum(
     path: Path, values: str, energies: str
 ) -> tuple[Float[np.ndarray, " energy_plus_1"], Float[np.ndarray, " energy"]]:
-    """Bin edges [keV] and photons per bin.
+    """Read bin edges [keV] and photons per bin.
 
     Parameters
     ----------
@@ -81,6 +96,15 @@ def read_spectrum(
     values : the second column is photons ``per_bin``, or a density ``per_kev`` that is constant over each bin
     energies : the first column is bin ``centres``, evenly spaced; or bin ``edges``, then a value belongs to the bin
         that begins there, and the last row only ends the last bin, with value 0
+
+    Returns
+    -------
+    edges [keV], one more than bins, and photons per bin
+
+    Raises
+    ------
+    InputError
+        When the file is missing or is no such table.
     """
     lines, energy, value, _ = _columns(path)
     _refuse_descent(path, lines, energy, np.nextafter(0, 1))

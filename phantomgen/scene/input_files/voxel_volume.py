@@ -23,7 +23,7 @@ _KINDS = f".npy, {', '.join(IMAGES)}, a dataset such as file.h5:/path, or a fold
 
 @dataclass(frozen=True, eq=False)
 class Volume:
-    """What a file holds.
+    """Voxel volume read from a file.
 
     Parameters
     ----------
@@ -40,7 +40,22 @@ class Volume:
 
 
 def read_volume(name: str, folder: Path) -> Volume:
-    """Read a volume; relative names start at `folder`."""
+    """Read a volume.
+
+    Parameters
+    ----------
+    name : name of the file
+    folder : folder where relative names start
+
+    Returns
+    -------
+    voxels and their place
+
+    Raises
+    ------
+    InputError
+        When the file is missing or cannot be read.
+    """
     inside = re.fullmatch(r"(.+\.(?:h5|hdf5|nxs)):(/.+)", name, re.IGNORECASE)
     path = folder / (inside.group(1) if inside else name)
     kind = "".join(path.suffixes[-2:]) if path.suffix.lower() == ".gz" else path.suffix

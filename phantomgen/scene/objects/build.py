@@ -38,7 +38,15 @@ Filling = str | tuple[str, ...]
 
 
 def objects_of(file: SceneFile) -> list[tuple[Shape, Filling]]:
-    """Shapes with the names of their materials, lowest priority first, groups and patterns resolved.
+    """Create shapes with the names of their materials, lowest priority first, groups and patterns resolved.
+
+    Parameters
+    ----------
+    file : the scene file
+
+    Returns
+    -------
+    pairs of a shape and the name of its material, or the names of a voxel map's materials
 
     Raises
     ------
@@ -91,12 +99,21 @@ def _refuse_material(file: SceneFile, model: schema.ObjectModel, where: Location
 
 
 def has_curves(file: SceneFile) -> bool:
-    """Whether objects of a scene are smooth surfaces that become triangles: sweeps, or CAD files."""
+    """Return whether a scene has smooth surfaces that become triangles: sweeps, or CAD files.
+
+    Parameters
+    ----------
+    file : the scene file
+
+    Returns
+    -------
+    True where there are some
+    """
     return any(map(_curved, file.model.objects))
 
 
 def _curved(model: schema.ObjectModel) -> bool:
-    """Whether an object, or a part of it, is such a surface."""
+    """Return whether an object, or a part of it, is a smooth surface that becomes triangles."""
     match model:
         case schema.SweepModel():
             return True
@@ -112,7 +129,7 @@ def _curved(model: schema.ObjectModel) -> bool:
 
 
 def _fineness(file: SceneFile) -> int:
-    """How many times finer than usual smooth surfaces become triangles."""
+    """Return how many times finer than usual smooth surfaces become triangles."""
     wanted = file.model.tessellation
     return wanted if isinstance(wanted, int) else 1
 

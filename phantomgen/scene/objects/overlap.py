@@ -27,12 +27,16 @@ Region = frozenset[int]
 
 
 def added_up(file: SceneFile, objects: Objects) -> tuple[list[tuple[Shape, str]], dict[str, Material]]:
-    """Objects that override each other, and their materials, for a scene with ``overlap: add``.
+    """Convert the objects of a scene with ``overlap: add`` to objects that override each other.
 
     Parameters
     ----------
     file : the scene, for its materials and for messages
     objects : shapes with the names of their materials
+
+    Returns
+    -------
+    shapes with the names of their materials, and these materials by name
 
     Raises
     ------
@@ -63,14 +67,28 @@ def added_up(file: SceneFile, objects: Objects) -> tuple[list[tuple[Shape, str]]
 
 @dataclass(frozen=True)
 class Arrangement:
-    """Some shapes, which of them enclose each other, and which meet."""
+    """Shapes, with the relations which of them enclose each other and which intersect.
+
+    Parameters
+    ----------
+    shapes : the shapes
+    """
 
     shapes: tuple[Shape, ...]
 
     def regions(self) -> list[Region]:
-        """Sets of shapes with a common interior, small ones first.
+        """Return the sets of shapes with a common interior, small ones first.
 
         A set holds all shapes that enclose one of its members: nothing lies in a member and outside of those.
+
+        Returns
+        -------
+        sets of indices
+
+        Raises
+        ------
+        InputError
+            When too many shapes overlap.
         """
         closed = [frozenset([i, *np.flatnonzero(self._enclosed[:, i]).tolist()]) for i in range(len(self.shapes))]
         found: dict[Region, None] = {}
@@ -84,7 +102,16 @@ class Arrangement:
         return sorted(found, key=len)
 
     def common(self, region: Region) -> Shape:
-        """The intersection of some shapes."""
+        """Return the intersection of some shapes.
+
+        Parameters
+        ----------
+        region : indices of the shapes
+
+        Returns
+        -------
+        the intersection
+        """
         inner = self._innermost(region)
         return self.shapes[inner[0]] if len(inner) == 1 else Intersection(tuple(self.shapes[i] for i in inner))
 
@@ -97,7 +124,7 @@ class Arrangement:
         ]
 
     def _meet(self, region: Region) -> bool:
-        """Whether all members have a common interior."""
+        """Return whether all members have a common interior."""
         from phantomgen.shapes.intersection_tests import meet  # noqa: PLC0415 - scipy's optimizers only where objects add up
 
         inner = self._innermost(region)
@@ -113,7 +140,7 @@ class Arrangement:
 
     @cached_property
     def _enclosed(self) -> Bool[np.ndarray, "outer inner"]:
-        """Which shape encloses which other one for certain."""
+        """Matrix that is True where one shape certainly encloses another one."""
         from phantomgen.shapes.intersection_tests import encloses  # noqa: PLC0415
 
         found = np.zeros_like(self._boxes_meet)
@@ -130,7 +157,7 @@ def _one_material(file: SceneFile, filling: str | tuple[str, ...]) -> str:
 
 
 def _coefficients(file: SceneFile, name: str) -> Mapping[str, float]:
-    """What an object of this material adds."""
+    """Return the coefficients that an object of this material adds."""
     model = file.model.materials.get(name)
     coefficients = None if model is None else model.coefficients
     if coefficients is None:

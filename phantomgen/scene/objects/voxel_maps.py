@@ -28,7 +28,17 @@ _EXCESS = 1e-3
 
 
 def voxels_of(file: SceneFile, model: schema.VoxelsModel, where: Location) -> tuple[Voxels, tuple[str, ...]]:
-    """A voxel map where it belongs, and the name of the material of each of its parts.
+    """Read a voxel map, put it in its place, and return the material name of each of its parts.
+
+    Parameters
+    ----------
+    file : the scene file
+    model : model of the voxel map
+    where : its place in the file
+
+    Returns
+    -------
+    the shape, and names of materials
 
     Raises
     ------
@@ -146,7 +156,7 @@ def _stack(file: SceneFile, model: schema.VoxelsModel, where: Location) -> tuple
 
 
 def _place(volume: Volume) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What a file says about its place."""
+    """Return spacing, directions and origin as the file states them."""
     directions = np.eye(3) if volume.directions is None else volume.directions
     return np.array(volume.spacing or 0.0), directions, np.array(volume.origin or 0.0)
 

@@ -77,8 +77,8 @@ from phantomgen.scene.schema.sources import (
     FilterModel,
     LinesModel,
     MonochromaticModel,
+    MultiSourceModel,
     OneSourceModel,
-    SeveralSourcesModel,
     SourceModel,
     TableModel,
     TubeModel,
@@ -129,6 +129,7 @@ __all__ = [
     "Model",
     "MonochromaticModel",
     "MotionModel",
+    "MultiSourceModel",
     "ObjectModel",
     "OffsetModel",
     "OneSourceModel",
@@ -146,7 +147,6 @@ __all__ = [
     "RingModel",
     "ScatterModel",
     "SceneModel",
-    "SeveralSourcesModel",
     "ShapeModel",
     "SinusoidModel",
     "SolutionModel",
@@ -197,5 +197,10 @@ class SceneModel(Model):
 
 
 def json_schema() -> dict[str, Any]:
-    """JSON Schema of a scene file, for completion in editors."""
+    """Return the JSON Schema of a scene file, for completion in editors.
+
+    Returns
+    -------
+    the schema
+    """
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **SceneModel.model_json_schema()}

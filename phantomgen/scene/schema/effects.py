@@ -59,7 +59,7 @@ ScatterModel = Annotated[KernelScatterModel | ComptonScatterModel, Field(discrim
 
 
 class EffectsModel(Model):
-    """What a real scan has beyond exposure and photon noise."""
+    """Effects of a real scan beyond exposure and photon noise."""
 
     tube_output: TubeOutputModel | None = None
     focal_spot: FocalSpotModel | None = None

@@ -166,14 +166,14 @@ class VoxelsModel(ObjectModel):
 
 
 class CombinedModel(ObjectModel):
-    """What lies in any (`union`) or in all (`intersection`) of some shapes."""
+    """Union (points in any) or intersection (points in all) of some shapes."""
 
     type: Literal["union", "intersection"]
     shapes: Annotated[tuple["ShapeModel", ...], Field(min_length=1)]
 
 
 class DifferenceModel(ObjectModel):
-    """What lies in a shape and in none of those that are cut off."""
+    """Difference: points in a shape and in none of those that are cut off."""
 
     type: Literal["difference"]
     base: "ShapeModel"

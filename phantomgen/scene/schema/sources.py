@@ -97,7 +97,7 @@ OneSourceModel = Annotated[
 ]
 
 
-class SeveralSourcesModel(Model):
+class MultiSourceModel(Model):
     """Named sources: `multi_source` takes every view with each of them, with `switching` views take turns."""
 
     type: Literal["multi_source", "switching"]
@@ -106,4 +106,4 @@ class SeveralSourcesModel(Model):
     ]
 
 
-SourceModel = Annotated[OneSourceModel | SeveralSourcesModel, Field(discriminator="type")]
+SourceModel = Annotated[OneSourceModel | MultiSourceModel, Field(discriminator="type")]

@@ -21,7 +21,7 @@ _CAD_ANGLE, _CAD_BEND = 0.03, 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Mesh(Shape):
-    """The space inside a closed surface of triangles.
+    """Space inside a closed surface of triangles.
 
     Parameters
     ----------
@@ -65,12 +65,21 @@ class Mesh(Shape):
 
 
 def is_cad(path: str | Path) -> bool:
-    """Whether a file holds smooth surfaces, which become triangles."""
+    """Return whether a file contains smooth surfaces, which become triangles.
+
+    Parameters
+    ----------
+    path : the file
+
+    Returns
+    -------
+    True for STEP files
+    """
     return Path(path).suffix.lower() in {".step", ".stp"}
 
 
 def load_mesh(path: str | Path, unit: str, name: str | None = None, fineness: int = 1) -> Mesh:
-    """Mesh from a file; corners with exactly equal coordinates become one vertex.
+    """Read a mesh from a file; corners with exactly equal coordinates become one vertex.
 
     Parameters
     ----------
@@ -78,6 +87,15 @@ def load_mesh(path: str | Path, unit: str, name: str | None = None, fineness: in
     unit : of the file's coordinates, one of mm, cm, m, um, inch; a STEP file states its own and is read in mm
     name : what error messages call it; the file's name unless given
     fineness : triangles of CAD surfaces are so many times finer than usual
+
+    Returns
+    -------
+    the mesh
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, or the unit is unknown.
     """
     path = Path(path)
     if unit not in UNITS:
@@ -101,7 +119,17 @@ def load_mesh(path: str | Path, unit: str, name: str | None = None, fineness: in
 def merge_equal(
     vertices: Float[np.ndarray, "vertex 3"], triangles: Int64[np.ndarray, "triangle 3"]
 ) -> tuple[Float[np.ndarray, "distinct 3"], Int64[np.ndarray, "triangle 3"]]:
-    """The same triangles with one vertex for each distinct point."""
+    """Merge vertices at equal points.
+
+    Parameters
+    ----------
+    vertices : (x, y, z) [mm], (vertex, 3)
+    triangles : indices of vertices, (triangle, 3)
+
+    Returns
+    -------
+    distinct vertices, and triangles with their indices
+    """
     order = np.lexsort(vertices.T)
     points = vertices[order]
     first = np.ones(len(points), dtype=np.bool_)

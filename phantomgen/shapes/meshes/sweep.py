@@ -14,7 +14,7 @@ Points = Float[np.ndarray, "point 3"]
 
 
 def sweep(points: Sequence[Sequence[float]], radius: float | Sequence[float], sides: int = 24, steps: int = 8) -> Mesh:
-    """A closed mesh of rings around a smooth curve, with flat ends.
+    """Create a closed mesh of rings around a smooth curve, with flat ends.
 
     Parameters
     ----------
@@ -22,6 +22,10 @@ def sweep(points: Sequence[Sequence[float]], radius: float | Sequence[float], si
     radius : one radius, or one per point [mm]; from point to point it changes as smoothly as the curve
     sides : corners of a ring, whose area is that of its circle
     steps : rings from one point to the next
+
+    Returns
+    -------
+    the mesh
 
     Raises
     ------

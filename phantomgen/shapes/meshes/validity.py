@@ -1,4 +1,4 @@
-"""What is wrong with a surface of triangles, in one sentence with a way to repair it."""
+"""Check of triangle surfaces; each error is one sentence with a way to repair the surface."""
 
 import numpy as np
 from jaxtyping import Float, Int64
@@ -14,6 +14,12 @@ def check_surface(
     vertices: Float[np.ndarray, "vertex 3"], triangles: Int64[np.ndarray, "triangle 3"], name: str
 ) -> None:
     """Refuse a surface unless every point of space is clearly inside or outside of it.
+
+    Parameters
+    ----------
+    vertices : (x, y, z) [mm], (vertex, 3)
+    triangles : indices of vertices, (triangle, 3)
+    name : name of the mesh in messages
 
     Raises
     ------

@@ -16,10 +16,14 @@ _TOUCH = 1e-6  # mm that an object may reach into the panel by rounding
 
 
 def check_collisions(scan: Scan) -> None:
-    """Refuse an object that some ray meets behind the panel, or that lies wholly behind the source of a view.
+    """Refuse an object that a ray meets behind the panel, or that lies entirely behind the source of a view.
 
     An object that contains the source, such as a box of air around everything, may contain the panel, too. Objects
     beside the field of view may reach past the panel.
+
+    Parameters
+    ----------
+    scan : the scan to check
 
     Raises
     ------
@@ -41,7 +45,7 @@ def _planes(frames: Float[np.ndarray, "view 4 3"]) -> tuple[np.ndarray, np.ndarr
 
 
 def _collisions(scan: Scan, shape: Shape) -> Iterator[str]:
-    """What is wrong with the place of an object, beginning with the views where it is worst."""
+    """Yield sentences about an object in an impossible place, beginning with the worst views."""
     frames, panel = scan.geometry.ray_frames(), scan.geometry.panel
     points = np.concatenate(points_of(shape, _POINTS))
     if not len(points):

@@ -1,4 +1,4 @@
-"""What the scan can see of the scene: where points of the objects fall on the panel, and the rays through them."""
+"""Field of view: where points of the objects fall on the panel, and the rays through them."""
 
 from collections.abc import Iterable, Iterator
 
@@ -18,7 +18,16 @@ _DESCRIBED = 8
 
 
 def coverage_warnings(scan: Scan) -> list[str]:
-    """Sentences about objects that are empty, hold the source, or are cut off by panel or volume, with how much."""
+    """Return sentences about objects that are empty, contain the source, or are cut off by panel or volume.
+
+    Parameters
+    ----------
+    scan : the scan to check
+
+    Returns
+    -------
+    sentences, with how much is cut off
+    """
     return [*_solid_warnings(scan), *_panel_warnings(scan), *_volume_warnings(scan)]
 
 
@@ -40,7 +49,17 @@ def _solid_warnings(scan: Scan) -> Iterator[str]:
 
 
 def named(scan: Scan, numbers: Iterable[int]) -> Iterator[tuple[int, str, Shape]]:
-    """Objects with their numbers and the names of their materials."""
+    """Yield objects with their numbers and the names of their materials.
+
+    Parameters
+    ----------
+    scan : the scan
+    numbers : indices of objects
+
+    Yields
+    ------
+    index, name of the material, shape
+    """
     for i in numbers:
         shape, material = scan.scene.objects[i]
         yield i, _name(scan, material), shape
@@ -132,7 +151,19 @@ def _volume_warnings(scan: Scan) -> Iterator[str]:
 def reaching(
     scan: Scan, planes: tuple[Float[np.ndarray, "view plane 3"], Float[np.ndarray, "view plane"]]
 ) -> list[int]:
-    """Numbers of objects that may reach where ``normal . x + offset < 0`` for some plane; balls around them do."""
+    """Return the numbers of objects that may reach where ``normal . x + offset < 0`` for some plane.
+
+    The bounding balls of the objects are tested.
+
+    Parameters
+    ----------
+    scan : the scan
+    planes : normals, (view, plane, 3), and offsets [mm], (view, plane)
+
+    Returns
+    -------
+    indices of objects
+    """
     solids = scan.scene.solids
     inside = np.flatnonzero(solids.inside & (solids.kinds != HALFSPACE))
     balls = solids.balls[inside]
@@ -157,12 +188,12 @@ def _panel_planes(
 
 
 def _is_whole(shape: Shape) -> bool:
-    """Whether nothing is cut off the primitives of a shape, so that its bounds are tight."""
+    """Return whether nothing is cut off the primitives of a shape, so that its bounds are tight."""
     return all(len(term) == 1 for term in shape.terms)
 
 
 def _name(scan: Scan, material: int | tuple[int, ...]) -> str:
-    """What an object consists of."""
+    """Return the names of the materials of an object."""
     indices = material if isinstance(material, tuple) else (material,)
     return ", ".join(scan.scene.materials[i].name for i in indices)
 
@@ -173,9 +204,9 @@ def _missed(
     panel: Panel,
     upright: bool = True,
 ) -> tuple[Bool[np.ndarray, "view point"], float]:
-    """Which points no pixel sees (also those behind the source), and the largest distance beyond the panel [mm].
+    """Return the points that no pixel sees, and the largest distance beyond the panel [mm].
 
-    Without `upright`, what leaves the panel above or below counts as seen.
+    Points behind the source count as not seen. Without `upright`, what leaves the panel above or below counts as seen.
     """
     depth, column, row = np.moveaxis(on_panel(frames, points), -1, 0)
     beyond = np.maximum(-0.5 - column, column - (panel.columns - 0.5)) * panel.column_pitch

@@ -20,7 +20,17 @@ _UPRIGHT = 0.999
 
 
 def helix_axis(frames: Float[np.ndarray, "view 4 3"], panel: Panel) -> Float[np.ndarray, " 3"] | None:
-    """Axis that the source travels along as it turns, a unit vector; None where it does not, as on a circle."""
+    """Return the axis along which the source travels as it turns.
+
+    Parameters
+    ----------
+    frames : source, vector to pixel (0, 0), column step and row step of each view [mm]
+    panel : pixel grid
+
+    Returns
+    -------
+    unit vector; None where the source does not travel, as on a circle
+    """
     columns = frames[:, 3] / np.linalg.norm(frames[:, 3], axis=1, keepdims=True)
     axis = columns.mean(axis=0)
     if np.linalg.norm(axis) < _UPRIGHT:
@@ -35,7 +45,7 @@ def lacks_directions(
     points: Float[np.ndarray, "point 3"],
     seen: Bool[np.ndarray, "view point"],
 ) -> Bool[np.ndarray, " point"]:
-    """Which points are seen from less than half a turn.
+    """Return the points that are seen over less than half a turn.
 
     Parameters
     ----------
@@ -43,6 +53,10 @@ def lacks_directions(
     axis : of the turn, a unit vector
     points : [mm]
     seen : whether the ray of a view to a point meets the panel
+
+    Returns
+    -------
+    True for these points
     """
     first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     first /= np.linalg.norm(first)

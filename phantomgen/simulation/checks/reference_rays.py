@@ -47,7 +47,9 @@ class RayGrid:
         level: Float[np.ndarray, " channel"],
         share: float,
     ) -> float:
-        """Worst difference of log counts in chosen pixels; differences below `share` need no more rays.
+        """Compute the worst difference of log counts in chosen pixels.
+
+        Differences below `share` need no more rays.
 
         Parameters
         ----------
@@ -55,6 +57,10 @@ class RayGrid:
         chosen : pixels to judge them by
         level : highest counts, below 1e-12 of which there is nothing to measure
         share : error that is allowed
+
+        Returns
+        -------
+        largest absolute difference
         """
 
         def error(i: int) -> float:
@@ -64,7 +70,7 @@ class RayGrid:
         return max(run_parallel(error, np.flatnonzero(chosen).tolist()), default=0.0)
 
     def _error(self, i: int, found: Counts, level: Counts, share: float) -> float:
-        """Of one pixel: rays are doubled while both the difference and its doubt are too large.
+        """Compute the error of one pixel; rays are doubled while both the difference and its uncertainty are too large.
 
         A strip between two rows of rays stays unseen: where all rays are dark, less than that may be open.
         """
@@ -84,23 +90,30 @@ class RayGrid:
             rays *= 2
 
     def _counts(self, i: int, rays: int) -> Float[np.ndarray, " channel"]:
-        """Of one pixel."""
+        """Return the counts of one pixel."""
         if (i, rays) not in self.known:
             self.known[i, rays] = self.counts_of(self.pixels[i : i + 1], rays)[0]
         return self.known[i, rays]
 
 
 def split_grid(
-    expose: Callable[[Frame, tuple[float, float], int], Counts], frame: Frame, aperture: tuple[float, float], rays: int
+    counts_of: Callable[[Frame, tuple[float, float], int], Counts],
+    frame: Frame,
+    aperture: tuple[float, float],
+    rays: int,
 ) -> Counts:
-    """Mean over `rays` x `rays` rays of each pixel, in parts of a pixel where they are many.
+    """Compute the mean over `rays` x `rays` rays of each pixel, in parts of a pixel where the rays are many.
 
     Parameters
     ----------
-    expose : counts by frame, part of a pixel's width and height that rays cover around its centre, and rays per side
+    counts_of : counts by frame, part of a pixel's width and height that rays cover around its centre, and rays per side
     frame : source, vector from there to the centre of pixel (0, 0), column step, row step [mm]
     aperture : part of a pixel's width and height that is sensitive
     rays : per side
+
+    Returns
+    -------
+    counts, (channel, row, column)
     """
     parts = -(-rays // _PART)
     places = (np.arange(parts) + 0.5) / parts - 0.5
@@ -108,18 +121,22 @@ def split_grid(
     for across, down in np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2):
         shifted = frame.copy()
         shifted[1] += across * aperture[0] * frame[2] + down * aperture[1] * frame[3]
-        counts.append(expose(shifted, (aperture[0] / parts, aperture[1] / parts), rays // parts))
+        counts.append(counts_of(shifted, (aperture[0] / parts, aperture[1] / parts), rays // parts))
     return np.mean(counts, axis=0)
 
 
 def worst_error(counts: Counts, exact: Counts, level: Counts, unseen: float = 0.0) -> float:
-    """Worst difference of log counts where either has anything left to measure.
+    """Compute the worst difference of log counts where either has anything left to measure.
 
     Parameters
     ----------
     counts, exact : what is judged, and what by
     level : highest counts
     unseen : part of a pixel that what it is judged by may miss: it cannot tell that from a pixel that is dark
+
+    Returns
+    -------
+    largest absolute difference
     """
     level = np.broadcast_to(level, np.shape(counts))
     lit = level > 0
@@ -128,11 +145,21 @@ def worst_error(counts: Counts, exact: Counts, level: Counts, unseen: float = 0.
 
 
 def log_errors(left: Counts, wanted: Counts, unseen: float = 0.0) -> Counts:
-    """Differences of log counts, each count a part of the open beam.
+    """Compute differences of log counts.
 
-    Parts below 1e-12 count as 1e-12: a pixel that is wrongly dark errs by up to 28, and where both are dark there is
-    nothing to measure. What it is judged by may be dark because it misses a part of a pixel; as long as `unseen` is
-    more than what is left, that is no error.
+    Counts are fractions of the open beam. Fractions below 1e-12 are set to 1e-12: a pixel that is wrongly dark errs by
+    up to 28, and where both are dark there is nothing to measure. The reference may be dark because it misses a part of
+    a pixel; while `unseen` is larger than what is left, that is no error.
+
+    Parameters
+    ----------
+    left : counts to judge, as fractions of the open beam
+    wanted : reference counts, as fractions of the open beam
+    unseen : part of a pixel that the reference may miss
+
+    Returns
+    -------
+    differences, 0 where there is nothing to measure
     """
     errors = np.log(np.maximum(left, _LEAST) / np.maximum(wanted, _LEAST))
     return np.where((wanted <= _LEAST) & (left <= unseen), 0.0, errors)

@@ -1,6 +1,6 @@
 """How wrong the expected counts are: against many rays per pixel and ten times finer energy bins.
 
-The yardstick shares the exact chords with the simulator, and neither its way of averaging over a pixel nor its energy
+The reference shares the exact chords with the simulator, and neither its way of averaging over a pixel nor its energy
 nodes.
 """
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from phantomgen.ops.expected_counts import CROSSED, VOXELS, expose, expose_brute
+from phantomgen.ops.expected_counts import CROSSED, VOXELS, expected_counts, expected_counts_by_grid
 from phantomgen.ops.trace import trace
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.checks.reference_rays import log_errors
@@ -31,7 +31,7 @@ _FULL_VIEWS, _FULL_RAYS = 3, 100_000
 _PIXELS_PER_PIECE = 8
 # Of the pixels that voxel maps project to, which may be all, no more than these are looked at per view.
 _MOST_VOXEL_PIXELS = 200
-# Nodes of the yardstick may err by this.
+# Nodes of the reference may err by this.
 _ENERGY_TOLERANCE = 1e-6
 
 Errors = Float[np.ndarray, " value"]
@@ -64,7 +64,12 @@ class MeasuredError:
     sub_rays: int = SUB_RAYS
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return all numbers under stable keys, for JSON.
+
+        Returns
+        -------
+        the mapping
+        """
         return dict(vars(self))
 
     def __str__(self) -> str:
@@ -78,14 +83,38 @@ class MeasuredError:
 def quick_check(
     scan: Scan, transmission: Transmission, settings: Settings, primary: Primary | None = None
 ) -> MeasuredError:
-    """On a seeded sample of edge pixels and rays, in about a second; `primary` gives views where rays do not."""
+    """Measure the error on a seeded sample of edge pixels and rays, in about a second.
+
+    Parameters
+    ----------
+    scan : the scan
+    transmission : path lengths to counts
+    settings : how finely it is computed
+    primary : function that returns primary signals of a view in place of rays; None where rays are traced
+
+    Returns
+    -------
+    the error
+    """
     return _check(scan, transmission, settings, _QUICK_PIXELS, _QUICK_RAYS, primary)
 
 
 def full_check(
     scan: Scan, transmission: Transmission, settings: Settings, primary: Primary | None = None
 ) -> MeasuredError:
-    """On all edge pixels of three views and 1e5 rays."""
+    """Measure the error on all edge pixels of three views and on 1e5 rays.
+
+    Parameters
+    ----------
+    scan : the scan
+    transmission : path lengths to counts
+    settings : how finely it is computed
+    primary : function that returns primary signals of a view in place of rays; None where rays are traced
+
+    Returns
+    -------
+    the error
+    """
     return _check(scan, transmission, settings, None, _FULL_RAYS, primary)
 
 
@@ -100,11 +129,11 @@ def _check(
     """Errors of edge pixels and of rays; all edge pixels where no number of them is given."""
     rng = np.random.default_rng([scan.seed, 6])
     views = np.linspace(0, len(scan.geometry) - 1, min(_FULL_VIEWS, len(scan.geometry))).round().astype(int)
-    yardstick, _ = compressed_transmission(
+    reference, _ = compressed_transmission(
         scan, sampled_lengths(scan), _ENERGY_TOLERANCE, refine=False, step=STEP / FINER
     )
     share = None if pixels_per_scan is None else -(-pixels_per_scan // len(views))
-    edges = [_edge_errors(scan, transmission, settings, yardstick, int(view), share, rng, primary) for view in views]
+    edges = [_edge_errors(scan, transmission, settings, reference, int(view), share, rng, primary) for view in views]
     edge = np.concatenate(edges)
     ray = _ray_errors(scan, transmission, rays, rng)
     counted = len(edge) // len(scan.detector)
@@ -115,7 +144,7 @@ def _edge_errors(
     scan: Scan,
     transmission: Transmission,
     settings: Settings,
-    yardstick: Transmission,
+    reference: Transmission,
     view: int,
     count: int | None,
     rng: np.random.Generator,
@@ -123,7 +152,7 @@ def _edge_errors(
 ) -> Errors:
     """Errors of all edge pixels of a view, or of `count` of them."""
     frame, panel = scan.geometry.ray_frames()[view], scan.geometry.panel
-    found = expose(
+    found = expected_counts(
         frame,
         panel.rows,
         panel.columns,
@@ -133,7 +162,7 @@ def _edge_errors(
         **settings.pixels,
     )
     if settings.sub_rays == 1:  # rays through centres know of no edges
-        edges = expose(
+        edges = expected_counts(
             frame, panel.rows, panel.columns, *_arguments(scan, transmission), sub_rays=2, profile=_profile(scan)
         )
         found = found._replace(classes=edges.classes)
@@ -144,31 +173,31 @@ def _edge_errors(
         pixels = np.concatenate([pixels, chosen])
     if count is not None and len(pixels) > count:
         pixels = pixels[rng.choice(len(pixels), count, replace=False)]
-    brute = _brute(scan, yardstick, frame, pixels)
+    brute = _brute(scan, reference, frame, pixels)
     if primary is not None:
         found = found._replace(counts=primary(view, transmission))
     elif scan.effects.focal_spot is not None:
         found = found._replace(counts=expected_view(scan, transmission, view, settings))
     counts = found.counts[:, pixels[:, 0], pixels[:, 1]].T
-    left, wanted = counts / _level(scan, transmission, pixels), brute / _level(scan, yardstick, pixels)
+    left, wanted = counts / _level(scan, transmission, pixels), brute / _level(scan, reference, pixels)
     return log_errors(left, wanted, 1 / _sub_rays(scan)).ravel()
 
 
-def _brute(scan: Scan, yardstick: Transmission, frame: Float[np.ndarray, "4 3"], pixels: Pixels) -> np.ndarray:
+def _brute(scan: Scan, reference: Transmission, frame: Float[np.ndarray, "4 3"], pixels: Pixels) -> np.ndarray:
     """Counts of pixels from a lattice of rays from each point of the source, in parallel pieces."""
     spot = scan.effects.focal_spot
     frames = [frame] if spot is None else spot.frames(frame, SPOT_POINTS)
     kept = {"n": _sub_rays(scan), "profile": _profile(scan), "aperture": aperture_of(scan), "lattice": True}
 
     def piece(part: Pixels) -> np.ndarray:
-        return np.mean([expose_brute(f, part, *_arguments(scan, yardstick), **kept) for f in frames], axis=0)
+        return np.mean([expected_counts_by_grid(f, part, *_arguments(scan, reference), **kept) for f in frames], axis=0)
 
     parts = [pixels[first : first + _PIXELS_PER_PIECE] for first in range(0, len(pixels), _PIXELS_PER_PIECE)]
     return np.concatenate([np.empty((0, len(scan.detector))), *run_parallel(piece, parts)])
 
 
 def _sub_rays(scan: Scan) -> int:
-    """Root of the number of rays of the yardstick per pixel."""
+    """Root of the number of rays of the reference per pixel."""
     return SUB_RAYS if scan.effects.focal_spot is None else SPOT_RAYS
 
 
@@ -188,7 +217,7 @@ def _ray_errors(scan: Scan, transmission: Transmission, count: int, rng: np.rand
 
 
 def _arguments(scan: Scan, transmission: Transmission) -> Sequence[Any]:
-    """Shapes and energies as `expose` takes them."""
+    """Shapes and energies as `expected_counts` takes them."""
     return scan.scene.solids, transmission.columns, transmission.weights, transmission.starts, scan.scene.background
 
 

@@ -1,4 +1,4 @@
-"""What the detector makes of the photons that reach it, in the order of physics.
+"""Detector stages: signal and readings from the photons that reach the detector, in the order of physics.
 
 1. `DetectorStages.registered`: what each frame leaves in the sensor.
    Counters: blur of expected counts, gain, dead time and photon noise.
@@ -32,9 +32,12 @@ class DetectorStages:
     ----------
     scan : what is scanned
     exposure : energies, and how noise is drawn
-    kernels : of the blur along columns and rows, None where there is none
-    gains : of every pixel in views and in flats, empty where there is no gain map
-    mask : what is wrong with each pixel, None where nothing is
+
+    Attributes
+    ----------
+    kernels : of the blur along columns and rows; None where there is none
+    gains : of every pixel in views and in flats; empty where there is no gain map
+    mask : bits that say what is wrong with each pixel; None where nothing is
     """
 
     scan: Scan
@@ -57,29 +60,53 @@ class DetectorStages:
 
     @property
     def recorded_mask(self) -> UInt32[np.ndarray, "row column"] | None:
-        """The mask that the dataset tells; None where there is none, or it is kept back."""
+        """Mask that the dataset states; None where there is none, or where it is withheld."""
         defects = self.scan.effects.defects
         return self.mask if defects is not None and defects.masked else None
 
     @property
     def counts_photons(self) -> bool:
-        """Whether photons are counted; if not, their energies are summed up."""
+        """True when photons are counted; otherwise their energies are added."""
         return self.exposure.quanta is None
 
     @property
     def reads_zero(self) -> bool:
-        """Whether frames without beam hold nothing."""
+        """True when frames without beam contain nothing."""
         return self.mask is None and self.scan.effects.electronics is None
 
     def registered(self, expected: Groups, frame: int, stream: Stream, noise: bool) -> Frame:
-        """Signals that a frame leaves in the sensor, channel by channel, with photon noise or without."""
+        """Compute the signals that a frame leaves in the sensor, channel by channel.
+
+        Parameters
+        ----------
+        expected : expected signals of each group of photons
+        frame : number of the frame
+        stream : kind of the frame
+        noise : whether photon noise is added
+
+        Returns
+        -------
+        signals of each channel, (row, column)
+        """
         if self.counts_photons:
             return self._exposed(self._shaped(expected, stream), frame, stream, noise)
         signals = self._exposed(expected, frame, stream, noise)
         return list(self._shaped(np.stack(signals), stream)) if self.kernels or self.gains else signals
 
     def read(self, signals: Frame | Images, frame: int, stream: Stream, noise: bool) -> Frame:
-        """What the electronics make of signals; without noise where none is asked for."""
+        """Compute the readings of signals by the electronics.
+
+        Parameters
+        ----------
+        signals : signals of each channel
+        frame : number of the frame
+        stream : kind of the frame
+        noise : whether electronic noise is added
+
+        Returns
+        -------
+        readings of each channel, (row, column)
+        """
         kind = np.int32 if noise and self.counts_photons else np.float32
         images = [image.astype(kind, copy=False) for image in self._offset(signals, frame, stream, noise)]
         return images if self.mask is None else [self._stuck(image, c) for c, image in enumerate(images)]

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from phantomgen.ops.expected_counts import KINK_TOLERANCE, RAYS_PER_VOXEL, RULES
+from phantomgen.ops.expected_counts import INTERSECTION_TOLERANCE, RAYS_PER_VOXEL, RULES
 
 
 @dataclass(frozen=True)
@@ -18,15 +18,15 @@ class Settings:
     Parameters
     ----------
     rules : Gauss nodes across and along the silhouettes in a pixel, for growing contrast
-    kinks : error of log counts that is left in pixels where surfaces intersect or edges of a mesh pass
+    intersections : error of log counts that is left in pixels where surfaces intersect or edges of a mesh pass
     sub_rays : if given, a plain grid of so many rays along each edge of a pixel in place of these
     rays_per_voxel : along each side of a pixel, for each voxel of a map that the side is long
-    spot : source points of a focal spot of finite size, up to 985; by default as many as its blur asks for
+    spot : source points of a focal spot of finite size, up to 985; by default as many as its blur requires
     scatter : of Compton scatter, cells along each edge of the volume, and places along each edge of the panel
     """
 
     rules: tuple[tuple[int, int], ...] = RULES
-    kinks: float = KINK_TOLERANCE
+    intersections: float = INTERSECTION_TOLERANCE
     sub_rays: int | None = None
     rays_per_voxel: float = RAYS_PER_VOXEL
     spot: int | None = None
@@ -34,20 +34,37 @@ class Settings:
 
     @property
     def pixels(self) -> dict[str, Any]:
-        """Those that `phantomgen.ops.expected_counts.expose` takes."""
+        """Keyword arguments of `phantomgen.ops.expected_counts.expected_counts`."""
         return {
             "rules": self.rules,
-            "kink_tolerance": self.kinks,
+            "intersection_tolerance": self.intersections,
             "sub_rays": self.sub_rays,
             "rays_per_voxel": self.rays_per_voxel,
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return all settings under stable keys, for JSON.
+
+        Returns
+        -------
+        the mapping
+        """
         return asdict(self)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "Settings":
-        """From what `to_dict` gave, also by way of JSON."""
-        rules, scatter = tuple(map(tuple, values["rules"])), tuple(values["scatter"])
-        return cls(**{**values, "rules": rules, "scatter": scatter})
+        """Create settings from what `to_dict` returned, also after JSON.
+
+        In older datasets `intersections` is called ``kinks``.
+
+        Parameters
+        ----------
+        values : the mapping
+
+        Returns
+        -------
+        the settings
+        """
+        known = {"intersections" if name == "kinks" else name: value for name, value in values.items()}
+        rules, scatter = tuple(map(tuple, known["rules"])), tuple(known["scatter"])
+        return cls(**{**known, "rules": rules, "scatter": scatter})

@@ -18,7 +18,7 @@ from phantomgen.dataset.truth import CoefficientFit
 from phantomgen.scene.scan import Scan
 from spectra.detector.scintillator import energy_groups
 from spectra.energy.grid import Energies
-from spectra.energy.interpolative_decomposition import spanning_columns
+from spectra.energy.interpolative_decomposition import interpolative_decomposition
 from spectra.transmission import Transmission
 
 # Widest bins of the simulator before nodes are sought [keV], and the most parts that one is cut into.
@@ -43,9 +43,20 @@ _MARGIN = 1.1
 def fine_transmission(
     scan: Scan, cuts: Float[np.ndarray, " cut"] = NO_CUTS, grouped: bool = False, step: float = STEP
 ) -> Transmission:
-    """Path lengths per material, and those of the beam's profile [mm], to expected counts, on bins of `step` keV.
+    """Create the transmission from path lengths per material, and those of the beam's profile, to expected counts.
 
     See `compressed_transmission`.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    cuts : where bins end besides [keV], see `fine_cuts`
+    grouped : whether energy-integrating channels are split into the groups of `photon_quanta`, one channel each
+    step : bin width [keV]
+
+    Returns
+    -------
+    transmission on bins of `step` keV; see `compressed_transmission` for few nodes
     """
     energies, weights, names = _rows(scan, step, cuts, grouped)
     return Transmission.from_spectrum(weights, _curves(scan, energies.nodes), names)
@@ -54,7 +65,7 @@ def fine_transmission(
 def fine_cuts(
     scan: Scan, lengths: Float[np.ndarray, "ray material"], tolerance: float
 ) -> tuple[Float[np.ndarray, " cut"], float]:
-    """Where bins of `STEP` keV are cut into finer ones, and the worst error of log counts that is left on some rays.
+    """Find the energies at which bins of `STEP` keV are cut into finer ones, and the worst error of log counts left.
 
     A bin across which the exponent of a ray changes by s makes an error of s^2 / 24 of its photons; n parts make
     1 / n^2 of that. Parts are shared out so that the sum over bins meets the tolerance with the fewest of them.
@@ -64,6 +75,10 @@ def fine_cuts(
     scan : what is simulated
     lengths : path lengths of rays that meet every object [mm]
     tolerance : worst error of log counts that is wanted
+
+    Returns
+    -------
+    cuts [keV], and the error on the given rays
     """
     rng, longest = np.random.default_rng(0), np.argsort(lengths.sum(axis=1), kind="stable")[-_BIN_RAYS // 4 :]
     some = rng.integers(len(lengths), size=_BIN_RAYS if len(lengths) else 0)
@@ -104,7 +119,7 @@ def _shares(
 
 
 def _cut(edges: Float[np.ndarray, " edge"], parts: Float[np.ndarray, " energy"]) -> Float[np.ndarray, " cut"]:
-    """Where bins that are cut into equal parts begin, are cut, and end; between cuts, grids are laid out anew."""
+    """Return the ends of bins that are cut into equal parts, and the cuts; between cuts, grids are laid out anew."""
     cuts = [np.linspace(a, b, int(n) + 1) for (a, b), n in zip(pairwise(edges), parts, strict=True) if n > 1]
     return np.unique(np.concatenate([np.empty(0), *cuts]))
 
@@ -118,7 +133,7 @@ def compressed_transmission(
     grouped: bool = False,
     step: float = STEP,
 ) -> tuple[Transmission, float]:
-    """The same with few nodes.
+    """Create a transmission as `fine_transmission`, with few nodes.
 
     Parameters
     ----------
@@ -151,11 +166,20 @@ def compressed_transmission(
 def node_energies(
     scan: Scan, transmission: Transmission, cuts: Float[np.ndarray, " cut"]
 ) -> Float[np.ndarray, " node"]:
-    """Energy of each node that `compressed_transmission` chose without refinement [keV], by the attenuation there.
+    """Find the energy of each node that `compressed_transmission` chose without refinement.
 
-    `cuts` are those of the bins that it chose from.
+    It is found by the attenuation at the node. Energies at which all materials have equal attenuation cannot be
+    separated, and need not be.
 
-    Energies at which all materials are alike cannot be told apart, and need not be.
+    Parameters
+    ----------
+    scan : what is simulated
+    transmission : with the chosen nodes
+    cuts : of the bins that the nodes were chosen from [keV]
+
+    Returns
+    -------
+    energies [keV]
     """
     energies, weights, _ = _rows(scan, STEP, cuts, grouped=True)
     curves = np.stack([m.attenuation(energies.nodes, scan.basis) for m in scan.scene.materials])
@@ -168,9 +192,16 @@ def node_energies(
 
 
 def photon_quanta(scan: Scan, cuts: Float[np.ndarray, " cut"] = NO_CUTS) -> list[Float[np.ndarray, " group"]] | None:
-    """Signal of one photon in each group of energies [keV], channel by channel; None where photons are counted.
+    """Compute the signal of one photon in each group of energies, channel by channel.
 
-    `cuts` are those of the bins that are grouped.
+    Parameters
+    ----------
+    scan : what is simulated
+    cuts : of the bins that are grouped [keV]
+
+    Returns
+    -------
+    signals [keV] of each channel's groups; None where photons are counted
     """
     energies, weights = _weights(scan, STEP, cuts)
     if scan.detector.variance(energies) is None:
@@ -179,7 +210,16 @@ def photon_quanta(scan: Scan, cuts: Float[np.ndarray, " cut"] = NO_CUTS) -> list
 
 
 def reconstructor_spectra(scan: Scan) -> Spectra:
-    """What a dataset tells about energies: bins, basis functions, source and response."""
+    """Create the spectral model that a dataset states: bins, basis functions, source and response.
+
+    Parameters
+    ----------
+    scan : what is simulated
+
+    Returns
+    -------
+    the spectral model on a coarse grid
+    """
     energies, source, response = _sampled(scan, RECONSTRUCTOR_BINS, scan.basis.breaks)
     profile = None
     if scan.profile is not None:
@@ -202,13 +242,33 @@ def reconstructor_spectra(scan: Scan) -> Spectra:
 
 
 def material_coefficients(scan: Scan) -> Float[np.ndarray, "material basis"]:
-    """Coefficients of all materials in the basis [1/mm]; for compositions fitted over the detected spectrum."""
+    """Compute the coefficients of all materials in the basis.
+
+    Compositions are fitted over the detected spectrum.
+
+    Parameters
+    ----------
+    scan : what is simulated
+
+    Returns
+    -------
+    coefficients [1/mm], (material, basis)
+    """
     energies, detected = _detected(scan)
     return np.stack([m.coefficients_in(scan.basis, energies, detected) for m in scan.scene.materials])
 
 
 def material_fit(scan: Scan) -> CoefficientFit:
-    """How well `material_coefficients` describe the materials, and over which energies."""
+    """Compute how well `material_coefficients` describe the materials, and over which energies.
+
+    Parameters
+    ----------
+    scan : what is simulated
+
+    Returns
+    -------
+    window of energies and error of each material
+    """
     energies, detected = _detected(scan)
     errors = [m.fit_error(scan.basis, energies, detected) for m in scan.scene.materials]
     window = (scan.detector.lowest, scan.source.maximum)
@@ -216,7 +276,17 @@ def material_fit(scan: Scan) -> CoefficientFit:
 
 
 def fit_warnings(scan: Scan, fit: CoefficientFit) -> list[str]:
-    """Sentences about materials that the basis cannot describe."""
+    """Return sentences about materials that the basis cannot describe.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    fit : errors of the materials
+
+    Returns
+    -------
+    sentences
+    """
     return [
         f"the basis describes material {material.name!r} with an rms relative error of {error:.0%} only: the truth of "
         "its coefficients means little; does its K edge lack a basis function, or lie below the lowest threshold?"
@@ -306,9 +376,9 @@ def _compress(
 def _compress_many(
     fine: Transmission, integrals: Float[np.ndarray, "ray column"], tolerance: float, refine: bool
 ) -> tuple[Transmission, float]:
-    """The same by way of a few columns that the others are combinations of, else a choice of bins."""
+    """Compress by a few columns that the others are combinations of, else by a choice of bins."""
     sample = integrals[:: max(1, len(integrals) // _SPANNING_RAYS)]
-    picked, mixture, _ = spanning_columns(fine.columns, sample, tolerance / 3)
+    picked, mixture, _ = interpolative_decomposition(fine.columns, sample, tolerance / 3)
     if len(picked) > _MOST_SPANNING:
         return fine.choose(np.concatenate([sample, _MARGIN * sample]), tolerance)
     few = Transmission(fine.columns[picked], fine.weights, fine.starts, fine.channel_names)

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.ops.expected_counts import expose
+from phantomgen.ops.expected_counts import expected_counts
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.forward_model.discretization import Settings
 from phantomgen.simulation.forward_model.exposure import Groups
@@ -11,7 +11,19 @@ from spectra.transmission import Transmission
 
 
 def expected_view(scan: Scan, transmission: Transmission, view: int, settings: Settings) -> Groups:
-    """Expected signals of one view and group of photons, averaged over each pixel's area and the focal spot."""
+    """Compute the expected signals of one view and group of photons, averaged over pixel area and focal spot.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    transmission : path lengths to signals
+    view : number of the view
+    settings : how finely it is computed
+
+    Returns
+    -------
+    signals, (group, row, column)
+    """
     frame, spot = scan.geometry.ray_frames()[view], scan.effects.focal_spot
     if spot is None:
         return exposed_frame(scan, transmission, frame, settings)
@@ -26,9 +38,21 @@ def expected_view(scan: Scan, transmission: Transmission, view: int, settings: S
 def exposed_frame(
     scan: Scan, transmission: Transmission, frame: Float[np.ndarray, "4 3"], settings: Settings
 ) -> Groups:
-    """The same for rays of one source point."""
+    """Compute the expected signals of one view for rays of one source point.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    transmission : path lengths to signals
+    frame : source, vector to pixel (0, 0), column step and row step [mm]
+    settings : how finely it is computed
+
+    Returns
+    -------
+    signals, (group, row, column)
+    """
     panel = scan.geometry.panel
-    return expose(
+    return expected_counts(
         frame,
         panel.rows,
         panel.columns,
@@ -44,13 +68,32 @@ def exposed_frame(
 
 
 def aperture_of(scan: Scan) -> tuple[float, float]:
-    """Width and height of the sensitive part of pixels, in pixels."""
+    """Return the width and height of the sensitive part of pixels.
+
+    Parameters
+    ----------
+    scan : what is simulated
+
+    Returns
+    -------
+    width and height [pixel]
+    """
     aperture = scan.effects.aperture
     return (1.0, 1.0) if aperture is None else (aperture.width, aperture.height)
 
 
 def open_beam(scan: Scan, transmission: Transmission) -> Groups:
-    """Expected signals of one view without any object."""
+    """Compute the expected signals of one view without any object.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    transmission : path lengths to signals
+
+    Returns
+    -------
+    signals, (group, row, column)
+    """
     pixels = (scan.geometry.panel.rows, scan.geometry.panel.columns)
     if scan.profile is None:
         return np.broadcast_to(transmission.open_beam[:, None, None], (len(transmission), *pixels))

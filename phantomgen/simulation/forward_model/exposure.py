@@ -1,4 +1,4 @@
-"""What views are exposed with, and how noise is drawn for it."""
+"""Exposure of the views: expected signals and their noise."""
 
 from dataclasses import dataclass, replace
 
@@ -45,7 +45,7 @@ class Exposure:
         refine: bool = True,
         cuts: Float[np.ndarray, " cut"] = NO_CUTS,
     ) -> tuple["Exposure", float]:
-        """For rays with such path lengths [mm], and the worst error of log signals from few energy nodes.
+        """Create the exposure for rays with given path lengths, with few energy nodes.
 
         Parameters
         ----------
@@ -54,6 +54,10 @@ class Exposure:
         tolerance : worst error of log signals that is wanted
         refine : whether nodes may be of no single energy, and fewer
         cuts : of the bins that nodes replace [keV], see `fine_cuts`; the error is that against these
+
+        Returns
+        -------
+        the exposure, and the worst error of log signals
         """
         groups, error = compressed_transmission(scan, lengths, tolerance, cuts, refine, grouped=True)
         quanta, aperture = photon_quanta(scan, cuts), scan.effects.aperture
@@ -71,7 +75,7 @@ class Exposure:
 
     @property
     def transmission(self) -> Transmission:
-        """The same nodes with the channels of the detector."""
+        """Transmission with the same nodes, and the channels of the detector."""
         starts = self.groups.starts[[*self.firsts, -1]]
         return Transmission(self.groups.columns, self.groups.weights, starts, self.names)
 
@@ -89,13 +93,32 @@ class Exposure:
         ]
 
     def mean(self, expected: Groups) -> Images:
-        """Expected signal of each channel."""
+        """Compute the expected signal of each channel.
+
+        Parameters
+        ----------
+        expected : signals, (group, row, column)
+
+        Returns
+        -------
+        signals, (channel, row, column)
+        """
         if self.dead_time is not None:
             return self.dead_time.recorded(expected)
         return expected if self.quanta is None else np.add.reduceat(expected, self.firsts, axis=0)
 
     def noisy(self, expected: Groups, seed: int, frame: int, stream: Stream) -> list[Shaped[np.ndarray, "row column"]]:
-        """One frame with noise, channel by channel."""
+        """Draw one frame with noise, channel by channel.
+
+        Parameters
+        ----------
+        expected : signals, (group, row, column)
+        seed, frame, stream : key of the noise
+
+        Returns
+        -------
+        images of all channels
+        """
         if self.dead_time is not None:
             return list(dead_time_counts(expected, self.dead_time, seed, frame, stream))
         if self.quanta is None:

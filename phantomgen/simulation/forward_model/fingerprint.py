@@ -1,4 +1,4 @@
-"""What must be the same for the frames of two runs to be the same."""
+"""Fingerprint of a scan: frames of two runs are the same when it is the same."""
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -14,16 +14,20 @@ from spectra.transmission import Transmission
 
 
 def identity(scan: Scan, settings: Settings, transmission: Transmission, options: Mapping[str, str]) -> dict[str, str]:
-    """Digests of all that counts depend on, under names that a message may show.
+    """Compute digests of everything that counts depend on, under names that a message may show.
 
-    Objects, poses and energies are in it beside the text of the scene, as meshes, voxel maps and tables have their own
-    files.
+    Objects, poses and energies are included beside the text of the scene, because meshes, voxel maps and tables have
+    their own files.
 
     Parameters
     ----------
     scan, settings : what is simulated, how finely
     transmission : from path lengths to expected signals
     options : of the run, as they are
+
+    Returns
+    -------
+    digests by name
     """
     versions = {name: version for name, version in environment().items() if name != "platform"}
     energies = (transmission.columns, transmission.weights, transmission.starts)
@@ -39,7 +43,16 @@ def identity(scan: Scan, settings: Settings, transmission: Transmission, options
 
 
 def digest(value: Any) -> str:
-    """SHA-256 of texts, numbers, arrays, and of tuples and dataclasses of these."""
+    """Compute the SHA-256 of texts, numbers, arrays, and of tuples and dataclasses of these.
+
+    Parameters
+    ----------
+    value : the value
+
+    Returns
+    -------
+    hexadecimal digits
+    """
     found = sha256()
     for part in _parts(value):
         found.update(part)

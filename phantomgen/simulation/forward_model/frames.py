@@ -35,10 +35,14 @@ class Views:
     scan : what is scanned
     exposure : energies, and how noise is drawn
     settings : how finely views are computed
-    output : of the tube, in each view and in each flat, relative to the exposure that is asked for
-    detector : what it makes of expected signals
-    scatter : from a view and its primary signal to what is scattered; None where nothing is
-    cached : primary signals of a view at given energies, in place of rays through objects; None where these are traced
+    cached : function that returns primary signals of a view, in place of rays through objects; None where rays are
+        traced
+
+    Attributes
+    ----------
+    output : of the tube, in each view and in each flat, relative to the exposure of the scan
+    detector : stages of the detector
+    scatter : function of a view and its primary signal that returns the scattered signal; None where there is none
     """
 
     scan: Scan
@@ -74,7 +78,17 @@ class Views:
         return output if self.scan.exposure is None else self.scan.exposure * output[:, None]
 
     def expected(self, frame: int, stream: Stream = Stream.PROJECTION) -> Groups:
-        """Expected signals of one view, or of one flat, before the detector."""
+        """Compute the expected signals of one view, or of one flat, before the detector.
+
+        Parameters
+        ----------
+        frame : number of the frame
+        stream : kind of the frame
+
+        Returns
+        -------
+        signals, (group, row, column)
+        """
         groups = self.exposure.groups
         if stream is Stream.FLAT:
             return open_beam(self.scan, groups) * self.output[stream][frame]
@@ -87,7 +101,17 @@ class Views:
         return primary
 
     def primary(self, view: int, transmission: Transmission) -> Groups:
-        """Expected signals of what reaches a pixel straight, by the groups of the exposure or by its channels."""
+        """Compute the expected signals of unscattered photons.
+
+        Parameters
+        ----------
+        view : number of the view
+        transmission : path lengths to signals, with the groups of the exposure or its channels
+
+        Returns
+        -------
+        signals, (group, row, column)
+        """
         if self.cached is not None:
             return self.cached(view, transmission)
         return expected_view(self.scan, transmission, view, self.settings)
@@ -103,11 +127,35 @@ class Views:
     def registered(
         self, expected: Groups, frame: int, stream: Stream = Stream.PROJECTION, noise: bool | None = None
     ) -> Frame:
-        """Signals that a frame leaves in the sensor; `noise` is as the scan has it where not given."""
+        """Compute the signals that a frame leaves in the sensor.
+
+        Parameters
+        ----------
+        expected : expected signals, (group, row, column)
+        frame : number of the frame
+        stream : kind of the frame
+        noise : whether photon noise is added; as the scan has it where not given
+
+        Returns
+        -------
+        signals of each channel
+        """
         return self.detector.registered(expected, frame, stream, self.scan.noise if noise is None else noise)
 
     def read(
         self, signals: Frame | Images, frame: int, stream: Stream = Stream.PROJECTION, noise: bool | None = None
     ) -> Frame:
-        """Readings of signals, channel by channel."""
+        """Compute the readings of signals, channel by channel.
+
+        Parameters
+        ----------
+        signals : signals of each channel
+        frame : number of the frame
+        stream : kind of the frame
+        noise : whether electronic noise is added; as the scan has it where not given
+
+        Returns
+        -------
+        readings of each channel
+        """
         return self.detector.read(signals, frame, stream, self.scan.noise if noise is None else noise)

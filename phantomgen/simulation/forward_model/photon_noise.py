@@ -15,12 +15,16 @@ _POISSON_LIKE = 1e-6
 def poisson_counts(
     mean: Float[np.ndarray, "row column"], seed: int, frame: int, channel: int, stream: Stream = Stream.PROJECTION
 ) -> Int32[np.ndarray, "row column"]:
-    """One image of Poisson counts.
+    """Draw one image of Poisson counts.
 
     Parameters
     ----------
     mean : expected counts, not negative
     seed, frame, channel, stream : the key
+
+    Returns
+    -------
+    counts, (row, column)
 
     Raises
     ------
@@ -39,13 +43,17 @@ def compound_signal(
     channel: int,
     stream: Stream = Stream.PROJECTION,
 ) -> Float32[np.ndarray, "row column"]:
-    """One image of an energy-integrating detector: Poisson counts of photons per group, times what one photon adds.
+    """Draw one image of an energy-integrating detector: Poisson numbers of photons times the signal of one photon.
 
     Parameters
     ----------
     mean : expected signal that photons of each group of energies make
     quanta : signal of one photon of each group
     seed, frame, channel, stream : the key
+
+    Returns
+    -------
+    signal, (row, column)
     """
     photons = mean / quanta[:, None, None]
     _check_mean(photons)
@@ -63,13 +71,17 @@ def dead_time_counts(
     frame: int,
     stream: Stream = Stream.PROJECTION,
 ) -> list[Int32[np.ndarray, "row column"]]:
-    """One frame of a detector with dead time, channel by channel.
+    """Draw one frame of a detector with dead time, channel by channel.
 
     Parameters
     ----------
     events : expected events of each channel, recorded or not
     dead_time : of the pixels
     seed, frame, stream : the key
+
+    Returns
+    -------
+    counts of each channel, (row, column)
 
     Notes
     -----

@@ -23,14 +23,18 @@ Signals = tuple[int, Frame, Frame]  # view, with noise, and without
 def projections(
     views: Views, pack: Callable[[int, Frame, Frame], T], with_means: bool = False, first: int = 0
 ) -> Iterator[T]:
-    """What `pack` makes of the readings of every view from `first` on, in order; it runs in parallel.
+    """Return the results of `pack` for the readings of every view from `first` on, in order, computed in parallel.
 
     Parameters
     ----------
     views : of the scan
-    pack : takes a view, the readings of all its channels, and those without noise, which are empty unless asked for
-    with_means : whether readings without noise are asked for
+    pack : takes a view, the readings of all its channels, and those without noise, which are empty unless requested
+    with_means : whether readings without noise are requested
     first : view to go on from
+
+    Returns
+    -------
+    iterator over the results of `pack`
     """
     lag, count = views.scan.effects.lag, views.shape[0]
 
@@ -52,12 +56,32 @@ def projections(
 
 
 def flat(views: Views, frame: int) -> Frame:
-    """Readings of one flat."""
+    """Compute the readings of one flat.
+
+    Parameters
+    ----------
+    views : frames of the scan
+    frame : number of the flat
+
+    Returns
+    -------
+    readings of each channel
+    """
     return views.read(views.registered(views.expected(frame, Stream.FLAT), frame, Stream.FLAT), frame, Stream.FLAT)
 
 
 def dark(views: Views, frame: int) -> Frame:
-    """Readings of one frame without beam."""
+    """Compute the readings of one frame without beam.
+
+    Parameters
+    ----------
+    views : frames of the scan
+    frame : number of the frame
+
+    Returns
+    -------
+    readings of each channel
+    """
     panel = views.scan.geometry.panel
     nothing = np.zeros((len(views.scan.detector), panel.rows, panel.columns))
     return views.read(list(nothing), frame, Stream.DARK)

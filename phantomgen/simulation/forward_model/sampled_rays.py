@@ -21,7 +21,18 @@ _MOST_RAYS = 150_000
 
 @lru_cache(maxsize=1)
 def sampled_lengths(scan: Scan) -> Float[np.ndarray, "ray material"]:
-    """Path lengths per material [mm] of rays through objects: all of them in all views, as far as rays are few."""
+    """Compute path lengths per material of rays through objects.
+
+    They are rays through all objects in all views, as long as these are few.
+
+    Parameters
+    ----------
+    scan : what is simulated
+
+    Returns
+    -------
+    path lengths [mm], (ray, material)
+    """
     objects, frames = scan.scene.objects, scan.geometry.ray_frames()
     many = len(objects) > _MANY
     picked = _largest(scan.scene) if many else range(len(objects))
@@ -49,7 +60,17 @@ def _largest(scene: Scene) -> list[int]:
 def on_panel(
     frames: Float[np.ndarray, "view 4 3"], points: Float[np.ndarray, "point 3"]
 ) -> Float[np.ndarray, "view point 3"]:
-    """Depth (0 at the source, 1 on the panel), column and row of points in every view."""
+    """Project points onto the panel in every view.
+
+    Parameters
+    ----------
+    frames : source, vector to pixel (0, 0), column step and row step of each view [mm]
+    points : points [mm], (point, 3)
+
+    Returns
+    -------
+    depth (0 at the source, 1 on the panel), column and row, (view, point, 3)
+    """
     inverse = np.linalg.inv(np.moveaxis(frames[:, 1:], 1, 2))
     scaled = np.einsum("vij,vpj->vpi", inverse, points[None] - frames[:, None, 0])
     depth = scaled[..., :1]
@@ -57,7 +78,19 @@ def on_panel(
 
 
 def points_of(shape: Shape, count: int) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
-    """Points spread evenly inside a shape, the middle of its bounds first if inside, and points of its surface."""
+    """Sample points evenly inside a shape, and points of its surface.
+
+    The middle of the bounds comes first if it is inside.
+
+    Parameters
+    ----------
+    shape : the shape
+    count : number of points
+
+    Returns
+    -------
+    points inside and points of the surface [mm]
+    """
     rng = np.random.default_rng(0)
     if maps := [part for term in shape.terms for part in term if part.voxels is not None]:
         found = _voxel_points(maps[0], 4 * count, rng)

@@ -1,4 +1,4 @@
-"""Scattered signal of the views of a scan, by the model that the scan asks for."""
+"""Scattered signal of the views of a scan, by the model that the scan requires."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from phantomgen.scene.scan import Scan
 from phantomgen.simulation.forward_model.discretization import Settings
 from phantomgen.simulation.forward_model.exposure import Exposure, Groups
 from spectra.detector.detector import AnyDetector
-from spectra.detector.multi_source import SeveralSources
+from spectra.detector.multi_source import MultiSource
 from spectra.energy import grid as grids
 from spectra.materials.electron_density import ELECTRON_RADIUS, electron_density
 from spectra.source.source import Source
@@ -33,12 +33,16 @@ _VOXELS = 4
 
 
 def scatter_of(scan: Scan, exposure: Exposure, settings: Settings, first: Groups, air: Groups) -> Scatter:
-    """Scatter of any view.
+    """Create the function that computes the scatter of any view.
 
     Parameters
     ----------
     scan, exposure, settings : what is simulated, and how finely
     first, air : primary signal of the first view, and of one without objects
+
+    Returns
+    -------
+    function of a view and its primary signal that returns the scattered signal
     """
     model, panel = scan.effects.scatter, scan.geometry.panel
     if isinstance(model, ScatterKernel):
@@ -64,7 +68,17 @@ class Beam:
     def weakened(
         self, lengths: Float[np.ndarray, "ray material"], profile: Float[np.ndarray, "ray bin"] | float
     ) -> Float[np.ndarray, "ray bin"]:
-        """Photons that are left behind path lengths in materials [mm], and behind the profile of the beam."""
+        """Compute the photons behind path lengths in materials and behind the profile of the beam.
+
+        Parameters
+        ----------
+        lengths : path lengths [mm], (ray, material)
+        profile : exponent of the beam's profile, (ray, bin)
+
+        Returns
+        -------
+        photons per solid angle [1/sr], (ray, bin)
+        """
         return self.photons * np.exp(-np.einsum("rm,bm->rb", lengths, self._attenuation()) - profile)
 
     @property
@@ -79,7 +93,7 @@ class Beam:
 
 @dataclass(frozen=True, eq=False)
 class SingleScatter:
-    """Compton scatter of a scan.
+    """Single Compton scatter of a scan.
 
     Parameters
     ----------
@@ -97,12 +111,32 @@ class SingleScatter:
 
     @classmethod
     def of(cls, scan: Scan, exposure: Exposure, settings: Settings) -> "SingleScatter":
-        """With cells and places as `settings` say."""
+        """Create the model with cells and places as `settings` say.
+
+        Parameters
+        ----------
+        scan : what is simulated
+        exposure : energies
+        settings : how finely it is computed
+
+        Returns
+        -------
+        the model
+        """
         place, electrons = _electrons(scan, settings.scatter[0])
         return cls(scan, _beams(scan, exposure), place, electrons * ELECTRON_RADIUS**2 / 2, settings.scatter[1])
 
     def view(self, view: int) -> Groups:
-        """Scattered signal of each group in a view."""
+        """Compute the scattered signal of each group in a view.
+
+        Parameters
+        ----------
+        view : number of the view
+
+        Returns
+        -------
+        signals, (group, row, column)
+        """
         scan, panel = self.scan, self.scan.geometry.panel
         frame = scan.geometry.ray_frames()[view]
         rows, columns = line_places(panel.rows, self.places), line_places(panel.columns, self.places)
@@ -157,7 +191,7 @@ def _electrons(scan: Scan, cells: int) -> tuple[Float[np.ndarray, "point 3"], Fl
 def _beams(scan: Scan, exposure: Exposure) -> tuple[Beam, ...]:
     """Energies of each source of a scan, with the groups of its own channels."""
     detector = scan.detector
-    several = isinstance(detector, SeveralSources)
+    several = isinstance(detector, MultiSource)
     pairs = list(zip(detector.sources, detector.detectors, strict=True)) if several else [(scan.source, detector)]
     beams, channel = [], 0
     for source, own in pairs:

@@ -19,12 +19,31 @@ Filled = Callable[[Grid], Float32[np.ndarray, "material z y x"]]
 
 
 def scan_truth(scan: Scan) -> Truth:
-    """Material fractions and basis volumes."""
+    """Compute material fractions and basis volumes of the whole grid.
+
+    Parameters
+    ----------
+    scan : what is simulated
+
+    Returns
+    -------
+    the truth
+    """
     return streamed_truth(scan).part(scan.grid)
 
 
 def streamed_truth(scan: Scan, filled: Filled | None = None) -> StreamedTruth:
-    """The same, for volumes that are larger than memory; `filled` says what materials fill where that is known."""
+    """Create the truth slab by slab, for volumes that are larger than memory.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    filled : function that returns the material fractions of a grid where these are known
+
+    Returns
+    -------
+    the truth
+    """
     names = tuple(m.name for m in scan.scene.materials)
     solids, background = scan.scene.solids, scan.scene.background
     coefficients, fit = material_coefficients(scan), material_fit(scan)

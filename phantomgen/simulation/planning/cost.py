@@ -1,4 +1,4 @@
-"""What a planned scan will take: time, memory and file size, from a few of its frames and slabs of its truth."""
+"""Cost of a planned scan: time, memory and file size, estimated from some frames and slabs of the truth."""
 
 import time
 from collections.abc import Callable
@@ -25,7 +25,7 @@ _SLABS, _THICK = 4, 6
 
 @dataclass(frozen=True)
 class Cost:
-    """What a scan will take, with as many threads as now.
+    """Estimated cost of a scan, with the current number of threads.
 
     Parameters
     ----------
@@ -39,13 +39,18 @@ class Cost:
     size: int
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return all numbers under stable keys, for JSON.
+
+        Returns
+        -------
+        the mapping
+        """
         total = sum(self.seconds.values())
         return {"seconds": {**self.seconds, "total": total}, "memory_mib": self.memory, "file_bytes": self.size}
 
     @property
     def text(self) -> str:
-        """For people."""
+        """Cost as text."""
         stages = ", ".join(f"{name} {seconds:.2g} s" for name, seconds in self.seconds.items())
         memory = [] if self.memory is None else [f"memory  about {self.memory:.0f} MiB"]
         total = sum(self.seconds.values())
@@ -53,11 +58,15 @@ class Cost:
 
 
 def expected_cost(views: Views) -> Cost:
-    """Run some frames and some slabs of the truth, and multiply.
+    """Estimate the cost of a scan from some frames and some slabs of the truth.
 
     Parameters
     ----------
     views : the frames of the scan, with the settings of its plan
+
+    Returns
+    -------
+    time, memory and file size
     """
     scan = views.scan
     view_time, view_bytes = _per_frame(views, Stream.PROJECTION, views.shape[0])
@@ -103,7 +112,16 @@ def _truth(views: Views) -> tuple[float, float]:
 
 
 def expected_memory(views: Views) -> float | None:
-    """Memory that was in use, and what frames on their way and a slab of the truth add [MiB]; None if nobody knows."""
+    """Estimate the memory of a scan: memory in use, frames in work and a slab of the truth.
+
+    Parameters
+    ----------
+    views : the frames of the scan
+
+    Returns
+    -------
+    memory [MiB]; None where the system does not tell
+    """
     known = peak_memory_mib()
     if known is None:
         return None

@@ -27,13 +27,13 @@ _NOTHING = 1e-7
 _MOST_OBJECTS, _MOST_FAINT, _VIEWS, _RAYS = 64, 3, 2, 12
 # Surfaces of more triangles are not traced once more without an object.
 _MOST_TRIANGLES = 100_000
-_REFERENCE = Settings(rules=RULE_LADDER[4], kinks=1e-6)
+_REFERENCE = Settings(rules=RULE_LADDER[4], intersections=1e-6)
 _SEED = 9
 
 
 @dataclass(frozen=True, eq=False)
 class FaintObject:
-    """One object, and parts of views around it.
+    """Faint object, and parts of views around it.
 
     Parameters
     ----------
@@ -52,7 +52,18 @@ class FaintObject:
     known: dict[Settings, list[np.ndarray]] = field(default_factory=dict)
 
     def signals(self, scan: Scan, transmission: Transmission, settings: Settings) -> list[np.ndarray]:
-        """What the object changes of log counts, per window (channel, row, column)."""
+        """Compute the change of log counts that the object causes in each window.
+
+        Parameters
+        ----------
+        scan : what is simulated
+        transmission : path lengths to counts
+        settings : how finely it is computed
+
+        Returns
+        -------
+        changes of each window, (channel, row, column)
+        """
         if settings not in self.known:
             pairs = [
                 [exposed(s, transmission, window, settings).counts for s in (self.without, scan)]
@@ -80,7 +91,18 @@ class FaintObjects:
 
     @classmethod
     def of(cls, scan: Scan, transmission: Transmission, tolerance: float) -> "FaintObjects":
-        """Find them; none where the tolerance allows for an error as large as their signal anyway."""
+        """Find the faintest objects; none where the tolerance allows an error as large as their signal.
+
+        Parameters
+        ----------
+        scan : what is simulated
+        transmission : path lengths to counts
+        tolerance : worst error of log projections that is wanted
+
+        Returns
+        -------
+        the objects
+        """
         part, found = tolerance / FAINT, []
         surfaces = scan.scene.solids.surfaces
         few = surfaces is None or len(surfaces.triangles) <= _MOST_TRIANGLES
@@ -91,7 +113,16 @@ class FaintObjects:
         return cls(scan, transmission, part, tuple(o for o in objects if o.windows))
 
     def missed(self, settings: Settings) -> str | None:
-        """Which object errs by more than `part` of its signal: the one that errs most; None where all are right."""
+        """Return the object with the largest error, where it exceeds `part` of the object's own signal.
+
+        Parameters
+        ----------
+        settings : how finely the scan is computed
+
+        Returns
+        -------
+        name of the object; None where all errors are smaller
+        """
         worst, name = self.part, None
         for thing in self.objects:
             exact = thing.signals(self.scan, self.transmission, _REFERENCE)
@@ -147,7 +178,17 @@ def _faint_object(scan: Scan, transmission: Transmission, signal: float, number:
 
 
 def without(scan: Scan, number: int) -> Scan:
-    """The scan without one of its objects."""
+    """Remove an object from a scan.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    number : index of the object
+
+    Returns
+    -------
+    the scan without it
+    """
     objects = scan.scene.objects
     return replace(scan, scene=replace(scan.scene, objects=objects[:number] + objects[number + 1 :]))
 

@@ -12,7 +12,7 @@ from phantomgen.simulation.planning.sample_windows import Image, Window, exposed
 from spectra.threads import run_parallel
 from spectra.transmission import Transmission
 
-# Lattices that are tried, and the yardstick.
+# Lattices that are tried, and the reference.
 _LADDER, _FINEST = tuple(LATTICES)[1:-1], max(LATTICES)
 _WINDOWS, _SEED = 3, 8
 
@@ -20,7 +20,7 @@ _WINDOWS, _SEED = 3, 8
 def choose_spot(
     scan: Scan, spot: FocalSpot, transmission: Transmission, settings: Settings, share: float
 ) -> tuple[Settings, Choice]:
-    """The fewest points whose worst error of log counts stays within `share`, against far more points.
+    """Find the fewest source points whose worst error of log counts stays within `share`, against far more points.
 
     Parameters
     ----------
@@ -28,6 +28,10 @@ def choose_spot(
     transmission : path lengths to counts
     settings : to be completed
     share : of the tolerance
+
+    Returns
+    -------
+    settings with the number of points, and the choice
     """
     windows = windows_of(scan, transmission, np.random.default_rng(_SEED))
     windows = windows[:: max(1, len(windows) // _WINDOWS)]

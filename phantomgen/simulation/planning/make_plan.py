@@ -51,6 +51,10 @@ def make_plan(scan: Scan, tolerance: float = TOLERANCE) -> Plan:
     scan : what is simulated
     tolerance : worst error of log projections that is wanted
 
+    Returns
+    -------
+    the plan
+
     Raises
     ------
     InputError

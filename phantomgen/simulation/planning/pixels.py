@@ -1,8 +1,10 @@
-"""Which rule averages expected counts over pixels well enough, at the least cost: measured on parts of some views.
+"""Choice of the rule that averages expected counts over pixels: accurate enough at the least cost.
 
-Where silhouettes pass, or nothing does, the yardstick is the same splitting with several times as many Gauss nodes, on
+Where silhouettes pass, or nothing does, the reference is the same splitting with several times as many Gauss nodes, on
 all pixels of the sampled windows. Where surfaces meet, or voxel maps lie, it is a regular grid of rays, on a sample of
 pixels. Both share the energy nodes with what they judge, so that pixels are judged alone.
+
+The rules are measured on parts of some views.
 """
 
 from collections.abc import Callable
@@ -12,7 +14,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float, Int
 
-from phantomgen.ops.expected_counts import KINKED, RULES, VOXELS, Exposed, expose_brute
+from phantomgen.ops.expected_counts import INTERSECTED, RULES, VOXELS, ExpectedCounts, expected_counts_by_grid
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.checks.reference_rays import RayGrid, split_grid, worst_error
 from phantomgen.simulation.forward_model.discretization import Settings
@@ -38,7 +40,7 @@ RULE_LADDER = (
 _FINER = 2
 VOXEL_LADDER = (1.0, 2.0, 4.0, 8.0, 16.0)
 # Parts of the share that rectangles of a pixel where surfaces meet may err by, as they estimate it themselves.
-KINK_LADDER = (1.0, 0.3, 0.1, 0.03)
+INTERSECTION_LADDER = (1.0, 0.3, 0.1, 0.03)
 # For faint objects alone, so many steps of these ladders are tried at most.
 _FAINT_STEPS = 4
 _BRUTE_PIXELS = 12
@@ -68,11 +70,21 @@ class PixelSample:
     transmission: Transmission
     windows: tuple[Window, ...]
     grids: tuple[RayGrid, ...]
-    known: dict[Settings, list[Exposed]] = field(default_factory=dict)
+    known: dict[Settings, list[ExpectedCounts]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, scan: Scan, transmission: Transmission) -> "PixelSample":
-        """Draw windows, always by the same seed."""
+        """Draw windows, always by the same seed.
+
+        Parameters
+        ----------
+        scan : what is computed
+        transmission : path lengths to counts
+
+        Returns
+        -------
+        the sample
+        """
         rng = np.random.default_rng(_SEED)
         windows = windows_of(scan, transmission, rng)
         grids = tuple(
@@ -81,31 +93,72 @@ class PixelSample:
         return cls(scan, transmission, windows, grids)
 
     def has(self, kind: int) -> bool:
-        """Whether some sampled pixel is of a kind."""
+        """Return whether some sampled pixel is of a kind.
+
+        Parameters
+        ----------
+        kind : kind of pixel
+
+        Returns
+        -------
+        True where there is one
+        """
         return any((window.classes == kind).any() for window in self.windows)
 
     def rays(self, settings: Settings) -> float:
-        """Rays per pixel."""
+        """Compute the mean number of rays per pixel.
+
+        Parameters
+        ----------
+        settings : how finely the scan is computed
+
+        Returns
+        -------
+        rays per pixel
+        """
         return sum(e.rays.sum() for e in self._found(settings)) / max(sum(w.classes.size for w in self.windows), 1)
 
     def easy_error(self, settings: Settings, finer: Settings) -> float:
-        """Worst difference to finer settings, of pixels where no surfaces meet and no maps lie."""
+        """Compute the worst difference to finer settings, in pixels where no surfaces intersect and no maps lie.
+
+        Parameters
+        ----------
+        settings : to be judged
+        finer : settings to compare with
+
+        Returns
+        -------
+        worst difference of log counts
+        """
         worst = 0.0
         for window, found, fine in zip(self.windows, self._found(settings), self._found(finer), strict=True):
-            easy = (window.classes != KINKED) & (window.classes != VOXELS)
+            easy = (window.classes != INTERSECTED) & (window.classes != VOXELS)
             level = fine.counts.max(axis=(1, 2), keepdims=True)[:, :, 0]
             worst = max(worst, worst_error(found.counts[:, easy], fine.counts[:, easy], level))
         return worst
 
     def hard_error(self, settings: Settings, kinds: tuple[int, ...], share: float) -> float:
-        """Worst difference to grids of rays, of pixels of some kinds; finer grids where it exceeds `share`."""
+        """Compute the worst difference to grids of rays, in pixels of some kinds.
+
+        The grids are finer where the difference exceeds `share`.
+
+        Parameters
+        ----------
+        settings : to be judged
+        kinds : kinds of pixels
+        share : error that is allowed
+
+        Returns
+        -------
+        worst difference of log counts
+        """
         worst = 0.0
         for window, found, grid in zip(self.windows, self._found(settings), self.grids, strict=True):
             chosen = np.isin(window.classes[grid.pixels[:, 0], grid.pixels[:, 1]], kinds)
             worst = max(worst, grid.worst(found.counts, chosen, found.counts.max(axis=(1, 2)), share))
         return worst
 
-    def _found(self, settings: Settings) -> list[Exposed]:
+    def _found(self, settings: Settings) -> list[ExpectedCounts]:
         """Counts of all windows."""
         if settings not in self.known:
             task = partial(exposed, self.scan, self.transmission, settings=settings)
@@ -116,7 +169,7 @@ class PixelSample:
 def choose_pixels(
     scan: Scan, transmission: Transmission, settings: Settings, share: float, faint: Faint = _nothing_faint
 ) -> tuple[Settings, list[Choice]]:
-    """The cheapest rules whose worst errors stay within `share`, and that faint objects are right with.
+    """Choose the cheapest rules whose worst errors stay within `share` and within the signal of faint objects.
 
     Parameters
     ----------
@@ -125,9 +178,13 @@ def choose_pixels(
     settings : to be completed
     share : of the tolerance, for log counts
     faint : the faint object that some settings make too wrong for its own signal, None where none is
+
+    Returns
+    -------
+    settings with these rules, and the choices
     """
     sample = PixelSample.of(scan, transmission)
-    settings = replace(settings, kinks=KINK_LADDER[0] * share)
+    settings = replace(settings, intersections=INTERSECTION_LADDER[0] * share)
     if scan.sub_rays is not None:
         trial = _plain(sample, settings, scan.sub_rays, share)
         choice = Choice("pixels", f"{trial.setting}, as the scene says", trial.error, share, (trial,))
@@ -155,7 +212,7 @@ def choose_pixels(
 def _plain(sample: PixelSample, settings: Settings, n: int, share: float) -> Trial:
     """Error of a plain grid of rays in all kinds of pixels."""
     grid = replace(settings, sub_rays=n)
-    error = max(sample.easy_error(grid, settings), sample.hard_error(grid, (KINKED, VOXELS), share))
+    error = max(sample.easy_error(grid, settings), sample.hard_error(grid, (INTERSECTED, VOXELS), share))
     name = "one ray through each pixel's centre" if n == 1 else f"{n} x {n} rays where edges pass"
     return Trial(name, error, sample.rays(grid))
 
@@ -165,11 +222,17 @@ def _split(
 ) -> tuple[Settings, list[Choice]]:
     """Pixels split along silhouettes; other kinds of pixels have settings of their own."""
     choices: list[Choice] = []
-    if sample.has(KINKED):
-        parts = [replace(settings, kinks=part * share) for part in KINK_LADDER]
-        steps = [(f"rectangles halved until they err by {s.kinks:.1e}", s) for s in parts]
+    if sample.has(INTERSECTED):
+        parts = [replace(settings, intersections=part * share) for part in INTERSECTION_LADDER]
+        steps = [(f"rectangles halved until they err by {s.intersections:.1e}", s) for s in parts]
         settings, choice = _climb(
-            "meeting surfaces", steps, share, sample, lambda i: sample.hard_error(parts[i], (KINKED,), share), (), faint
+            "meeting surfaces",
+            steps,
+            share,
+            sample,
+            lambda i: sample.hard_error(parts[i], (INTERSECTED,), share),
+            (),
+            faint,
         )
         choices.append(choice)
     levels = [replace(settings, rules=rules) for rules in RULE_LADDER]
@@ -226,7 +289,7 @@ def _climb(
 def _hard_pixels(window: Window, rng: np.random.Generator) -> Int[np.ndarray, "pixel 2"]:
     """Some pixels where surfaces meet or maps lie."""
     found = [np.empty((0, 2), np.int64)]
-    for kind in (KINKED, VOXELS):
+    for kind in (INTERSECTED, VOXELS):
         pixels = np.argwhere(window.classes == kind)
         found.append(pixels[rng.permutation(len(pixels))[:_BRUTE_PIXELS]])
     return np.concatenate(found)
@@ -239,7 +302,7 @@ def _brute(
     spectrum = transmission.columns, transmission.weights, transmission.starts
 
     def expose_part(frame: Frame, aperture: tuple[float, float], n: int) -> Float[np.ndarray, "pixel channel"]:
-        return expose_brute(
+        return expected_counts_by_grid(
             frame,
             pixels,
             scan.scene.solids,

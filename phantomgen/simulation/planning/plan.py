@@ -1,4 +1,4 @@
-"""What a plan says: the settings chosen and the shares of the tolerance."""
+"""Plan of a simulation: the settings chosen and the shares of the tolerance."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -20,7 +20,14 @@ BINS = 0.3
 
 @dataclass(frozen=True)
 class Trial:
-    """A setting that was tried: what it is, its worst error of log counts, and its cost: rays per pixel, or nodes."""
+    """Setting that was tried.
+
+    Parameters
+    ----------
+    setting : name of the setting
+    error : its worst error of log counts
+    cost : rays per pixel, or nodes
+    """
 
     setting: str
     error: float
@@ -39,7 +46,7 @@ class Choice:
     share : of the tolerance
     trials : settings that were tried, the cheapest first
     of_pixels : whether it is about one kind of pixels; errors of such parts never meet
-    decided : the faint object that made it finer than the share asks for; empty where the share decided
+    decided : the faint object that made it finer than the share requires; empty where the share decided
     """
 
     part: str
@@ -52,22 +59,36 @@ class Choice:
 
     @property
     def met(self) -> bool:
-        """Whether the error is no larger than wished."""
+        """True when the error is not larger than the share."""
         return self.error <= self.share
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return all values under stable keys, for JSON.
+
+        Returns
+        -------
+        the mapping
+        """
         return asdict(self)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "Choice":
-        """From what `to_dict` gives."""
+        """Create a choice from what `to_dict` returns.
+
+        Parameters
+        ----------
+        values : the mapping
+
+        Returns
+        -------
+        the choice
+        """
         return cls(**{**values, "trials": tuple(Trial(**trial) for trial in values["trials"])})
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """How a scan is computed, and how wrong that is.
+    """Plan of a simulation: its settings and the error of each part.
 
     Parameters
     ----------
@@ -86,7 +107,7 @@ class Plan:
 
     @property
     def error(self) -> float:
-        """Errors of all parts together: they may add up, but a pixel is of one kind only."""
+        """Error of all parts together: errors may add up, but a pixel is of one kind only."""
         others = sum(choice.error for choice in self.choices if not choice.of_pixels)
         return others + max((choice.error for choice in self.choices if choice.of_pixels), default=0.0)
 
@@ -119,11 +140,16 @@ class Plan:
 
     @property
     def _reached(self) -> str:
-        """What the parts reach that miss their share."""
+        """Text with the errors of the parts that miss their share."""
         return ", ".join(f"{c.part} reach {c.error:.1e} with {c.setting}" for c in self.missed)
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return all values under stable keys, for JSON.
+
+        Returns
+        -------
+        the mapping
+        """
         return {
             "tolerance": self.tolerance,
             "error": self.error,
@@ -134,7 +160,7 @@ class Plan:
 
     @property
     def text(self) -> str:
-        """For people: one line per part."""
+        """Plan as text, one line per part."""
         width = max(len(c.part) for c in self.choices)
         lines = [
             f"{c.part:<{width}}  {c.error:.1e}  {c.setting}"
@@ -147,6 +173,16 @@ class Plan:
 
 
 def check_tolerance(tolerance: float) -> None:
-    """Refuse a tolerance that is no number between 1e-9 and 1."""
+    """Refuse a tolerance that is no number between 1e-9 and 1.
+
+    Parameters
+    ----------
+    tolerance : worst error of log projections
+
+    Raises
+    ------
+    InputError
+        When it is outside these limits.
+    """
     if not _LEAST <= tolerance <= _MOST:
         raise InputError(f"--tol must lie in {_LEAST:g} .. {_MOST:g}, an error of log projections, got {tolerance:g}")

@@ -1,4 +1,4 @@
-"""What `phantomgen plan` says: the parts of a scan, how finely each is computed, and what the whole takes."""
+"""Report of `phantomgen plan`: the parts of a scan, how finely each is computed, and the cost."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -17,7 +17,7 @@ from phantomgen.simulation.planning.plan import Plan
 
 @dataclass(frozen=True, eq=False)
 class PlanReport:
-    """A plan, and what it costs.
+    """Plan of a scan, with its measured error and its cost.
 
     Parameters
     ----------
@@ -34,7 +34,18 @@ class PlanReport:
 
     @classmethod
     def of(cls, scan: Scan, tolerance: float, on_stage: Callable[[str], None] = lambda name: None) -> "PlanReport":
-        """Plan a scan and try parts of it; `on_stage` is called with the name of each stage when it begins."""
+        """Plan a scan and compute parts of it.
+
+        Parameters
+        ----------
+        scan : what is simulated
+        tolerance : worst error of log projections that is wanted
+        on_stage : called with the name of each stage when it begins
+
+        Returns
+        -------
+        the report
+        """
         check_collisions(scan)
         watch = Stopwatch(on_stage)
         with watch("plan"):
@@ -53,7 +64,12 @@ class PlanReport:
         return [f.name for f in fields(self.scan.effects) if getattr(self.scan.effects, f.name) is not None]
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return all values under stable keys, for JSON.
+
+        Returns
+        -------
+        the mapping
+        """
         return {
             "name": self.scan.name,
             "shape": list(self._shape),
@@ -67,7 +83,7 @@ class PlanReport:
 
     @property
     def text(self) -> str:
-        """For people."""
+        """Report as text."""
         scan, (views, channels, rows, columns) = self.scan, self._shape
         orbit, basis = scan.geometry.kind, ", ".join(scan.basis.names)
         return "\n".join(

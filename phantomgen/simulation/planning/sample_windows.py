@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from phantomgen.ops.expected_counts import CROSSED, EMPTY, Exposed, expose
+from phantomgen.ops.expected_counts import CROSSED, EMPTY, ExpectedCounts, expected_counts
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.checks.reference_rays import worst_error
 from phantomgen.simulation.forward_model.discretization import Settings
@@ -41,7 +41,18 @@ class Window:
 
 
 def windows_of(scan: Scan, transmission: Transmission, rng: np.random.Generator) -> tuple[Window, ...]:
-    """Parts of some views that hold edges."""
+    """Select parts of some views that contain edges.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    transmission : path lengths to counts
+    rng : source of random numbers
+
+    Returns
+    -------
+    the windows
+    """
     views = np.unique(np.linspace(0, len(scan.geometry) - 1, VIEWS).round().astype(int))
     return tuple(w for view in views for w in _windows(scan, transmission, int(view), rng))
 
@@ -66,9 +77,21 @@ def _windows(scan: Scan, transmission: Transmission, view: int, rng: np.random.G
             return
 
 
-def exposed(scan: Scan, transmission: Transmission, window: Window, settings: Settings) -> Exposed:
-    """Counts of a window."""
-    return expose(
+def exposed(scan: Scan, transmission: Transmission, window: Window, settings: Settings) -> ExpectedCounts:
+    """Compute the counts of a window.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    transmission : path lengths to counts
+    window : part of a view
+    settings : how finely it is computed
+
+    Returns
+    -------
+    counts and numbers of rays
+    """
+    return expected_counts(
         window.frame,
         *window.size,
         scan.scene.solids,
@@ -88,7 +111,17 @@ def _profile(scan: Scan) -> Float[np.ndarray, "part row column"] | None:
 
 
 def worst_difference(images: Sequence[Image], exact: Sequence[Image]) -> float:
-    """The same over whole windows."""
+    """Compute the worst difference of log counts over whole windows.
+
+    Parameters
+    ----------
+    images : counts of each window, (channel, row, column)
+    exact : reference counts of each window
+
+    Returns
+    -------
+    largest absolute difference
+    """
     pairs = zip(images, exact, strict=True)
     return max((worst_error(a, b, b.max(axis=(1, 2), keepdims=True)) for a, b in pairs), default=0.0)
 
@@ -97,14 +130,36 @@ Counts = Float[np.ndarray, "..."]
 
 
 def whole(scan: Scan, view: int) -> Window:
-    """All of a view, its classes not known."""
+    """Return a whole view as a window; the classes of its pixels are unknown.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    view : number of the view
+
+    Returns
+    -------
+    the window
+    """
     panel = scan.geometry.panel
     size = (panel.rows, panel.columns)
     return Window(scan.geometry.ray_frames()[view], size, np.empty((0, 0), np.uint8), _profile(scan))
 
 
 def around(scan: Scan, view: int, classes: UInt8[np.ndarray, "row column"], row: int, column: int) -> Window:
-    """The part of a view around a pixel; `classes` are those of the whole view."""
+    """Return the part of a view around a pixel.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    view : number of the view
+    classes : classes of the pixels of the whole view
+    row, column : the pixel
+
+    Returns
+    -------
+    the window
+    """
     panel = scan.geometry.panel
     top, left = _corner(scan, row, column)
     size = (min(_WINDOW, panel.rows), min(_WINDOW, panel.columns))

@@ -9,19 +9,23 @@ from phantomgen.simulation.planning.sample_windows import exposed, windows_of, w
 from spectra.transmission import Transmission
 
 LADDER = (1, 2, 4, 8)
-# The yardstick has so many times more corners around and along.
+# The reference has so many times more corners around and along.
 _FINER = 4
 _SEED = 7
 
 
 def choose_tessellation(scan: Scan, transmission: Transmission, share: float) -> tuple[Scan, Choice]:
-    """The coarsest triangles whose worst error of log counts stays within `share`, or the finest ones.
+    """Find the coarsest triangles whose worst error of log counts stays within `share`, or the finest ones.
 
     Parameters
     ----------
     scan : with `file`, so that its surfaces can be made finer
     transmission : path lengths to counts
     share : of the tolerance
+
+    Returns
+    -------
+    the scan with these triangles, and the choice
     """
     trials: list[Trial] = []
     for fineness in LADDER:

@@ -1,8 +1,8 @@
 """Projections of the views of a scan at few energies, kept in its dataset, so that other spectra need no rays.
 
-See `phantomgen.simulation.projection_cache.energies` for what is kept, and `KeptPaths.primary` for what becomes of it:
-counts of a pixel are sum_k w_k exp(-p(E_k)), with p(E_k) a combination of what is kept and w_k the photons x response
-of any spectrum.
+See `phantomgen.simulation.projection_cache.energies` for what is kept, and `ProjectionCache.primary` for what becomes
+of it: counts of a pixel are sum_k w_k exp(-p(E_k)), with p(E_k) a combination of what is kept and w_k the photons x
+response of any spectrum.
 """
 
 import json
@@ -29,7 +29,7 @@ from phantomgen.simulation.forward_model.exposure import Exposure, Groups
 from phantomgen.simulation.forward_model.fingerprint import digest
 from phantomgen.simulation.forward_model.sampled_rays import sampled_lengths
 from phantomgen.simulation.planning.plan import BINS, ENERGY, Choice, Plan
-from phantomgen.simulation.projection_cache.energies import SHARE, attenuation, kept_energies
+from phantomgen.simulation.projection_cache.energies import SHARE, attenuation, cache_energies
 from spectra.energy.chebyshev import PiecewiseChebyshev
 from spectra.errors import DatasetError, InputError
 from spectra.transmission import Transmission
@@ -38,8 +38,8 @@ GROUP = "truth/paths"
 
 
 @dataclass(frozen=True, eq=False)
-class Keeper:
-    """What keeps the projections of a scan.
+class CacheWriter:
+    """Writer of the projections of a scan at a few energies.
 
     Parameters
     ----------
@@ -54,12 +54,30 @@ class Keeper:
     error: float
 
     @classmethod
-    def of(cls, plan: Plan) -> "Keeper":
-        """For the spectra that the scan of a plan may get."""
-        return cls(plan.scan, plan.settings, *kept_energies(plan.scan, SHARE * plan.tolerance))
+    def of(cls, plan: Plan) -> "CacheWriter":
+        """Create the writer for the spectra that the scan of a plan may get.
+
+        Parameters
+        ----------
+        plan : plan of the scan
+
+        Returns
+        -------
+        the writer
+        """
+        return cls(plan.scan, plan.settings, *cache_energies(plan.scan, SHARE * plan.tolerance))
 
     def images(self, view: int) -> list[Float32[np.ndarray, "row column"]]:
-        """Projections of a view at each energy, averaged as intensities over pixels and focal spot."""
+        """Compute the projections of a view at each energy, averaged as intensities over pixels and focal spot.
+
+        Parameters
+        ----------
+        view : number of the view
+
+        Returns
+        -------
+        images, (row, column), one per energy
+        """
         nodes = self.energies.nodes
         one_each = Transmission(attenuation(self.scan, nodes), np.ones(len(nodes)), np.arange(len(nodes) + 1))
         bare = replace(self.scan, profile=None)
@@ -67,7 +85,17 @@ class Keeper:
         return list((0.0 - np.log(left)).astype(np.float32))
 
     def new_array(self, file: h5py.File, compression: Compression) -> h5py.Dataset:
-        """Empty array in the truth of a file, and beside it what a later run asks for."""
+        """Create an empty array in the truth of a file, and beside it the values that a later run requires.
+
+        Parameters
+        ----------
+        file : open dataset
+        compression : of the array
+
+        Returns
+        -------
+        the array
+        """
         scan, nodes = self.scan, self.energies.nodes
         group = new_group(truth_group(file), "paths", "NXdata", signal="data", axes=("view", "energy", ".", "."))
         put(group, "energy", nodes, "keV")
@@ -81,8 +109,8 @@ class Keeper:
 
 
 @dataclass(frozen=True, eq=False)
-class KeptPaths:
-    """Kept projections of a dataset.
+class ProjectionCache:
+    """Stored projections of a dataset.
 
     Parameters
     ----------
@@ -101,8 +129,16 @@ class KeptPaths:
     depends_on: dict[str, str]
 
     @classmethod
-    def read(cls, path: Path | str) -> "KeptPaths":
-        """Of a file.
+    def read(cls, path: Path | str) -> "ProjectionCache":
+        """Read the stored projections of a dataset.
+
+        Parameters
+        ----------
+        path : the dataset
+
+        Returns
+        -------
+        the projections; images stay in the file
 
         Raises
         ------
@@ -124,12 +160,16 @@ class KeptPaths:
 
     @property
     def identity(self) -> str:
-        """Digest that tells these projections from others; a file that was written anew is another."""
+        """Digest that separates these projections from others; a file that was written again is another one."""
         about = self.path.stat()
         return digest((self.depends_on, self.energies, about.st_size, about.st_mtime_ns))
 
     def check(self, scan: Scan) -> None:
         """Refuse a scan that these are not the projections of.
+
+        Parameters
+        ----------
+        scan : what is simulated
 
         Raises
         ------
@@ -151,8 +191,18 @@ class KeptPaths:
                 "keV are detected: keep them by a scan that detects these"
             )
 
-    def planned(self, scan: Scan, tolerance: float) -> tuple[Plan, "KeptViews"]:
-        """How a scan is computed from here, and its views."""
+    def planned(self, scan: Scan, tolerance: float) -> tuple[Plan, "CachedViews"]:
+        """Plan a scan that is computed from the stored projections.
+
+        Parameters
+        ----------
+        scan : what is simulated
+        tolerance : worst error of log projections that is wanted
+
+        Returns
+        -------
+        the plan, and the views
+        """
         share, lengths = ENERGY * tolerance, sampled_lengths(scan)
         cuts, bins = fine_cuts(scan, lengths, BINS * share)
         exposure, error = Exposure.of(scan, lengths, (1 - BINS) * share, refine=False, cuts=cuts)
@@ -163,15 +213,33 @@ class KeptPaths:
         groups = replace(groups, columns=np.concatenate([through, groups.columns[old:]]))
         choices = (Choice("energies", f"{counts} nodes", bins + error, share), *self._choices(tolerance))
         plan = Plan(tolerance, scan, self.settings, replace(exposure, groups=groups), choices)
-        return plan, KeptViews(self, scan, np.concatenate([shares, groups.columns[old:]]))
+        return plan, CachedViews(self, scan, np.concatenate([shares, groups.columns[old:]]))
 
     def projections(self, view: int) -> Float32[np.ndarray, "energy row column"]:
-        """Those of one view."""
+        """Read the projections of one view.
+
+        Parameters
+        ----------
+        view : number of the view
+
+        Returns
+        -------
+        projections, (energy, row, column)
+        """
         with h5py.File(self.path, "r") as file:
             return array_at(file, f"{GROUP}/data")[view]
 
     def fractions(self, scan: Scan) -> Callable[[Grid], Float32[np.ndarray, "material z y x"]] | None:
-        """What the materials of a scan fill, as the dataset has it, to 1/65535; None where its voxels are others."""
+        """Return a function that reads the material fractions of a grid from the dataset, to 1/65535.
+
+        Parameters
+        ----------
+        scan : what is simulated
+
+        Returns
+        -------
+        the function; None where the dataset has other voxels
+        """
         whole = scan.grid
         with h5py.File(self.path, "r") as file:
             wanted = {"shape": whole.shape, "spacing": whole.spacing, "origin": whole.origin}
@@ -193,8 +261,8 @@ class KeptPaths:
 
 
 @dataclass(frozen=True, eq=False)
-class KeptViews:
-    """Views of a scan from kept projections.
+class CachedViews:
+    """Views of a scan computed from stored projections.
 
     Parameters
     ----------
@@ -203,12 +271,22 @@ class KeptViews:
     columns : what each of them, and then each part of the beam's profile, adds to the exponent of each energy node
     """
 
-    kept: KeptPaths
+    kept: ProjectionCache
     scan: Scan
     columns: Float[np.ndarray, "column node"]
 
     def primary(self, view: int, transmission: Transmission) -> Groups:
-        """Expected signals of a view, without scatter; of `transmission` only weights and channels count."""
+        """Compute the expected signals of a view, without scatter.
+
+        Parameters
+        ----------
+        view : number of the view
+        transmission : only its weights and channels are used
+
+        Returns
+        -------
+        signals, (group, row, column)
+        """
         lengths = self.kept.projections(view)
         if self.scan.profile is not None:
             lengths = np.concatenate([lengths, self.scan.profile.lengths])
@@ -216,8 +294,19 @@ class KeptViews:
         return np.ascontiguousarray(np.moveaxis(spectral.expected(np.moveaxis(lengths, 0, -1)), -1, 0))
 
 
-def usable(path: Path | str, scan: Scan, out: Path | str, keep: bool = False) -> KeptPaths:
-    """Kept projections for a scan that is written to `out`.
+def usable(path: Path | str, scan: Scan, out: Path | str, keep: bool = False) -> ProjectionCache:
+    """Return stored projections for a scan that is written to `out`.
+
+    Parameters
+    ----------
+    path : dataset with projections
+    scan : what is simulated
+    out : dataset to be written
+    keep : whether projections are to be stored in `out` as well
+
+    Returns
+    -------
+    the projections
 
     Raises
     ------
@@ -228,13 +317,23 @@ def usable(path: Path | str, scan: Scan, out: Path | str, keep: bool = False) ->
         raise InputError(f"--keep paths traces rays, but --paths {path} says not to: leave out one of them")
     if Path(out).exists() and Path(path).exists() and Path(out).samefile(path):
         raise InputError(f"the output {out} is the file that --paths reads: choose another name by --out")
-    kept = KeptPaths.read(path)
+    kept = ProjectionCache.read(path)
     kept.check(scan)
     return kept
 
 
 def fingerprint(scan: Scan, energy: Float[np.ndarray, " energy"]) -> dict[str, str]:
-    """Digests of what projections at `energy` [keV] depend on, under the names of keys of a scene."""
+    """Compute digests of what projections depend on, under the names of keys of a scene.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    energy : energies of the projections [keV]
+
+    Returns
+    -------
+    digests by name
+    """
     panel = scan.geometry.panel
     return {
         "objects": digest(scan.scene.solids),
@@ -245,8 +344,19 @@ def fingerprint(scan: Scan, energy: Float[np.ndarray, " energy"]) -> dict[str, s
     }
 
 
-def kept_scene(path: Path | str, overrides: Sequence[str] = ()) -> SceneFile:
-    """The scene of a dataset that keeps projections, random values drawn; files that it names lie beside the dataset.
+def cached_scene(path: Path | str, overrides: Sequence[str] = ()) -> SceneFile:
+    """Read the scene of a dataset that stores projections, random values drawn.
+
+    Files that the scene names lie beside the dataset.
+
+    Parameters
+    ----------
+    path : the dataset
+    overrides : ``path=value`` with dotted paths
+
+    Returns
+    -------
+    the scene file
 
     Raises
     ------

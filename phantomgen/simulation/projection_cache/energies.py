@@ -28,13 +28,17 @@ _MOST = -np.log(1e-12)
 Values = Float[np.ndarray, "ray energy"]
 
 
-def kept_energies(scan: Scan, tolerance: float) -> tuple[PiecewiseChebyshev, float]:
-    """Fewest energies found that give the projections of all others, and their worst error on other rays.
+def cache_energies(scan: Scan, tolerance: float) -> tuple[PiecewiseChebyshev, float]:
+    """Find the fewest energies whose projections give those at all other energies.
 
     Parameters
     ----------
     scan : what is simulated; its channels and source widen the range of energies
     tolerance : worst error of projections that is wanted
+
+    Returns
+    -------
+    interpolation with these energies, and its worst error on other rays
     """
     low, high = min(LOWEST, scan.detector.lowest), max(HIGHEST, scan.source.maximum)
     lengths, rng = sampled_lengths(scan), np.random.default_rng(0)
@@ -46,7 +50,7 @@ def kept_energies(scan: Scan, tolerance: float) -> tuple[PiecewiseChebyshev, flo
 
 
 class Mixed:
-    """Pixels that two rays share: what the interpolation is tried on.
+    """Pixels that two rays share, for tests of the interpolation.
 
     Parameters
     ----------
@@ -60,7 +64,20 @@ class Mixed:
 
     @classmethod
     def of(cls, scan: Scan, lengths: Float[np.ndarray, "ray material"], rng: np.random.Generator) -> "Mixed":
-        """Pairs of rays, the longest among them; a third of the pixels holds one ray, one in six half air."""
+        """Create pixels from pairs of rays, the longest among them.
+
+        A third of the pixels contains one ray; one in six is half air.
+
+        Parameters
+        ----------
+        scan : what is simulated
+        lengths : path lengths [mm], (ray, material)
+        rng : source of random numbers
+
+        Returns
+        -------
+        the pixels
+        """
         longest = np.argsort(lengths.sum(axis=1))[-_RAYS // 10 :]
         first = lengths[np.append(rng.integers(len(lengths), size=_RAYS), longest)]
         second, part = rng.permutation(first), rng.random(len(first))
@@ -69,7 +86,16 @@ class Mixed:
         return cls(scan, first, second, part)
 
     def projections(self, energy: Float[np.ndarray, " energy"]) -> Values:
-        """Of each pixel."""
+        """Compute the projections of each pixel.
+
+        Parameters
+        ----------
+        energy : energies [keV]
+
+        Returns
+        -------
+        projections, (pixel, energy)
+        """
         curves = attenuation(self.scan, energy)
         one, two = (lengths @ curves for lengths in (self.first, self.second))
         less = np.minimum(one, two)
@@ -77,7 +103,17 @@ class Mixed:
         return less - np.log(mean)
 
     def error(self, low: float, high: float, count: int) -> float:
-        """Worst error of projections between two energies, from so many nodes."""
+        """Compute the worst error of projections between two energies, interpolated from `count` nodes.
+
+        Parameters
+        ----------
+        low, high : limits [keV]
+        count : number of nodes
+
+        Returns
+        -------
+        worst error
+        """
         piece = PiecewiseChebyshev((low, high), (count,))
         energy = low * (high / low) ** ((np.arange(_ENERGIES) + 0.5) / _ENERGIES)
         exact = self.projections(energy)
@@ -86,7 +122,17 @@ class Mixed:
 
 
 def attenuation(scan: Scan, energy: Float[np.ndarray, " energy"]) -> Float[np.ndarray, "material energy"]:
-    """Attenuation of the materials [1/mm]."""
+    """Compute the attenuation of the materials.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    energy : energies [keV]
+
+    Returns
+    -------
+    attenuation [1/mm], (material, energy)
+    """
     return np.stack([m.attenuation(energy, scan.basis) for m in scan.scene.materials])
 
 

@@ -60,12 +60,12 @@ class _Beginning:
             self.clock.start(self.seconds)
 
     def found(self, measured: Measurements) -> tuple[FitState, np.ndarray, dict[str, float]] | None:
-        """See `recon.gaussians.reconstruct.Keeper`."""
+        """See `recon.gaussians.reconstruct.CheckpointStore`."""
         del measured
         return None if self.state is None else (FitState.restore(*deepcopy(self.state)), self.volumes, {})
 
     def begin(self, volumes: np.ndarray, seconds: dict[str, float], state: FitState) -> None:
-        """See `recon.gaussians.reconstruct.Keeper`."""
+        """See `recon.gaussians.reconstruct.CheckpointStore`."""
         del seconds
         with self.clock.standing():
             self.volumes, self.state = volumes, deepcopy((state.tensors(), state.numbers()))
@@ -86,7 +86,7 @@ def run_gaussian(dataset: Dataset, contender: Contender, clock: Clock, new: NewR
     dataset = dataset.with_basis(choose_basis(dataset, contender.bases).basis)
     recipe, beginning = BEST if contender.best else FAST, _Beginning(clock)
     timed = _Timed(beginning)
-    reconstruct(dataset, recipe, on_stage=beginning.stage, on_step=timed, keeper=beginning)
+    reconstruct(dataset, recipe, on_stage=beginning.stage, on_step=timed, checkpoints=beginning)
     clock.stop()
     start = beginning.seconds or 0.0
     needed = seconds_of_steps(timed.steps, recipe, len(dataset.splits["train"]) - recipe.held_out)
@@ -95,7 +95,7 @@ def run_gaussian(dataset: Dataset, contender: Contender, clock: Clock, new: NewR
     def fit(share: float, recorder: Recorder) -> None:
         stages = tuple(replace(stage, sweeps=share * stage.sweeps) for stage in recipe.stages)
         shorter = replace(recipe, stages=stages)
-        reconstruct(dataset, shorter, on_stage=beginning.stage, on_step=_Kept(recorder), keeper=beginning)
+        reconstruct(dataset, shorter, on_stage=beginning.stage, on_step=_Kept(recorder), checkpoints=beginning)
 
     def follow(budget: float) -> Recorder:
         recorder, following = new([budget]), beginning.following or start
@@ -103,7 +103,7 @@ def run_gaussian(dataset: Dataset, contender: Contender, clock: Clock, new: NewR
         if (evaluations := int(part * recipe.approximation)) > 0:
             clock.start(0.0)
             with suppress(Spent):
-                reconstruct(dataset, replace(recipe, approximation=evaluations), keeper=_Unfitted(recorder))
+                reconstruct(dataset, replace(recipe, approximation=evaluations), checkpoints=_Unfitted(recorder))
             clock.stop()
         return recorder
 
@@ -175,16 +175,16 @@ class _Kept:
 
 @dataclass
 class _Unfitted:
-    """Keeper that records what a fit begins with, and ends it there."""
+    """CheckpointStore that records what a fit begins with, and ends it there."""
 
     recorder: Recorder
 
     def found(self, measured: Measurements) -> None:
-        """See `recon.gaussians.reconstruct.Keeper`."""
+        """See `recon.gaussians.reconstruct.CheckpointStore`."""
         del measured
 
     def begin(self, volumes: np.ndarray, seconds: dict[str, float], state: FitState) -> None:
-        """See `recon.gaussians.reconstruct.Keeper`."""
+        """See `recon.gaussians.reconstruct.CheckpointStore`."""
         del volumes, seconds
         self.recorder.add(0, 1, state.gaussians.save)
         raise Spent

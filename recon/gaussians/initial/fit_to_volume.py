@@ -39,7 +39,7 @@ PEAK = 0.999  # quantile of the positive values of a basis that its distance is 
 FAINTEST = 0.01  # of the basis that shows most; one that shows less counts as if it showed as much
 
 
-def approximate(
+def fit_to_volume(
     start: Gaussians,
     volumes: Float[np.ndarray, "basis z y x"],
     grid: Grid,
@@ -133,10 +133,11 @@ class _Distance:
         parts = [p.detach().requires_grad_() for p in _parts(model)]
         found = voxelize_tensor(parts[0], parts[1], parts[2], parts[3], self.grid, cutoff=CUTOFF)
         away = found.detach() - self.volumes
-        pull = torch.einsum("mn,nzyx->mzyx", self.metric, away)
-        found.backward(pull)
+        weighted = torch.einsum("mn,nzyx->mzyx", self.metric, away)
+        found.backward(weighted)
         self.evaluations += 1
-        distance = 0.5 * float((away * pull).sum(dim=-1).sum(dtype=torch.float64))  # rows first: ten times as fast
+        # rows first: ten times as fast
+        distance = 0.5 * float((away * weighted).sum(dim=-1).sum(dtype=torch.float64))
         self.report(found.detach().cpu().numpy(), distance, self.grid)
         return distance, gradient_of_steps(model, [p.grad for p in parts if p.grad is not None])
 

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates, minimum_filter
 from scipy.spatial import KDTree
 
 from phantomgen.geometry.voxel_grid import Grid
-from recon.data.volume_edges import SMOOTHING, Structure
+from recon.data.volume_edges import SMOOTHING, VolumeEdges
 from recon.gaussians.model import Gaussians
 from recon.ops.voxelize import voxelize
 
@@ -46,7 +46,7 @@ def initialize(
     seed : of the placement
     """
     smooth = np.stack([gaussian_filter(v, SMOOTHING) for v in volumes])
-    structure = Structure.of(volumes, fisher)
+    structure = VolumeEdges.of(volumes, fisher)
     distance = _sizing(structure, grid, spacing)
     voxel = _blue_noise(structure.occupied, distance / min(grid.spacing), _places(grid), seed)
     centres = (np.array(grid.origin) + voxel * np.array(grid.spacing))[:, ::-1].copy()
@@ -66,7 +66,7 @@ def initialize(
     return Gaussians(*parts, torch.from_numpy(coefficients).float(), basis_names)
 
 
-def _sizing(structure: Structure, grid: Grid, finest: float) -> Float[np.ndarray, "z y x"]:
+def _sizing(structure: VolumeEdges, grid: Grid, finest: float) -> Float[np.ndarray, "z y x"]:
     """Wanted distance between Gaussians [mm]: `finest` at edges, growing away from them."""
     distance = finest / np.maximum(structure.strength, 1e-6)
     distance = np.clip(distance, finest, COARSEST * finest)
@@ -77,7 +77,7 @@ def _sizing(structure: Structure, grid: Grid, finest: float) -> Float[np.ndarray
 
 
 def _normals(
-    structure: Structure, voxel: Float[np.ndarray, "point 3"]
+    structure: VolumeEdges, voxel: Float[np.ndarray, "point 3"]
 ) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, " point"]]:
     """Direction (x, y, z) across the edge at each point, and how much of an edge is there, 0 to 1."""
     index = tuple(np.clip(np.round(voxel).astype(int).T, 0, np.array(structure.occupied.shape)[:, None] - 1))

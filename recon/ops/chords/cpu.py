@@ -116,15 +116,15 @@ def _gather(p, coefficients, cotangent, smooth, columns, sums, to_coefficients):
             slope = f4(0.5) / long + (f4(1) - part) * (f4(1) / corner)
             height = square_root(inverse) * (p[AMPLITUDE] * UNIT)
             value = where_less(q, f4(1), height * root)
-            pull = zero
+            to_value = zero
             for m in range(bases):
                 incoming = load(cotangent, (m * rows + r) * stride + base)
-                pull = pull + incoming * coefficients[m]
+                to_value = to_value + incoming * coefficients[m]
                 store(to_coefficients, m * WIDTH, load(to_coefficients, m * WIDTH) + incoming * value)
-            alpha = where_less(q, f4(1), pull * height * slope * inverse) * f4(-1)
-            pull = pull * value
-            beta = pull * inverse * f4(-0.5) - alpha * q
-            w0 = w0 + pull
+            alpha = where_less(q, f4(1), to_value * height * slope * inverse) * f4(-1)
+            to_value = to_value * value
+            beta = to_value * inverse * f4(-0.5) - alpha * q
+            w0 = w0 + to_value
             step, step_y = alpha * x, alpha * dy
             ax, ay, axx, axy, ayy = ax + step, ay + step_y, axx + step * x, axy + step * dy, ayy + step_y * dy
             step, step_y = beta * x, beta * dy

@@ -96,12 +96,12 @@ def likelihood(
                     continue
                 total += 2.0 * share * _half_deviance(counted, expected, dispersion)
                 precision = share * scale / (expected * (1.0 + dispersion * dispersion * expected))
-                pull = (expected - counted) * precision
+                to_value = (expected - counted) * precision
                 most = max(expected, counted)
                 precision = share * scale * scale * most
                 precision /= expected * expected * (1.0 + dispersion * dispersion * most)
                 for m in range(bases):
-                    gradient[m, view, start + i] += pull * room[1 + m, i]
+                    gradient[m, view, start + i] += to_value * room[1 + m, i]
                 pair = 0
                 if fisher.shape[0] > 0:
                     for m in range(bases):

@@ -12,24 +12,27 @@ Volumes = Float[np.ndarray, "basis z y x"]
 Blocks = Float[np.ndarray, "pair z y x"]
 
 
-def positive_step(volumes: Volumes, inverse: Blocks, pulls: Volumes, bounded: bool = True) -> Volumes:
-    """The non-negative x nearest to ``volumes - inverse pulls``, in the metric whose inverse is given.
+def nonnegative_newton_step(volumes: Volumes, inverse: Blocks, cotangents: Volumes, bounded: bool = True) -> Volumes:
+    """The non-negative x nearest to ``volumes - inverse cotangents``, in the metric whose inverse is given.
 
-    That is the minimum of ``<pulls, x> + (x - volumes)^T inverse^-1 (x - volumes) / 2`` over x >= 0, voxel by voxel.
+    That is the minimum of ``<cotangents, x> + (x - volumes)^T inverse^-1 (x - volumes) / 2`` over x >= 0, voxel by
+    voxel.
 
     Parameters
     ----------
-    volumes, pulls : where to begin, and the gradient there
+    volumes, cotangents : where to begin, and the gradient there
     inverse : inverse of each voxel's positive definite block, upper triangle row by row
     bounded : whether x >= 0 is asked for
     """
     bases, *shape = volumes.shape
-    begin, blocks, slopes = (np.ascontiguousarray(a, np.float32).reshape(len(a), -1) for a in (volumes, inverse, pulls))
+    begin, blocks, slopes = (
+        np.ascontiguousarray(a, np.float32).reshape(len(a), -1) for a in (volumes, inverse, cotangents)
+    )
     out = np.empty_like(begin)
 
     def chunk(first: int) -> None:
         room = np.empty((2 * bases + 4, bases))
-        cpu.positive_step(begin, blocks, slopes, bounded, first, min(first + CHUNK, out.shape[1]), room, out)
+        cpu.nonnegative_newton_step(begin, blocks, slopes, bounded, first, min(first + CHUNK, out.shape[1]), room, out)
 
     for _ in run_parallel(chunk, range(0, out.shape[1], CHUNK)):
         pass

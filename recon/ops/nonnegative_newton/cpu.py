@@ -109,7 +109,7 @@ def _pivot_three(inverse, first, last, out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def positive_step(volumes, inverse, pulls, bounded, first, last, room, out):
+def nonnegative_newton_step(volumes, inverse, cotangents, bounded, first, last, room, out):
     """Write the steps of voxels `first` to `last`; arrays are (basis or pair, voxel), `room` is (2 basis + 4, basis).
 
     Steps are computed without the bound first, many voxels at a time; those that end below it are done again.
@@ -123,7 +123,7 @@ def positive_step(volumes, inverse, pulls, bounded, first, last, room, out):
         for n in range(bases):
             pair = _pair(m, n, bases)
             for voxel in range(np.uint64(first), np.uint64(last)):
-                out[m, voxel] -= inverse[pair, voxel] * pulls[n, voxel]
+                out[m, voxel] -= inverse[pair, voxel] * cotangents[n, voxel]
     if not bounded:
         return
     if bases == 3:

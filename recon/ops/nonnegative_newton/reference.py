@@ -6,12 +6,14 @@ import numpy as np
 from jaxtyping import Float
 
 
-def positive_step(
-    start: Float[np.ndarray, " basis"], inverse: Float[np.ndarray, "basis basis"], pull: Float[np.ndarray, " basis"]
+def nonnegative_newton_step(
+    start: Float[np.ndarray, " basis"],
+    inverse: Float[np.ndarray, "basis basis"],
+    cotangent: Float[np.ndarray, " basis"],
 ) -> Float[np.ndarray, " basis"]:
-    """Minimum of ``pull x + (x - start) inverse^-1 (x - start) / 2`` over x >= 0, for one voxel."""
+    """Minimum of ``cotangent x + (x - start) inverse^-1 (x - start) / 2`` over x >= 0, for one voxel."""
     metric = np.linalg.inv(inverse)
-    wanted = start - inverse @ pull
+    wanted = start - inverse @ cotangent
     best, least = np.zeros_like(wanted), np.inf
     for free in product([False, True], repeat=len(wanted)):
         f, x = np.array(free), np.zeros_like(wanted)

@@ -261,15 +261,15 @@ def _gather(bases, p, coefficients, cotangent, k2, columns, sums, to_coefficient
             q = (along * along + across * across) * inverse
             value = square_root(inverse) * exp_negative(minimum(q, k2) * f4(-0.5)) * p[AMPLITUDE]
             value = where_less(q, k2, value)
-            pull = zero
+            to_value = zero
             for m in range(len(bases)):
                 incoming = load(cotangent, (m * rows + r) * stride + base)
-                pull = pull + incoming * coefficients[m]
+                to_value = to_value + incoming * coefficients[m]
                 store(to_coefficients, m * WIDTH, load(to_coefficients, m * WIDTH) + incoming * value)
-            pull = pull * value
-            alpha = pull * inverse * f4(-0.5)
+            to_value = to_value * value
+            alpha = to_value * inverse * f4(-0.5)
             beta = alpha - alpha * q
-            w0 = w0 + pull
+            w0 = w0 + to_value
             step, step_y = alpha * x, alpha * dy
             ax, ay, axx, axy, ayy = ax + step, ay + step_y, axx + step * x, axy + step * dy, ayy + step_y * dy
             step, step_y = beta * x, beta * dy
@@ -356,8 +356,8 @@ def backward(
     """Gradients of Gaussians `first` to `last`, summed over views in order.
 
     `bases` is that of `forward`; `cotangents` (view, basis, row, padded column) come multiplied by |d|. With v the
-    value of a pixel, w = v times its pull, alpha = -w / (2 E) belongs to N, beta = alpha (1 - N / E) to E; the sums
-    over pixels are w, alpha (x, y, x^2, x y, y^2) and beta (1, x, y, x^2, x y, y^2).
+    value of a pixel, w = v times the gradient in that value, alpha = -w / (2 E) belongs to N, beta = alpha (1 - N / E)
+    to E; the sums over pixels are w, alpha (x, y, x^2, x y, y^2) and beta (1, x, y, x^2, x y, y^2).
     """
     k2 = f4(cutoff * cutoff)
     w, t, sums = np.zeros((SCRATCH, 3)), np.empty((6, 3)), np.empty(12)

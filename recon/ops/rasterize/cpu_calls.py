@@ -68,11 +68,11 @@ class Scene:
     def gradients(self, cotangents: Tensor) -> tuple[np.ndarray, ...]:
         """Gradients with respect to centres, log-scales, quaternions and coefficients."""
         n, bases = self.coefficients.shape
-        s, pulls = self.settings, cotangents.detach().cpu().numpy()
+        s, images = self.settings, cotangents.detach().cpu().numpy()
         to_centres, to_matrices, to_coefficients = np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, bases))
         for numbers, tables, lengths in self._groups():
             padded = np.zeros((len(numbers), bases, s.rows, s.columns + WIDTH), np.float32)
-            padded[..., : s.columns] = pulls[numbers.start : numbers.stop]
+            padded[..., : s.columns] = images[numbers.start : numbers.stop]
             padded[..., : s.columns] *= lengths[:, None]
             self._gather(numbers, tables, padded, (to_centres, to_matrices, to_coefficients))
         to_scales, to_quaternions = np.empty((n, 3)), np.empty((n, 4))
@@ -84,7 +84,7 @@ class Scene:
         return to_centres, to_scales, to_quaternions, to_coefficients
 
     def _gather(self, numbers: range, tables: np.ndarray, padded: np.ndarray, sums: tuple[np.ndarray, ...]) -> None:
-        """Add what some views pull at centres, whitening matrices and coefficients."""
+        """Add the gradients of some views in centres, whitening matrices and coefficients."""
         s, some = self.settings, slice(numbers.start, numbers.stop)
         self._each_chunk(
             lambda a, b: cpu.backward(

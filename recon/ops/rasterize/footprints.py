@@ -23,8 +23,8 @@ class ExactFootprints(NamedTuple):
         """As the kernels want them."""
         return Footprints(self.numbers.detach().float().contiguous(), self.bounds.int().contiguous())
 
-    def pulls(self, sums: Float[Tensor, "gaussian 12"], affine: bool) -> Float[Tensor, "gaussian 11"]:
-        """What sums over pixels (see `cpu.backward`) pull each number by."""
+    def gradients(self, sums: Float[Tensor, "gaussian 12"], affine: bool) -> Float[Tensor, "gaussian 11"]:
+        """Gradient in each number that follows from sums over pixels (see `cpu.backward`)."""
         _, _, l11, l21, l22, e1, e2, e3, e4, e5, amplitude = self.numbers.detach().unbind(1)
         w, ax, ay, axx, axy, ayy, b, bx, by, bxx, bxy, byy = sums.unbind(1)
         along = l11 * ax + l21 * ay

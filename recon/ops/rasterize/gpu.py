@@ -88,10 +88,10 @@ def _backward(
         known = (pixel < pixels)[:, None] & (basis < bases)[None]
         incoming = tl.load(cotangent + place, mask=known, other=0.0)
         to_weights += incoming * value[:, None]
-        pull = tl.sum(incoming * weights[None], axis=1) * value
-        alpha = -0.5 * pull * inverse
+        to_value = tl.sum(incoming * weights[None], axis=1) * value
+        alpha = -0.5 * to_value * inverse
         beta = alpha - alpha * tl.where(value > 0.0, q, 0.0)
-        w, ax, ay, b, bx, by = w + pull, ax + alpha * x, ay + alpha * y, b + beta, bx + beta * x, by + beta * y
+        w, ax, ay, b, bx, by = w + to_value, ax + alpha * x, ay + alpha * y, b + beta, bx + beta * x, by + beta * y
         axx, axy, ayy = axx + alpha * x * x, axy + alpha * x * y, ayy + alpha * y * y
         bxx, bxy, byy = bxx + beta * x * x, bxy + beta * x * y, byy + beta * y * y
     sums += 12 * g

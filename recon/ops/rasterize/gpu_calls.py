@@ -57,20 +57,20 @@ class _RasterizeOnGpu(torch.autograd.Function):
             torch.zeros_like(weights, dtype=torch.float64),
         )
         for frame, cotangent in zip(frames, cotangents[0], strict=True):
-            pull = (cotangent * _lengths(frame, settings)).float().contiguous()
+            scaled = (cotangent * _lengths(frame, settings)).float().contiguous()
             with torch.enable_grad():
                 found, near = footprints(places, shapes, frame, settings)
             rounded = found.rounded()
-            sums, to_some = gpu.backward(rounded, weights, pull, settings.cutoff)
+            sums, to_some = gpu.backward(rounded, weights, scaled, settings.cutoff)
             to_weights += to_some
-            pulls = found.pulls(sums.double(), settings.affine)
-            for whole, part in zip(to_parts, torch.autograd.grad(found.numbers, parts, pulls), strict=True):
+            to_numbers = found.gradients(sums.double(), settings.affine)
+            for whole, part in zip(to_parts, torch.autograd.grad(found.numbers, parts, to_numbers), strict=True):
                 whole.add_(part)
             for some in _pieces(near, settings):
                 a, b, c = group = [part.detach()[some].requires_grad_() for part in (*parts, weights.double())]
                 with torch.enable_grad():
                     image = near_images(a, b, c, frame, settings)
-                *to_group, to_some = torch.autograd.grad(image, group, pull.double())
+                *to_group, to_some = torch.autograd.grad(image, group, scaled.double())
                 for whole, part in zip(to_parts, to_group, strict=True):
                     whole[some] += part
                 to_weights[some] += to_some

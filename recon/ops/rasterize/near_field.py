@@ -199,15 +199,15 @@ def backward(
             length = math.sqrt(dot(seen, seen))
             z0 = dot(u, seen) / length
             z1 = length - z0
-            whole, pull = w[7, 2] / math.sqrt(vv) * math.exp(-0.5 * q), 0.0
+            whole, to_value = w[7, 2] / math.sqrt(vv) * math.exp(-0.5 * q), 0.0
             value = whole * (_part(z1) + _part(z0))
             for k in range(bases):
                 incoming = float(cotangent[k, row, column])
-                pull += incoming * coefficients[k]
+                to_value += incoming * coefficients[k]
                 to_coefficients[k] += incoming * value
-            value *= pull
+            value *= to_value
             mass += value
-            whole *= pull / math.sqrt(2 * math.pi)
+            whole *= to_value / math.sqrt(2 * math.pi)
             to_z1 = whole * math.exp(-0.5 * z1 * z1)
             to_z0 = whole * math.exp(-0.5 * z0 * z0) - to_z1
             to_length = to_z1 - to_z0 * z0 / length

@@ -72,14 +72,14 @@ def ascend(
     _over_slabs(slab, field.shape[2])
 
 
-def pull(field: Field, mixing: Mixing, grid: Grid) -> Volumes:
+def gradient(field: Field, mixing: Mixing, grid: Grid) -> Volumes:
     """D^T W^T p, the transpose of what `ascend` adds for steps of 1."""
     mixing = _plain(mixing)
     out = np.empty(field.shape[1:], np.float32)
 
     def slab(first: int, last: int) -> None:
         room = np.empty(out.shape[::3], np.float32)
-        cpu.pull(field, mixing, _scales(grid), first, last, room, out)
+        cpu.gradient(field, mixing, _scales(grid), first, last, room, out)
 
     _over_slabs(slab, field.shape[2])
     return out

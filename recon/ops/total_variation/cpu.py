@@ -110,7 +110,7 @@ def _transpose_differences(entries, scales, z, y, row):
 
 @njit(cache=True, nogil=True, fastmath=REORDER, error_model="numpy")
 @no_type_check
-def pull(field, mixing, scales, first, last, room, out):
+def gradient(field, mixing, scales, first, last, room, out):
     """Write D^T W^T p of some slices; `room` is (basis, x)."""
     bases = field.shape[1]
     for z in range(first, last):

@@ -1,7 +1,7 @@
 """Gradients of the voxelizer, gathered per Gaussian: no atomics, the same bits for any number of threads.
 
-With v the value of a Gaussian in a voxel, d the voxel's offset from the centre and w = v times the pull of the voxel,
-all that is needed are the sums of w (1, d, d d^T) over the Gaussian's voxels. Covariance and centre follow from
+With v the value of a Gaussian in a voxel, d the voxel's offset from the centre and w = v times the gradient in that
+value, all that is needed are the sums of w (1, d, d d^T) over the Gaussian's voxels. Covariance and centre follow from
 v = amplitude exp(-d^T C^-1 d / 2), where C includes the voxel's own variance.
 """
 
@@ -78,14 +78,14 @@ def _gather(bases, p, coefficients, cotangent, k2, columns, sums, to_coefficient
                 along = x * p[U11] + shear
                 q = along * along + (k2 - rest)
                 value = where_less(q, k2, exp_negative(minimum(q, k2) * f4(-0.5)) * p[AMPLITUDE])
-                pull = zero
+                to_value = zero
                 for m in range(len(bases)):
                     incoming = load(cotangent, ((m * slices + z) * rows + y) * stride + base)
-                    pull = pull + incoming * coefficients[m]
+                    to_value = to_value + incoming * coefficients[m]
                     store(to_coefficients, m * WIDTH, load(to_coefficients, m * WIDTH) + incoming * value)
-                pull = pull * value
-                step = pull * x
-                r0, rx, rxx = r0 + pull, rx + step, rxx + step * x
+                to_value = to_value * value
+                step = to_value * x
+                r0, rx, rxx = r0 + to_value, rx + step, rxx + step * x
             w0, wx, wxx = w0 + r0, wx + rx, wxx + rxx
             ry, rz = r0 * dy, r0 * dz
             wy, wz = wy + ry, wz + rz

@@ -89,10 +89,10 @@ def _backward(
             at = ((basis[None].to(tl.int64) * layers + layer) * rows + row[:, None]) * columns + column[:, None]
             incoming = tl.load(cotangent + at, mask=(voxel < area)[:, None] & (basis < bases)[None], other=0.0)
             to_weights += incoming * value[:, None]
-            pull = tl.sum(incoming * weights[None], axis=1) * value
-            w, wx, wy, wz = w + pull, wx + pull * x, wy + pull * y, wz + pull * z
-            wxx, wxy, wxz = wxx + pull * x * x, wxy + pull * x * y, wxz + pull * x * z
-            wyy, wyz, wzz = wyy + pull * y * y, wyz + pull * y * z, wzz + pull * z * z
+            to_value = tl.sum(incoming * weights[None], axis=1) * value
+            w, wx, wy, wz = w + to_value, wx + to_value * x, wy + to_value * y, wz + to_value * z
+            wxx, wxy, wxz = wxx + to_value * x * x, wxy + to_value * x * y, wxz + to_value * x * z
+            wyy, wyz, wzz = wyy + to_value * y * y, wyz + to_value * y * z, wzz + to_value * z * z
     sums += 10 * g
     tl.store(sums, tl.sum(w, 0))
     tl.store(sums + 1, tl.sum(wx, 0))

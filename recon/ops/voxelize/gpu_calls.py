@@ -50,10 +50,10 @@ class _VoxelizeOnGpu(torch.autograd.Function):
         leaves = [part.detach().double().requires_grad_() for part in geometry]
         with torch.enable_grad():
             found = _shapes(leaves[0], leaves[1], leaves[2], grid, footprint)
-        weights, pull = coefficients.float().contiguous(), cotangents[0].float().contiguous()
-        sums, to_coefficients = gpu.backward(found.rounded(grid.shape, cutoff), weights, pull, cutoff)
+        weights, cotangent = coefficients.float().contiguous(), cotangents[0].float().contiguous()
+        sums, to_coefficients = gpu.backward(found.rounded(grid.shape, cutoff), weights, cotangent, cutoff)
         numbers = found.offsets, found.covariances, found.log_amplitudes
-        gradients = torch.autograd.grad(numbers, leaves, found.pulls(sums.double()))
+        gradients = torch.autograd.grad(numbers, leaves, found.gradients(sums.double()))
         pairs = zip((*gradients, to_coefficients), ctx.saved_tensors, strict=True)
         return *(gradient.to(part.dtype) for gradient, part in pairs), None, None, None
 
@@ -84,8 +84,8 @@ class _Shapes(NamedTuple):
         places = torch.cat([voxels, ends], 1).int().contiguous()
         return gpu.Ellipsoids(torch.cat([offsets, rows], 1).float().contiguous(), places)
 
-    def pulls(self, sums: Float[Tensor, "gaussian 10"]) -> tuple[Tensor, Tensor, Tensor]:
-        """What sums over voxels (see `recon.ops.voxelize.backward`) pull offset, covariance and log amplitude by."""
+    def gradients(self, sums: Float[Tensor, "gaussian 10"]) -> tuple[Tensor, Tensor, Tensor]:
+        """Gradients in offset, covariance and log amplitude that follow from sums over voxels."""
         inverse = torch.linalg.inv(self.covariances.detach())
         squares = sums[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
         to_offsets = (inverse @ sums[:, 1:4, None])[:, :, 0]

@@ -1,4 +1,4 @@
-"""Adaptive density control: clone and split where the projector pulls, prune what is empty, reset fractions.
+"""Adaptive density control: clone and split where the gradient is large, prune what is empty, reset fractions.
 
 R2-Gaussian's strategy, with a gradient threshold of its own for splitting.
 """
@@ -19,7 +19,7 @@ from recon.published_methods.paper.recipe import PaperRecipe
 SHRINK = 1.6  # a split Gaussian's standard deviations over those of its halves
 
 
-class PullOnPanel:
+class PanelGradient:
     """Mean gradient in normalised detector coordinates, over the views in which a Gaussian was seen."""
 
     def __init__(self, count: int) -> None:
@@ -44,37 +44,42 @@ class Choice:
 
 
 def choose(
-    pull: Float[Tensor, " gaussian"], sigma: Float[Tensor, "gaussian 3"], edge: float, recipe: PaperRecipe
+    panel_gradient: Float[Tensor, " gaussian"], sigma: Float[Tensor, "gaussian 3"], edge: float, recipe: PaperRecipe
 ) -> Choice:
     """Small Gaussians that are pulled at are cloned, large ones split, the strongest first if there is no room for all.
 
     Parameters
     ----------
-    pull : mean gradient, see `PullOnPanel`
+    panel_gradient : mean gradient, see `PanelGradient`
     sigma : standard deviations [mm]
     edge : longest edge of the grid [mm]
     recipe : thresholds, and how many Gaussians there may be
     """
     large = sigma.max(dim=1).values > recipe.large * edge
     threshold = recipe.split_gradient if recipe.uses("split-threshold") else recipe.clone_gradient
-    over = pull >= torch.where(large, threshold, recipe.clone_gradient)
-    room = max(recipe.most - len(pull), 0)
+    over = panel_gradient >= torch.where(large, threshold, recipe.clone_gradient)
+    room = max(recipe.most - len(panel_gradient), 0)
     if int(over.sum()) > room:
-        strongest = torch.argsort(torch.where(over, pull, 0.0), descending=True, stable=True)[:room]
+        strongest = torch.argsort(torch.where(over, panel_gradient, 0.0), descending=True, stable=True)[:room]
         over = torch.zeros_like(over).index_fill_(0, strongest, True)
     return Choice(over & ~large, over & large)
 
 
 @torch.no_grad()
 def densify(
-    adam: GroupedAdam, pull: PullOnPanel, grid: Grid, units: Units, recipe: PaperRecipe, rng: np.random.Generator
+    adam: GroupedAdam,
+    panel_gradient: PanelGradient,
+    grid: Grid,
+    units: Units,
+    recipe: PaperRecipe,
+    rng: np.random.Generator,
 ) -> None:
     """Clone, split and prune the Gaussians of an optimiser."""
     model = adam.model
     none = torch.zeros(len(model), dtype=torch.bool)
     choice = Choice(none, none)
     if recipe.uses("densification"):
-        choice = choose(pull.mean(), model.sigma(units), 2 * units.length, recipe)
+        choice = choose(panel_gradient.mean(), model.sigma(units), 2 * units.length, recipe)
     halved = torch.where(choice.clone[:, None], inverse_softplus(model.density() / 2), model.densities)
     model.densities.copy_(halved)
     added = [_rows(model, choice.clone), *(_halves(model, choice.split, units, rng) for _ in range(2))]

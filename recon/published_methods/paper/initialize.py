@@ -65,7 +65,7 @@ def first_gaussians(
     return FactorisedGaussians.of(centres, density, np.repeat(sigma[:, None], 3, axis=1), fractions, units)
 
 
-def start_volumes(
+def initial_volumes(
     volume: Float[np.ndarray, "z y x"], means: Float[np.ndarray, " basis"], units: Units, recipe: PaperRecipe
 ) -> Float[np.ndarray, "basis z y x"]:
     """What the start says of each basis, voxel by voxel: the volume, split by the first fractions [1/mm]."""

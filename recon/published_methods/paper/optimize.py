@@ -11,7 +11,7 @@ from phantomgen.geometry.voxel_grid import Grid
 from recon.gaussians.optimize import SNAPSHOTS, Progress
 from recon.ops.deviance import chi_square, deviance, expected_chi_square, expected_deviance
 from recon.published_methods.paper.adam import EdgeAdam, GroupedAdam, rates
-from recon.published_methods.paper.density_control import PullOnPanel, densify, reset_fractions
+from recon.published_methods.paper.density_control import PanelGradient, densify, reset_fractions
 from recon.published_methods.paper.loss import total_loss
 from recon.published_methods.paper.model import FactorisedGaussians, Units
 from recon.published_methods.paper.projections import Projections, detector_gradient
@@ -54,7 +54,7 @@ def fit(
     edge_adam = None if edge is None or not recipe.uses("kedge-learning") else EdgeAdam(edge, recipe)
     freeze = recipe.scaled(recipe.edge_freeze) if recipe.uses("kedge-freezing") else 0
     order, rng = views_in_random_order(len(projections), recipe.seed), np.random.default_rng([recipe.seed, 3])
-    pull, began = PullOnPanel(len(model)), time.perf_counter()
+    panel_gradient, began = PanelGradient(len(model)), time.perf_counter()
     for step in range(1, recipe.steps + 1):
         view = next(order)
         views = slice(view, view + 1)
@@ -67,13 +67,13 @@ def fit(
         # per channel, as the loss adds channels up and the thresholds are those of a single one
         nudged = rendered.nudge.grad
         if nudged is not None:
-            pull.add(detector_gradient(model.centres.detach(), nudged, geometry) / seen.shape[1])
+            panel_gradient.add(detector_gradient(model.centres.detach(), nudged, geometry) / seen.shape[1])
         adam.step((step - 1) / max(recipe.steps - 1, 1))
         if edge_adam is not None and step > freeze:
             edge_adam.step()
         if is_due(step, recipe.densify_every, recipe) and step > recipe.scaled(recipe.densify_from):
-            densify(adam, pull, grid, units, recipe, rng)
-            pull = PullOnPanel(len(model))
+            densify(adam, panel_gradient, grid, units, recipe, rng)
+            panel_gradient = PanelGradient(len(model))
         if is_due(step, recipe.fraction_reset, recipe) and recipe.uses("fraction-reset"):
             reset_fractions(adam)
         counts = torch.from_numpy(projections.counts[views])

@@ -7,19 +7,19 @@ from jaxtyping import Float
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.runtime.stopwatch import Stopwatch
-from recon.data.inpainting import filled
+from recon.data.inpainting import inpainted
 from recon.data.measurements import Measurements, matching_bin, read_measurements
 from recon.data.readout_noise import without_floor
 from recon.gaussians.model import Gaussians
 from recon.gaussians.optimize import Progress
 from recon.gaussians.reconstruct import Reconstruction
-from recon.published_methods.paper.initialize import first_gaussians, start_volumes, units_of
+from recon.published_methods.paper.initialize import first_gaussians, initial_volumes, units_of
 from recon.published_methods.paper.learned_edge import ConditionedBasis, KEdge
 from recon.published_methods.paper.optimize import fit
 from recon.published_methods.paper.projections import Projections
 from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.paper.spectral_model import EnergyGrid, SpectralModel, energy_grid
-from recon.voxel.initial_volumes import start_volumes as volumes_of_rays
+from recon.voxel.initial_volumes import initial_volumes as volumes_of_rays
 from recon.voxel.initial_volumes import starting_method
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
@@ -75,12 +75,12 @@ def reconstruct_paper(
         lowest = int(np.argmin(np.where(counts_something, dataset.spectra.effective_energy, np.inf)))
         images = Projections.of(coarse).log(slice(None))[:, lowest : lowest + 1].numpy()
         blind = coarse.gains[lowest] <= 0
-        volume = volumes_of_rays(filled(images, blind), blind, coarse.geometry, grid, method)[0]
+        volume = volumes_of_rays(inpainted(images, blind), blind, coarse.geometry, grid, method)[0]
     with stage("initialize"):
         units = units_of(volume, grid, recipe)
         means = spectral.channel_means()[lowest].detach().double().numpy()
         model = first_gaussians(volume, grid, means, units, recipe)
-        start = np.einsum("mzyx,mr->rzyx", start_volumes(volume, means, units, recipe), basis.to_raw(raw).numpy())
+        start = np.einsum("mzyx,mr->rzyx", initial_volumes(volume, means, units, recipe), basis.to_raw(raw).numpy())
     with stage("fit"):
         fit(model, projections, spectral, (measured.basis_names, raw), grid, units, recipe, on_step)
     gaussians = model.gaussians(units, basis.to_raw(raw), measured.basis_names)

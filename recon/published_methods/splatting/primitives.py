@@ -24,7 +24,7 @@ from recon.published_methods.paper.recipe import PaperRecipe
 Image = Float[Tensor, "view 1 row column"]
 
 
-class Look(Protocol):
+class Primitives(Protocol):
     """One kind of primitive."""
 
     def unit(self, units: Units) -> float:
@@ -44,7 +44,7 @@ class Look(Protocol):
         ...
 
 
-class VolumeLook(Look, Protocol):
+class VolumePrimitives(Primitives, Protocol):
     """One kind of primitive that attenuates."""
 
     def volume(self, model: FactorisedGaussians, units: Units, grid: Grid) -> Float[np.ndarray, "z y x"]:
@@ -57,13 +57,13 @@ class Attenuation:
     """Gaussians of attenuation with the rectified local-affine footprint of R2-Gaussian, and its total variation."""
 
     def unit(self, units: Units) -> float:
-        """See `Look`."""
+        """See `Primitives`."""
         return units.line_integral
 
     def images(
         self, centres: Float[Tensor, "gaussian 3"], model: FactorisedGaussians, units: Units, geometry: Geometry
     ) -> Image:
-        """See `Look`."""
+        """See `Primitives`."""
         coefficients = units.density * model.density()
         return line_integrals(
             centres, model.log_scales(units), model.quaternions, coefficients, geometry, "local-affine"
@@ -80,7 +80,7 @@ class Attenuation:
         )
 
     def volume(self, model: FactorisedGaussians, units: Units, grid: Grid) -> Float[np.ndarray, "z y x"]:
-        """See `VolumeLook`."""
+        """See `VolumePrimitives`."""
         centres, log_scales, turns = (x.detach() for x in (model.centres, model.log_scales(units), model.quaternions))
         return voxelize(centres, log_scales, turns, units.density * model.density().detach(), grid)[0]
 
@@ -95,13 +95,13 @@ class Radiance:
     """
 
     def unit(self, units: Units) -> float:
-        """See `Look`; `Units.density` holds a radiance."""
+        """See `Primitives`; `Units.density` holds a radiance."""
         return units.density
 
     def images(
         self, centres: Float[Tensor, "gaussian 3"], model: FactorisedGaussians, units: Units, geometry: Geometry
     ) -> Image:
-        """See `Look`."""
+        """See `Primitives`."""
         log_scales = model.log_scales(units)
         radiance = units.density * model.density()
         views = []

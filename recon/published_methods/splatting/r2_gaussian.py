@@ -13,7 +13,7 @@ from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.published_methods.paper.initialize import first_gaussians, units_of
 from recon.published_methods.paper.recipe import PaperRecipe
-from recon.published_methods.splatting.primitives import Attenuation, VolumeLook
+from recon.published_methods.splatting.primitives import Attenuation, VolumePrimitives
 from recon.published_methods.splatting.training import UNUSED, Training, first_volumes, paced, seen_rays, train
 from recon.voxel.method import Images, Iteration, OnIteration, Volumes, Weights, unwatched
 from spectra.threads import without_other_pools
@@ -81,7 +81,7 @@ def splat(
     weights: Weights | None,
     geometry: Geometry,
     grid: Grid,
-    look: VolumeLook,
+    look: VolumePrimitives,
     recipe: PaperRecipe,
     on_iteration: OnIteration = unwatched,
 ) -> Volumes:
@@ -120,7 +120,7 @@ def _begin(
     seen: np.ndarray,
     geometry: Geometry,
     grid: Grid,
-    look: VolumeLook,
+    look: VolumePrimitives,
     recipe: PaperRecipe,
 ) -> Training | None:
     """Primitives at the voxels of a start; None where it is nowhere positive."""

@@ -10,13 +10,13 @@ from jaxtyping import Bool, Float
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.published_methods.paper.adam import GroupedAdam, rates
-from recon.published_methods.paper.density_control import PullOnPanel, densify
+from recon.published_methods.paper.density_control import PanelGradient, densify
 from recon.published_methods.paper.loss import data_loss
 from recon.published_methods.paper.model import FactorisedGaussians, Units
 from recon.published_methods.paper.projections import detector_gradient
 from recon.published_methods.paper.recipe import PaperRecipe, Rate, is_due, views_in_random_order
-from recon.published_methods.splatting.primitives import Look
-from recon.voxel.initial_volumes import start_volumes, starting_method
+from recon.published_methods.splatting.primitives import Primitives
+from recon.voxel.initial_volumes import initial_volumes, starting_method
 from recon.voxel.method import Images, Weights
 
 REPORT_EVERY = 10  # steps
@@ -41,7 +41,7 @@ class Training:
     def __init__(
         self,
         model: FactorisedGaussians,
-        look: Look,
+        look: Primitives,
         images: Float[np.ndarray, "view row column"],
         seen: Bool[np.ndarray, "view row column"],
         geometry: Geometry,
@@ -52,7 +52,7 @@ class Training:
         self.adam = GroupedAdam(model, rates(recipe, units))
         self.look, self.geometry, self.grid, self.units, self.recipe = look, geometry, grid, units, recipe
         self.images, self.seen = torch.from_numpy(images), torch.from_numpy(seen)
-        self.pull, self.rng = PullOnPanel(len(model)), np.random.default_rng([recipe.seed, 3])
+        self.panel_gradient, self.rng = PanelGradient(len(model)), np.random.default_rng([recipe.seed, 3])
 
     @property
     def model(self) -> FactorisedGaussians:
@@ -71,11 +71,11 @@ class Training:
         loss = loss + self.look.penalty(model, self.grid, self.units, recipe, self.rng)
         loss.backward()
         if nudge.grad is not None:
-            self.pull.add(detector_gradient(model.centres.detach(), nudge.grad, geometry))
+            self.panel_gradient.add(detector_gradient(model.centres.detach(), nudge.grad, geometry))
         self.adam.step((step - 1) / max(recipe.steps - 1, 1))
         if is_due(step, recipe.densify_every, recipe) and step > recipe.scaled(recipe.densify_from):
-            densify(self.adam, self.pull, self.grid, self.units, recipe, self.rng)
-            self.pull = PullOnPanel(len(self.model))
+            densify(self.adam, self.panel_gradient, self.grid, self.units, recipe, self.rng)
+            self.panel_gradient = PanelGradient(len(self.model))
         left = (predicted.detach() - image)[seen]
         return float(left.square().sum()), float(image[seen].square().sum())
 
@@ -122,4 +122,4 @@ def first_volumes(
 ) -> Float[np.ndarray, "basis z y x"]:
     """What training starts from: filtered back-projection, or three sweeps of SART where the orbit needs it [1/mm]."""
     method = starting_method(geometry, grid)
-    return start_volumes(np.moveaxis(images, 0, 1), np.all(~seen, axis=0), geometry, grid, method)
+    return initial_volumes(np.moveaxis(images, 0, 1), np.all(~seen, axis=0), geometry, grid, method)

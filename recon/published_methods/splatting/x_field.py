@@ -33,13 +33,13 @@ class Chords:
     """Ellipsoids of constant attenuation that have the second moments of the model's Gaussians."""
 
     def unit(self, units: Units) -> float:
-        """See `recon.published_methods.splatting.primitives.Look`."""
+        """See `recon.published_methods.splatting.primitives.Primitives`."""
         return units.line_integral
 
     def images(
         self, centres: Float[Tensor, "gaussian 3"], model: FactorisedGaussians, units: Units, geometry: Geometry
     ) -> Image:
-        """See `recon.published_methods.splatting.primitives.Look`."""
+        """See `recon.published_methods.splatting.primitives.Primitives`."""
         parts = (centres, _log_axes(model, units), model.quaternions, units.density * model.density())
         return chords(*parts, torch.from_numpy(geometry.ray_frames()), geometry.panel.rows, geometry.panel.columns)
 
@@ -50,7 +50,7 @@ class Chords:
         return 0.0
 
     def volume(self, model: FactorisedGaussians, units: Units, grid: Grid) -> Float[np.ndarray, "z y x"]:
-        """See `recon.published_methods.splatting.primitives.VolumeLook`."""
+        """See `recon.published_methods.splatting.primitives.VolumePrimitives`."""
         inside = units.density * model.density()[:, 0]
         return fill(model.centres, _log_axes(model, units), model.quaternions, inside, grid)
 

@@ -18,7 +18,7 @@ _OVERLAP = 0.02  # part of its columns by which a panel must reach over the axis
 
 
 @dataclass(frozen=True, eq=False)
-class Circle:
+class CircularOrbit:
     """A full circle, or an arc on which every ray is met at least once.
 
     Parameters
@@ -48,7 +48,7 @@ class Circle:
         return self.arc >= 2 * np.pi
 
     @property
-    def is_upright(self) -> bool:
+    def is_z_aligned(self) -> bool:
         """Whether the rows of the panel run along the circle."""
         return self.tilt <= _FLAT
 
@@ -58,7 +58,7 @@ class Circle:
         return max((self.arc - np.pi) / 2, 0.0)
 
 
-def circle_of(geometry: Geometry, grid: Grid | None = None) -> Circle:
+def circular_orbit_of(geometry: Geometry, grid: Grid | None = None) -> CircularOrbit:
     """What filtered back-projection needs to know of an orbit.
 
     Parameters
@@ -91,7 +91,7 @@ def circle_of(geometry: Geometry, grid: Grid | None = None) -> Circle:
         raise _refusal(geometry, "its panel does not keep its distance from the source")
     middle, columns = column / depth, geometry.panel.columns
     height = np.abs(np.einsum("vi,vi->v", geometry.panel_center - geometry.source, geometry.normals()))
-    circle = Circle(
+    circle = CircularOrbit(
         angles, arc, sod, height if tilt <= _FLAT else 1 / depth, outward, middle, tilt,
         bool(np.abs(middle - (columns - 1) / 2).max() <= _CENTRED * columns),
     )  # fmt: skip
@@ -127,7 +127,7 @@ def _degrees(angles: Float[np.ndarray, " angle"]) -> list[str]:
     return [f"{angle:.3g}" for angle in np.rad2deg(angles)]
 
 
-def _check_rays(geometry: Geometry, grid: Grid | None, circle: Circle) -> None:
+def _check_rays(geometry: Geometry, grid: Grid | None, circle: CircularOrbit) -> None:
     """Refuse arcs that miss rays, and panels that do not see the axis."""
     columns = geometry.panel.columns
     sides = np.array([circle.middle.min() + 0.5, columns - 0.5 - circle.middle.max()])

@@ -14,10 +14,10 @@ from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.array_store import taken
 from recon.ops.backproject import backproject
-from recon.voxel.filtered.circular_orbit import Circle, circle_of
+from recon.voxel.filtered.circular_orbit import CircularOrbit, circular_orbit_of
 from recon.voxel.filtered.ramp_filter import WINDOWS, ramp_filtered
 from recon.voxel.filtered.redundancy_weights import half_fan_weights, parker_weights
-from recon.voxel.filtered.z_aligned_panel import on_upright_panel
+from recon.voxel.filtered.z_aligned_panel import on_z_aligned_panel
 from recon.voxel.method import Images, Iteration, OnIteration, Volumes, Weights, unwatched
 from spectra.errors import InputError
 
@@ -79,10 +79,10 @@ def fdk(
     if window not in WINDOWS or not cutoff > 0:
         known = ", ".join(WINDOWS)
         raise InputError(f"a filter is a window ({known}) and a cutoff above 0, got {window!r} and {cutoff}")
-    circle = circle_of(geometry, grid)
-    if not circle.is_upright:
-        line_integrals, geometry = on_upright_panel(line_integrals, geometry, circle)
-        circle = circle_of(geometry, grid)
+    circle = circular_orbit_of(geometry, grid)
+    if not circle.is_z_aligned:
+        line_integrals, geometry = on_z_aligned_panel(line_integrals, geometry, circle)
+        circle = circular_orbit_of(geometry, grid)
     if not circle.is_centred:
         line_integrals, geometry = _half_fan(line_integrals, geometry, circle)
     weights = _cosines(geometry)
@@ -109,7 +109,7 @@ def _cosines(geometry: Geometry) -> Float[np.ndarray, "view row column"]:
 
 
 def _half_fan(
-    images: Float[np.ndarray, "view basis row column"], geometry: Geometry, circle: Circle
+    images: Float[np.ndarray, "view basis row column"], geometry: Geometry, circle: CircularOrbit
 ) -> tuple[Float[np.ndarray, "view basis row column"], Geometry]:
     """Weighted images on a panel that is made symmetric by columns of zeros, where the filter leaves its tails."""
     columns, pitch = geometry.panel.columns, geometry.panel.column_pitch
@@ -125,7 +125,7 @@ def _half_fan(
     return wide, replace(geometry, panel_center=center, panel=panel)
 
 
-def _parker(geometry: Geometry, circle: Circle) -> Float[np.ndarray, "view column"]:
+def _parker(geometry: Geometry, circle: CircularOrbit) -> Float[np.ndarray, "view column"]:
     """Weights of a short scan."""
     counter_clockwise = np.cross([0.0, 0.0, 1.0], circle.outward)
     steps = np.einsum("vi,vi->v", geometry.column_step, counter_clockwise)

@@ -1,4 +1,4 @@
-"""The same rays on an upright panel: what a tilted panel has measured, resampled."""
+"""The same rays on an z-aligned panel: what a tilted panel has measured, resampled."""
 
 from dataclasses import replace
 
@@ -8,30 +8,30 @@ from scipy.ndimage import map_coordinates
 
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
-from recon.voxel.filtered.circular_orbit import Circle
+from recon.voxel.filtered.circular_orbit import CircularOrbit
 
 
-def on_upright_panel(
-    images: Float[np.ndarray, "view basis row column"], geometry: Geometry, circle: Circle
+def on_z_aligned_panel(
+    images: Float[np.ndarray, "view basis row column"], geometry: Geometry, circle: CircularOrbit
 ) -> tuple[Float[np.ndarray, "view basis row column"], Geometry]:
     """Images on a panel across the central ray whose rows run along the circle, and its geometry.
 
     A line integral belongs to a ray and not to a panel, so each pixel of the new panel takes what its ray has left on
     the old one, by cubic splines. It covers all of the old panel; pixels beyond take the value at the border.
     """
-    upright = _upright_panel(geometry, circle)
-    rows, columns = np.meshgrid(np.arange(upright.panel.rows), np.arange(upright.panel.columns), indexing="ij")
+    z_aligned = _z_aligned_panel(geometry, circle)
+    rows, columns = np.meshgrid(np.arange(z_aligned.panel.rows), np.arange(z_aligned.panel.columns), indexing="ij")
     out = np.empty((*images.shape[:2], *rows.shape), np.float32)
-    for view, (old, new) in enumerate(zip(geometry.ray_frames(), upright.ray_frames(), strict=True)):
+    for view, (old, new) in enumerate(zip(geometry.ray_frames(), z_aligned.ray_frames(), strict=True)):
         rays = new[1] + columns[..., None] * new[2] + rows[..., None] * new[3]
         column, row, depth = np.moveaxis(rays @ np.linalg.inv(np.stack([old[2], old[3], old[1]], axis=-1)).T, -1, 0)
         for basis, image in enumerate(images[view]):
             out[view, basis] = map_coordinates(image, [row / depth, column / depth], order=3, mode="nearest")
-    return out, upright
+    return out, z_aligned
 
 
-def _upright_panel(geometry: Geometry, circle: Circle) -> Geometry:
-    """Upright panels in the distance of the tilted ones that cover them in all views."""
+def _z_aligned_panel(geometry: Geometry, circle: CircularOrbit) -> Geometry:
+    """z-aligned panels in the distance of the tilted ones that cover them in all views."""
     tangent = np.stack([-circle.outward[:, 1], circle.outward[:, 0], np.zeros(len(geometry))], axis=1)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     tangent *= np.where(np.einsum("vi,vi->v", tangent, geometry.column_step) < 0, -1.0, 1.0)[:, None]

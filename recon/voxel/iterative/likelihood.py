@@ -32,9 +32,9 @@ def deviance_and_gradient(
     """
     total, gradient = 0.0, np.zeros_like(volumes, dtype=np.float32)
     for some in _portions(measurements):
-        deviances, pulls, _ = _likelihood(forward(volumes, some.geometry, grid), some, dispersion, False)
+        deviances, ray_gradients, _ = _likelihood(forward(volumes, some.geometry, grid), some, dispersion, False)
         total += float(deviances.sum())
-        gradient += transpose(pulls, some.geometry, grid)
+        gradient += transpose(ray_gradients, some.geometry, grid)
     return total, gradient
 
 

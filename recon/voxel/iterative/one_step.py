@@ -29,8 +29,9 @@ from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import every, kinds_of, parts_of
 from recon.data.volume_edges import metal_without_agents, over_metal
-from recon.ops.nonnegative_newton import as_matrices, inverse_blocks, positive_step
-from recon.ops.total_variation import ascend, neighbour_sums, pull
+from recon.ops.nonnegative_newton import as_matrices, inverse_blocks, nonnegative_newton_step
+from recon.ops.total_variation import ascend, neighbour_sums
+from recon.ops.total_variation import gradient as total_variation_gradient
 from recon.voxel.iterative.likelihood import curvature, deviance_and_gradient
 from recon.voxel.iterative.multigrid import coarser, occupied, resampled, sharpened
 from recon.voxel.method import Iteration, Report, unwatched
@@ -252,11 +253,11 @@ def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep)
     inverse = inverse_blocks(blocks, UNMET * diagonal + 1e-30)
     ridge = (1e-12 * np.trace(covariance) + 1e-30) * np.eye(len(volumes))
     mixing = np.sqrt(share) * np.linalg.cholesky(covariance + ridge).T
-    bounds = np.float32(settings.strength) * _say(own, volumes.sum(axis=0))
+    bounds = np.float32(settings.strength) * _statistical_weights(own, volumes.sum(axis=0))
     return _Metric(inverse, mixing, 1 / neighbour_sums(_largest(inverse, mixing), grid), bounds, empty)
 
 
-def _say(
+def _statistical_weights(
     curvatures: Float[np.ndarray, "basis z y x"], density: Float[np.ndarray, "z y x"]
 ) -> Float[np.ndarray, "z y x"]:
     """What differences of a voxel count in the total variation: 1, and less where curvature is far below the typical.
@@ -293,11 +294,15 @@ def _proximal(
     if metric.empty is not None:
         gradient = gradient + metric.empty * point
     if settings.strength == 0:
-        return positive_step(point, metric.inverse, gradient)
-    new = positive_step(point, metric.inverse, gradient + pull(field, metric.mixing, grid))
+        return nonnegative_newton_step(point, metric.inverse, gradient)
+    new = nonnegative_newton_step(
+        point, metric.inverse, gradient + total_variation_gradient(field, metric.mixing, grid)
+    )
     for _ in range(settings.dual_steps):
         ascend(field, new, metric.mixing, grid, metric.steps, metric.bounds)
-        new = positive_step(point, metric.inverse, gradient + pull(field, metric.mixing, grid))
+        new = nonnegative_newton_step(
+            point, metric.inverse, gradient + total_variation_gradient(field, metric.mixing, grid)
+        )
     return new
 
 

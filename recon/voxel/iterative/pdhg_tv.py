@@ -23,8 +23,9 @@ from scipy.fft import irfft, rfft
 
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
-from recon.ops.nonnegative_newton import positive_step
-from recon.ops.total_variation import ascend, pull, total_variation
+from recon.ops.nonnegative_newton import nonnegative_newton_step
+from recon.ops.total_variation import ascend, total_variation
+from recon.ops.total_variation import gradient as total_variation_gradient
 from recon.voxel.iterative.likelihood import forward, transpose
 from recon.voxel.iterative.ray_weights import RayWeights, UniformWeights, inner, noise_information
 from recon.voxel.method import Iteration, Report, unwatched
@@ -119,13 +120,13 @@ class PdhgTv:
 
 @dataclass
 class _State:
-    """Volumes and their projections; duals of the rays and of the differences; what these pull at the volumes."""
+    """Volumes and their projections; duals of the rays and of the differences; the gradient at the volumes."""
 
     volumes: Volumes
     images: Images
     rays: Images
     field: Float[np.ndarray, "axis basis z y x"]
-    pulls: Volumes
+    volume_gradients: Volumes
 
     def move(self, reached: "_State", relaxation: float) -> None:
         """Go beyond what a step has reached, in place; that is what is feasible, this need not be."""
@@ -172,13 +173,15 @@ class _Problem:
 
     def step(self, state: _State) -> _State:
         """One iteration: moves a state, and returns what is feasible."""
-        new = positive_step(state.volumes, self.inverse, state.pulls)
+        new = nonnegative_newton_step(state.volumes, self.inverse, state.volume_gradients)
         images = forward(new, self.geometry, self.grid)
         rays = self.weights.toward(state.rays, 2 * images - state.images, self.measured)
         field = state.field.copy()
         ascend(field, 2 * new - state.volumes, self.mixing, self.grid, self.field_steps, self.radii)
-        pulls = transpose(rays, self.geometry, self.grid) + pull(field, self.mixing, self.grid)
-        reached = _State(new, images, rays, field, pulls)
+        volume_gradients = transpose(rays, self.geometry, self.grid) + total_variation_gradient(
+            field, self.mixing, self.grid
+        )
+        reached = _State(new, images, rays, field, volume_gradients)
         state.move(reached, self.relaxation)
         return reached
 
@@ -188,7 +191,7 @@ class _Problem:
         primal += self.strength * total_variation(state.volumes, self.mixing, self.grid)
         dual = -self.weights.half_inverse_square(state.rays) - inner(state.rays, self.measured)
         highest = LARGEST * state.volumes.max(axis=(1, 2, 3))
-        dual += float(highest @ np.minimum(state.pulls, 0).sum(axis=(1, 2, 3), dtype=np.float64))
+        dual += float(highest @ np.minimum(state.volume_gradients, 0).sum(axis=(1, 2, 3), dtype=np.float64))
         return (primal - dual) / max(primal, 1e-300)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float, Int64
 
+from spectra.ops.transmit import cpu
 from spectra.ops.transmit.cpu import expected_ray
 from spectra.threads import run_parallel
 
@@ -24,7 +25,19 @@ CountsPerLength = Float[np.ndarray, "ray channel basis"]
 
 
 def expected_counts(lengths: Lengths, columns: Columns, weights: Weights, starts: Starts) -> Counts:
-    """Expected counts per channel; a ray through too much material gives 0."""
+    """Compute expected counts per channel; a ray through too much material gives 0.
+
+    Parameters
+    ----------
+    lengths : line integrals, (ray, M)
+    columns : functions of energy at the nodes, (M, K)
+    weights : photons x response of each node
+    starts : channel c owns the nodes ``starts[c]`` to ``starts[c + 1]``
+
+    Returns
+    -------
+    counts, (ray, C)
+    """
     out = np.empty((len(lengths), len(starts) - 1))
     _over_rays(cpu.expected_counts, lengths, columns, weights, starts, out)
     return out
@@ -33,7 +46,19 @@ def expected_counts(lengths: Lengths, columns: Columns, weights: Weights, starts
 def expected_and_jacobian(
     lengths: Lengths, columns: Columns, weights: Weights, starts: Starts
 ) -> tuple[Counts, CountsPerLength]:
-    """Expected counts and their derivatives dY_c/dL_m [counts/mm for lengths in mm]."""
+    """Compute expected counts and their derivatives dY_c/dL_m.
+
+    Parameters
+    ----------
+    lengths : line integrals, (ray, M)
+    columns : functions of energy at the nodes, (M, K)
+    weights : photons x response of each node
+    starts : channel c owns the nodes ``starts[c]`` to ``starts[c + 1]``
+
+    Returns
+    -------
+    counts, (ray, C), and derivatives, (ray, C, M) [counts/mm for lengths in mm]
+    """
     out = np.empty((len(lengths), len(starts) - 1))
     jacobian = np.empty((*out.shape, len(columns)))
     _over_rays(cpu.expected_and_jacobian, lengths, columns, weights, starts, out, jacobian)
@@ -43,9 +68,20 @@ def expected_and_jacobian(
 def log_counts_and_slopes(
     lengths: Lengths, columns: Columns, weights: Weights, starts: Starts
 ) -> tuple[Counts, CountsPerLength]:
-    """Log of the expected counts and -d(log Y_c)/dL_m; finite however long the path.
+    """Compute the log of the expected counts and -d(log Y_c)/dL_m; finite for any length of the path.
 
     A channel without nodes has log counts of -inf and slope 0.
+
+    Parameters
+    ----------
+    lengths : line integrals, (ray, M)
+    columns : functions of energy at the nodes, (M, K)
+    weights : photons x response of each node
+    starts : channel c owns the nodes ``starts[c]`` to ``starts[c + 1]``
+
+    Returns
+    -------
+    log counts, (ray, C), and slopes, (ray, C, M)
     """
     out = np.empty((len(lengths), len(starts) - 1))
     slopes = np.empty((*out.shape, len(columns)))

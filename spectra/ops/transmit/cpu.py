@@ -20,7 +20,16 @@ _REORDER = {"reassoc", "contract", "nsz"}
 @njit(forceinline=True, nogil=True, fastmath=FLAGS, error_model="numpy")
 @no_type_check
 def expected_ray(lengths, columns, weights, starts, out):
-    """Write the expected counts of one ray: ``out[c] = sum_k w_k exp(-sum_m columns[m, k] lengths[m])``."""
+    """Write the expected counts of one ray: ``out[c] = sum_k w_k exp(-sum_m columns[m, k] lengths[m])``.
+
+    Parameters
+    ----------
+    lengths : line integrals of the ray, (M,)
+    columns : functions of energy at the nodes, (M, K)
+    weights : photons x response of each node
+    starts : first node of each channel, and the number of nodes
+    out : result, (C,)
+    """
     nodes = weights.size
     for c in range(starts.size - 1):
         total = 0.0
@@ -41,7 +50,16 @@ def expected_ray(lengths, columns, weights, starts, out):
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def expected_counts(lengths, columns, weights, starts, out):
-    """Expected counts of many rays, (R, M) -> (R, C)."""
+    """Write the expected counts of many rays.
+
+    Parameters
+    ----------
+    lengths : line integrals, (R, M)
+    columns : functions of energy at the nodes, (M, K)
+    weights : photons x response of each node
+    starts : first node of each channel, and the number of nodes
+    out : result, (R, C)
+    """
     for ray in range(lengths.shape[0]):
         expected_ray(lengths[ray], columns, weights, starts, out[ray])
 
@@ -49,7 +67,17 @@ def expected_counts(lengths, columns, weights, starts, out):
 @njit(cache=True, nogil=True, fastmath=_REORDER, error_model="numpy")
 @no_type_check
 def expected_and_jacobian(lengths, columns, weights, starts, out, jacobian):
-    """Expected counts (R, C) and their derivatives dY_c/dL_m (R, C, M)."""
+    """Write the expected counts and their derivatives dY_c/dL_m.
+
+    Parameters
+    ----------
+    lengths : line integrals, (R, M)
+    columns : functions of energy at the nodes, (M, K)
+    weights : photons x response of each node
+    starts : first node of each channel, and the number of nodes
+    out : resulting counts, (R, C)
+    jacobian : resulting derivatives, (R, C, M)
+    """
     for ray in range(lengths.shape[0]):
         for c in range(starts.size - 1):
             total = 0.0
@@ -69,9 +97,18 @@ def expected_and_jacobian(lengths, columns, weights, starts, out, jacobian):
 @njit(cache=True, nogil=True, fastmath=_REORDER, error_model="numpy")
 @no_type_check
 def log_counts_and_slopes(lengths, columns, weights, starts, log_counts, slopes):
-    """Log of the expected counts (R, C), -inf for a channel without nodes, and -d(log Y_c)/dL_m (R, C, M).
+    """Write the log of the expected counts, -inf for a channel without nodes, and -d(log Y_c)/dL_m.
 
     Exponents are taken relative to the most penetrating node of the channel, so that nothing underflows.
+
+    Parameters
+    ----------
+    lengths : line integrals, (R, M)
+    columns : functions of energy at the nodes, (M, K)
+    weights : photons x response of each node
+    starts : first node of each channel, and the number of nodes
+    log_counts : resulting log counts, (R, C)
+    slopes : resulting slopes, (R, C, M)
     """
     exponents = np.empty(weights.size)
     for ray in range(lengths.shape[0]):

@@ -20,7 +20,14 @@ _HIGHEST = {torch.float32: 70.0, torch.float64: 690.0}
 
 
 class Tables(NamedTuple):
-    """Nodes on the device: columns by node, weights, and the nodes that each channel starts and ends with."""
+    """Nodes on the device.
+
+    Parameters
+    ----------
+    columns : functions of energy by node, (K, M)
+    weights : photons x response of each node
+    starts : first node of each channel, and the number of nodes
+    """
 
     columns: Float[Tensor, "node basis"]
     weights: Float[Tensor, " node"]
@@ -65,24 +72,34 @@ def _forward(
 @triton.jit
 @no_type_check
 def _backward(
-    lengths, columns, weights, starts, pulls, out, rays, bases, channels, highest,
+    lengths, columns, weights, starts, cotangents, out, rays, bases, channels, highest,
     BLOCK: tl.constexpr, PADDED: tl.constexpr,
 ):  # fmt: skip
-    """Gradient (ray, basis) that pulls (ray, channel) on the counts give."""
+    """Gradient (ray, basis) that cotangents (ray, channel) on the counts give."""
     ray = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     known, basis = ray < rays, tl.arange(0, PADDED)
     along = _lengths_of(lengths, ray, known, bases, PADDED)
     total = along * 0.0
     for c in range(channels):
-        pull = tl.load(pulls + ray * channels + c, mask=known, other=0.0)
+        cotangent = tl.load(cotangents + ray * channels + c, mask=known, other=0.0)
         for k in range(tl.load(starts + c), tl.load(starts + c + 1)):
             part, column = _part(along, columns, weights, k, bases, highest, PADDED)
-            total -= (pull * part)[:, None] * column[None]
+            total -= (cotangent * part)[:, None] * column[None]
     tl.store(out + ray[:, None] * bases + basis[None], total, mask=known[:, None] & (basis < bases)[None])
 
 
 def forward(lengths: Float[Tensor, "ray basis"], tables: Tables) -> Float[Tensor, "ray channel"]:
-    """Counts of contiguous line integrals, in their precision."""
+    """Compute counts of contiguous line integrals, in their precision.
+
+    Parameters
+    ----------
+    lengths : line integrals, (ray, M)
+    tables : the nodes
+
+    Returns
+    -------
+    counts, (ray, C)
+    """
     channels = len(tables.starts) - 1
     out = lengths.new_empty((len(lengths), channels))
     if len(lengths):
@@ -91,13 +108,24 @@ def forward(lengths: Float[Tensor, "ray basis"], tables: Tables) -> Float[Tensor
 
 
 def backward(
-    lengths: Float[Tensor, "ray basis"], tables: Tables, pulls: Float[Tensor, "ray channel"]
+    lengths: Float[Tensor, "ray basis"], tables: Tables, cotangents: Float[Tensor, "ray channel"]
 ) -> Float[Tensor, "ray basis"]:
-    """What contiguous pulls on the counts give for the line integrals."""
+    """Compute the gradient in the line integrals from contiguous cotangents on the counts.
+
+    Parameters
+    ----------
+    lengths : line integrals, (ray, M)
+    tables : the nodes
+    cotangents : on the counts, (ray, C)
+
+    Returns
+    -------
+    gradient, (ray, M)
+    """
     out = torch.empty_like(lengths)
     if len(lengths):
         grid = (triton.cdiv(len(lengths), _BLOCK),)
-        _backward[grid](lengths, *tables, pulls, out, *_sizes(lengths, pulls.shape[1]))
+        _backward[grid](lengths, *tables, cotangents, out, *_sizes(lengths, cotangents.shape[1]))
     return out
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from phantomgen.analysis.single_ray import Layer, WorkingPoint, layers_of, scan_photons
+from phantomgen.analysis.single_ray import Layer, SingleRayBound, layers_of, scan_photons
 from phantomgen.analysis.spectrum import SpectrumReport
 from phantomgen.display.figures.scan_energies import scene_edges
 from phantomgen.scene.scan import load_scene
@@ -21,7 +21,7 @@ def kedge():
 
 def test_one_energy_follows_beer_and_lambert():
     scan = load_scene("kedge-small", ONE_ENERGY)
-    behind = WorkingPoint.of(scan, (Layer(WATER, 200.0),))
+    behind = SingleRayBound.of(scan, (Layer(WATER, 200.0),))
     absorbed = scan.detector.absorption(np.array([60.0]))[0]
     mu = WATER.attenuation(np.array([60.0]))[0]
     assert behind.counts == pytest.approx([1000 * absorbed * np.exp(-200 * mu)], rel=1e-12)
@@ -34,21 +34,21 @@ def test_layers_of_the_basis_are_line_integrals(kedge):
     energies, photons = scan_photons(kedge)
     weights = kedge.detector.response(energies) * photons
     full = Transmission.from_spectrum(weights, kedge.basis.evaluate(energies.nodes))
-    point = WorkingPoint.of(kedge, layers_of("8 cm soft_tissue", kedge))
+    point = SingleRayBound.of(kedge, layers_of("8 cm soft_tissue", kedge))
     np.testing.assert_allclose(point.counts, full.expected(lengths), rtol=1e-10)
     np.testing.assert_allclose(point.bounds, least_deviations(full.fisher(lengths)), rtol=1e-8)
 
 
 def test_bounds_fall_with_the_root_of_the_photons(kedge):
     more = load_scene("kedge-small", [f"source.photons={4 * kedge.source.photons}"])
-    np.testing.assert_allclose(WorkingPoint.of(more).bounds, WorkingPoint.of(kedge).bounds / 2, rtol=1e-9)
+    np.testing.assert_allclose(SingleRayBound.of(more).bounds, SingleRayBound.of(kedge).bounds / 2, rtol=1e-9)
 
 
 def test_bins_are_fine_enough(kedge, monkeypatch):
     layers = layers_of("20 cm water + 5 mm bone", kedge)
-    bounds = WorkingPoint.of(kedge, layers).bounds
+    bounds = SingleRayBound.of(kedge, layers).bounds
     monkeypatch.setattr("phantomgen.analysis.single_ray.STEP", 0.05)
-    np.testing.assert_allclose(bounds, WorkingPoint.of(kedge, layers).bounds, rtol=2e-4)
+    np.testing.assert_allclose(bounds, SingleRayBound.of(kedge, layers).bounds, rtol=2e-4)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_one_energy_tells_as_much_counted_as_summed_up():
     water = ["materials={water: {composition: water}}", "objects=[{type: sphere, material: water, radius: 5}]"]
     counting = "detector={type: photon_counting, composition: CsI, density: 3.6, thickness: 0.6, thresholds: [20]}"
     summing = "detector={type: energy_integrating, composition: CsI, density: 3.6, thickness: 0.6}"
-    counted, summed = (WorkingPoint.of(load_scene("kedge-small", [*small, *water, d])) for d in (counting, summing))
+    counted, summed = (SingleRayBound.of(load_scene("kedge-small", [*small, *water, d])) for d in (counting, summing))
     np.testing.assert_allclose(summed.counts, 60 * counted.counts, rtol=1e-9)
     np.testing.assert_allclose(summed.bounds, counted.bounds, rtol=1e-9)
 

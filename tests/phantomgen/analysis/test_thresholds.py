@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from phantomgen.analysis import thresholds
-from phantomgen.analysis.single_ray import BEHIND, WorkingPoint, layers_of
+from phantomgen.analysis.single_ray import BEHIND, SingleRayBound, layers_of
 from phantomgen.analysis.thresholds import TRACE, choose_thresholds
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import load_scene
@@ -31,7 +31,7 @@ def test_no_other_thresholds_are_better(basis, channels, monkeypatch):
 
 def test_the_bound_is_that_of_the_scene_with_the_thresholds_put_in(choice):
     scan = load_scene("kedge-small", [f"detector.thresholds={choice.thresholds}"])
-    point = WorkingPoint.of(scan, layers_of(BEHIND, scan), {"kedge_63.3": TRACE})
+    point = SingleRayBound.of(scan, layers_of(BEHIND, scan), {"kedge_63.3": TRACE})
     assert choice.bound == pytest.approx(point.bounds[2], rel=1e-5)
     assert choice.bound < choice.old_bound
 

@@ -158,6 +158,7 @@ def test_a_record_that_was_cut_off_does_no_harm(batch, tmp_path):
         ("version: 1\npreset: kegde", "unknown preset 'kegde'; did you mean 'kedge'"),
         ("version: 1\npreset: kedge\ncount: 0", "count - input should be greater than or equal to 1"),
         ("version: 1\npreset: kedge\nset: {objects.0.radius: -1}", "objects.0.radius - input should be greater than 0"),
+        ("version: 1\ngeometry: {}\nobjects: []", r"bad.yaml is a scene and no manifest.*`phantomgen make .*bad.yaml`"),
         ("version: 1\nscene: none.yaml", "none.yaml cannot be read as a scene"),
     ],
 )

@@ -1,10 +1,10 @@
-"""Electronics: offset and noise of readings, darks, and what contradicts them."""
+"""ElectronicNoise: offset and noise of readings, darks, and what contradicts them."""
 
 import numpy as np
 import pytest
 from support.detector_scenes import counting, frames, integrating, views_of
 
-from phantomgen.effects import Electronics
+from phantomgen.effects import ElectronicNoise
 from phantomgen.effects.random_streams import Stream
 from spectra.errors import InputError, SceneError
 
@@ -13,14 +13,14 @@ NOISY = "effects.electronics={sigma: 300, offset: 5000}"
 
 def test_readings_have_the_stated_mean_and_noise():
     signal = np.full((200, 200), 1000.0)
-    read = Electronics(30.0, 500.0).reading(signal, 1, 0, 0)
+    read = ElectronicNoise(30.0, 500.0).reading(signal, 1, 0, 0)
     assert abs(read.mean() - 1500) < 5 * 30 / 200
     assert abs(read.std() / 30 - 1) < 5 / np.sqrt(2 * read.size)
-    np.testing.assert_array_equal(Electronics(0.0, 500.0).reading(signal, 1, 0, 0), 1500.0)
+    np.testing.assert_array_equal(ElectronicNoise(0.0, 500.0).reading(signal, 1, 0, 0), 1500.0)
 
 
 def test_noise_of_frames_streams_channels_and_neighbours_is_independent():
-    zero, electronics = np.zeros((100, 100)), Electronics(1.0)
+    zero, electronics = np.zeros((100, 100)), ElectronicNoise(1.0)
     keys = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
     images = [electronics.reading(zero, *key) for key in keys]
     images += [electronics.reading(zero, 0, 0, 0, stream) for stream in (Stream.FLAT, Stream.DARK)]
@@ -48,7 +48,7 @@ def test_without_noise_only_the_offset_is_left():
 @pytest.mark.parametrize("bad", [{"sigma": -1.0}, {"sigma": 1.0, "offset": np.inf}])
 def test_impossible_electronics_are_refused(bad):
     with pytest.raises(InputError, match="electronics must be finite and not negative"):
-        Electronics(**bad)
+        ElectronicNoise(**bad)
 
 
 @pytest.mark.parametrize(

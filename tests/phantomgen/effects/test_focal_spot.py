@@ -10,7 +10,7 @@ from phantomgen.effects import FocalSpot
 from phantomgen.effects.focal_spot import FWHM, LATTICES, spot_lattice
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
-from phantomgen.ops.expected_counts import expose
+from phantomgen.ops.expected_counts import expected_counts
 from phantomgen.scene.scan import load_scene
 from phantomgen.shapes import Box, solids_of
 from phantomgen.simulation.checks.verification import SPOT_RAYS, quick_check
@@ -72,7 +72,9 @@ def test_an_edge_is_blurred_by_the_magnification_less_one_times_the_spot(shape, 
     opaque = (np.array([[1e6]]), *GREY[1:])
     spot = FocalSpot(size, 0.0, shape) if upright else FocalSpot(0.0, size, shape)
     frames = spot.frames(frame_of(pixels), 53)
-    seen = np.mean([expose(f, pixels, pixels, solids_of([(screen, 0)]), *opaque).counts[0] for f in frames], axis=0)
+    seen = np.mean(
+        [expected_counts(f, pixels, pixels, solids_of([(screen, 0)]), *opaque).counts[0] for f in frames], axis=0
+    )
     profile = seen[pixels // 2] if upright else seen[::-1, pixels // 2]
     place = (np.arange(pixels) - (pixels - 1) / 2) * PITCH
     wanted = step_through_pixels(place, (SDD / SOD - 1) * size, shape)

@@ -63,7 +63,7 @@ def test_an_edge_through_the_centres_of_pixels_leaves_the_open_part_of_their_are
     middle = slice(MIDDLE - 3, MIDDLE + 4)
     np.testing.assert_allclose(left[middle, middle], 1 - covered, atol=5e-4)
     assert not plan.missed
-    assert check.edge_worst < 2e-3  # the tolerance, and the yardstick's own error in some pixel half as bright
+    assert check.edge_worst < 2e-3  # the tolerance, and the reference's own error in some pixel half as bright
 
 
 def test_one_ray_per_pixel_is_told_to_be_wrong_there():

@@ -5,7 +5,7 @@ import pytest
 
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
-from phantomgen.ops.expected_counts import CROSSED, KINKED, expose, expose_brute
+from phantomgen.ops.expected_counts import CROSSED, INTERSECTED, expected_counts, expected_counts_by_grid
 from phantomgen.ops.solids import Solids
 from phantomgen.shapes import Cylinder, HalfSpace, Intersection, Sphere, Union, solids_of
 from spectra.errors import InputError
@@ -18,10 +18,10 @@ FRAME = Geometry.circular(500.0, 800.0, np.array([0.3]), Panel(48, 48, 4.0)).ray
 
 
 def worst_error(solids: Solids, kind: int, count: int, tolerance: float) -> float:
-    found = expose(FRAME, 48, 48, solids, *SPECTRUM, kink_tolerance=tolerance)
+    found = expected_counts(FRAME, 48, 48, solids, *SPECTRUM, intersection_tolerance=tolerance)
     pixels = np.argwhere(found.classes == kind)
     pixels = pixels[:: max(1, len(pixels) // count)]
-    brute = expose_brute(FRAME, pixels, solids, *SPECTRUM, n=256)
+    brute = expected_counts_by_grid(FRAME, pixels, solids, *SPECTRUM, n=256)
     return float(np.abs(np.log(found.counts[:, pixels[:, 0], pixels[:, 1]].T / brute)).max())
 
 
@@ -36,10 +36,10 @@ def worst_error(solids: Solids, kind: int, count: int, tolerance: float) -> floa
     ids=["two objects", "union", "cut sphere"],
 )
 def test_error_is_what_was_asked_for(solids: Solids, tolerance: float) -> None:
-    assert worst_error(solids, KINKED, 12, tolerance) < tolerance
+    assert worst_error(solids, INTERSECTED, 12, tolerance) < tolerance
 
 
-def test_kinks_between_silhouettes_are_found() -> None:
+def test_intersections_between_silhouettes_are_found() -> None:
     """Where a pixel has a silhouette and an intersection, Gauss nodes along the silhouette alone err by 1e-2."""
     solids = solids_of([BODY, (Union((FIRST, SECOND)), 1)])
     assert worst_error(solids, CROSSED, 60, 1e-4) < 3e-4
@@ -48,16 +48,16 @@ def test_kinks_between_silhouettes_are_found() -> None:
 def test_more_silhouettes_than_can_be_split() -> None:
     crowd = [(Cylinder((0, 0, 0), 1.0 + 0.01 * i, 10.0), i % 2) for i in range(12)][::-1]
     frame, solids = Geometry.circular(500.0, 800.0, np.zeros(1), Panel(24, 24, 0.8)).ray_frames()[0], solids_of(crowd)
-    found = expose(frame, 24, 24, solids, *SPECTRUM, kink_tolerance=1e-4)
+    found = expected_counts(frame, 24, 24, solids, *SPECTRUM, intersection_tolerance=1e-4)
     pixels = np.argwhere(found.classes == CROSSED)[::5]
-    brute = expose_brute(frame, pixels, solids, *SPECTRUM, n=256)
+    brute = expected_counts_by_grid(frame, pixels, solids, *SPECTRUM, n=256)
     error = np.log(found.counts[:, pixels[:, 0], pixels[:, 1]].T / brute)
     assert np.abs(error).max() < 2e-4
 
 
-def test_without_kinks_no_count_depends_on_the_tolerance() -> None:
+def test_without_intersections_no_count_depends_on_the_tolerance() -> None:
     solids = solids_of([BODY, (Cylinder((5, 0, 0), 20.0, 40.0), 1), (Cylinder((5, 0, 0), 10.0, 30.0), 0)])
-    coarse, fine = (expose(FRAME, 48, 48, solids, *SPECTRUM, kink_tolerance=t) for t in (1.0, 1e-6))
+    coarse, fine = (expected_counts(FRAME, 48, 48, solids, *SPECTRUM, intersection_tolerance=t) for t in (1.0, 1e-6))
     np.testing.assert_array_equal(coarse.counts, fine.counts)
 
 
@@ -66,7 +66,9 @@ def test_same_counts_whatever_the_threads() -> None:
     solids, results = solids_of([BODY, (FIRST, 1), (SECOND, 0)]), []
     for threads in (1, 3):
         set_threads(threads)
-        results.append(list(run_parallel(lambda frame: expose(frame, 32, 32, solids, *SPECTRUM).counts, frames)))
+        results.append(
+            list(run_parallel(lambda frame: expected_counts(frame, 32, 32, solids, *SPECTRUM).counts, frames))
+        )
     set_threads(None)
     np.testing.assert_array_equal(results[0], results[1])
 
@@ -74,4 +76,4 @@ def test_same_counts_whatever_the_threads() -> None:
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, np.nan])
 def test_refuses_a_tolerance_that_cannot_be_met(tolerance: float) -> None:
     with pytest.raises(InputError, match="must be positive"):
-        expose(FRAME, 4, 4, solids_of([BODY]), *SPECTRUM, kink_tolerance=tolerance)
+        expected_counts(FRAME, 4, 4, solids_of([BODY]), *SPECTRUM, intersection_tolerance=tolerance)

@@ -2,6 +2,8 @@
 
 import pytest
 
+from phantomgen.effects.aperture import Aperture
+from phantomgen.effects.scatter import ScatterKernel
 from phantomgen.scene.scan import load_scene
 from spectra.errors import SceneError
 
@@ -20,5 +22,5 @@ def test_effects_of_a_source_point_are_refused_where_rays_are_parallel(effect, w
 def test_other_effects_do_with_parallel_rays():
     effects = ["effects.aperture={width: 0.5}", "effects.scatter={type: kernel, ratio: 0.1, width: 20.0}"]
     found = load_scene("kedge-small", [PARALLEL, *effects]).effects
-    assert found.aperture is not None
-    assert found.scatter is not None
+    assert found.aperture == Aperture(0.5, 0.5)
+    assert found.scatter == ScatterKernel(0.1, 20.0)

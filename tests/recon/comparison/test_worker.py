@@ -1,6 +1,7 @@
 """Contenders run and scored on a scan of 16^3 voxels, in this process."""
 
 import os
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -202,6 +203,7 @@ def test_a_worker_ends_when_the_comparison_is_killed():
         stdout=subprocess.PIPE,
     )
     assert comparison.stdout is not None
-    comparison.stdout.read(1)  # the worker watches
+    assert comparison.stdout.readline() == b"1\n"  # the worker watches
     comparison.kill()
-    comparison.communicate(timeout=50)  # waits until the worker has let go of the pipe as well
+    rest, _ = comparison.communicate(timeout=50)  # waits until the worker has let go of the pipe as well
+    assert (rest, comparison.returncode) == (b"", -signal.SIGKILL)

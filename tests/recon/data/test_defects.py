@@ -11,7 +11,7 @@ from support.gaussian_scenes import PIXEL, circular, small_model, small_scan, sp
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.simulation.run import simulate
-from recon.data.inpainting import filled
+from recon.data.inpainting import inpainted
 from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import read_measurements
 from recon.evaluation.metrics import HeldOutView, score_projections
@@ -74,7 +74,7 @@ def test_decomposition_of_the_other_rays_is_the_same_and_holes_are_filled(scan):
     np.testing.assert_array_equal(holed[..., ~bad], whole[..., ~bad])
     lengths = TRUTH.line_integrals(GEOMETRY).numpy()
     noise = np.sqrt(np.mean((whole - lengths) ** 2, axis=(0, 2, 3)))
-    error = np.sqrt(np.mean((filled(holed, bad) - lengths)[..., bad] ** 2, axis=(0, 2)))
+    error = np.sqrt(np.mean((inpainted(holed, bad) - lengths)[..., bad] ** 2, axis=(0, 2)))
     empty = np.sqrt(np.mean((holed - lengths)[..., bad] ** 2, axis=(0, 2)))
     assert (error < 0.25 * empty + noise).all()
 

@@ -14,11 +14,11 @@ from support.gaussian_scenes import circular, small_model, small_scan, spectral_
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.devices import device_named
 from recon.gaussians.fisher import coefficient_curvature
-from recon.gaussians.initial.fit_to_volume import approximate
-from recon.gaussians.likelihood import agreement, agreement_and_gradients
+from recon.gaussians.initial.fit_to_volume import fit_to_volume
+from recon.gaussians.likelihood import likelihood, likelihood_and_gradients
 from recon.gaussians.model import PARTS
 from recon.gaussians.state import FitState
-from recon.gaussians.voxel_prior import Anchor
+from recon.gaussians.voxel_prior import VoxelPrior
 from spectra.errors import InputError
 
 GRID = Grid.cube(8, 14.0)
@@ -56,11 +56,11 @@ def state():
 
 
 def test_the_likelihood(monkeypatch, scan, state):
-    wanted = agreement_and_gradients(state.gaussians, scan, np.arange(2), 0.01)
+    wanted = likelihood_and_gradients(state.gaussians, scan, np.arange(2), 0.01)
     gradients = [getattr(state.gaussians, name).grad.clone() for name in PARTS]
     with watched(monkeypatch):
-        found = agreement_and_gradients(state.gaussians, scan, np.arange(2), 0.01)
-        everywhere = agreement(state.gaussians, scan, 0.01)
+        found = likelihood_and_gradients(state.gaussians, scan, np.arange(2), 0.01)
+        everywhere = likelihood(state.gaussians, scan, 0.01)
     assert found.deviance == wanted.deviance
     assert everywhere.deviance > 0
     assert all(torch.equal(getattr(state.gaussians, n).grad, g) for n, g in zip(PARTS, gradients, strict=True))
@@ -75,7 +75,7 @@ def test_the_curvature(monkeypatch, scan, state):
 
 def test_the_prior(monkeypatch, scan, state):
     volumes = small_model(3).volume(GRID)
-    anchor = Anchor.off_edges(volumes, GRID, np.eye(3), 0.3, 0.1)
+    anchor = VoxelPrior.off_edges(volumes, GRID, np.eye(3), 0.3, 0.1)
     blocks = coefficient_curvature(state.gaussians, scan, 0.01)
     with watched(monkeypatch):
         both, weight = anchor.curvature(state.gaussians, blocks)
@@ -86,9 +86,9 @@ def test_the_prior(monkeypatch, scan, state):
 
 def test_the_approximation(monkeypatch):
     volumes, start = small_model(3).volume(GRID), small_model(2)
-    wanted = approximate(start, volumes, GRID, np.eye(3), 6)
+    wanted = fit_to_volume(start, volumes, GRID, np.eye(3), 6)
     with watched(monkeypatch):
-        found = approximate(start, volumes, GRID, np.eye(3), 6)
+        found = fit_to_volume(start, volumes, GRID, np.eye(3), 6)
     assert torch.equal(found.centres, wanted.centres)
 
 

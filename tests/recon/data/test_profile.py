@@ -9,7 +9,7 @@ from support.gaussian_scenes import circular, small_model, spectral_model
 
 from recon.data.measurements import Measurements
 from recon.gaussians.fisher import ray_information
-from recon.gaussians.likelihood import agreement, agreement_and_gradients
+from recon.gaussians.likelihood import likelihood, likelihood_and_gradients
 from recon.gaussians.model import PARTS
 from recon.ops.decompose import decompose
 from spectra.transmission import Transmission
@@ -42,10 +42,10 @@ def scan(truth):
 
 
 def test_the_true_model_explains_the_counts_with_the_profile_only(truth, scan):
-    assert agreement(truth, scan, 0.0).deviance < 5e-3  # rounding of float32; noise alone would give 1
+    assert likelihood(truth, scan, 0.0).deviance < 5e-3  # rounding of float32; noise alone would give 1
     plain = replace(scan, transmission=spectral_model(3), profile=None)
     flat_only = replace(plain, gains=(scan.gains * scan.open_beam / plain.open_beam).astype(np.float32))
-    assert agreement(truth, flat_only, 0.0).deviance > 1
+    assert likelihood(truth, flat_only, 0.0).deviance > 1
 
 
 def test_the_gradient_of_the_deviance_is_that_of_its_differences(truth, scan):
@@ -56,7 +56,7 @@ def test_the_gradient_of_the_deviance_is_that_of_its_differences(truth, scan):
         moved = replace(truth, coefficients=(coefficients + step * direction).float()).detached()
         for part in PARTS:
             getattr(moved, part).requires_grad_()
-        return moved, agreement_and_gradients(moved, scan, np.arange(len(scan)), 0.0).deviance
+        return moved, likelihood_and_gradients(moved, scan, np.arange(len(scan)), 0.0).deviance
 
     model, _ = at(0.0)
     assert model.coefficients.grad is not None

@@ -8,7 +8,7 @@ from phantomgen.dataset.reader import open_dataset
 from recon.cli.main import main
 from recon.gaussians.fitted_grid import fitted_grid, read_with_coverage
 from recon.gaussians.recipe import FAST, Recipe, Stage
-from recon.runs.expected_cost import forecast
+from recon.runs.expected_cost import expected_cost
 from recon.runs.memory_plan import GIB, plan_memory
 
 SHORT = Recipe(stages=(Stage(1.0, 1.0),), voxel_passes=2, approximation=5)
@@ -41,10 +41,10 @@ def test_a_scan_of_the_whole_object_is_fitted_on_the_grid_asked_for(tmp_path):
         assert fitted_grid(dataset, FAST, 3, tmp_path) == dataset.grid
 
 
-def test_a_forecast_counts_the_margin(truncated):
+def test_an_expected_cost_counts_the_margin(truncated):
     with open_dataset(truncated) as dataset:
         grid = read_with_coverage(dataset, SHORT, 3)[2].grid
-        found = forecast(dataset, SHORT, 3, None)
+        found = expected_cost(dataset, SHORT, 3, None)
     voxels = grid.shape[0] * grid.shape[1] * grid.shape[2]
     assert found.voxels == grid.shape
     assert found.memory.parts["volumes"] * GIB == pytest.approx(4 * voxels * 14 * 3)

@@ -10,7 +10,7 @@ from phantomgen.geometry.voxel_grid import Grid
 from recon.data.volume_edges import metal_without_agents
 from recon.gaussians.optimize import fit
 from recon.gaussians.recipe import Recipe, Stage
-from recon.gaussians.voxel_prior import Anchor
+from recon.gaussians.voxel_prior import VoxelPrior
 from recon.voxel.iterative.one_step import OneStep, _metric
 
 GRID = Grid.cube(12, 12.0)
@@ -47,7 +47,7 @@ def test_a_fit_leaves_agents_in_metal_as_the_voxels_have_them():
     truth = small_model(1)
     scan = small_scan(truth, circular(16, 16, views=9), spectral_model(3), seed=3)
     start = replace(truth, coefficients=0.8 * truth.coefficients)
-    anchor = Anchor(volumes(0.3, 0.08, 0.0), GRID, 1e-9, np.ones(GRID.shape, np.float32)).holding(NAMES)
+    anchor = VoxelPrior(volumes(0.3, 0.08, 0.0), GRID, 1e-9, np.ones(GRID.shape, np.float32)).holding(NAMES)
     held = anchor.agents_in_metal(start)
     assert held is not None
     assert 0 < held.sum() < len(truth)

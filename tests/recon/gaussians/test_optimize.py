@@ -9,7 +9,7 @@ from support.gaussian_scenes import PIXEL, circular, small_model, small_scan, sp
 
 from recon.data.view_subsets import rounds_of
 from recon.gaussians.adam import Adam
-from recon.gaussians.likelihood import agreement
+from recon.gaussians.likelihood import likelihood
 from recon.gaussians.optimize import _nearest_non_negative, _restrain, _subsets, fit
 from recon.gaussians.recipe import Recipe, Stage
 from recon.gaussians.state import FitState
@@ -50,7 +50,7 @@ def test_the_deviance_falls_and_coefficients_stay_non_negative(problem):
 @pytest.mark.parametrize("weighted", [True, False])
 def test_of_the_true_model_deviance_and_chi_square_are_one(problem, dispersion, weighted):
     scan = problem[1].weighted(dispersion) if weighted else problem[1]
-    found = agreement(small_model(1, count=50), scan, dispersion)
+    found = likelihood(small_model(1, count=50), scan, dispersion)
     spread = np.sqrt(2 / (scan.counts.size / 3))
     assert found.deviance == pytest.approx(1, abs=5 * spread)
     np.testing.assert_allclose(found.chi_square, 1, atol=5 * spread)

@@ -8,7 +8,7 @@ from support.gaussian_scenes import PIXEL, circular, small_model, small_scan, sp
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import touched
-from recon.gaussians.likelihood import agreement_and_gradients
+from recon.gaussians.likelihood import likelihood_and_gradients
 from recon.gaussians.recipe import Recipe
 from recon.gaussians.unseen_rays import PART, UnseenRays, certainly_larger, with_rays_apart
 from recon.voxel.iterative.likelihood import deviance_and_gradient
@@ -64,7 +64,7 @@ def test_no_fit_sees_counts_that_are_apart(scan):
         model = truth.detached()
         for part in model.tensors().values():
             part.requires_grad_()
-        deviance = agreement_and_gradients(model, shares, np.arange(12), 0.02).deviance
+        deviance = likelihood_and_gradients(model, shares, np.arange(12), 0.02).deviance
         found.append((deviance, deviance_and_gradient(volumes, shares, GRID, 0.02)[0]))
     assert found[0] == pytest.approx(found[1], rel=1e-6)
 

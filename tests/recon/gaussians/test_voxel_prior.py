@@ -11,7 +11,7 @@ import recon.gaussians.voxel_prior
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.volume_edges import METAL, relative_density
 from recon.gaussians.state import GEOMETRY
-from recon.gaussians.voxel_prior import CUTOFF, SLABS, Anchor
+from recon.gaussians.voxel_prior import CUTOFF, SLABS, VoxelPrior
 from recon.ops.voxelize import mass_within, voxelize
 
 GRID = Grid((10, 9, 8), (2.0, 2.0, 2.0), (-9.0, -8.0, -7.0))
@@ -34,7 +34,7 @@ def near(gaussians):
 
 
 def anchor(strength=0.3):
-    return Anchor(near(model(1)), GRID, strength, TRUST)
+    return VoxelPrior(near(model(1)), GRID, strength, TRUST)
 
 
 def cost(gaussians, held):
@@ -57,12 +57,12 @@ def gradients(gaussians, held):
 @pytest.mark.parametrize("name", PARTS)
 def test_slabs_in_turn_give_the_gradient_of_the_whole_distance(name):
     held, start = anchor(), model(2)
-    pull = gradients(start, held)[name].double()
-    direction = pull / abs(pull).max()  # along itself, where the slope is steepest
+    ray_gradient = gradients(start, held)[name].double()
+    direction = ray_gradient / abs(ray_gradient).max()  # along itself, where the slope is steepest
     size = 1e-2 * getattr(start, name).abs().mean()
     ends = (replace(start, **{name: getattr(start, name) + (s * size * direction).float()}) for s in (1, -1))
     slope = (cost(next(ends), held) - cost(next(ends), held)) / (2 * float(size))
-    assert slope == pytest.approx(float((pull * direction).sum()), rel=2e-2)
+    assert slope == pytest.approx(float((ray_gradient * direction).sum()), rel=2e-2)
 
 
 def test_the_curvature_is_a_majoriser_of_the_distance_in_the_coefficients():
@@ -81,7 +81,7 @@ def test_the_curvature_is_a_majoriser_of_the_distance_in_the_coefficients():
 
 def test_a_model_at_its_anchor_is_not_pulled():
     held = anchor()
-    assert all(abs(pull).max() < 1e-6 for pull in gradients(model(1), held).values())
+    assert all(abs(ray_gradient).max() < 1e-6 for ray_gradient in gradients(model(1), held).values())
 
 
 def test_volumes_are_trusted_off_edges():
@@ -89,7 +89,7 @@ def test_volumes_are_trusted_off_edges():
     z, y, x = np.meshgrid(*(grid.axis(name) for name in "zyx"), indexing="ij")
     away = np.maximum(np.maximum(abs(x), abs(y)), abs(z)) - 10  # from the faces of a block
     noise = np.random.default_rng(3).normal(scale=2e-4, size=(1, *grid.shape))
-    held = Anchor.off_edges((0.02 * (away < 0) + noise).astype(np.float32), grid, np.eye(1), 0.3, ALONG)
+    held = VoxelPrior.off_edges((0.02 * (away < 0) + noise).astype(np.float32), grid, np.eye(1), 0.3, ALONG)
     assert held.weights[away < -3].min() > 0.3
     assert np.median(held.weights[away < -3]) > 0.6
     assert held.weights[(abs(away) < 1) & (abs(y) < 8) & (abs(z) < 8)].max() < 0.2
@@ -99,7 +99,7 @@ def test_volumes_are_trusted_off_edges_little_along_them_and_hardly_at_metal():
     volumes = np.random.default_rng(0).normal(0.02, 3e-4, (1, 24, 24, 24)).astype(np.float32)
     volumes[:, 4:10, 4:10, 4:10] = 0.035
     volumes[:, 16:18, 16:18, 16:18] = 0.8
-    held = Anchor.off_edges(volumes, Grid.cube(24, 24.0), np.eye(1), 0.3, ALONG)
+    held = VoxelPrior.off_edges(volumes, Grid.cube(24, 24.0), np.eye(1), 0.3, ALONG)
     assert held.weights[12, 12, 4] > 0.3
     assert held.weights[4, 7, 7] == pytest.approx(ALONG)
     assert held.weights[16, 16, 16] == pytest.approx(ALONG / (40 / METAL) ** 4, rel=0.05)
@@ -120,7 +120,7 @@ def test_only_gaussians_that_reach_a_slab_matter_to_it(monkeypatch):
     grid = Grid.cube(32, 32.0)
     start = small_model(5, count=40)
     start = replace(start, centres=start.centres * 2, log_scales=start.log_scales + torch.linspace(-1.5, 0.5, 3))
-    held = Anchor(np.zeros((3, *grid.shape), np.float32), grid, 0.3, np.ones(grid.shape, np.float32))
+    held = VoxelPrior(np.zeros((3, *grid.shape), np.float32), grid, 0.3, np.ones(grid.shape, np.float32))
     some, chosen, reaching = gradients(start, held), [], recon.gaussians.voxel_prior._reaching
     monkeypatch.setattr(
         recon.gaussians.voxel_prior, "_reaching", lambda model, slab: chosen.append(slab) or torch.arange(len(model))
@@ -134,5 +134,5 @@ def test_only_gaussians_that_reach_a_slab_matter_to_it(monkeypatch):
 
 def test_a_slab_that_no_gaussian_reaches_pulls_at_none():
     grid = Grid.cube(32, 320.0)
-    held = Anchor(np.ones((3, *grid.shape), np.float32), grid, 0.3, np.ones(grid.shape, np.float32))
-    assert all(torch.isfinite(pull).all() for pull in gradients(model(1), held).values())
+    held = VoxelPrior(np.ones((3, *grid.shape), np.float32), grid, 0.3, np.ones(grid.shape, np.float32))
+    assert all(torch.isfinite(ray_gradient).all() for ray_gradient in gradients(model(1), held).values())

@@ -1,6 +1,8 @@
 """Where a K edge lies, from rays whose line integrals are drawn: energy, width, bound, and what noise alone gives."""
 
+import re
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from phantomgen.dataset.spectral_model import Spectra
 from recon.kedge.expected_noise import MISFIT, _direction, excess_score, null_law
 from recon.kedge.profile_likelihood import EdgeLikelihood, moved_edge, scan_edge, scanned_energies
 from recon.kedge.rays import Rays
-from recon.kedge.search import WARRANTED, judge, next_edge, refine_together
+from recon.kedge.search import WARRANTED, judge, likeliest_edge, next_edge, refine_together
 from spectra.basis.basis import Basis, BasisFunction
 from spectra.energy.bin_split import split_bins
 
@@ -154,3 +156,24 @@ def test_cut_bins_keep_photons_and_mean_energies(cut):
     assert ((split.nodes > split.edges[:-1]) & (split.nodes < split.edges[1:])).all()
     assert (cut in split.edges) == (cut <= 10)
     assert len(split.nodes) == 3 + (cut in (3.25, 4.999))
+
+
+@pytest.mark.parametrize("side", [1, 3])
+def test_rays_without_neighbours_show_no_edge(side):
+    """A ray is chosen by its neighbours: where no square of them is half full, none is left to judge."""
+    few = likelihood({63.0: 1.0}, side=side)
+    judged = judge(few, PLAIN, moved_edge(STEP, 63.0))
+    assert not judged.warranted
+    assert (judged.rays, judged.score) == (0, 0.0)
+    assert judged.reason == "no ray passes through the object away from its edges"
+    assert not next_edge(few, PLAIN, STEP, ())[2].warranted
+    assert not likeliest_edge(few, (PLAIN,), (), STEP, ()).judgement.warranted
+
+
+def test_the_conceded_misfit_is_twice_what_blank_scans_need():
+    """`benchmarks/reconstruction/kedge_presets.py`: percent, for three elements, by single and by neighbouring rays."""
+    stored = (Path(__file__).parents[3] / "benchmarks" / "results" / "kedge_presets.txt").read_text(encoding="utf-8")
+    rows = stored.partition("misfit that blank scans need")[2].splitlines()[2:]
+    needed = [float(number) / 100 for row in rows for number in re.findall(r"\d\.\d{3}", row)]
+    assert len(needed) >= 6 * len(rows) - 6
+    assert pytest.approx(2 * max(needed), rel=0.1) == MISFIT

@@ -18,8 +18,8 @@ from spectra.threads import set_threads
 def value_and_gradients(function, parts):
     leaves = [part.clone().requires_grad_() for part in parts]
     value = function(*leaves)
-    pull = torch.from_numpy(np.random.default_rng(0).normal(size=value.shape))
-    return value.detach(), torch.autograd.grad(value, leaves, pull)
+    cotangent = torch.from_numpy(np.random.default_rng(0).normal(size=value.shape))
+    return value.detach(), torch.autograd.grad(value, leaves, cotangent)
 
 
 @pytest.mark.parametrize("smooth", [SMOOTH, 0.3])

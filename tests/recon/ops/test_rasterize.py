@@ -32,8 +32,8 @@ def rms_error(value, truth):
 def value_and_gradients(function, parts, seed=0):
     leaves = [part.clone().requires_grad_() for part in parts]
     value = function(*leaves)
-    pull = torch.from_numpy(np.random.default_rng(seed).normal(size=value.shape))
-    return value.detach(), torch.autograd.grad(value, leaves, pull)
+    cotangent = torch.from_numpy(np.random.default_rng(seed).normal(size=value.shape))
+    return value.detach(), torch.autograd.grad(value, leaves, cotangent)
 
 
 @pytest.mark.parametrize("footprint", [0.0, 1.0])

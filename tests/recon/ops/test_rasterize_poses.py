@@ -43,8 +43,8 @@ def quadrature(parts, frames, rows, columns):
 def value_and_gradients(function, parts, frames, *options, seed=0):
     leaves = [part.clone().requires_grad_() for part in parts]
     value = function(*leaves, frames, ROWS, COLUMNS, *options)
-    pull = torch.from_numpy(np.random.default_rng(seed).normal(size=value.shape))
-    return value.detach(), torch.autograd.grad(value, leaves, pull)
+    cotangent = torch.from_numpy(np.random.default_rng(seed).normal(size=value.shape))
+    return value.detach(), torch.autograd.grad(value, leaves, cotangent)
 
 
 def assert_same(found, expected, values=TOLERANCES["kernel_value"], slopes=TOLERANCES["kernel_gradient"]):
@@ -272,8 +272,8 @@ def test_views_at_a_time_do_not_change_a_bit(where, projector, monkeypatch):
         monkeypatch.setattr(on_cpu, "TABLE_BYTES", size)
         leaves = [part.clone().requires_grad_() for part in parts]
         image = rasterize(*leaves, *view)
-        pull = torch.from_numpy(np.random.default_rng(1).normal(size=image.shape)).float()
-        results.append([image, *torch.autograd.grad(image, leaves, pull)])
+        cotangent = torch.from_numpy(np.random.default_rng(1).normal(size=image.shape)).float()
+        results.append([image, *torch.autograd.grad(image, leaves, cotangent)])
     for other in results[1:]:
         assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
 
@@ -295,18 +295,18 @@ def test_coefficients_and_images_are_adjoint(seed):
     *shape, values = in_view(random_gaussians(seed, 12, 3, sigma=(0.5, 6.0), spread=20.0, pixel=1.0), frames)
     values.requires_grad_()
     image = rasterize(*shape, values, frames, ROWS, COLUMNS)
-    pull = torch.from_numpy(rng.uniform(0.5, 1.5, image.shape))
-    (back,) = torch.autograd.grad(image, values, pull)
-    ahead, behind = (image.detach() * pull).sum(), (back * values.detach()).sum()
+    cotangent = torch.from_numpy(rng.uniform(0.5, 1.5, image.shape))
+    (back,) = torch.autograd.grad(image, values, cotangent)
+    ahead, behind = (image.detach() * cotangent).sum(), (back * values.detach()).sum()
     assert float(behind) == pytest.approx(float(ahead), rel=TOLERANCES["float32_sums"])
 
 
 @pytest.mark.parametrize("where", [0.5, 0.97, 0.02])
 def test_gradients_are_finite_differences_of_the_float64_reference(where):
     parts, frames = at(where, 3.0, bases=1, shift=(1.0, 2.0))
-    pull = torch.from_numpy(np.random.default_rng(0).normal(size=(1, 1, ROWS, COLUMNS)))
+    cotangent = torch.from_numpy(np.random.default_rng(0).normal(size=(1, 1, ROWS, COLUMNS)))
     leaves = [part.clone().requires_grad_() for part in parts]
-    gradients = torch.autograd.grad(rasterize(*leaves, frames, ROWS, COLUMNS, 1.0, NEARLY_UNCUT), leaves, pull)
+    gradients = torch.autograd.grad(rasterize(*leaves, frames, ROWS, COLUMNS, 1.0, NEARLY_UNCUT), leaves, cotangent)
     for which, gradient in enumerate(gradients):
         numeric = torch.zeros_like(gradient)
         for i in range(numeric.numel()):
@@ -314,6 +314,6 @@ def test_gradients_are_finite_differences_of_the_float64_reference(where):
             for step in (1e-5, -1e-5):
                 moved = [part.clone() for part in parts]
                 moved[which].view(-1)[i] += step
-                sums.append((reference.rasterize(*moved, frames, ROWS, COLUMNS, 1.0) * pull).sum())
+                sums.append((reference.rasterize(*moved, frames, ROWS, COLUMNS, 1.0) * cotangent).sum())
             numeric.view(-1)[i] = (sums[0] - sums[1]) / 2e-5
         assert (gradient - numeric).norm() < TOLERANCES["kernel_gradient"] * numeric.norm()

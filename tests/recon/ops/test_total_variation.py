@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from support.tolerances import TOLERANCES
 
 from phantomgen.geometry.voxel_grid import Grid
-from recon.ops.total_variation import ascend, neighbour_sums, pull, total_variation
+from recon.ops.total_variation import ascend, gradient, neighbour_sums, total_variation
 from recon.ops.total_variation.reference import differences
 from recon.ops.total_variation.reference import total_variation as reference
 from spectra.threads import set_threads
@@ -49,7 +49,7 @@ def test_pull_is_the_transpose_of_mixed_differences(seed, bases, shape):
     volumes, mixing, grid = some_problem(shape, bases, seed)
     field = np.random.default_rng(seed + 1).normal(size=(3, *volumes.shape)).astype(np.float32)
     mixed = np.einsum("mn,anzyx->amzyx", mixing, differences(torch.tensor(volumes).double(), scales_of(grid)))
-    one, other = np.vdot(mixed, field), np.vdot(volumes.astype(float), pull(field, mixing, grid))
+    one, other = np.vdot(mixed, field), np.vdot(volumes.astype(float), gradient(field, mixing, grid))
     size = np.linalg.norm(mixed) * np.linalg.norm(field)
     assert abs(one - other) <= TOLERANCES["total_variation"] * size
 
@@ -60,7 +60,7 @@ def test_the_field_that_ascent_finds_attains_the_total_variation():
     field = np.zeros((3, *volumes.shape), np.float32)
     ascend(field, volumes, mixing, grid, np.full(grid.shape, 1e6), np.ones(grid.shape))
     assert np.sqrt((field.astype(float) ** 2).sum(axis=(0, 1))).max() <= 1 + 1e-6
-    attained = np.vdot(pull(field, mixing, grid), volumes)
+    attained = np.vdot(gradient(field, mixing, grid), volumes)
     assert attained == pytest.approx(total_variation(volumes, mixing, grid), rel=1e-4)
 
 
@@ -91,7 +91,7 @@ def test_neighbour_sums_bound_the_pull(seed, shape):
     _, _, grid = some_problem(shape, 1)
     values = rng.uniform(0, 3, shape).astype(np.float32)
     field = rng.normal(size=(3, 1, *shape)).astype(np.float32)
-    pulled = (values * pull(field, np.eye(1), grid)[0].astype(float) ** 2).sum()
+    pulled = (values * gradient(field, np.eye(1), grid)[0].astype(float) ** 2).sum()
     assert pulled <= (neighbour_sums(values, grid) * (field[:, 0].astype(float) ** 2).sum(axis=0)).sum() * (1 + 1e-6)
 
 
@@ -103,7 +103,7 @@ def test_any_number_of_threads_gives_the_same_bits():
             set_threads(threads)
             field = np.zeros((3, *volumes.shape), np.float32)
             ascend(field, volumes, mixing, grid, np.ones(grid.shape), np.ones(grid.shape))
-            results.append((field, pull(field, mixing, grid), total_variation(volumes, mixing, grid)))
+            results.append((field, gradient(field, mixing, grid), total_variation(volumes, mixing, grid)))
     finally:
         set_threads(None)
     assert all(np.array_equal(a, b) for a, b in zip(*results, strict=True))

@@ -19,8 +19,8 @@ def axes_of(grid):
 def value_and_gradients(function, parts, seed=0):
     leaves = [part.clone().requires_grad_() for part in parts]
     value = function(*leaves)
-    pull = torch.from_numpy(np.random.default_rng(seed).normal(size=value.shape)).to(value)
-    return value.detach(), torch.autograd.grad(value, leaves, pull)
+    cotangent = torch.from_numpy(np.random.default_rng(seed).normal(size=value.shape)).to(value)
+    return value.detach(), torch.autograd.grad(value, leaves, cotangent)
 
 
 def rms_error(value, truth):
@@ -45,13 +45,13 @@ def test_gradients_of_the_reference_are_finite_differences():
 def test_without_footprint_gradients_are_finite_differences_of_the_density():
     """Voxel centres sample the density itself; steps of 1e-3 in float32 values need a wide tolerance."""
     parts = random_gaussians(3, count=3, bases=1, sigma=(1.0, 2.0), spread=2.0)
-    pull = torch.from_numpy(np.random.default_rng(4).normal(size=(1, *OBLONG.shape)))
+    cotangent = torch.from_numpy(np.random.default_rng(4).normal(size=(1, *OBLONG.shape)))
 
     def loss(*p):
-        return float((voxelize_tensor(*p, OBLONG, footprint=0.0, cutoff=5.0).double() * pull).sum())
+        return float((voxelize_tensor(*p, OBLONG, footprint=0.0, cutoff=5.0).double() * cotangent).sum())
 
     leaves = [p.clone().requires_grad_() for p in parts]
-    (voxelize_tensor(*leaves, OBLONG, footprint=0.0, cutoff=5.0) * pull).sum().backward()
+    (voxelize_tensor(*leaves, OBLONG, footprint=0.0, cutoff=5.0) * cotangent).sum().backward()
     for i, leaf in enumerate(leaves):
         scale = float(leaf.grad.abs().max())
         for place in np.ndindex(*leaf.shape):
@@ -77,13 +77,13 @@ def test_volume_and_gradient_in_the_coefficients_are_adjoint(regime):
 
 def test_gradients_of_parts_of_a_grid_add_up_to_those_of_the_whole():
     parts = random_gaussians(7, sigma=REGIMES["needle"], spread=4.0)
-    pull = torch.from_numpy(np.random.default_rng(8).normal(size=(3, *OBLONG.shape)))
+    cotangent = torch.from_numpy(np.random.default_rng(8).normal(size=(3, *OBLONG.shape)))
     leaves = [p.clone().requires_grad_() for p in parts]
-    whole = torch.autograd.grad(voxelize_tensor(*leaves, OBLONG), leaves, pull)
+    whole = torch.autograd.grad(voxelize_tensor(*leaves, OBLONG), leaves, cotangent)
     sums = [torch.zeros_like(p) for p in parts]
     for first, count in ((0, 3), (3, 1), (4, 7)):
         some = voxelize_tensor(*leaves, OBLONG.slices(first, count))
-        parts_of_it = torch.autograd.grad(some, leaves, pull[:, first : first + count])
+        parts_of_it = torch.autograd.grad(some, leaves, cotangent[:, first : first + count])
         sums = [total + part for total, part in zip(sums, parts_of_it, strict=True)]
     for total, expected in zip(sums, whole, strict=True):
         assert rms_error(total, expected) < 1e-5

@@ -1,4 +1,4 @@
-"""Networks as opponents: rays and points, features, segments, volumes that are read off, and small fits."""
+"""Networks as published methods: rays and points, features, segments, volumes that are read off, and small fits."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Opponents that splat: gaussian-mono, ellipsoid and x-gaussian on small scenes of Gaussians."""
+"""Published methods that splat: gaussian-mono, ellipsoid and x-gaussian on small scenes of Gaussians."""
 
 from dataclasses import replace
 

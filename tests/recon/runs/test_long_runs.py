@@ -15,7 +15,7 @@ import torch
 from support.gaussian_scenes import PIXEL, circular, small_model, small_scan, spectral_model
 
 from recon.data.array_store import ArrayStore, release, taken
-from recon.gaussians.likelihood import agreement
+from recon.gaussians.likelihood import likelihood
 from recon.gaussians.optimize import SNAPSHOTS, fit
 from recon.gaussians.processes import joined
 from recon.gaussians.recipe import Recipe, Stage
@@ -218,9 +218,9 @@ def test_agreement_leaves_blind_pixels_and_channels_out(problem):
     gains = measured.gains.copy()
     gains[0], gains[1, :8] = 0, 0
     blind = replace(measured, gains=gains, counts=measured.counts * (gains > 0))
-    found = agreement(start, blind, 0.0).chi_square
+    found = likelihood(start, blind, 0.0).chi_square
     assert np.isnan(found[0])
-    whole = agreement(start, measured, 0.0).chi_square
+    whole = likelihood(start, measured, 0.0).chi_square
     np.testing.assert_allclose(found[2:], whole[2:])
     assert found[1] != whole[1]
 

@@ -18,7 +18,7 @@ from recon.runs.methods import method_named
 from recon.runs.run_gaussians import run
 from recon.runs.run_voxels import run_classical
 from recon.voxel.filtered.fdk import fdk
-from recon.voxel.initial_volumes import start_volumes, starting_method
+from recon.voxel.initial_volumes import initial_volumes, starting_method
 from spectra.errors import GeometryError
 
 SMALL = ["panel={rows: 8, columns: 8, pitch: 25.6}", "volume.voxels=8", "flats=2"]
@@ -43,7 +43,7 @@ def test_what_shows_no_depth_is_refused(views):
 def test_volumes_of_a_full_circle_are_those_of_fdk_bit_by_bit():
     geometry, rng = circle(12), np.random.default_rng(1)
     images, nothing = rng.normal(size=(12, 2, 40, 48)).astype(np.float32), np.zeros((40, 48), bool)
-    volumes = start_volumes(images, nothing, geometry, GRID, starting_method(geometry, GRID))
+    volumes = initial_volumes(images, nothing, geometry, GRID, starting_method(geometry, GRID))
     np.testing.assert_array_equal(volumes, fdk(images, geometry, GRID))
 
 
@@ -54,7 +54,7 @@ def test_a_fit_gets_better_than_its_start_and_predicts_what_it_measured(name):
     measured = small_scan(truth, geometry[:: max(len(geometry) // 24, 1)], spectral_model(2, 3), seed=1)
     lengths, fisher = decompose_views(measured, 0.01)
     method = starting_method(geometry, GRID)
-    volumes = start_volumes(lengths, measured.unseen, measured.geometry, GRID, method)
+    volumes = initial_volumes(lengths, measured.unseen, measured.geometry, GRID, method)
     recipe = Recipe(stages=(Stage(1.0, 10.0),), centre_rate=0.06, shape_rate=0.015)  # the start is far off
     deviances = []
     start = initialize(volumes, GRID, fisher, recipe.spacing, truth.basis_names, 0)

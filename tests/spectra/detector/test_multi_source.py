@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from spectra.detector.detector import Detector
-from spectra.detector.multi_source import SeveralSources, added
+from spectra.detector.multi_source import MultiSource, added
 from spectra.energy.grid import Energies
 from spectra.errors import InputError
 from spectra.materials.material import Material
@@ -51,7 +51,7 @@ def test_one_source_is_itself(sources):
 @pytest.mark.parametrize("gauss", [False, True])
 def test_channels_count_the_photons_of_their_own_source(sources, gauss):
     detectors = tuple(Detector.photon_counting([20, 50], top=source.maximum) for source in sources[:2])
-    several = SeveralSources.of({"low": sources[0], "high": sources[1]}, detectors)
+    several = MultiSource.of({"low": sources[0], "high": sources[1]}, detectors)
     assert several.names == ("low_bin0", "low_bin1", "high_bin0", "high_bin1")
     assert (len(several), several.groups) == (4, (0, 0, 1, 1))
     whole = added(sources[:2])
@@ -67,4 +67,4 @@ def test_channels_count_the_photons_of_their_own_source(sources, gauss):
 
 def test_lists_of_different_lengths_are_refused(sources):
     with pytest.raises(InputError, match="1 sources need as many detectors, got 0"):
-        SeveralSources.of({"a": sources[0]}, ())
+        MultiSource.of({"a": sources[0]}, ())

@@ -21,7 +21,7 @@ from spectra.ops.transmit import gpu
 for target in GPUTarget("cuda", 80, 32), GPUTarget("hip", "gfx942", 64):
     for kernel in gpu._forward, gpu._backward:
         fixed = {"BLOCK": 128, "PADDED": 4}
-        types = dict.fromkeys(("lengths", "columns", "weights", "pulls", "out"), "*fp32")
+        types = dict.fromkeys(("lengths", "columns", "weights", "cotangents", "out"), "*fp32")
         types |= {"starts": "*i64", "highest": "fp32", **dict.fromkeys(fixed, "constexpr")}
         source = ASTSource(kernel, {name: types.get(name, "i32") for name in kernel.arg_names}, fixed)
         text = compile(source, target=target).asm["ptx" if target.backend == "cuda" else "amdgcn"]
@@ -54,16 +54,16 @@ def test_values_and_gradients_are_those_of_the_formula(operator, bases, sizes, d
     rng = np.random.default_rng(bases)
     model = random_model(rng, bases, sizes)
     lengths = torch.tensor(rng.uniform(-1, 6, (150, bases)), requires_grad=True)
-    pull = torch.tensor(rng.normal(size=(150, len(sizes))))
+    cotangent = torch.tensor(rng.normal(size=(150, len(sizes))))
     truth = reference_of(model, lengths)
-    (slope,) = torch.autograd.grad(truth, lengths, pull)
+    (slope,) = torch.autograd.grad(truth, lengths, cotangent)
     ours = lengths.detach().to(device=DEVICE, dtype=dtype).requires_grad_()
     counts = operator(ours, model)
-    counts.backward(pull.to(ours))
+    counts.backward(cotangent.to(ours))
     assert (counts.dtype, counts.device.type) == (dtype, DEVICE)
     rtol = RELATIVE[dtype]
     np.testing.assert_allclose(counts.detach().cpu().double(), truth.detach(), rtol=rtol)
-    scale = torch.autograd.grad(reference_of(model, lengths), lengths, pull.abs())[0].abs()
+    scale = torch.autograd.grad(reference_of(model, lengths), lengths, cotangent.abs())[0].abs()
     assert ((ours.grad.cpu().double() - slope).abs() <= 3 * rtol * scale).all()
 
 

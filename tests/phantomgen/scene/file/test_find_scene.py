@@ -3,6 +3,7 @@
 import h5py
 import pytest
 
+from phantomgen.runtime.hdf5_signature import SIGNATURE, is_hdf5
 from phantomgen.scene.file.find_scene import find_scene
 from spectra.errors import SceneError
 
@@ -30,6 +31,15 @@ def test_files_of_other_kinds_are_told_by_what_they_are(name, content, said, tmp
     with pytest.raises(SceneError) as error:
         find_scene(tmp_path / name)
     assert said in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"), [(SIGNATURE + b"rest", True), (SIGNATURE[:-1], False), (b"", False), (None, False)]
+)
+def test_hdf5_is_told_by_its_first_bytes(content, expected, tmp_path):
+    if content is not None:
+        (tmp_path / "any").write_bytes(content)
+    assert is_hdf5(tmp_path / "any") is expected
 
 
 def test_a_dataset_is_sent_to_the_commands_that_take_it(tmp_path):

@@ -198,6 +198,24 @@ def test_a_wrong_override_is_named(override, expected):
     assert expected in refusal(SCENE, override)
 
 
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        (("objects.0.radius=3", "objects.0.radius="), "--set objects.0.radius=: objects.0.radius - input should be"),
+        (("objects.0.axis=[0, 0, 0]",), "objects.0 (with --set objects.0.axis=[0, 0, 0]) - cylinder axis must not be"),
+        (
+            ("source.kvp=100", "detector.thresholds.1=10"),
+            "detector.thresholds (with --set detector.thresholds.1=10) - ",
+        ),
+    ],
+    ids=["last of two", "inside an object", "inside a list"],
+)
+def test_the_override_that_is_in_force_is_named(overrides, expected):
+    with pytest.raises(SceneError) as error:
+        load_scene("kedge-small", overrides)
+    assert expected in str(error.value)
+
+
 def test_overrides_reach_lists_mappings_and_new_keys():
     overrides = ["objects.0.radius=3", "materials.water.density=2", "seed=7", "detector.thresholds=[20, 40]"]
     model = SceneFile("toy.yaml", SCENE, tuple(overrides)).model

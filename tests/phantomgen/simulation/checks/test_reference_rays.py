@@ -54,13 +54,13 @@ def test_parts_of_a_large_grid_make_up_the_whole():
     frame = np.array([[0.0, 0, 0], [0, 0, 10], [1, 0, 0], [0, 1, 0]])
     across, down = set(), set()
 
-    def expose(shifted, aperture, rays):
+    def expected_counts(shifted, aperture, rays):
         places = (np.arange(rays) + 0.5) / rays - 0.5
         across.update((shifted[1, 0] + aperture[0] * places).round(12))
         down.update((shifted[1, 1] + aperture[1] * places).round(12))
         return np.array([[shifted[1, 0] > 0, shifted[1, 1] > 0]], dtype=float)
 
-    assert split_grid(expose, frame, (0.8, 0.5), 2048).tolist() == [[0.5, 0.5]]
+    assert split_grid(expected_counts, frame, (0.8, 0.5), 2048).tolist() == [[0.5, 0.5]]
     wanted = (np.arange(2048) + 0.5) / 2048 - 0.5
     np.testing.assert_allclose(sorted(across), 0.8 * wanted, atol=1e-11)
     np.testing.assert_allclose(sorted(down), 0.5 * wanted, atol=1e-11)

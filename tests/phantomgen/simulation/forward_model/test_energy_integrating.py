@@ -147,7 +147,7 @@ def test_two_bases_need_more_than_one_channel(path):
     [
         ("detector.thickness=0", "detector.thickness - input should be greater than 0"),
         ("detector.thresholds=[20]", "detector.thresholds - unknown key"),
-        ("detector.composition=CsJ", "detector - unknown material 'CsJ'"),
+        ("detector.composition=CsJ", "unknown material 'CsJ'"),
         ("detector.composition=NaI", "needs a density"),
         ("detector={type: energy_integrating, composition: NaI, density: 3.67}", "needs a thickness in mm"),
         (

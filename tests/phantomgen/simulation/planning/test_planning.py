@@ -1,4 +1,4 @@
-"""Plans: what a tolerance chooses, that it is met by another yardstick, and what is said where it cannot be."""
+"""Plans: what a tolerance chooses, that it is met by another reference, and what is said where it cannot be."""
 
 import json
 
@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
-from phantomgen.ops.expected_counts import CROSSED, expose, expose_brute
+from phantomgen.ops.expected_counts import CROSSED, expected_counts, expected_counts_by_grid
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import load_scene
 from phantomgen.simulation.forward_model.energy_grids import fine_cuts, fine_transmission
@@ -46,7 +46,7 @@ def rays_of(scan, settings, transmission):
     """Counts of all pixels of a view, with the classes of its pixels."""
     frame, panel = scan.geometry.ray_frames()[1], scan.geometry.panel
     spectrum = transmission.columns, transmission.weights, transmission.starts
-    return frame, expose(frame, panel.rows, panel.columns, scan.scene.solids, *spectrum, **settings.pixels)
+    return frame, expected_counts(frame, panel.rows, panel.columns, scan.scene.solids, *spectrum, **settings.pixels)
 
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2, 1e-3, 2e-4])
@@ -58,7 +58,7 @@ def test_the_tolerance_holds_against_a_grid_of_rays_and_fine_energies(scan, tole
     _, edges = rays_of(scan, make_plan(scan, 1e-3).settings, plan.exposure.transmission)
     pixels = np.argwhere(edges.classes >= CROSSED)[::25]
     fine = fine_transmission(scan)
-    brute = expose_brute(frame, pixels, scan.scene.solids, fine.columns, fine.weights, fine.starts, n=256)
+    brute = expected_counts_by_grid(frame, pixels, scan.scene.solids, fine.columns, fine.weights, fine.starts, n=256)
     level = fine.open_beam / plan.exposure.transmission.open_beam
     error = np.log(found.counts[:, pixels[:, 0], pixels[:, 1]].T * level / brute)
     assert len(pixels) > 5

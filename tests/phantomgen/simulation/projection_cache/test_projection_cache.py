@@ -13,8 +13,8 @@ from phantomgen.dataset.truth import read_truth
 from phantomgen.dataset.validate import validate
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import load_scene
-from phantomgen.simulation.projection_cache.cache import KeptPaths, kept_scene
-from phantomgen.simulation.projection_cache.energies import kept_energies
+from phantomgen.simulation.projection_cache.cache import ProjectionCache, cached_scene
+from phantomgen.simulation.projection_cache.energies import cache_energies
 from phantomgen.simulation.run import simulate
 from spectra.errors import DatasetError, InputError
 from spectra.materials.material import Material
@@ -88,7 +88,7 @@ def test_projections_are_those_of_the_energies_in_the_file(kept):
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_other_scans_are_those_that_rays_give(kept, tmp_path, name):
-    scan = load_scene(kept_scene(kept, OTHERS[name]))
+    scan = load_scene(cached_scene(kept, OTHERS[name]))
     summary = simulate(scan, tmp_path / "fast.h5", paths=kept, tolerance=TOLERANCE)
     simulate(scan, tmp_path / "slow.h5", tolerance=TOLERANCE)
     (fast, flat), (slow, same) = expected(tmp_path / "fast.h5"), expected(tmp_path / "slow.h5")
@@ -100,7 +100,7 @@ def test_other_scans_are_those_that_rays_give(kept, tmp_path, name):
 
 def test_the_truth_is_that_of_the_file_or_made_anew(kept, tmp_path):
     for voxels in (8, 6):
-        scan = load_scene(kept_scene(kept, [f"volume.voxels={voxels}"]))
+        scan = load_scene(cached_scene(kept, [f"volume.voxels={voxels}"]))
         simulate(scan, tmp_path / f"{voxels}.h5", paths=kept)
         simulate(scan, tmp_path / f"{voxels}-rays.h5")
         one, other = (read_truth(tmp_path / f"{voxels}{kind}.h5") for kind in ("", "-rays"))
@@ -122,7 +122,7 @@ def test_the_truth_is_that_of_the_file_or_made_anew(kept, tmp_path):
     ],
 )
 def test_projections_of_another_scan_are_refused(kept, tmp_path, settings, named):
-    scan = load_scene(kept_scene(kept, settings))
+    scan = load_scene(cached_scene(kept, settings))
     with pytest.raises(InputError, match=named):
         simulate(scan, tmp_path / "a.h5", paths=kept)
     assert not list(tmp_path.iterdir())
@@ -131,7 +131,7 @@ def test_projections_of_another_scan_are_refused(kept, tmp_path, settings, named
 def test_only_datasets_that_keep_projections_are_taken(kept, tmp_path):
     simulate(toy(), tmp_path / "a.h5")
     with pytest.raises(DatasetError, match="keeps no projections: make it with --keep paths"):
-        KeptPaths.read(tmp_path / "a.h5")
+        ProjectionCache.read(tmp_path / "a.h5")
     with pytest.raises(InputError, match="--keep paths traces rays"):
         simulate(toy(), tmp_path / "b.h5", paths=kept, keep_paths=True)
     with pytest.raises(InputError, match="is the file that --paths reads"):
@@ -153,12 +153,12 @@ def test_an_interrupted_run_goes_on_to_the_same_file(kept, tmp_path, monkeypatch
 
 def test_interpolation_errs_by_less_than_its_share_behind_anything():
     scan = toy()
-    tight, loose = (kept_energies(scan, share) for share in (1e-5, 1e-3))
+    tight, loose = (cache_energies(scan, share) for share in (1e-5, 1e-3))
     assert sum(tight[0].counts) > sum(loose[0].counts)
     assert tight[1] < 3e-5
     assert 50.2391 in np.round(tight[0].bounds, 4)
     lead = replace(scan, scene=replace(scan.scene, materials=(Material("lead", 11.35, "Pb"),) * 2))
-    energies, error = kept_energies(lead, 1e-4)  # nothing passes at most energies
+    energies, error = cache_energies(lead, 1e-4)  # nothing passes at most energies
     assert np.isfinite(energies.matrix(np.linspace(20, 160, 99))).all()
     assert error < 1e-3
 

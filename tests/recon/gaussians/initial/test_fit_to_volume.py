@@ -15,8 +15,8 @@ from recon.gaussians.initial.fit_to_volume import (
     MANY,
     WIDEST,
     _Distance,
-    approximate,
     evaluations_for,
+    fit_to_volume,
     metric_of,
 )
 from recon.gaussians.initial.initialize import initialize
@@ -45,7 +45,7 @@ def followed():
     volumes, told = ball_and_rod(), []
     start = initialize(volumes, GRID, METRIC, 1.2, NAMES[:2], 0)
     with patch("recon.gaussians.initial.fit_to_volume.CUTOFF", WIDE):
-        return volumes, start, approximate(start, volumes, GRID, METRIC, 30, told.append), told
+        return volumes, start, fit_to_volume(start, volumes, GRID, METRIC, 30, told.append), told
 
 
 def test_thirty_evaluations_bring_gaussians_much_closer(followed):
@@ -87,12 +87,12 @@ def test_it_gets_there_sooner_than_without_knowing_the_curvature_of_a_gaussian(f
     other = minimize(cost, first, jac=True, method="L-BFGS-B", options={"maxfun": 60})
     assert shape[1] == 2
     with patch("recon.gaussians.initial.fit_to_volume.CUTOFF", WIDE):
-        assert distance(approximate(start, volumes, GRID, METRIC, 60), volumes) < other.fun
+        assert distance(fit_to_volume(start, volumes, GRID, METRIC, 60), volumes) < other.fun
 
 
 def test_cutting_gaussians_off_costs_no_mass_and_little_accuracy(followed):
     volumes, start, uncut, _ = followed
-    found = approximate(start, volumes, GRID, METRIC, 30)
+    found = fit_to_volume(start, volumes, GRID, METRIC, 30)
     mass, cut = found.volume(GRID).sum(axis=(1, 2, 3)), 1 - mass_within(CUTOFF)
     assert mass == pytest.approx(uncut.volume(GRID).sum(axis=(1, 2, 3)), rel=cut / 3)  # starts scatter by up to cut / 4
     assert distance(found, volumes) < 1.1 * distance(uncut, volumes)
@@ -101,7 +101,7 @@ def test_cutting_gaussians_off_costs_no_mass_and_little_accuracy(followed):
 def test_gaussians_that_already_fit_stay(monkeypatch):
     monkeypatch.setattr("recon.gaussians.initial.fit_to_volume.CUTOFF", WIDE)
     start = small_model(1, count=12)
-    found = approximate(start, start.volume(GRID), GRID, np.eye(3), 5)
+    found = fit_to_volume(start, start.volume(GRID), GRID, np.eye(3), 5)
     assert distance(found, start.volume(GRID), np.eye(3)) < 1e-4 * distance(start, 0 * start.volume(GRID), np.eye(3))
 
 
@@ -114,7 +114,7 @@ def test_no_gaussian_becomes_a_needle(monkeypatch):
     start = Gaussians(*shape, torch.tensor([[0.02, 0.01]]), NAMES[:2])
 
     def longest():
-        return float(torch.exp(approximate(start, volumes, GRID, METRIC, 20).log_scales.max()))
+        return float(torch.exp(fit_to_volume(start, volumes, GRID, METRIC, 20).log_scales.max()))
 
     assert longest() == pytest.approx(1.5 * WIDEST, rel=1e-5)
     monkeypatch.setattr("recon.gaussians.initial.fit_to_volume.WIDEST", 100.0)
@@ -141,7 +141,7 @@ def test_a_step_that_leads_astray_is_not_taken(monkeypatch):
     monkeypatch.setattr(_Distance, "precondition", sometimes_wild)
     monkeypatch.setattr("recon.gaussians.initial.fit_to_volume.CUTOFF", WIDE)
     start = initialize(volumes, GRID, METRIC, 1.2, NAMES[:2], 0)
-    found = approximate(start, volumes, GRID, METRIC, 30, told.append)
+    found = fit_to_volume(start, volumes, GRID, METRIC, 30, told.append)
     residuals = [told_of.residual for told_of in told]
     assert max(residuals[1:]) > 2 * residuals[0]
     assert distance(found, volumes) < 1.05 * min(residuals)
@@ -160,6 +160,6 @@ def test_noise_as_small_as_rounding_moves_the_error_by_less_than_a_tenth_of_a_de
     for noise in (0, 1e-6, 1e-6):
         seen = (volumes * (1 + noise * rng.standard_normal(volumes.shape))).astype(np.float32)
         start = initialize(seen, GRID, METRIC, 1.2, NAMES[:2], 0)
-        found = approximate(start, seen, GRID, METRIC, evaluations_for(len(start), 60)).volume(GRID)
+        found = fit_to_volume(start, seen, GRID, METRIC, evaluations_for(len(start), 60)).volume(GRID)
         errors.append(20 * np.log10(np.sqrt(np.square(found - clean).mean(axis=(1, 2, 3)))))
     assert np.ptp(errors, axis=0).max() < 0.1

@@ -12,7 +12,7 @@ from support.gaussian_scenes import circular
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.published_methods.paper.adam import EdgeAdam, GroupedAdam, rates
-from recon.published_methods.paper.density_control import PullOnPanel, choose, densify, reset_fractions
+from recon.published_methods.paper.density_control import PanelGradient, choose, densify, reset_fractions
 from recon.published_methods.paper.initialize import (
     DENSE,
     HIGH,
@@ -168,17 +168,17 @@ def test_rows_keep_their_moments_and_new_ones_have_none():
 
 
 def test_small_gaussians_are_cloned_and_large_ones_split_by_thresholds_of_their_own():
-    pull = torch.tensor([4e-5, 6e-5, 3e-5, 2e-5])
+    panel_gradient = torch.tensor([4e-5, 6e-5, 3e-5, 2e-5])
     sigma = torch.tensor([1.0, 1.0, 4.0, 4.0])[:, None].expand(4, 3)  # large: above a tenth of 32
-    choice = choose(pull, sigma, 32.0, RECIPE)
+    choice = choose(panel_gradient, sigma, 32.0, RECIPE)
     assert choice.clone.tolist() == [False, True, False, False]
     assert choice.split.tolist() == [False, False, True, False]
-    assert not choose(pull, sigma, 32.0, replace(RECIPE, without=("split-threshold",))).split.any()
+    assert not choose(panel_gradient, sigma, 32.0, replace(RECIPE, without=("split-threshold",))).split.any()
 
 
 def test_where_there_is_no_room_for_all_the_strongest_are_taken():
-    pull = torch.tensor([1e-4, 3e-4, 2e-4, 5e-4])
-    choice = choose(pull, torch.ones(4, 3), 32.0, replace(RECIPE, most=6))
+    panel_gradient = torch.tensor([1e-4, 3e-4, 2e-4, 5e-4])
+    choice = choose(panel_gradient, torch.ones(4, 3), 32.0, replace(RECIPE, most=6))
     assert choice.clone.tolist() == [False, True, False, True]
 
 
@@ -186,9 +186,9 @@ def test_where_there_is_no_room_for_all_the_strongest_are_taken():
 def test_density_is_shared_by_clones_and_halves(sigma):
     model = some_gaussians(sigma=sigma)
     before = {name: value.clone() for name, value in model.tensors().items()}
-    adam, pull = GroupedAdam(model, rates(RECIPE, UNITS)), PullOnPanel(9)
-    pull.add(torch.tensor([1.0] * 3 + [0.0] * 6))
-    densify(adam, pull, GRID, UNITS, replace(RECIPE, without=("pruning",)), np.random.default_rng(3))
+    adam, panel_gradient = GroupedAdam(model, rates(RECIPE, UNITS)), PanelGradient(9)
+    panel_gradient.add(torch.tensor([1.0] * 3 + [0.0] * 6))
+    densify(adam, panel_gradient, GRID, UNITS, replace(RECIPE, without=("pruning",)), np.random.default_rng(3))
     after = adam.model
     assert len(after) == 12
     total = torch.nn.functional.softplus(before["densities"]).sum()
@@ -210,7 +210,7 @@ def test_gaussians_without_density_or_outside_the_grid_are_pruned():
     kept = [i for i in range(9) if i not in (2, 5)]
     expected = model.centres[kept].clone()
     adam = GroupedAdam(model, rates(RECIPE, UNITS))
-    densify(adam, PullOnPanel(9), GRID, UNITS, RECIPE, np.random.default_rng(4))
+    densify(adam, PanelGradient(9), GRID, UNITS, RECIPE, np.random.default_rng(4))
     assert torch.equal(adam.model.centres.detach(), expected)
 
 
@@ -252,8 +252,8 @@ def test_the_pull_on_the_panel_is_the_derivative_by_normalised_coordinates():
     for step, pixels in ((column, 20), (row, 15)):
         ends = [float(loss(model.centres + sign * 0.01 * depth * step)) for sign in (-1, 1)]
         slopes.append((ends[1] - ends[0]) / 0.02 * pixels / 2)
-    pull = detector_gradient(model.centres, gradient, geometry)
-    assert float(pull[0]) == pytest.approx(float(np.hypot(*slopes)), rel=5e-3)
+    panel_gradient = detector_gradient(model.centres, gradient, geometry)
+    assert float(panel_gradient[0]) == pytest.approx(float(np.hypot(*slopes)), rel=5e-3)
 
 
 def test_every_component_is_described():

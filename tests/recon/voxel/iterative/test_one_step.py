@@ -216,5 +216,7 @@ def test_total_variation_has_little_say_where_hardly_a_photon_arrives(monkeypatc
     scan = voxel_scan(truth, grid, photons=2e4, geometry=circular(32, 32, 24, 0.75), seed=1)
     inside = np.s_[0, 10:14, 10:14, 10:14]
     assert OneStep().reconstruct_counts(scan, grid)[inside].mean() > 0.8 * 2.0
-    monkeypatch.setattr("recon.voxel.iterative.one_step._say", lambda curvatures, density: np.ones_like(density))
+    monkeypatch.setattr(
+        "recon.voxel.iterative.one_step._statistical_weights", lambda curvatures, density: np.ones_like(density)
+    )
     assert OneStep().reconstruct_counts(scan, grid)[inside].mean() < 0.7 * 2.0
