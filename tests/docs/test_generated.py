@@ -30,7 +30,9 @@ def test_descriptions_of_parameters_stand_below_their_names():
 
 
 def test_links_to_pages_from_elsewhere_lead_to_where_the_site_has_them():
-    text = "[how](../../CONTRIBUTING.md#kernels), [README](../../README.md), [here](page.md), [there](https://a.org/b.md)"
+    text = (
+        "[how](../../CONTRIBUTING.md#kernels), [README](../../README.md), [here](page.md), [there](https://a.org/b.md)"
+    )
     found = generated.with_links(text, "docs/development/adding.md", "docs/development/adding.md")
     assert "(../outside/contributing.md#kernels)" in found
     assert "(../outside/readme.md)" in found
