@@ -22,7 +22,7 @@ from recon.figures.model_figures import draw_model
 from recon.gaussians.fitted_grid import fitted_grid
 from recon.gaussians.model import Gaussians
 from recon.gaussians.optimize import Progress
-from recon.gaussians.processes import ALONE, Processes
+from recon.gaussians.processes import ALONE, Processes, Resources
 from recon.gaussians.recipe import RECIPES, Recipe
 from recon.gaussians.reconstruct import Reconstruction, reconstruct
 from recon.kedge.basis_names import Asked, left_out, left_out_sentence, with_named
@@ -139,10 +139,8 @@ def run(
                     watcher.stage,
                     on_step,
                     checkpoints,
-                    processes,
-                    store,
                     watcher.iterated,
-                    device,
+                    Resources(processes, store, device),
                 )
     if folder is None or checkpoints is None:
         return {}

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from phantomgen.runtime.plain_json import to_json
 from recon.data.measurements import Measurements
 from recon.gaussians.optimize import Progress
-from recon.gaussians.state import FitState
+from recon.gaussians.state import FitState, InterruptedFit
 from recon.runs.checkpoint import identity, read_checkpoint, write_checkpoint, write_whole
 from spectra.errors import InputError
 
@@ -52,7 +52,7 @@ class PartialRun:
         self.log: list[dict[str, Any]] = []
         self._saved = time.perf_counter()
 
-    def found(self, measured: Measurements) -> tuple[FitState, Float[np.ndarray, "basis z y x"], dict] | None:
+    def found(self, measured: Measurements) -> InterruptedFit | None:
         """Where an interrupted fit stands, the volumes it started from, and the seconds of its stages; None for none.
 
         Raises
@@ -67,7 +67,7 @@ class PartialRun:
         self._check(content["identity"])
         state = FitState.restore(*read_checkpoint(self.folder / CHECKPOINT))
         self._read_log(state.done)
-        return state, start["volumes"].numpy(), content["seconds"]
+        return InterruptedFit(state, start["volumes"].numpy(), content["seconds"])
 
     def begin(self, volumes: Float[np.ndarray, "basis z y x"], seconds: dict[str, float], state: FitState) -> None:
         """Keep what a fit starts from."""
