@@ -124,6 +124,17 @@ class Scan:
         return load_scene(replace(self.file, overrides=(*self.file.overrides, f"tessellation={fineness}")))
 
     @property
+    def aperture(self) -> tuple[float, float]:
+        """Width and height of the sensitive part of pixels [pixel]."""
+        aperture = self.effects.aperture
+        return (1.0, 1.0) if aperture is None else (aperture.width, aperture.height)
+
+    @property
+    def profile_lengths(self) -> Float[np.ndarray, "part row column"] | None:
+        """Path lengths of the rays to each pixel in what shapes the beam [mm]; None where the beam is even."""
+        return None if self.profile is None else self.profile.lengths
+
+    @property
     def scheme(self) -> str:
         """Name of the split of views, such as ``sparse75``."""
         return f"sparse{len(self.splits['train'])}"
