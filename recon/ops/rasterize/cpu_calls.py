@@ -55,7 +55,7 @@ class RasterizeCall:
         coefficients = parts.coefficients.detach().cpu().numpy().astype(np.float32)
         self.gaussians = GaussianArrays(centres, np.empty((len(centres), 3, 3)), coefficients)
         self.bases = (0,) * coefficients.shape[1]
-        self.panel, self.projector = panel, projector
+        self.panel, self.projector, self.sampling = panel, projector, projector.sampling
         self.inverses = inverse_frames(self.frames)
         self._each_chunk(lambda a, b: cpu.whitening(self.log_scales, self.quaternions, a, b, self.gaussians.matrices))
         self._kept: list[ViewGroup] = []
@@ -155,13 +155,13 @@ class RasterizeCall:
 
     def _footprints(self, view: RayFrame, first: int, last: int, table: np.ndarray) -> None:
         """Compute the footprints of some Gaussians in one view."""
-        cpu.footprints(self.gaussians, view, self.projector.sampling, self.panel[0], first, last, table)
+        cpu.footprints(self.gaussians, view, self.sampling, self.panel[0], first, last, table)
 
     def _add_rows(
         self, view: RayFrame, table: np.ndarray, lengths: np.ndarray, rows: tuple[int, int], image: np.ndarray
     ) -> None:
         """Add the footprints of all Gaussians in one view to some rows of its image."""
-        sampling, which = self.projector.sampling, np.flatnonzero(table[:, ROW_1] < table[:, ROW_0])
+        sampling, which = self.sampling, np.flatnonzero(table[:, ROW_1] < table[:, ROW_0])
         if len(which):
             near.forward(which, self.gaussians, view, table, sampling, *rows, image)
         cpu.forward(self.bases, table, self.gaussians.coefficients, lengths, sampling.cutoff, *rows, image)
@@ -171,7 +171,7 @@ class RasterizeCall:
     ) -> None:
         """Add the gradients of some Gaussians in some views."""
         cpu.backward(
-            self.bases, self.gaussians, views, padded, self.projector.sampling, first, last, gradients
+            self.bases, self.gaussians, views, padded, self.sampling, first, last, gradients
         )  # fmt: skip
 
     def _measure(self, views: ViewGroup) -> None:
