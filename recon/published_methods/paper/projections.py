@@ -10,7 +10,7 @@ from torch import Tensor
 from phantomgen.geometry.poses import Geometry
 from recon.data.measurements import Measurements
 from recon.data.readout_noise import without_floor
-from recon.ops.rasterize import rasterize
+from recon.ops.rasterize import Projector, rasterize
 
 
 def line_integrals(
@@ -28,7 +28,7 @@ def line_integrals(
     frames = torch.from_numpy(geometry.ray_frames())
     parts = (centres, log_scales, quaternions, coefficients)
     panel = geometry.panel
-    return rasterize(*parts, frames, panel.rows, panel.columns, footprint=0.0, projector=projector)
+    return rasterize(*parts, frames, panel.rows, panel.columns, Projector(footprint=0.0, kind=projector))
 
 
 def detector_gradient(
