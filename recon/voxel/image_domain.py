@@ -13,9 +13,8 @@ from jaxtyping import Float
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.inpainting import inpainted
 from recon.data.measurements import Measurements
+from recon.data.partial_volume import LEAST_COUNTS
 from recon.voxel.method import Iteration, LinearMethod, OnIteration, Volumes, Weights, unwatched
-
-LEAST_COUNTS = 0.5  # counts; fewer are raised to this before a logarithm, as 0 counts have none; a convention
 
 
 def log_projections(measured: Measurements) -> Float[np.ndarray, "channel view row column"]:

@@ -7,7 +7,7 @@ import pytest
 from support.gaussian_scenes import PIXEL, circular, small_model, small_scan, spectral_model
 
 from phantomgen.geometry.voxel_grid import Grid
-from recon.data.measurements import touched
+from recon.data.pixel_blocks import touched
 from recon.gaussians.likelihood import likelihood_and_gradients
 from recon.gaussians.recipe import Recipe
 from recon.gaussians.unseen_rays import PART, UnseenRays, certainly_larger, with_rays_apart
