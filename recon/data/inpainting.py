@@ -1,18 +1,25 @@
-"""Images without holes: pixels that nothing measured, interpolated from those around them."""
+"""Interpolation of blind pixels from those around them."""
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
-
-Lines = Int[np.ndarray, "row column"]
+from jaxtyping import Bool, Float
 
 
 def inpainted(
     images: Float[np.ndarray, "... row column"], unseen: Bool[np.ndarray, "row column"]
 ) -> Float[np.ndarray, "... row column"]:
-    """Images whose unseen pixels are interpolated linearly between the nearest seen ones along a row or a column.
+    """Interpolate unseen pixels linearly between the nearest seen ones along a row or a column.
 
     The axis with the smaller gap is taken. At the border, where one neighbour is missing, the other gives the value.
     Filtered back-projection needs every pixel; a fit does not, and leaves these out.
+
+    Parameters
+    ----------
+    images : images of any unit
+    unseen : pixels without a value
+
+    Returns
+    -------
+    images with all values; `images` itself where no pixel or every pixel is unseen
     """
     if not unseen.any() or unseen.all():
         return images
@@ -33,7 +40,7 @@ def inpainted(
 
 
 def _between(seen: Bool[np.ndarray, "row column"]) -> list[np.ndarray]:
-    """For every pixel the nearest seen columns before and after it in its row, and the gap between; inf for none."""
+    """Nearest seen columns before and after every pixel in its row, and the gap between them; inf without any."""
     count = seen.shape[1]
     column = np.broadcast_to(np.arange(count), seen.shape)
     before = np.maximum.accumulate(np.where(seen, column, -1), axis=1)

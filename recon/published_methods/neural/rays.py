@@ -10,7 +10,7 @@ from torch import Tensor
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.voxel.method import Images, Weights
-from recon.voxel.projector_pair import Pair
+from recon.voxel.projector_pair import ProjectorPair
 
 WINDOW = 8  # pixels, edge of the pieces of a view that are sampled as a whole
 FOREGROUND = 0.05  # part of the largest image value above which a ray is taken to meet the object
@@ -48,7 +48,7 @@ class Rays:
     """
 
     def __init__(self, images: Images, weights: Weights | None, geometry: Geometry, grid: Grid, seed: int) -> None:
-        pair = Pair(geometry, grid)
+        pair = ProjectorPair(geometry, grid)
         met = pair.lengths > 0 if weights is None else (pair.lengths > 0) & (weights > 0)
         bright = np.max(images, axis=0)
         self.images, self.shape, self.rng = images, met.shape, np.random.default_rng([seed, 4])

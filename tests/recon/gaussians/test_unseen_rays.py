@@ -7,7 +7,7 @@ import pytest
 from support.gaussian_scenes import PIXEL, circular, small_model, small_scan, spectral_model
 
 from phantomgen.geometry.voxel_grid import Grid
-from recon.data.measurements import touched
+from recon.data.pixel_blocks import touched
 from recon.gaussians.likelihood import likelihood_and_gradients
 from recon.gaussians.unseen_rays import DEFAULT, UnseenRays, certainly_larger, with_rays_apart
 from recon.voxel.iterative.likelihood import deviance_and_gradient
