@@ -77,7 +77,7 @@ def read_run(folder: Path) -> StoredRun:
     volumes, model = folder / VOLUMES, folder / MODEL
     gaussians = Gaussians.load(model) if model.is_file() else None
     if volumes.is_file():
-        grid, names, values = _read_volumes(volumes)
+        grid, names, values = read_volumes(volumes)
     else:
         run = open_run(folder)
         grid, names, values = run.grid, run.gaussians.basis_names, run.gaussians.volume(run.grid)
@@ -86,10 +86,25 @@ def read_run(folder: Path) -> StoredRun:
             f"{folder}: {MODEL} has the bases {', '.join(gaussians.basis_names)}, {VOLUMES} has {', '.join(names)}: "
             "they are not of one run"
         )
-    return StoredRun(folder, grid, names, values, gaussians, _dataset_name(folder))
+    return StoredRun(folder, grid, names, values, gaussians, dataset_name(folder))
 
 
-def _read_volumes(path: Path) -> tuple[Grid, tuple[str, ...], np.ndarray]:
+def read_volumes(path: Path) -> tuple[Grid, tuple[str, ...], Float32[np.ndarray, "basis z y x"]]:
+    """Read the volumes of a run.
+
+    Parameters
+    ----------
+    path : ``volumes.h5`` of a run folder
+
+    Returns
+    -------
+    grid, names of the basis functions, and coefficients [1/mm]
+
+    Raises
+    ------
+    DatasetError
+        When the file was damaged, or is not what ``recon fit`` writes.
+    """
     try:
         with h5py.File(path, "r") as file:
             group, place = group_at(file, "basis"), group_at(file, "grid")
@@ -104,8 +119,17 @@ def _read_volumes(path: Path) -> tuple[Grid, tuple[str, ...], np.ndarray]:
     return grid, names, values
 
 
-def _dataset_name(folder: Path) -> str:
-    """Without its folder, which is nobody's business."""
+def dataset_name(folder: Path) -> str:
+    """Return the file name, without its folder, of the dataset that a run was made from.
+
+    Parameters
+    ----------
+    folder : run folder
+
+    Returns
+    -------
+    file name; empty where the folder does not state it
+    """
     try:
         content = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
         return Path(content["dataset"]).name
