@@ -1,7 +1,8 @@
 """The short way from Python: a dataset to a fit that evaluates, renders, scores and saves itself, and its materials."""
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,6 @@ from phantomgen.runtime.guarded import Guard, Salvage, unguarded
 from phantomgen.runtime.plain_json import to_json, write_json
 from phantomgen.runtime.stopwatch import peak_memory_mib
 from phantomgen.runtime.thumbnails import thumbnails
-from recon.evaluation.scoring import score_test_views
 from recon.evaluation.verdict import Verdict
 from recon.gaussians.model import Gaussians
 from recon.gaussians.optimize import Progress
@@ -29,8 +29,9 @@ from recon.output.render_file import rendered, views_of_geometry
 from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.paper.reconstruct import reconstruct_paper
 from recon.runs.run_folder import Run
-from recon.runs.run_gaussians import metrics_of, verdict_of_fit, write_model, write_result
+from recon.runs.run_gaussians import outcome_of_fit
 from recon.runs.unfinished_run import LOG, log_entry
+from recon.runs.volume_outcome import VolumeOutcome
 from recon.runs.write_run import RunFolder
 from recon.segmentation.result import Options, Segmentation
 from recon.segmentation.segment import segment_subject
@@ -115,33 +116,33 @@ class Fit:
 
     @property
     def verdict(self) -> Verdict:
-        """What to know of it, in sentences, without the truth; see `recon.evaluation.verdict`."""
-        with self._dataset() as dataset:
-            channels: dict[str, Any] = {}
-            if len(dataset.splits["test"]):
-                channels = score_test_views(dataset, self.gaussians, self.result.unreliable)
-            return verdict_of_fit(dataset, self.result, channels)
+        """Remarks on the result, made without the truth; see `recon.evaluation.verdict`."""
+        with self._outcome() as outcome:
+            return outcome.verdict(outcome.score_test_views())
 
     def score(self) -> dict[str, Any]:
-        """Scores as ``metrics.json`` has them: against the truth where the dataset has one, and on its test views."""
-        return self._metrics(unguarded)
+        """Score the fit against the truth, where the dataset has one, and on its test views.
 
-    def _metrics(self, guard: Guard) -> dict[str, Any]:
-        """The same, without what `guard` catches."""
-        with self._dataset() as dataset:
-            truth: Truth | None = None
-            with guard("reading the truth"):
-                truth = read_truth(self.path)
-            metrics = metrics_of(dataset, truth, self.result, self.recipe.seed, guard)
-        metrics["bases_left_out"] = list(self.left_out)
-        metrics |= {} if self.choice is None else {"basis_choice": self.choice.record()}
-        metrics["recipe"] = self.recipe.says if isinstance(self.recipe, PaperRecipe) else self.recipe.name
-        return metrics | {"seconds": self.result.seconds, "peak_memory_mib": peak_memory_mib()}
+        Returns
+        -------
+        what ``metrics.json`` holds
+        """
+        with self._outcome() as outcome:
+            return self._metrics(outcome, unguarded)
 
     def save(self, folder: Path | str, *, overwrite: bool = False) -> Path:
         """Write a run folder that every command of ``recon`` reads, scores included.
 
         The model and its volumes are written first; scores that fail are left out and warned of.
+
+        Parameters
+        ----------
+        folder : name of the run folder
+        overwrite : replace a run folder that exists
+
+        Returns
+        -------
+        the run folder
 
         Raises
         ------
@@ -150,16 +151,27 @@ class Fit:
         """
         target = RunFolder(Path(folder), overwrite)
         guard = Salvage(lambda sentence, error: warnings.warn(sentence, RuntimeWarning, stacklevel=5))
-        with target as part, self._dataset() as dataset:
-            write_model(dataset, self.recipe, self.result, part)
-            write_result(dataset, self.result, part)
+        with target as part, self._outcome() as outcome:
+            outcome.write(part)
             (part / LOG).write_text("".join(to_json(entry) + "\n" for entry in self.log), encoding="utf-8")
-            metrics = self._metrics(guard)
+            metrics = self._metrics(outcome, guard)
             write_json(part / "metrics.json", metrics | ({"failed": guard.failed} if guard.failed else {}))
         return target.path
 
-    def _dataset(self) -> Dataset:
-        return open_dataset(self.path, self.air).with_basis(self.basis)
+    def _metrics(self, outcome: VolumeOutcome, guard: Guard) -> dict[str, Any]:
+        """Scores, times and memory, without what `guard` catches."""
+        truth: Truth | None = None
+        with guard("reading the truth"):
+            truth = read_truth(self.path)
+        scores = outcome.scores(truth, guard)
+        return scores | {"seconds": self.result.seconds, "peak_memory_mib": peak_memory_mib()}
+
+    @contextmanager
+    def _outcome(self) -> Iterator[VolumeOutcome]:
+        """The fit as runs write and score it, while its dataset is open."""
+        with open_dataset(self.path, self.air) as dataset:
+            fitted = dataset.with_basis(self.basis)
+            yield outcome_of_fit(fitted, self.recipe, self.result, self.choice, self.left_out)
 
 
 def fit(

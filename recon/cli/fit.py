@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -9,6 +10,9 @@ from phantomgen.cli.common import debug_option, json_option
 from recon.cli.common import ProgressBar, exit_where_failed, finite_number, memory_text, refuse_options, seconds_text
 from recon.cli.run_argument import check_run_name
 from recon.runs.methods import METHODS
+
+if TYPE_CHECKING:
+    from recon.runs.interfaces import RunMethod
 
 
 @click.command(epilog="\b\nExamples:\n  recon fit kedge.h5\n  recon fit scan.h5 --edge auto --air 0:16,0:256")
@@ -114,9 +118,13 @@ def fit(
     from recon.published_methods.paper.recipe import PAPER_STEPS, PaperRecipe
     from recon.runs.expected_cost import expected_cost
     from recon.runs.methods import method_named
-    from recon.runs.run_gaussians import chosen_recipe, run
-    from recon.runs.run_voxels import run_classical
+    from recon.runs.run import run
+    from recon.runs.run_folder import VOLUMES
+    from recon.runs.run_gaussians import GaussianRun, chosen_recipe
+    from recon.runs.run_views import ViewRun
+    from recon.runs.run_voxels import VoxelRun
     from recon.runs.write_run import RunFolder, score_table
+    from recon.voxel.method import ViewMethod
     from spectra.threads import set_threads
 
     if out:
@@ -141,18 +149,17 @@ def fit(
         return
     with joined() as processes, open_dataset(source, air) as opened:
         bar = ProgressBar(quiet or as_json or not processes.first)
-        options = (asked, how, figures, bar, edges, memory, processes, device)
+        way: RunMethod = GaussianRun(how, asked, edges, memory, processes, device)
         if not processes.first:
-            run(opened, None, *options)
+            if method == "gaussian":
+                run(opened, None, way, figures, bar)
             return
         folder = RunFolder(Path(out) if out else Path(f"{source.stem}-run"), overwrite, resume)
         if method != "gaussian":
             chosen = method_named(method, None if sweeps is None else max(round(sweeps), 1), seed)
-            with folder as part:
-                metrics = run_classical(opened, part, chosen, pipeline, asked, figures, bar)
-        else:
-            with folder as part:
-                metrics = run(opened, part, *options)
+            way = (ViewRun if isinstance(chosen, ViewMethod) else VoxelRun)(chosen, pipeline, asked)  # type: ignore[arg-type]
+        with folder as part:
+            metrics = run(opened, part, way, figures, bar)
     if as_json:
         click.echo(to_json({"run": str(folder.path), **metrics}))
         exit_where_failed(metrics, strict)
@@ -160,12 +167,12 @@ def fit(
     click.echo("\n".join([score_table(metrics), "", *verdict.lines(metrics)]))
     if isinstance(how, PaperRecipe):
         click.echo(how.says)
-    result = next(name for name in ("volumes.h5", "views.h5") if (folder.path / name).is_file())
-    in_what = "in voxels" if result == "volumes.h5" else "without a volume"
+    has_volumes = (folder.path / VOLUMES).is_file()
+    in_what = "in voxels" if has_volumes else "without a volume"
     what = f"{metrics['gaussians']} Gaussians" if method == "gaussian" else f"{method} {in_what}"
     click.echo(f"{what}, {seconds_text(metrics)}{memory_text(metrics)}")
     for name in sorted(path.name for path in (folder.path / "figures").glob("*.png")):
         click.echo(str(folder.path / "figures" / name))
-    ways = "look at the figures" if result == "views.h5" else f"recon view {folder.path}, or recon report {folder.path}"
+    ways = f"recon view {folder.path}, or recon report {folder.path}" if has_volumes else "look at the figures"
     click.echo(f"Wrote {folder.path}; next: {ways}")
     exit_where_failed(metrics, strict)

@@ -11,11 +11,9 @@ from jaxtyping import Float32
 from phantomgen.dataset.layout import array_at, group_at
 from phantomgen.geometry.voxel_grid import Grid
 from recon.gaussians.model import Gaussians
-from recon.runs.run_folder import MODEL, open_run
+from recon.runs.run_folder import MODEL, VOLUMES, open_run
 from recon.voxel.model import Voxels
 from spectra.errors import DatasetError
-
-VOLUMES = "volumes.h5"
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from spectra.errors import DatasetError
 from spectra.transmission import Transmission
 
 MODEL, SCAN = "model.safetensors", "scan.json"
+VOLUMES, VIEWS = "volumes.h5", "views.h5"  # the second in place of the first for methods without volumes
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,7 @@ def open_run(folder: Path) -> Run:
         When it is not one, or a file in it is damaged.
     """
     if not (folder / MODEL).is_file():
-        if (folder / "volumes.h5").is_file():
+        if (folder / VOLUMES).is_file():
             raise DatasetError(
                 f"{folder} is a run in voxels, but Gaussians are needed: `recon export` writes its volumes"
             )

@@ -7,6 +7,7 @@ lines are dropped and come again.
 import json
 import shutil
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from jaxtyping import Float
 
 from phantomgen.runtime.plain_json import to_json
 from recon.data.measurements import Measurements
+from recon.gaussians.model import Gaussians
 from recon.gaussians.optimize import Progress
 from recon.gaussians.state import FitState, InterruptedFit
 from recon.runs.checkpoint import identity, read_checkpoint, write_checkpoint, write_whole
@@ -98,6 +100,16 @@ class PartialRun:
         """Files of the models along the way, by their step."""
         found = {int(entry["step"]): self._snapshot(int(entry["step"])) for entry in self.log}
         return {step: path for step, path in found.items() if path.is_file()}
+
+    def models(self) -> Iterator[tuple[int, Gaussians]]:
+        """Load the models that were kept between steps.
+
+        Yields
+        ------
+        number of the step, and the model after it
+        """
+        for step, path in self.snapshots().items():
+            yield step, Gaussians.load(path)
 
     def add_scores(self, scores: dict[int, dict[str, float]]) -> None:
         """Add scores to the lines of their steps."""

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from phantomgen.dataset.layout import new_group, put
 from phantomgen.dataset.truth import write_grid
 from phantomgen.geometry.voxel_grid import Grid
-from recon.runs.run_folder import MODEL
+from recon.runs.run_folder import MODEL, VIEWS, VOLUMES
 from recon.runs.unfinished_run import clear, is_partial
 from recon.voxel.unreliable import Unreliable
 from spectra.errors import InputError
@@ -86,7 +86,7 @@ class RunFolder:
 
 def _is_run(path: Path) -> bool:
     """Whether a folder was written by a run; stopped ones lack volumes, voxel methods a model, some have views only."""
-    return (path / "metrics.json").is_file() and any((path / n).is_file() for n in (MODEL, "volumes.h5", "views.h5"))
+    return (path / "metrics.json").is_file() and any((path / n).is_file() for n in (MODEL, VOLUMES, VIEWS))
 
 
 class Stopped(KeyboardInterrupt):

@@ -11,6 +11,7 @@ from phantomgen.geometry.poses import Geometry
 from recon.comparison.contenders.clock import Spent
 from recon.comparison.contenders.model import Model, Runs, StoredViews
 from recon.comparison.contenders.recorder import Recorder
+from recon.data.inpainting import ray_weights
 from recon.data.measurements import read_measurements
 from recon.voxel.image_domain import log_projections
 from recon.voxel.method import Iteration, ViewMethod, ViewModel
@@ -33,8 +34,7 @@ def run_views(dataset: Dataset, method: ViewMethod, recorder: Recorder) -> Runs:
 
     recorder.clock.start()
     measured = read_measurements(dataset, dataset.splits["train"]).completed()
-    unseen = measured.unseen
-    weights = np.broadcast_to(~unseen, measured.counts[:, 0].shape).astype(np.float32) if unseen.any() else None
+    weights = ray_weights(measured.unseen, len(measured))
     with suppress(Spent):
         method.learn_views(log_projections(measured), weights, measured.geometry, dataset.grid, record)
         recorder.finished = True

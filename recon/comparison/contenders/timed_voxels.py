@@ -19,8 +19,9 @@ from recon.comparison.contenders.recorder import Recorder
 from recon.comparison.contenders.timed_views import run_views
 from recon.data.measurements import read_measurements
 from recon.gaussians.recipe import Recipe
+from recon.runs.checks import check_method
 from recon.runs.methods import method_named
-from recon.runs.run_voxels import check_method, reconstruct_volumes
+from recon.runs.run_voxels import reconstruct_volumes
 from recon.voxel.image_domain import linear_response
 from recon.voxel.iterative.multigrid import resampled
 from recon.voxel.method import (  # fmt: skip
