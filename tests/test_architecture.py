@@ -186,7 +186,8 @@ def test_the_example_that_opens_the_package_is_true():
 
 def test_the_version_is_the_same_everywhere():
     version = PROJECT["project"]["version"]
-    assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"## [{version}] - 20" in changes or f"release will be version {version}." in changes
     assert f"version: {version}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
