@@ -125,7 +125,7 @@ def render(
 
 
 def _check_free(path: Path, overwrite: bool) -> None:
-    from phantomgen.dataset.writing.writer import check_output
+    from phantomgen.runtime.outputs import check_output
     from spectra.errors import InputError
 
     if path.suffix.lower() not in _SUFFIXES:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from phantomgen.dataset.reader import Dataset, open_dataset
+from phantomgen.runtime.outputs import check_output_folder
 from recon.comparison.contenders.contender import Contender
 from recon.comparison.job import Job, read_result, result_file, write_result
 from recon.data.measurements import matching_bin, read_measurements
@@ -74,14 +75,9 @@ class Campaign:
             opened.splits  # noqa: B018 - a damaged file is refused now
         self.dataset, self.folder = dataset, folder
         self.settings = Settings(dataset.name, fingerprint(dataset), clock, threads)
-        if folder.exists() and not (folder / SETTINGS).is_file():
-            raise InputError(f"the output {folder} is not a folder that recon compare wrote; choose another by --out")
-        if folder.exists() and not (resume or overwrite):
-            raise InputError(f"the output {folder} exists: add --resume to run what is missing, or --overwrite")
+        check_output_folder(folder, overwrite or resume, "recon compare", _is_comparison, "run what is missing")
         if folder.exists() and overwrite:
             shutil.rmtree(folder)
-        if not folder.absolute().parent.is_dir():
-            raise InputError(f"the folder {folder.parent} for the output {folder.name} does not exist")
         if folder.exists():
             self._check_settings()
         (folder / RESULTS).mkdir(parents=True, exist_ok=True)
@@ -152,6 +148,11 @@ class Campaign:
             raise InputError(
                 f"{self.folder} was begun with another {' and '.join(changed)}: ask for the same, or add --overwrite"
             )
+
+
+def _is_comparison(folder: Path) -> bool:
+    """Whether a folder was written by a comparison."""
+    return (folder / SETTINGS).is_file()
 
 
 def _is_known(result: Result | None) -> bool:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from phantomgen.dataset.layout import new_group, put
 from phantomgen.dataset.truth import write_grid
 from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.runtime.outputs import check_output_folder, refuse_interrupted
 from recon.runs.run_folder import MODEL, VIEWS, VOLUMES
 from recon.runs.unfinished_run import clear, is_partial
 from recon.voxel.unreliable import Unreliable
@@ -39,20 +40,14 @@ class RunFolder:
     def __init__(self, path: Path, overwrite: bool, resume: bool = False) -> None:
         self.path, self.resume = path, resume
         self.part = path.absolute().with_name(path.absolute().name + ".part")
-        taken = path.exists() or path.is_symlink()
-        interrupted = taken and not path.is_symlink() and is_partial(path)
-        if interrupted and not (resume or overwrite):
-            raise InputError(f"the output {path} is a run that was interrupted: go on by --resume, or add --overwrite")
-        if taken and not (overwrite or interrupted):
-            raise InputError(f"the output {path} exists: choose another name by --out, or add --overwrite")
-        if taken and (path.is_symlink() or not _is_run(path)):
-            raise InputError(f"the output {path} is not a folder that recon wrote; it will not be replaced")
-        if not path.absolute().parent.is_dir():
-            raise InputError(f"the folder {path.parent} for the output {path.name} does not exist")
+        interrupted = is_partial(path) and not path.is_symlink()
+        if interrupted:
+            refuse_interrupted(path, resume, overwrite)
+        check_output_folder(path, overwrite or interrupted, "recon", _is_run)
         if self.part.exists() and not (self.part / "figures").is_dir():
             raise InputError(f"{self.part} is in the way and was not written by recon: move it, or choose another name")
-        if is_partial(self.part) and not (resume or overwrite):
-            raise InputError(f"{self.part} is a run that was interrupted: go on by --resume, or anew by --overwrite")
+        if is_partial(self.part):
+            refuse_interrupted(self.part, resume, overwrite)
 
     def __enter__(self) -> Path:
         try:
