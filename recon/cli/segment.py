@@ -95,7 +95,7 @@ def segment(
 
     if out is not None:
         check_run_name(out)
-    say = _silent if quiet or as_json else _statistical_weights
+    say = _silent if quiet or as_json else _say
     chosen = parse_views(views) or DEFAULT_VIEWS
     options = Options(domain, features, bandwidth, energies or (ENERGY,), seed)
     if truth is not None:
@@ -127,7 +127,7 @@ def segment(
 
 
 def _reference(run: Path, truth: Path | None, found: "Segmentation", say) -> "Reference | None":
-    """The truth that is asked for, or the one that lies at hand; says why there are no scores."""
+    """The truth that is asked for, or that of a dataset beside the run or here; says why there are no scores."""
     from recon.segmentation.scoring.reference import read_reference
     from spectra.errors import Error
 
@@ -148,7 +148,7 @@ def _reference(run: Path, truth: Path | None, found: "Segmentation", say) -> "Re
     return reference
 
 
-def _statistical_weights(sentence: str) -> None:
+def _say(sentence: str) -> None:
     click.echo(sentence, err=True)
 
 

@@ -56,17 +56,17 @@ class VolumeOutcome:
     ----------
     dataset : open dataset, in the basis functions from which those of the model were chosen
     model : the result
-    in_views : the result as test views are predicted from it, with the margin of a truncated scan; None for `model`
     transmission : spectral model of the reconstruction
+    about : first entries of ``metrics.json``: dataset, method and what was chosen
+    settings : content of ``recipe.yaml``
     node_error : largest error of the log counts from compressing the energy grid
+    in_views : the result as test views are predicted from it, with the margin of a truncated scan; None for `model`
     coverage : what the scan covers of its object; None where nobody has looked
     unreliable : voxels whose bases the counts do not determine; None where there are none
     left_out : names of the dataset's basis functions that were not reconstructed
     notes : sentences of the reconstruction for the verdict
-    about : first entries of ``metrics.json``: dataset, method and what was chosen
-    settings : content of ``recipe.yaml``
     start : volumes that the reconstruction began with [1/mm], by the name of their method
-    log : kept models between the steps; None for no scores of them
+    log : models that were kept between the steps; None for no scores of them
     figures : functions that draw more than `recon.figures.model_figures.draw_model`, by the name of the file
     """
 
