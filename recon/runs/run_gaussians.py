@@ -145,7 +145,8 @@ class GaussianRun:
         if interruption.asked and last and last[0].step < last[0].steps:
             outcome.write_model(unfinished.folder)
             raise _stopped(last[0], unfinished)
-        more: dict[str, Callable[[Path], Any]] = {"convergence.png": partial(_draw_convergence, unfinished.log)}
+        seconds, deviances = (np.array([entry[key] for entry in unfinished.log]) for key in ("seconds", "deviance"))
+        more: dict[str, Callable[[Path], Any]] = {"convergence.png": partial(convergence, seconds, deviances)}
         if fitted.choice is not None:
             more["edge.png"] = partial(draw_choice, fitted.choice, fitted.dataset)
         return replace(outcome, log=unfinished, figures=more)
@@ -231,9 +232,3 @@ def _stopped(progress: Progress, unfinished: PartialRun) -> Stopped:
     done = {"gaussians": len(progress.gaussians), "step": progress.step, "steps": progress.steps}
     write_json(unfinished.folder / "metrics.json", {"interrupted": done})
     return Stopped(f"after step {progress.step} of {progress.steps}")
-
-
-def _draw_convergence(log: list[dict[str, Any]], path: Path) -> None:
-    """Draw the deviance of every step over time."""
-    seconds, deviances = (np.array([entry[key] for entry in log]) for key in ("seconds", "deviance"))
-    convergence(seconds, deviances, path)

@@ -77,7 +77,7 @@ def _views(model: Model, dataset: Dataset) -> Iterator[HeldOutView]:
 
 
 def _score_views(model: Model, dataset: Dataset) -> dict[str, Any]:
-    """Means over the test views of ``psnr`` [dB], ``ssim`` and ``lpips`` of log projections, by protocol and channel."""
+    """Means over the test views of ``psnr`` [dB], ``ssim`` and ``lpips`` of projections, by protocol and channel."""
     channels, peaks = dataset.spectra.channels, largest_projections(dataset)
     rows: dict[str, list[list[_Row]]] = {name: [[] for _ in channels] for name in PROTOCOLS}
     for view in _views(model, dataset):
