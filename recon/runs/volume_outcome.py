@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import yaml
@@ -27,6 +27,7 @@ from recon.voxel.unreliable import Unreliable
 from spectra.transmission import Transmission
 
 
+@runtime_checkable
 class Log(Protocol):
     """Interface of a log that kept models between its steps, as `recon.runs.unfinished_run.PartialRun` does."""
 
