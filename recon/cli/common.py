@@ -48,7 +48,7 @@ def exit_where_failed(metrics: dict[str, Any], strict: bool) -> None:
 
 
 def refuse_options(beside: str, options: dict[str, Any]) -> None:
-    """Refuse options that have no effect beside another one.
+    """Refuse options that have no meaning beside another one.
 
     Parameters
     ----------
