@@ -66,7 +66,7 @@ class Fit:
     recipe : hyper-parameters of the fit
     path : dataset, which is opened again for scores and names of channels
     air : part of the panel that takes the place of flats; None for flats
-    choice : of basis functions; None for the paper's method, which takes what it is told
+    choice : of basis functions; None for the paper's method, which fits those that are asked for
     left_out : names of the dataset's basis functions that are not fitted
     log : one entry per step
     """
@@ -226,11 +226,11 @@ def fit(
         with open_dataset(dataset) as opened:
             return fit(opened, recipe, bases=bases, edges=edges, callbacks=callbacks)
     how, log, stated = _recipe(recipe), [], dataset.spectra.basis.names
-    told = [_on_step(callback) for callback in callbacks]
+    after_step = [_on_step(callback) for callback in callbacks]
 
     def on_step(progress: Progress) -> bool:
         log.append(log_entry(progress, dataset.spectra.channels))
-        return any([bool(tell(progress)) for tell in told])  # noqa: C419 - all of them are told
+        return any([bool(callback(progress)) for callback in after_step])  # noqa: C419 - all callbacks are called
 
     if isinstance(how, PaperRecipe):
         chosen, count = with_named(dataset, bases)

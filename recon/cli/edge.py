@@ -31,8 +31,8 @@ def edge(
 ) -> None:
     """Find the energies of K edges in DATASET.
 
-    Tries edges at all energies on rays that two bases do not explain, whatever the dataset says about edges, and writes
-    the profile likelihood as JSON and as a figure.
+    Tries edges at all energies on rays that two bases do not explain, without the edges that the dataset states, and
+    writes the profile likelihood as JSON and as a figure.
     """
     from phantomgen.dataset.reader import open_dataset
     from phantomgen.runtime.plain_json import to_json

@@ -39,7 +39,7 @@ class Fitted(NamedTuple):
     ----------
     dataset : in the basis functions that were named or chosen
     count : how many of them to fit; None for all
-    choice : of basis functions; None for the paper's method, which takes what it is told
+    choice : of basis functions; None for the paper's method, which fits those that are asked for
     """
 
     dataset: Dataset
@@ -84,7 +84,7 @@ class GaussianRun:
         check_directions(dataset.geometry[dataset.splits["train"]])
 
     def reconstruct(self, dataset: Dataset, folder: Path | None, clock: Stopwatch, watcher: Watcher) -> VolumeOutcome:
-        """Choose the basis and fit Gaussians to the training views; goes on from a checkpoint in the folder.
+        """Choose the basis and fit Gaussians to the training views; continue from a checkpoint in the folder.
 
         Parameters
         ----------

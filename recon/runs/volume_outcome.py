@@ -62,7 +62,7 @@ class VolumeOutcome:
     settings : content of ``recipe.yaml``
     node_error : largest error of the log counts from compressing the energy grid
     in_views : the result as test views are predicted from it, with the margin of a truncated scan; None for `model`
-    coverage : what the scan covers of its object; None where nobody has looked
+    coverage : what the scan covers of its object; None for a method that does not compute it
     unreliable : voxels whose bases the counts do not determine; None where there are none
     left_out : names of the dataset's basis functions that were not reconstructed
     notes : sentences of the reconstruction for the verdict
@@ -142,7 +142,7 @@ class VolumeOutcome:
         with guard("the verdict"):
             metrics["verdict"] = verdict.record(self.verdict(metrics["channels"]))
         if self.log is not None:
-            with guard("scoring the models along the way"):
+            with guard("scoring the models between the steps"):
                 models = () if truth is None else self.log.models()
                 self.log.add_scores({step: psnr_of_bases(truth, model) for step, model in models})  # type: ignore[arg-type]
         about = {"node_error": self.node_error, "bases_left_out": list(self.left_out), "versions": environment()}

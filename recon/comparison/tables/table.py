@@ -12,7 +12,7 @@ from spectra.basis.basis import pretty
 
 Result = dict[str, Any]
 ABSENT = "-"
-EARLY = 0.95  # part of a budget; the table says of a run that finished before that it stopped by itself
+EARLY = 0.95  # part of a budget; the table marks runs that finished before as stopped by themselves
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
