@@ -1,6 +1,7 @@
 """Parts that commands of recon share: progress bar, checks of options, and text for the end of a run."""
 
 import traceback
+from collections.abc import Callable
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -102,6 +103,20 @@ def each_text(values: Any) -> str:
     such as ``1.0/1.1/0.9``
     """
     return "/".join(f"{value:.1f}" for value in values)
+
+
+def teller(quiet: bool) -> Callable[[str], None]:
+    """Return a function that writes sentences to stderr.
+
+    Parameters
+    ----------
+    quiet : whether the function shall do nothing
+
+    Returns
+    -------
+    the function
+    """
+    return (lambda sentence: None) if quiet else (lambda sentence: click.echo(sentence, err=True))
 
 
 class ProgressBar:

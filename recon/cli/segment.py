@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from phantomgen.cli.common import debug_option, json_option
+from recon.cli.common import teller
 from recon.cli.run_argument import RunFolder, check_run_name
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ def segment(
 
     if out is not None:
         check_run_name(out)
-    say = _silent if quiet or as_json else _say
+    say = teller(quiet or as_json)
     chosen = parse_views(views) or DEFAULT_VIEWS
     options = Options(domain, features, bandwidth, energies or (ENERGY,), seed)
     if truth is not None:
@@ -161,11 +162,3 @@ def _reference(run: Path, truth: Path | None, found: "Segmentation", say) -> "Re
     if reference is None:
         say(f"No scores: {places[0]} has no truth")
     return reference
-
-
-def _say(sentence: str) -> None:
-    click.echo(sentence, err=True)
-
-
-def _silent(_: str) -> None:
-    return
