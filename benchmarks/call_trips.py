@@ -6,7 +6,8 @@
 A call is followed from the file of the calling function to that of the called one; functions of other libraries
 between them are skipped, and what runs while a module is imported does not count. Every pair of files counts once,
 however often it is called. A climb is a pair whose called file lies in a higher layer than the calling one, by the
-import contracts of pyproject.toml: a callback, a method of an object from above, or a decorator.
+import contracts of pyproject.toml: a callback, a method of an object from above, or a decorator. Pieces of work that
+`spectra.threads` runs are counted apart.
 
 The path of the counts of a fit is the part of these calls that hands over the counts, from the command to the first
 evaluation of the likelihood of Gaussians: an argument is an open dataset, the measurements read from it, or an array
@@ -37,6 +38,7 @@ PACKAGES = ("recon", "phantomgen", "spectra")
 HOLDERS = ("Dataset", "Measurements")  # classes that hold counts
 NAME = "counts"  # of an argument that is an array of counts
 LAST = "recon.gaussians.likelihood"  # where the path of the counts of a fit ends
+MAP = "spectra.threads"  # runs pieces of work in threads, so that every kernel is called from there
 PIXELS, VIEWS, VOXELS = 16, 9, 12  # of the scan; calls do not depend on them
 
 Pair = tuple[str, str]
@@ -216,7 +218,10 @@ def report(calls: Calls, listed: bool) -> list[str]:
     for name, pairs in sections.items():
         files = sorted({module for pair in pairs for module in pair})
         climbs = {pair: function for pair, function in pairs.items() if is_climb(pair, contracts)}
-        lines.append(f"{name}: {len(files)} files, {len(pairs)} pairs, {len(climbs)} climbs")
+        pieces = sum(caller == MAP for caller, _ in climbs)
+        lines.append(
+            f"{name}: {len(files)} files, {len(pairs)} pairs, {len(climbs) - pieces} climbs, {pieces} of {MAP}"
+        )
         if listed:
             lines += [f"  file {module}" for module in files]
             lines += [f"  climb {a} -> {b}: {function}" for (a, b), function in sorted(climbs.items())]

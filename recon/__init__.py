@@ -1,12 +1,12 @@
-"""From spectral-CT counts to basis volumes, by Gaussians that know the physics.
+"""Reconstruction of basis volumes from spectral-CT counts, by Gaussians with a physical forward model.
 
 >>> import recon
 >>> recon.Recipe().stages
 (Stage(pixel=0.5, sweeps=1.0),)
 
-`recon.fit(dataset)` is the whole way from an open dataset to a fit that renders, scores and saves itself,
-`recon.segment(fit)` finds its materials, and `recon.reconstruct(dataset, recipe)` is the bare computation. Names are
-imported when they are first used, so that importing the package costs nothing.
+`recon.fit(dataset)` gives a fit that renders, scores and saves itself, `recon.segment(fit)` finds its materials, and
+`recon.reconstruct(dataset, recipe)` is the computation alone. Names are imported when they are first used, so that
+importing the package takes no time.
 """
 
 from importlib import import_module

@@ -26,13 +26,15 @@ if TYPE_CHECKING:
     help="Basis functions to fit: those that the counts warrant, the first ones of the file, or those named.",
 )
 @click.option(
-    "--edge", metavar="auto|keV[,keV]", help="Look for K edges, starting anywhere [default: believe the file]."
+    "--edge",
+    metavar="auto|keV[,keV]",
+    help="Search for K edges at all energies, these included [default: take those of the file].",
 )
 @click.option(
     "--sweeps",
     type=click.FloatRange(min=0, min_open=True),
     callback=finite_number,
-    help="Times every training view is used.",
+    help="Number of times that every training view is used.",
 )
 @click.option(
     "--recipe",
@@ -48,19 +50,21 @@ if TYPE_CHECKING:
     type=click.Choice(["gaussian", *METHODS]),
     default="gaussian",
     show_default=True,
-    help="Gaussians, or a method to compare with, classical or learned; `--sweeps` are then its iterations.",
+    help="Gaussians, or a classical or learned method for comparison; `--sweeps` are then its iterations.",
 )
 @click.option(
     "--pipeline",
     type=click.Choice(["two-step", "image"]),
     default="two-step",
     show_default=True,
-    help="Of classical methods: bases from counts ray by ray before, or linearly voxel by voxel after.",
+    help="Of voxel methods: decompose rays before the reconstruction, or voxels after it.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all that is random.")
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
-@click.option("--held-out", type=click.IntRange(min=0), default=0, help="Training views that only say when to stop.")
+@click.option(
+    "--held-out", type=click.IntRange(min=0), default=0, help="Number of training views that only tell when to stop."
+)
 @click.option("--memory", type=click.FloatRange(min=0, min_open=True), metavar="GIB", help="Largest memory to take.")
 @click.option(
     "--device",
@@ -69,7 +73,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="Where Gaussians are computed.",
 )
-@click.option("--dry-run", is_flag=True, help="Say what it takes: Gaussians, time, memory; write nothing.")
+@click.option("--dry-run", is_flag=True, help="Estimate Gaussians, time and memory; write nothing.")
 @click.option("--strict", is_flag=True, help="Exit code 3 where a check of the verdict failed.")
 @click.option("--resume", is_flag=True, help="Go on with a run that was interrupted, if there is one.")
 @click.option("--overwrite", is_flag=True, help="Replace a run folder that exists.")
@@ -102,11 +106,11 @@ def fit(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Fit Gaussians to DATASET, or reconstruct it classically, and score the result.
+    """Fit Gaussians to DATASET, or reconstruct it by another method, and score the result.
 
     Writes a run folder: model.safetensors, volumes.h5, metrics.json, log.jsonl and figures. `--bases auto` uses
     those basis functions of the dataset that its counts warrant; the truth is read only after the fit, for the score.
-    Ctrl-C stops after the step and leaves the model; --resume goes on, also after a crash.
+    Ctrl-C ends the fit after the current step and keeps the model; --resume continues, also after a crash.
     """
     from phantomgen.dataset.reader import open_dataset
     from phantomgen.runtime.plain_json import to_json

@@ -1,4 +1,4 @@
-"""What is refused before a run begins: methods that do not fit the scan, and counts that cannot be scored."""
+"""Check of a voxel or view method before a run: its pipeline, and the orbit of the scan."""
 
 from phantomgen.dataset.reader import Dataset
 from recon.voxel.filtered.circular_orbit import circular_orbit_of
@@ -35,19 +35,3 @@ def check_method(method: Method | ViewMethod, pipeline: str, dataset: Dataset) -
     check_directions(train)
     if isinstance(method, Fdk):
         circular_orbit_of(train, dataset.grid)
-
-
-def check_test_views(dataset: Dataset) -> None:
-    """Refuse counts that cannot be scored before the reconstruction; one view is in memory at a time.
-
-    Parameters
-    ----------
-    dataset : open dataset
-
-    Raises
-    ------
-    DatasetError
-        When a test view holds values that are not counts.
-    """
-    for view in dataset.splits["test"]:
-        dataset.load([view])

@@ -1,7 +1,7 @@
 """Interfaces between a run, its method of reconstruction, and the program that shows its progress."""
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import Truth
@@ -11,6 +11,7 @@ from recon.gaussians.optimize import Progress
 from recon.voxel.method import Iteration
 
 
+@runtime_checkable
 class Watcher(Protocol):
     """Interface of what shows the progress of a run."""
 
@@ -56,6 +57,7 @@ class Watcher(Protocol):
         """
 
 
+@runtime_checkable
 class Outcome(Protocol):
     """Interface of a finished reconstruction, which a run writes, scores and draws."""
 
@@ -97,6 +99,7 @@ class Outcome(Protocol):
         """
 
 
+@runtime_checkable
 class RunMethod(Protocol):
     """Interface of a method of reconstruction with all that steers it."""
 

@@ -1,4 +1,4 @@
-"""What a run folder holds to be looked at and exported, whichever method wrote it: volumes, and Gaussians if any."""
+"""Reading a run folder of any method: volumes, and Gaussians where the method has them."""
 
 import json
 from dataclasses import dataclass
@@ -18,15 +18,15 @@ from spectra.errors import DatasetError
 
 @dataclass(frozen=True, eq=False)
 class StoredRun:
-    """A run.
+    """Result of a run, as read from its folder.
 
     Parameters
     ----------
-    folder : where it is
+    folder : run folder
     grid, basis_names : of the volumes
-    volumes : coefficients [1/mm]
-    gaussians : the model, None where the method has none
-    dataset : name of the file that was reconstructed, empty where the folder does not say
+    volumes : basis coefficients [1/mm]
+    gaussians : the fitted Gaussians; None where the method has none
+    dataset : name of the file that was reconstructed; empty where the folder does not state it
     """
 
     folder: Path
@@ -42,7 +42,16 @@ class StoredRun:
         return self.folder.resolve().name
 
     def on(self, grid: Grid) -> Float32[np.ndarray, "basis z y x"]:
-        """Volumes on another grid: of the Gaussians exactly, of voxels by linear interpolation [1/mm]."""
+        """Compute the volumes on another grid.
+
+        Parameters
+        ----------
+        grid : any grid
+
+        Returns
+        -------
+        basis coefficients [1/mm]: means over the voxels where the run has Gaussians, else interpolated linearly
+        """
         if grid == self.grid:
             return self.volumes
         model = self.gaussians or Voxels(self.volumes, self.grid, self.basis_names)
@@ -50,7 +59,11 @@ class StoredRun:
 
 
 def check_run_folder(folder: Path) -> None:
-    """Refuse what is no run folder at a glance, before anything is read.
+    """Refuse a folder without the files of a run, before anything is read.
+
+    Parameters
+    ----------
+    folder : run folder
 
     Raises
     ------
@@ -64,7 +77,15 @@ def check_run_folder(folder: Path) -> None:
 
 
 def read_run(folder: Path) -> StoredRun:
-    """Read a run folder; that of a fit that was interrupted has a model, whose volumes are computed here.
+    """Read a run folder; volumes of an interrupted fit, which are not in its folder, are computed.
+
+    Parameters
+    ----------
+    folder : run folder
+
+    Returns
+    -------
+    the result
 
     Raises
     ------

@@ -39,7 +39,7 @@ class Fitted(NamedTuple):
     ----------
     dataset : in the basis functions that were named or chosen
     count : how many of them to fit; None for all
-    choice : of basis functions; None for the paper's method, which takes what it is told
+    choice : of basis functions; None for the paper's method, which fits those that are asked for
     """
 
     dataset: Dataset
@@ -84,7 +84,7 @@ class GaussianRun:
         check_directions(dataset.geometry[dataset.splits["train"]])
 
     def reconstruct(self, dataset: Dataset, folder: Path | None, clock: Stopwatch, watcher: Watcher) -> VolumeOutcome:
-        """Choose the basis and fit Gaussians to the training views; goes on from a checkpoint in the folder.
+        """Choose the basis and fit Gaussians to the training views; continue from a checkpoint in the folder.
 
         Parameters
         ----------
@@ -143,7 +143,8 @@ class GaussianRun:
         if interruption.asked and last and last[0].step < last[0].steps:
             outcome.write_model(unfinished.folder)
             raise _stopped(last[0], unfinished)
-        more: dict[str, Callable[[Path], Any]] = {"convergence.png": partial(_draw_convergence, unfinished.log)}
+        seconds, deviances = (np.array([entry[key] for entry in unfinished.log]) for key in ("seconds", "deviance"))
+        more: dict[str, Callable[[Path], Any]] = {"convergence.png": partial(convergence, seconds, deviances)}
         if fitted.choice is not None:
             more["edge.png"] = partial(draw_choice, fitted.choice, fitted.dataset)
         return replace(outcome, log=unfinished, figures=more)
@@ -229,9 +230,3 @@ def _stopped(progress: Progress, unfinished: PartialRun) -> Stopped:
     done = {"gaussians": len(progress.gaussians), "step": progress.step, "steps": progress.steps}
     write_json(unfinished.folder / "metrics.json", {"interrupted": done})
     return Stopped(f"after step {progress.step} of {progress.steps}")
-
-
-def _draw_convergence(log: list[dict[str, Any]], path: Path) -> None:
-    """Draw the deviance of every step over time."""
-    seconds, deviances = (np.array([entry[key] for entry in log]) for key in ("seconds", "deviance"))
-    convergence(seconds, deviances, path)

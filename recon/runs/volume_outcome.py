@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import yaml
@@ -27,6 +27,7 @@ from recon.voxel.unreliable import Unreliable
 from spectra.transmission import Transmission
 
 
+@runtime_checkable
 class Log(Protocol):
     """Interface of a log that kept models between its steps, as `recon.runs.unfinished_run.PartialRun` does."""
 
@@ -56,17 +57,17 @@ class VolumeOutcome:
     ----------
     dataset : open dataset, in the basis functions from which those of the model were chosen
     model : the result
-    in_views : the result as test views are predicted from it, with the margin of a truncated scan; None for `model`
     transmission : spectral model of the reconstruction
+    about : first entries of ``metrics.json``: dataset, method and what was chosen
+    settings : content of ``recipe.yaml``
     node_error : largest error of the log counts from compressing the energy grid
-    coverage : what the scan covers of its object; None where nobody has looked
+    in_views : the result as test views are predicted from it, with the margin of a truncated scan; None for `model`
+    coverage : what the scan covers of its object; None for a method that does not compute it
     unreliable : voxels whose bases the counts do not determine; None where there are none
     left_out : names of the dataset's basis functions that were not reconstructed
     notes : sentences of the reconstruction for the verdict
-    about : first entries of ``metrics.json``: dataset, method and what was chosen
-    settings : content of ``recipe.yaml``
     start : volumes that the reconstruction began with [1/mm], by the name of their method
-    log : kept models between the steps; None for no scores of them
+    log : models that were kept between the steps; None for no scores of them
     figures : functions that draw more than `recon.figures.model_figures.draw_model`, by the name of the file
     """
 
@@ -141,7 +142,7 @@ class VolumeOutcome:
         with guard("the verdict"):
             metrics["verdict"] = verdict.record(self.verdict(metrics["channels"]))
         if self.log is not None:
-            with guard("scoring the models along the way"):
+            with guard("scoring the models between the steps"):
                 models = () if truth is None else self.log.models()
                 self.log.add_scores({step: psnr_of_bases(truth, model) for step, model in models})  # type: ignore[arg-type]
         about = {"node_error": self.node_error, "bases_left_out": list(self.left_out), "versions": environment()}

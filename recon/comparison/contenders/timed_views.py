@@ -1,4 +1,4 @@
-"""Methods that predict views and have no volume, against the clock."""
+"""Timed runs of methods that predict views and have no volume."""
 
 from contextlib import suppress
 from functools import partial
@@ -18,13 +18,17 @@ from recon.voxel.method import Iteration, ViewMethod, ViewModel
 
 
 def run_views(dataset: Dataset, method: ViewMethod, recorder: Recorder) -> Runs:
-    """Run until the largest budget is spent, or the method is done.
+    """Run until the largest budget is over, or the method is finished.
 
     Parameters
     ----------
-    dataset : an open dataset, restricted to what the contender may see; only ``/entry`` is read
+    dataset : open dataset, restricted to what the contender may use; only ``/entry`` is read
     method : predicts views
-    recorder : is given what every iteration expects in the test views
+    recorder : gets the prediction of the test views after every iteration
+
+    Returns
+    -------
+    the run
     """
     test = dataset.geometry[dataset.splits["test"]]
 

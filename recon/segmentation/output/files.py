@@ -11,6 +11,7 @@ from phantomgen.dataset.layout import new_group, put
 from phantomgen.dataset.truth import write_grid
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.disk import one_sentence
+from phantomgen.runtime.outputs import check_output_folder
 from phantomgen.runtime.plain_json import write_json
 from recon.gaussians.model import Gaussians
 from recon.segmentation.result import Segmentation
@@ -38,12 +39,7 @@ class SegmentFolder:
     def __init__(self, path: Path, overwrite: bool) -> None:
         self.path = path
         self.part = path.absolute().with_name(path.absolute().name + ".part")
-        if path.exists() and not overwrite:
-            raise InputError(f"the output {path} exists: choose another name by --out, or add --overwrite")
-        if path.exists() and not (path / VOLUMES).is_file():
-            raise InputError(f"the output {path} is not a folder that recon segment wrote; it will not be replaced")
-        if not path.absolute().parent.is_dir():
-            raise InputError(f"the folder {path.parent} for the output {path.name} does not exist")
+        check_output_folder(path, overwrite, "recon segment", lambda folder: (folder / VOLUMES).is_file())
 
     def __enter__(self) -> Path:
         with one_sentence(self.part):

@@ -163,7 +163,7 @@ def test_a_fit_that_was_stopped_gets_its_name_and_goes_on_from_there(tmp_path):
     with pytest.raises(KeyboardInterrupt, match=r"run holds the model after step 3 of 9.*--resume"):
         interrupted(run, Stopped("after step 3 of 9"), **files)
     assert (run / "model.safetensors").read_text() == "mine"
-    with pytest.raises(InputError, match="interrupted: go on by --resume"):
+    with pytest.raises(InputError, match="interrupted run finished: go on by --resume"):
         RunFolder(run, overwrite=False)
     with RunFolder(run, overwrite=False, resume=True) as part:
         assert is_partial(part)
