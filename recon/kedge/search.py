@@ -16,6 +16,7 @@ from spectra.basis.basis import BasisFunction
 
 WIDEST = 5.0  # keV; an edge whose energy is less certain than this is refused; chosen by hand, not measured
 NEARBY = 2.0  # keV; half the range in which an edge is refined while the others move; chosen by hand, not measured
+NEARBY_ENERGIES = 9  # energies in that range that are tried before the best is refined; chosen by hand, not measured
 SETTLED = 0.005  # keV; edges that move by less have converged; chosen by hand, below the Cramer-Rao bounds of presets
 ROUNDS = 10  # largest number of times that every edge is refined; chosen by hand, not measured
 BESIDE = 4  # elements on either side that are tried while the other edges move; chosen by hand, not measured
@@ -157,7 +158,8 @@ def _refined(likelihood: EdgeLikelihood, others: Functions, edge: BasisFunction)
     if edge.kind == "element":
         scan = scan_elements(likelihood, others, neighbours(edge, elements_within(likelihood.spectra), BESIDE))
         return scan.function, scan.profile
-    profile = scan_edge(likelihood, others, edge, float(edge.edge_energy or 0.0) + np.linspace(-NEARBY, NEARBY, 9))
+    energies = float(edge.edge_energy or 0.0) + np.linspace(-NEARBY, NEARBY, NEARBY_ENERGIES)
+    profile = scan_edge(likelihood, others, edge, energies)
     return moved_edge(edge, profile.best), profile
 
 

@@ -265,9 +265,9 @@ def verdict_of_fit(dataset: Dataset, result: Reconstruction, channels: dict[str,
         names = stated.spectra.basis.names
     volumes, views = result.gaussians.volume(dataset.grid), len(dataset.splits["train"])
     fitted, concedes = result.gaussians.basis_names, Recipe().dispersion
-    return verdict.verdict_of(
-        channels, concedes, result.coverage, volumes, views, fitted, names, result.notes, result.unreliable
-    )
+    covered, unreliable = result.coverage, result.unreliable
+    outcome = verdict.FitOutcome(channels, concedes, volumes, views, fitted, names, covered, unreliable, result.notes)
+    return verdict.verdict_of(outcome)
 
 
 def _psnr_along_the_way(checkpoints: PartialRun, truth: Truth | None) -> dict[int, dict[str, float]]:

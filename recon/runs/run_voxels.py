@@ -26,7 +26,7 @@ from recon.data.inpainting import inpainted
 from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import Measurements, matching_bin, read_measurements
 from recon.evaluation.scoring import psnr_of_bases, score_test_views, score_truth
-from recon.evaluation.verdict import record, verdict_of
+from recon.evaluation.verdict import FitOutcome, record, verdict_of
 from recon.figures.model_figures import draw_model
 from recon.gaussians.recipe import Recipe
 from recon.kedge.basis_names import Asked, left_out, left_out_sentence, with_named
@@ -141,10 +141,9 @@ def run_classical(
         metrics |= {"node_error": node_error, "bases_left_out": list(missing)}
         with guard("the verdict"):
             views, concedes = len(dataset.splits["train"]), Recipe().dispersion
-            said = verdict_of(
-                metrics["channels"], concedes, covered, volumes, views, model.basis_names, stated, (), unreliable
-            )
-            metrics["verdict"] = record(said)
+            scores, fitted = metrics["channels"], model.basis_names
+            outcome = FitOutcome(scores, concedes, volumes, views, fitted, stated, covered, unreliable)
+            metrics["verdict"] = record(verdict_of(outcome))
         with guard("scoring the volumes along the way"):
             log.write(folder / "log.jsonl", truth, model.basis_names, model.grid)
 
