@@ -1,9 +1,9 @@
 """Interpolation of blind pixels from those around them."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
-
-Lines = Int[np.ndarray, "row column"]
 
 
 def inpainted(
@@ -25,7 +25,7 @@ def inpainted(
     """
     if not unseen.any() or unseen.all():
         return images
-    along = [_between(~unseen), [x.T for x in _between(~unseen.T)]]
+    along = [_between(~unseen), _Neighbours(*(x.T for x in _between(~unseen.T)))]
     row, column = np.nonzero(unseen)
     whole, best = images.copy(), np.full(len(row), np.inf)
     for (before, after, gap), axis in zip(along, (1, 0), strict=True):
@@ -41,8 +41,16 @@ def inpainted(
     return inpainted(whole, left)
 
 
-def _between(seen: Bool[np.ndarray, "row column"]) -> list[np.ndarray]:
-    """Nearest seen columns before and after every pixel in its row, and the gap between them; inf without any."""
+class _Neighbours(NamedTuple):
+    """Nearest seen places before and after every pixel along one axis, and the gap between them; inf without any."""
+
+    before: Int[np.ndarray, "row column"]
+    after: Int[np.ndarray, "row column"]
+    gap: Float[np.ndarray, "row column"]
+
+
+def _between(seen: Bool[np.ndarray, "row column"]) -> _Neighbours:
+    """Nearest seen columns in the row of every pixel."""
     count = seen.shape[1]
     column = np.broadcast_to(np.arange(count), seen.shape)
     before = np.maximum.accumulate(np.where(seen, column, -1), axis=1)
@@ -50,7 +58,7 @@ def _between(seen: Bool[np.ndarray, "row column"]) -> list[np.ndarray]:
     first, last = before < 0, after >= count
     gap = np.where(first & last, np.inf, np.where(first | last, 2.0 * count, 0.0) + after - before)
     before, after = np.where(first, after, before), np.where(last, before, after)
-    return [before, after, gap]
+    return _Neighbours(before, after, gap)
 
 
 def ray_weights(unseen: Bool[np.ndarray, "row column"], views: int) -> Float32[np.ndarray, "view row column"] | None:

@@ -87,6 +87,6 @@ def check_directions(geometry: Geometry) -> None:
     if apart < _PARALLEL:
         views = "1 view" if len(geometry) == 1 else f"{len(geometry)} views"
         raise GeometryError(
-            f"a volume needs views from several sides, and the {views} of this scan look the same way within "
+            f"a volume needs views from several sides, and the {views} of this scan have the same direction within "
             f"{np.rad2deg(_PARALLEL):.2g} degrees ({geometry.kind} geometry)"
         )

@@ -174,7 +174,7 @@ def sentence(found: dict[str, Any]) -> str:
         )
     count = "1 voxel" if found["voxels"] == 1 else f"{found['voxels']} voxels"
     return (
-        f"The counts do not tell the bases in {count} ({100 * found['part']:.2g} % of what the object fills) {place} "
-        f"{where} mm: {', and '.join(why)}; do not read values there. "
+        f"The counts do not determine the bases in {count} ({100 * found['part']:.2g} % of what the object fills) "
+        f"{place} {where} mm: {', and '.join(why)}; do not read values there. "
         "Scores against a truth are given over all voxels, and without these as 'elsewhere'."
     )

@@ -26,7 +26,7 @@ class Cgls(IterativeMethod):
 
     Parameters
     ----------
-    iterations : passes over all views; 12 by `benchmarks.reconstruction.comparison_methods`, as noise overtakes beyond
+    iterations : passes over all views; 12 by `benchmarks.reconstruction.comparison_methods`, as noise grows beyond
     """
 
     iterations: int = 12

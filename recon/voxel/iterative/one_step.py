@@ -40,7 +40,7 @@ from spectra.errors import InputError
 from spectra.threads import without_other_pools
 
 # views of a kind; distance of two views whose curvature is computed, as that of the others is similar; no whole number,
-# so that it is no multiple of a period of the orbit; chosen by hand, not measured
+# so that it follows no period of the orbit; chosen by hand, not measured
 CURVATURE_STEP = 3.236
 # no unit, over the least deviance of a pass; where a pass exceeds it, the subsets have diverged, and half as many go on
 # from the best volumes; chosen by hand, not measured

@@ -25,7 +25,7 @@ class Sirt(IterativeMethod):
 
     Parameters
     ----------
-    iterations : passes over all views; 80 by `benchmarks.reconstruction.comparison_methods`, as noise overtakes beyond
+    iterations : passes over all views; 80 by `benchmarks.reconstruction.comparison_methods`, as noise grows beyond
     relaxation : length of a step [no unit]; SIRT converges below 2, and fastest near it
     non_negative : whether negative values become 0 after each step
     """
