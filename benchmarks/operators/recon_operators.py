@@ -30,7 +30,7 @@ from phantomgen.geometry.voxel_grid import Grid
 from recon.ops.backproject import backproject
 from recon.ops.chords import chords, fill
 from recon.ops.decompose import decompose
-from recon.ops.likelihood import likelihood
+from recon.ops.likelihood import MeasuredCounts, likelihood
 from recon.ops.nonnegative_newton import inverse_blocks, nonnegative_newton_step
 from recon.ops.rasterize import Projector, rasterize
 from recon.ops.total_variation import ascend, gradient, total_variation
@@ -98,13 +98,12 @@ def spectral() -> dict[str, Callable[[], Any]]:
     lengths = rng.uniform(0, 1, (BASES, 6, SIDE, SIDE)).astype(np.float32)
     images = np.moveaxis(model.expected(np.moveaxis(lengths, 0, -1)), -1, 1).astype(np.float32)
     pixels, exposure = np.ones((5, SIDE, SIDE), np.float32), np.ones((6, 5))
+    shared = MeasuredCounts(images, pixels, exposure, lengths[2, :1], images / 1e4)
     return {
         "decompose": lambda: decompose(counts, gains, model, 0.01),
         "decompose known": lambda: decompose(counts, gains, model, 0.01, known=known),
-        "likelihood": lambda: likelihood(lengths, 1.1 * images, pixels, exposure, model, 0.01)[:2],
-        "likelihood known": lambda: likelihood(
-            lengths[:2], images, pixels, exposure, model, 0.01, lengths[2, :1], information=True, shares=images / 1e4
-        ),
+        "likelihood": lambda: likelihood(lengths, MeasuredCounts(1.1 * images, pixels, exposure), model, 0.01)[:2],
+        "likelihood known": lambda: likelihood(lengths[:2], shared, model, 0.01, information=True),
     }
 
 

@@ -17,7 +17,7 @@ from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import kinds_of, spread
 from recon.data.volume_edges import over_metal, relative_density
-from recon.ops.likelihood import likelihood
+from recon.ops.likelihood import MeasuredCounts, likelihood
 from recon.ops.nonnegative_newton import as_matrices
 from recon.voxel.iterative.likelihood import forward, transpose
 from spectra.cramer_rao import least_deviations
@@ -135,9 +135,8 @@ def relative_deviations(
     some = measured[spread(kinds_of(measured.exposure), MOST_VIEWS)]
     some = some.binned(matching_bin(some.geometry, min(grid.spacing)))
     lengths = forward(volumes.astype(np.float32), some.geometry, grid)
-    fisher = likelihood(
-        lengths, some.counts, some.gains, some.exposure, some.transmission, dispersion, some.profile, True
-    )[2]
+    counts = MeasuredCounts(some.counts, some.gains, some.exposure, some.profile)
+    fisher = likelihood(lengths, counts, some.transmission, dispersion, information=True).curvatures
     assert fisher is not None
     found = np.zeros((len(volumes), *grid.shape), np.float32)
     slab = max(1, SLAB_VALUES // (len(volumes) ** 2 * grid.shape[1] * grid.shape[2]))
