@@ -68,10 +68,10 @@ class Measurements:
             return self
         geometry = self.geometry.binned(factor)  # refuses panels that do not divide
         counts, gains = (_sum_blocks(images, factor) for images in (self.counts, self.gains))
-        coarse = replace(self, counts=counts, gains=gains, geometry=geometry, shares=None)
-        if self.profile is None:
+        profile = None if self.profile is None else _sum_blocks(self.profile, factor) / factor**2
+        coarse = replace(self, counts=counts, gains=gains, geometry=geometry, profile=profile, shares=None)
+        if profile is None:
             return coarse
-        coarse = replace(coarse, profile=_sum_blocks(self.profile, factor) / factor**2)
         open_beam = _sum_blocks(self.gains * self.open_beam, factor)
         return replace(coarse, gains=_ratio(open_beam, coarse.open_beam).astype(np.float32))
 
@@ -337,6 +337,6 @@ def _in_parallel(task: Callable[[int], None], counts: Float[np.ndarray, "view ch
     release(counts)
 
 
-def _sum_blocks(images: Float[np.ndarray, "... row column"], factor: int) -> Float[np.ndarray, "... row column"]:
+def _sum_blocks(images: Float[np.ndarray, "... y x"], factor: int) -> Float[np.ndarray, "... row column"]:
     *front, rows, columns = images.shape
     return images.reshape(*front, rows // factor, factor, columns // factor, factor).sum(axis=(-3, -1))

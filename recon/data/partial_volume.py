@@ -20,7 +20,7 @@ ray's channel that needs least.
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from scipy.ndimage import gaussian_filter, minimum_filter
 
 DARK = 0.5  # counts; none are taken for half of one
@@ -77,7 +77,7 @@ def doubtful_shares(counts: Image, air: Image, dispersion: float) -> Image:
     return variance / (variance + np.square(np.maximum(doubt - least, 0)))
 
 
-def excess_of_blocks(counts: Image, air: Image, factor: int) -> Float[np.ndarray, "channel row column"]:
+def excess_of_blocks(counts: Image, air: Image, factor: int) -> Float[np.ndarray, "channel coarse_row coarse_column"]:
     """The same for `factor` x `factor` pixels that become one, as they are themselves: mean over geometric mean.
 
     What noise alone does to it is taken off; where there are hardly any counts, nothing is known.
@@ -127,6 +127,6 @@ def _beside(images: Float[np.ndarray, "..."], axis: int, step: int) -> Float[np.
     return np.take(images, places, axis=axis)
 
 
-def _blocks(images: Image, factor: int) -> Float[np.ndarray, "channel row y column x"]:
+def _blocks(images: Shaped[np.ndarray, "channel row column"], factor: int) -> Shaped[np.ndarray, "channel r y c x"]:
     channels, rows, columns = images.shape
     return images.reshape(channels, rows // factor, factor, columns // factor, factor)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -70,6 +70,7 @@ class Reconstruction:
     unreliable: Unreliable | None = None
 
 
+@runtime_checkable
 class CheckpointStore(Protocol):
     """What keeps a fit that may be interrupted, as `recon.runs.unfinished_run.PartialRun` does."""
 

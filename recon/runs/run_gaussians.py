@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict, fields, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import yaml
@@ -40,6 +40,7 @@ from recon.voxel.method import Iteration
 from spectra.threads import without_other_pools
 
 
+@runtime_checkable
 class Watcher(Protocol):
     """What is told how a run goes on."""
 

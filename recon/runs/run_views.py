@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import yaml
@@ -32,6 +32,7 @@ from spectra.threads import without_other_pools
 VIEWS = "views.h5"
 
 
+@runtime_checkable
 class Watcher(Protocol):
     """What is told how a run goes on."""
 

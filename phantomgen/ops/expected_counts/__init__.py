@@ -266,7 +266,7 @@ def _open_beam(
     starts: Int64[np.ndarray, " boundary"],
     pixels: tuple[int, int],
     profile: Float[np.ndarray, "part row column"] | None,
-) -> Float[np.ndarray, "channel row column"]:
+) -> Float[np.ndarray, "channel rows columns"]:
     """Counts of a ray to each pixel that meets no object; with a profile, room that the kernel fills."""
     air = np.array([weights[a:b].sum() for a, b in pairwise(starts)])
     alike = np.broadcast_to(air[:, None, None], (len(air), *pixels))

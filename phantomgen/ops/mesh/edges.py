@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int32, Int64
+from jaxtyping import Bool, Float, Int32, Int64, Integer
 
 # What passes a cell of a view: nothing, an edge where the surface turns sharply, an edge between a face seen from
 # outside and one seen from inside.
@@ -29,7 +29,7 @@ class EdgeUses(NamedTuple):
     counts: Int64[np.ndarray, " edge"]
 
 
-def edge_uses(triangles: Int64[np.ndarray, "triangle 3"]) -> EdgeUses:
+def edge_uses(triangles: Integer[np.ndarray, "triangle 3"]) -> EdgeUses:
     """Sides of the triangles, grouped by edge."""
     begin = np.asarray(triangles, dtype=np.int64)
     end = np.roll(begin, -1, axis=1)
@@ -42,7 +42,7 @@ def edge_uses(triangles: Int64[np.ndarray, "triangle 3"]) -> EdgeUses:
     return EdgeUses(sides, (begin < end).ravel()[sides], starts, np.diff(starts, append=len(keys)))
 
 
-def closed_edges(triangles: Int64[np.ndarray, "triangle 3"]) -> Int32[np.ndarray, "edge 4"]:
+def closed_edges(triangles: Integer[np.ndarray, "triangle 3"]) -> Int32[np.ndarray, "edge 4"]:
     """Both ends and both triangles of each edge of a closed surface."""
     sides, _, starts, _ = edge_uses(triangles)
     pairs = np.stack([sides[starts], sides[starts + 1]], axis=1)
@@ -52,7 +52,7 @@ def closed_edges(triangles: Int64[np.ndarray, "triangle 3"]) -> Int32[np.ndarray
 
 def sharp_edges(
     vertices: Float[np.ndarray, "vertex 3"],
-    triangles: Int64[np.ndarray, "triangle 3"],
+    triangles: Integer[np.ndarray, "triangle 3"],
     edges: Int32[np.ndarray, "edge 4"],
 ) -> Bool[np.ndarray, " edge"]:
     """Which edges are creases; those of a triangle without area are."""

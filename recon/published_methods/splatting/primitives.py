@@ -6,7 +6,7 @@ not used.
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -24,6 +24,7 @@ from recon.published_methods.paper.recipe import PaperRecipe
 Image = Float[Tensor, "view 1 row column"]
 
 
+@runtime_checkable
 class Primitives(Protocol):
     """One kind of primitive."""
 
