@@ -84,7 +84,7 @@ class Scan:
     name: str
     scene: Scene
     geometry: Geometry
-    splits: Mapping[str, Int[np.ndarray, " view"]]
+    splits: Mapping[str, Int[np.ndarray, " _view"]]
     source: Source
     detector: AnyDetector
     basis: Basis
@@ -251,7 +251,7 @@ def _check_coefficients(file: SceneFile, basis: Basis) -> None:
 
 
 def _exposure(
-    file: SceneFile, splits: Mapping[str, Int[np.ndarray, " view"]], detector: AnyDetector
+    file: SceneFile, splits: Mapping[str, Int[np.ndarray, " _view"]], detector: AnyDetector
 ) -> Float[np.ndarray, "view channel"] | None:
     """Exposure of views that sources take in turn, training and test views each from the first source on."""
     if not isinstance(detector, MultiSource) or file.model.source.type != "switching":

@@ -6,7 +6,7 @@ counts, and decide by rays that none of this used whether to keep the result. Th
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -64,6 +64,7 @@ class Reconstruction:
     unreliable: Unreliable | None = None
 
 
+@runtime_checkable
 class CheckpointStore(Protocol):
     """Storage for fits that may be interrupted, such as `recon.runs.unfinished_run.PartialRun`."""
 

@@ -173,7 +173,15 @@ class VolumeOutcome:
         fitted, views = self.model.basis_names, len(self.dataset.splits["train"])
         stated = (*fitted, *self.left_out)
         outcome = verdict.FitOutcome(
-            channels, Recipe().dispersion, self.volumes, views, fitted, stated, self.coverage, self.unreliable, self.notes
+            channels,
+            Recipe().dispersion,
+            self.volumes,
+            views,
+            fitted,
+            stated,
+            self.coverage,
+            self.unreliable,
+            self.notes,
         )
         return verdict.verdict_of(outcome)
 

@@ -83,7 +83,7 @@ class Spectrum(NamedTuple):
                 )
         return Spectrum(attenuation, weights, starts, profile)
 
-    def open_beam(self, rows: int, columns: int) -> Float[np.ndarray, "channel row column"]:
+    def open_beam(self, rows: int, columns: int) -> Float[np.ndarray, "channel rows columns"]:
         """Return the counts of a ray to each pixel that meets no object.
 
         Parameters

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int32, Int64
+from jaxtyping import Bool, Float, Int32, Int64, Integer
 
 # What passes a cell of a view: nothing, an edge where the surface turns sharply, an edge between a face seen from
 # outside and one seen from inside.
@@ -30,7 +30,7 @@ class EdgeUses(NamedTuple):
     counts: Int64[np.ndarray, " edge"]
 
 
-def edge_uses(triangles: Int64[np.ndarray, "triangle 3"]) -> EdgeUses:
+def edge_uses(triangles: Integer[np.ndarray, "triangle 3"]) -> EdgeUses:
     """Group the sides of the triangles by edge.
 
     Parameters
@@ -52,7 +52,7 @@ def edge_uses(triangles: Int64[np.ndarray, "triangle 3"]) -> EdgeUses:
     return EdgeUses(sides, (begin < end).ravel()[sides], starts, np.diff(starts, append=len(keys)))
 
 
-def closed_edges(triangles: Int64[np.ndarray, "triangle 3"]) -> Int32[np.ndarray, "edge 4"]:
+def closed_edges(triangles: Integer[np.ndarray, "triangle 3"]) -> Int32[np.ndarray, "edge 4"]:
     """Find both ends and both triangles of each edge of a closed surface.
 
     Parameters
@@ -71,7 +71,7 @@ def closed_edges(triangles: Int64[np.ndarray, "triangle 3"]) -> Int32[np.ndarray
 
 def sharp_edges(
     vertices: Float[np.ndarray, "vertex 3"],
-    triangles: Int64[np.ndarray, "triangle 3"],
+    triangles: Integer[np.ndarray, "triangle 3"],
     edges: Int32[np.ndarray, "edge 4"],
 ) -> Bool[np.ndarray, " edge"]:
     """Find the edges that are creases; those of a triangle without area are.

@@ -113,7 +113,7 @@ def trace_one(
     """
     events = [
         t
-        for kind, tube, m in zip(solids.kinds, solids.tubes, solids.locals_, strict=True)
+        for kind, tube, m in zip(solids.kinds.tolist(), solids.tubes, solids.locals_, strict=True)
         for t in crossings(kind, tube, m[:, :3] @ origin + m[:, 3], m[:, :3] @ direction)
     ]
     cuts = np.unique(np.clip([0.0, 1.0, *events], 0.0, 1.0))

@@ -37,7 +37,7 @@ class Window:
     frame: Frame
     size: tuple[int, int]
     classes: UInt8[np.ndarray, "row column"]
-    profile: Float[np.ndarray, "part row column"] | None
+    profile: Float[np.ndarray, "part rows columns"] | None
 
 
 def windows_of(scan: Scan, transmission: Transmission, rng: np.random.Generator) -> tuple[Window, ...]:
@@ -66,7 +66,7 @@ def _windows(scan: Scan, transmission: Transmission, view: int, rng: np.random.G
     if not len(edges):
         return
     crossed, corners = 0, set()
-    for row, column in edges[rng.integers(len(edges), size=_MOST_WINDOWS)]:
+    for row, column in edges[rng.integers(len(edges), size=_MOST_WINDOWS)].tolist():
         if (corner := _corner(scan, row, column)) in corners:
             continue
         corners.add(corner)
