@@ -3,6 +3,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import h5py
 import numpy as np
@@ -58,6 +59,21 @@ class StoredRun:
         return model.volume(grid).astype(np.float32)
 
 
+class StoredVolumes(NamedTuple):
+    """Content of ``volumes.h5``.
+
+    Parameters
+    ----------
+    grid : grid of the volumes
+    basis_names : names of the basis functions
+    values : coefficients [1/mm]
+    """
+
+    grid: Grid
+    basis_names: tuple[str, ...]
+    values: Float32[np.ndarray, "basis z y x"]
+
+
 def check_run_folder(folder: Path) -> None:
     """Refuse a folder without the files of a run, before anything is read.
 
@@ -108,7 +124,7 @@ def read_run(folder: Path) -> StoredRun:
     return StoredRun(folder, grid, names, values, gaussians, dataset_name(folder))
 
 
-def read_volumes(path: Path) -> tuple[Grid, tuple[str, ...], Float32[np.ndarray, "basis z y x"]]:
+def read_volumes(path: Path) -> StoredVolumes:
     """Read the volumes of a run.
 
     Parameters
@@ -117,7 +133,7 @@ def read_volumes(path: Path) -> tuple[Grid, tuple[str, ...], Float32[np.ndarray,
 
     Returns
     -------
-    grid, names of the basis functions, and coefficients [1/mm]
+    grid, names of the basis functions, and coefficients
 
     Raises
     ------
@@ -135,7 +151,7 @@ def read_volumes(path: Path) -> tuple[Grid, tuple[str, ...], Float32[np.ndarray,
         raise DatasetError(f"{path} cannot be read as what recon fit writes there ({error})") from None
     if values.shape != (len(names), *grid.shape):
         raise DatasetError(f"{path}: /basis/data has shape {values.shape}, expected {(len(names), *grid.shape)}")
-    return grid, names, values
+    return StoredVolumes(grid, names, values)
 
 
 def dataset_name(folder: Path) -> str:

@@ -16,9 +16,9 @@ from threadpoolctl import threadpool_limits
 
 from spectra.errors import InputError
 
-BANDWIDTH = 3.0  # units of `unit_of`; radius of the flat kernel; benchmarks/reconstruction/clustering.py
+BANDWIDTH = 3.0  # units of `unit_of`; radius of the flat kernel; our choice
 FLOOR = 0.005  # part of the range of a feature; least unit; our choice
-SAMPLES = 10_000  # samples; largest number in a mean shift; benchmarks/reconstruction/clustering.py
+SAMPLES = 10_000  # samples; largest number in a mean shift; agreement in benchmarks/reconstruction/clustering.py
 RAREST = 0.001  # part of the samples; modes with fewer are left out; our choice
 VALLEY = 0.5  # part of the samples at a mode; with more between it and another it is the tail of the other; our choice
 _TAIL = 0.005  # quantile at which the range of a feature begins and ends; our choice

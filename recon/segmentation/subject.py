@@ -65,7 +65,8 @@ def open_subject(folder: Path) -> Subject:
     elif (folder / VOLUMES).is_file():
         if not (folder / SCAN).is_file():
             raise DatasetError(f"{folder} has no {SCAN}, which older versions did not write: run recon fit again")
-        _, names, volumes = read_volumes(folder / VOLUMES)
+        stored = read_volumes(folder / VOLUMES)
+        names, volumes = stored.basis_names, stored.values
         scan = open_scan(folder, len(names))
         grid, basis, transmission, gaussians = scan.grid, scan.basis, scan.transmission, None
     else:

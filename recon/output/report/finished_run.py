@@ -107,8 +107,16 @@ def open_finished_run(folder: Path, name: str | None = None) -> FinishedRun:
     _check_version(folder, metrics)
     if not (folder / VOLUMES).is_file():
         raise DatasetError(f"{folder} is incomplete: it has no {VOLUMES}; repeat recon fit with --overwrite")
-    grid, names, volumes = read_volumes(folder / VOLUMES)
-    return FinishedRun(folder, name or folder.resolve().name, metrics, _read_log(folder), volumes, grid, names)
+    stored = read_volumes(folder / VOLUMES)
+    return FinishedRun(
+        folder,
+        name or folder.resolve().name,
+        metrics,
+        _read_log(folder),
+        stored.values,
+        stored.grid,
+        stored.basis_names,
+    )
 
 
 def _read_json(path: Path) -> dict[str, Any]:
@@ -127,7 +135,7 @@ def _check_version(folder: Path, metrics: dict[str, Any]) -> None:
     wrote = str(metrics.get("versions", {}).get("spectral-ct", ""))
     numbers = _numbers(wrote)
     if not numbers:
-        raise DatasetError(f"{folder} is of another version: its metrics.json does not say which program wrote it")
+        raise DatasetError(f"{folder} is of another version: its metrics.json does not name the program that wrote it")
     if program_version() != "0" and numbers[:2] > _numbers(program_version())[:2]:
         raise DatasetError(f"{folder} was written by version {wrote}, this program is {program_version()}: update it")
 

@@ -1,7 +1,7 @@
 """Bias and noise inside every material, cross-talk, and scatter plots of materials in the plane of two bases."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -110,7 +110,9 @@ def identity_figure(tables: dict[str, dict[str, Any]], names: tuple[str, ...], p
             ax.axis("off")
         for ax, name in zip(axes.flat, names, strict=False):
             found = _points(tables, name)
-            ends = np.array([0.0, max((point[0] for points in found.values() for point in points), default=1.0) * 1.1])
+            ends = np.array(
+                [0.0, max((point.true for points in found.values() for point in points), default=1.0) * 1.1]
+            )
             ax.plot(ends, ends, color="0.6", linewidth=0.8, zorder=0)
             for (label, points), (colour, _), marker in zip(found.items(), LINES, MARKERS, strict=False):
                 true, mean, sd = np.array(points).reshape(-1, 3).T
@@ -205,11 +207,19 @@ def scatter_figure(
     return csv_of(("material", f"{names[0]}_per_mm", f"{names[1]}_per_mm"), table)
 
 
-def _points(tables: dict[str, dict[str, Any]], name: str) -> dict[str, list[tuple[float, float, float]]]:
-    """True, mean and standard deviation [1e-3/mm] of each material that has voxels inside."""
+class _Point(NamedTuple):
+    """Coefficient of a material: true value, mean and standard deviation of its voxels [1e-3/mm]."""
+
+    true: float
+    mean: float
+    deviation: float
+
+
+def _points(tables: dict[str, dict[str, Any]], name: str) -> dict[str, list[_Point]]:
+    """Points of each material that has voxels inside, by the names of the runs."""
     return {
         label: [
-            (_milli(s["true"]), _milli(s["mean"]), _milli(s["sd"]))
+            _Point(_milli(s["true"]), _milli(s["mean"]), _milli(s["sd"]))
             for s in (material.get(name) for material in table.values())
             if s is not None and s.get("mean") is not None
         ]

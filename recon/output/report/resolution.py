@@ -85,9 +85,9 @@ def parts(case: Case) -> Parts:
     if drawn is not None:
         path, text = drawn
         caption = (
-            "Edge response (left) and MTF, its transform (right), at the surface of the material that stands out most "
-            "in each basis; distances of voxels from the surface come from the true fractions. Truth is the "
-            f"same for the true volume, the limit of voxels of this size. 10 to 90 % of the edge: {text}."
+            "Edge response (left) and MTF, its transform (right), at the surface of the material with the largest "
+            "coefficient in each basis; distances of voxels from the surface come from the true fractions. Truth is "
+            f"the same for the true volume, the limit of voxels of this size. 10 to 90 % of the edge: {text}."
         )
         found.append(picture(path, caption))
     region = uniform_region(truth.fractions, truth.material_names)

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pyvista
 
-from phantomgen.display.viewer.content import Material, Triple
+from phantomgen.display.viewer.content import Triple
 from phantomgen.display.viewer.drawing import SIZE, SOLID, draw_planes, draw_surfaces, look_at_volume, usual_size
 from phantomgen.display.viewer.panes import FONT, Pane
 from recon.output.viewer.content import RunContent
 from recon.output.viewer.controls import Controls
 from recon.output.viewer.ellipsoid_markers import COARSE, FINE, MOST, MOST_IN_A_PAGE, ellipsoids
-from recon.output.viewer.surfaces import surfaces
+from recon.output.viewer.surfaces import SurfacePanel, surfaces
 from spectra.basis.basis import pretty
 
 DIVERGING = "RdBu_r"
@@ -84,8 +84,8 @@ def draw(
     for (kind, i), pane in panes.items():
         draw_slices(pane, kind, bases[i], content.at, content)
         look_at_volume(pane, content.grid)
-    for pane, (title, shown, colours) in zip(others, bodies, strict=False):
-        draw_bodies(pane, content, title, shown, colours)
+    for pane, panel in zip(others, bodies, strict=False):
+        draw_bodies(pane, content, panel)
     if content.gaussians is not None:
         draw_gaussians(others[-1], content)
     every = [*panes.values(), *others]
@@ -126,19 +126,17 @@ def draw_slices(pane: Pane, kind: str, basis: int, at: Triple, content: RunConte
         pane.words.note = content.errors(basis)
 
 
-def draw_bodies(pane: Pane, content: RunContent, title: str, shown: list[Material], colours: list[str]) -> None:
+def draw_bodies(pane: Pane, content: RunContent, panel: SurfacePanel) -> None:
     """Draw translucent surfaces of materials, or of levels.
 
     Parameters
     ----------
     pane : panel
     content : content to show
-    title : title of the panel
-    shown : bodies
-    colours : colour of each body
+    panel : title, bodies and colours
     """
-    draw_surfaces(pane, shown, colours, content.grid)
-    pane.words.title = title
+    draw_surfaces(pane, panel.bodies, panel.colours, content.grid)
+    pane.words.title = panel.title
 
 
 def draw_gaussians(pane: Pane, content: RunContent) -> None:

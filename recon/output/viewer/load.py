@@ -55,7 +55,7 @@ def _own_truth(run: StoredRun) -> Truth | None:
             continue
         try:
             truth = read_truth(path)
-        except Error:  # nobody asked for this file
+        except Error:  # this file was not asked for
             continue
         if truth is not None and truth.grid == run.grid and set(truth.basis_names) & set(run.basis_names):
             return truth

@@ -1,6 +1,7 @@
 """Surfaces in volumes of a result: of the materials that are known, or where a basis crosses a level."""
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,7 +18,22 @@ from spectra.errors import InputError
 _SMOOTHING = 1.0  # voxels; a layer of one voxel at an edge that looks like a third material stays below one half
 
 
-def surfaces(content: RunContent, levels: dict[str, float] | None) -> list[tuple[str, list[Material], list[str]]]:
+class SurfacePanel(NamedTuple):
+    """Panel of surfaces.
+
+    Parameters
+    ----------
+    title : title of the panel
+    bodies : bodies whose surfaces are drawn
+    colours : colour of each body
+    """
+
+    title: str
+    bodies: list[Material]
+    colours: list[str]
+
+
+def surfaces(content: RunContent, levels: dict[str, float] | None) -> list[SurfacePanel]:
     """Create the panels of surfaces, first those of the truth where there is one.
 
     Parameters
@@ -27,7 +43,7 @@ def surfaces(content: RunContent, levels: dict[str, float] | None) -> list[tuple
 
     Returns
     -------
-    title, bodies and colours of the bodies of each panel
+    panels
     """
     from phantomgen.display.viewer.drawing import colour_of  # noqa: PLC0415 - pyvista
 
@@ -35,14 +51,14 @@ def surfaces(content: RunContent, levels: dict[str, float] | None) -> list[tuple
         true = materials(content.truth)
         found = [m for m in result_materials(content, content.truth) if m.fraction.max() > m.level]
         panels = (("true materials", true), ("materials in the result", found))
-        return [(title, shown, [colour_of(m) for m in shown]) for title, shown in panels]
+        return [SurfacePanel(title, shown, [colour_of(m) for m in shown]) for title, shown in panels]
     chosen = checked_levels(content, levels) if levels is not None else usual_levels(content)
     colours = basis_colours(content.basis_names)
     volumes = [("true levels", content.true)] if content.true is not None else []
     panels = []
     for title, values in [*volumes, ("levels in the result", content.result)]:
         shown = list(level_bodies(values, content.grid, content.basis_names, chosen))
-        panels.append((title, shown, [colours[m.index] for m in shown]))
+        panels.append(SurfacePanel(title, shown, [colours[m.index] for m in shown]))
     return panels
 
 

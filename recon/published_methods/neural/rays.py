@@ -90,7 +90,7 @@ class Rays:
         Notes
         -----
         This is the masked local-global sampling of SAX-NeRF, which chooses all rays in front of the object. Rays beside
-        the object are added here, as they say where attenuation is zero.
+        the object are added here, as they show where attenuation is zero.
         """
         _, rows, columns = self.shape
         windows = max(count // 2 // WINDOW**2, 1)

@@ -3,7 +3,7 @@
 `model` has the factorised density and fractions (eq. 1 and 2), `spectral_model` the 64 energies (eq. 3 and 4),
 `projections` the line integrals (eq. 5), `loss` the loss (eq. 8), `learned_edge` the learned K edge and the
 conditioning of the basis, `initialize` the start, `adam` and `density_control` the optimisation, `optimize` the loop,
-`recipe` all numbers, and `reconstruct` the way from a dataset to a model. What the article leaves open is taken from
+`recipe` all numbers, and `reconstruct` the steps from a dataset to a model. What the article leaves open is taken from
 R2-Gaussian, on which it builds; docs/explanation/paper_recipe.md lists both.
 
 References

@@ -173,8 +173,8 @@ class Radiance(Primitives):
     """Gaussians of radiance: each adds its radiance times exp(-q/2) to an image, whatever the path length of a ray.
 
     A local-affine footprint has the height b sqrt(2 pi) / |S^-1 R^T e| for a ray with unit vector e through the centre.
-    Divided by all but b, the height is the same from every side. An image therefore does not determine the Gaussian as
-    other images see it, and there is no volume that has these projections.
+    Divided by all but b, the height is the same from every side, whatever the path length. There is no volume that has
+    these projections.
     """
 
     def unit(self, units: Units) -> float:

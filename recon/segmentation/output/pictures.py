@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -60,12 +61,12 @@ def draw_materials(path: Path, segmentation: Segmentation, reference: Reference 
         counts = confusion(reference.truth.labels, s.labels, len(reference.materials), len(s.clusters))
         colours = matched_colours(s, reference, match(counts))
     view = _view(s, *DEFAULT_VIEWS[-1])
-    columns = [("result", s.rgb(colours), picture(lengths_of(s, view)[0], colours))]
+    rows = [_Row("result", s.rgb(colours), picture(lengths_of(s, view)[0], colours))]
     if reference is not None:
         volumes = reference.volumes
         seen = picture(voxel_lengths(volumes, grid, view)[0], reference.colours)
-        columns.insert(0, ("truth", reference.rgb(), seen))
-    _draw(path, grid, columns, list(zip(legend(s.clusters), colours, strict=True)))
+        rows.insert(0, _Row("truth", reference.rgb(), seen))
+    _draw(path, grid, rows, list(zip(legend(s.clusters), colours, strict=True)))
 
 
 def _view(segmentation: Segmentation, azimuth: float, elevation: float) -> Geometry:
@@ -73,23 +74,31 @@ def _view(segmentation: Segmentation, azimuth: float, elevation: float) -> Geome
     return views_around(segmentation.subject.grid, [(azimuth, elevation)], segmentation.labels > NOTHING)
 
 
+class _Row(NamedTuple):
+    """Row of a figure: name, RGB of all voxels, and RGB of a view, 0 to 1."""
+
+    name: str
+    volume: Float[np.ndarray, "z y x 3"]
+    view: Float[np.ndarray, "row column 3"]
+
+
 def _draw(
     path: Path,
     grid: Grid,
-    columns: list[tuple[str, Float[np.ndarray, "z y x 3"], Float[np.ndarray, "row column 3"]]],
+    rows: list[_Row],
     entries: list[tuple[str, np.ndarray]],
 ) -> None:
     """Draw a row per volume, with a column per slice and one for the view, and the legend below."""
     from matplotlib.patches import Patch  # noqa: PLC0415 - half a second
 
-    depth, rows, wide = np.array(grid.shape) * grid.spacing
-    ratios = [1.0, 1.0, columns[0][2].shape[1] / columns[0][2].shape[0] * max(rows, depth) / wide]
+    depth, deep, wide = np.array(grid.shape) * grid.spacing  # along z, y and x [mm]
+    ratios = [1.0, 1.0, rows[0].view.shape[1] / rows[0].view.shape[0] * max(deep, depth) / wide]
     lines = -(-len(entries) // _LEGEND_COLUMNS)
     side = (WIDTH - 0.6) / sum(ratios)
-    high = side * max(rows, depth) / wide
-    with figure_file(path, (WIDTH, (high + 0.25) * len(columns) + 0.5 + 0.19 * lines)) as figure:
-        axes = figure.subplots(len(columns), 3, squeeze=False, width_ratios=ratios)
-        for line, (name, volume, seen) in zip(axes, columns, strict=True):
+    high = side * max(deep, depth) / wide
+    with figure_file(path, (WIDTH, (high + 0.25) * len(rows) + 0.5 + 0.19 * lines)) as figure:
+        axes = figure.subplots(len(rows), 3, squeeze=False, width_ratios=ratios)
+        for line, (name, volume, seen) in zip(axes, rows, strict=True):
             for ax, (plane, axis, across, up) in zip(line, _PLANES, strict=False):
                 middle = grid.shape[axis] // 2
                 extent = [*borders(grid, across), *borders(grid, up)]

@@ -1,6 +1,6 @@
 """Concentrations of contrast agents against the truth: slope, intercept, limit of detection, cross-talk."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,6 +10,15 @@ from recon.segmentation.result import Segmentation
 from recon.segmentation.scoring.reference import Reference
 
 DETECTION = 3.3  # standard deviations of a blank; limit of detection of ICH guideline Q2
+
+
+class _Point(NamedTuple):
+    """Material, its true concentration, and mean and standard deviation of the measured ones [mg/ml]."""
+
+    material: str
+    true: float
+    measured: float
+    deviation: float
 
 
 def regress(segmentation: Segmentation, reference: Reference) -> dict[str, Any]:
@@ -44,7 +53,7 @@ def regress(segmentation: Segmentation, reference: Reference) -> dict[str, Any]:
             if any(holds.values()) and not holds[element]:
                 others.append(abs(float(values.mean())))
                 continue
-            points.append((name, material.concentrations[element], float(values.mean()), float(values.std())))
+            points.append(_Point(name, material.concentrations[element], float(values.mean()), float(values.std())))
             if not holds[element]:
                 blanks.append(values - values.mean())
         result[element] = _line(points) | {"crosstalk": max(others), "points": points}
@@ -54,9 +63,9 @@ def regress(segmentation: Segmentation, reference: Reference) -> dict[str, Any]:
     return result
 
 
-def _line(points: list[tuple[str, float, float, float]]) -> dict[str, float | None]:
+def _line(points: list[_Point]) -> dict[str, float | None]:
     """Least squares through measured against true concentrations."""
-    x, y = (np.array([p[i] for p in points]) for i in (1, 2))
+    x, y = np.array([p.true for p in points]), np.array([p.measured for p in points])
     if len(x) < 2 or np.ptp(x) == 0:
         return {"slope": None, "intercept": None, "r_squared": None}
     slope, intercept = np.polyfit(x, y, 1)
