@@ -14,13 +14,18 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import nnls
 
+# Rays that nodes are fitted to, and other rays that they are judged by.
 _SAMPLES, _FRESH = 400, 2000
+# Most Levenberg-Marquardt steps of one fit.
 _STEPS = 60
 # Most steps of the non-negative fit per node; wide ranges of attenuation take more than the 3 of SciPy.
 _NNLS_TURNS = 30
+# Most sets of nodes that are refined, and most nodes of a set from which nodes are taken away: bounds of time.
 _MOST_REFINED, _MOST_ELIMINATED = 16, 44
 # Times the tolerance by which nodes may err on the way to fewer that are better.
 _HOPELESS = 100.0
+# Levenberg-Marquardt: damping of the first step, and that at which a fit ends, relative to the diagonal; what is added
+# to the diagonal, so that it is never singular. No unit.
 _DAMPING, _HIGHEST_DAMPING, _TINY = 1e-3, 1e8, 1e-14
 # Products (rows x columns x columns) up to which OpenBLAS stays on one thread.
 _ONE_THREAD = 262144

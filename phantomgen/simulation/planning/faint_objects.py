@@ -28,6 +28,7 @@ _MOST_OBJECTS, _MOST_FAINT, _VIEWS, _RAYS = 64, 3, 2, 12
 # Surfaces of more triangles are not traced once more without an object.
 _MOST_TRIANGLES = 100_000
 _REFERENCE = Settings(rules=RULE_LADDER[4], intersections=1e-6)
+# Seed of the sample, apart from that of the noise, so that plans do not depend on it.
 _SEED = 9
 
 

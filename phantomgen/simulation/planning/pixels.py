@@ -38,12 +38,15 @@ RULE_LADDER = (
     ((26, 20), (30, 25), (38, 28), (46, 33), (56, 40)),
 )
 _FINER = 2
+# Rays per voxel along each edge of a pixel, from cheap to fine.
 VOXEL_LADDER = (1.0, 2.0, 4.0, 8.0, 16.0)
 # Parts of the share that rectangles of a pixel where surfaces meet may err by, as they estimate it themselves.
 INTERSECTION_LADDER = (1.0, 0.3, 0.1, 0.03)
 # For faint objects alone, so many steps of these ladders are tried at most.
 _FAINT_STEPS = 4
+# Pixels of each kind and window that are compared with a grid of rays.
 _BRUTE_PIXELS = 12
+# Seed of the sample, apart from that of the noise, so that plans do not depend on it.
 _SEED = 5
 
 Faint = Callable[[Settings], str | None]
