@@ -13,9 +13,8 @@ from jaxtyping import Float
 from phantomgen.ops.expected_counts import CROSSED
 from phantomgen.ops.trace import trace
 from phantomgen.scene.scan import Scan
-from phantomgen.simulation.forward_model.discretization import Settings
+from phantomgen.simulation.forward_model.discretization import RULE_LADDER, Settings
 from phantomgen.simulation.forward_model.sampled_rays import points_of
-from phantomgen.simulation.planning.pixels import RULE_LADDER
 from phantomgen.simulation.planning.sample_windows import Window, around, exposed, whole
 from spectra.transmission import Transmission
 
