@@ -36,7 +36,9 @@ _FINE_NODES = 4
 TABLE_STEP = 0.5
 # Far below any feature of a response [keV].
 _POINT = 1e-6
+# Rays that rules are compared on, and the seed that they are drawn by.
 _FRESH_RAYS, _SEED = 2000, 1234
+# Most bins of the midpoint rule, and most Gauss nodes between two breaks: bounds of time.
 _MOST_BINS, _MOST_PER_INTERVAL = 4096, 64
 
 EnergyArray = Float[np.ndarray, " energy"]

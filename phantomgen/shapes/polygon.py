@@ -13,6 +13,7 @@ from spectra.errors import InputError
 
 Points = Float[np.ndarray, "corner 2"]
 
+# No unit, relative to the square of the polygon's size; a smaller area is rounding.
 FLAT = 1e-12
 """Area over squared extent below which rounding decides what is inside."""
 

@@ -42,12 +42,8 @@ def draw_model(
             figures.basis_slices(volumes, true, names, grid, folder / f"{plane}.png", plane, left_out=left_out)
     with guard("drawing profiles.png"):
         figures.profiles({"result": volumes}, true, names, grid, folder / "profiles.png")
-    s = dataset.spectra
     with guard("drawing spectrum.png"):
-        figures.spectrum(
-            s.energy, s.edges, s.source, s.response, s.channels, s.basis.names, s.basis_values,
-            folder / "spectrum.png", s.basis.breaks,
-        )  # fmt: skip
+        figures.spectrum(dataset.spectra, folder / "spectrum.png")
     with guard("drawing residuals.png"):
         _draw_residuals(dataset, model, folder / "residuals.png")
 

@@ -1,5 +1,7 @@
 """Any rays through meshes, also those that belong to no panel."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Bool, Float, Int64
 
@@ -178,10 +180,16 @@ def overlaps(
     return out
 
 
-def _cells_of_rays(
-    frame: np.ndarray, uv: np.ndarray, surfaces: Surfaces, parallel: bool
-) -> tuple[np.ndarray, MeshView, np.ndarray]:
+class _CellRays(NamedTuple):
     """Rays as an array, a view of cells that hold them all, and the cell of each."""
+
+    uv: Float[np.ndarray, "ray 2"]
+    view: MeshView
+    at: Int64[np.ndarray, " ray"]
+
+
+def _cells_of_rays(frame: np.ndarray, uv: np.ndarray, surfaces: Surfaces, parallel: bool) -> _CellRays:
+    """Sort rays into the cells of a view."""
     uv = np.ascontiguousarray(uv, dtype=np.float64)
     if uv.ndim != 2 or uv.shape[1] != 2 or not np.isfinite(uv).all():
         raise InputError(f"rays must be finite pairs (ray, 2), got {uv.shape}")
@@ -191,4 +199,4 @@ def _cells_of_rays(
     cells = (float(low[0]), float(low[1]), float(size[0]), float(size[1]))
     view = mesh_view(frame, side, side, surfaces, parallel, cells, with_outline=False)
     column, row = np.clip(np.floor((uv - low) / size), 0, side - 1).astype(np.int64).T
-    return uv, view, row * side + column
+    return _CellRays(uv, view, row * side + column)

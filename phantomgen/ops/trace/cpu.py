@@ -279,19 +279,37 @@ def _pass_end(events, end, count):
 def owned_pieces(table, tubes, listed, direction, active, count, events):
     """Cut the ray where its owner changes.
 
-    Afterwards the object that begins with row ``events[PIECE, i]`` owns the ray from ``events[CUT, i]``, where it meets
-    row ``events[END, i]``, to ``events[CUT, i + 1]``, where it meets row ``events[END, i + 1]``; -1: nobody does.
-
     Parameters
     ----------
     table, tubes, listed, direction, active, count : as in `collect`
-    events : all rows are written; the primitives that the ray meets are ``events[HIT]`` up to a -1
+    events : written as by `cut_pieces`
 
     Returns
     -------
     number of pieces; 0 for a ray that meets nothing
     """
     hits = collect(table, tubes, listed, direction, active, count, events)
+    return cut_pieces(table, hits, events)
+
+
+@inlined
+@no_type_check
+def cut_pieces(table, hits, events):
+    """Cut the ray where its owner changes, by the hits that `collect` has written.
+
+    Afterwards the object that begins with row ``events[PIECE, i]`` owns the ray from ``events[CUT, i]``, where it meets
+    row ``events[END, i]``, to ``events[CUT, i + 1]``, where it meets row ``events[END, i + 1]``; -1: nobody does.
+
+    Parameters
+    ----------
+    table : as in `collect`
+    hits : number of hits
+    events : all rows are written; the primitives that the ray meets are ``events[HIT]`` up to a -1
+
+    Returns
+    -------
+    number of pieces; 0 for a ray that meets nothing
+    """
     if hits == 0:
         return 0
     events[HIT, hits] = -1.0

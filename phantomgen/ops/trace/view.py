@@ -12,7 +12,7 @@ from numba import njit
 
 from phantomgen.ops.kernel_decorators import inlined
 from phantomgen.ops.silhouette.tiles_cpu import list_active
-from phantomgen.ops.trace.cpu import ENTER, HIT, LEAVE, add_pieces, collect, owned_pieces
+from phantomgen.ops.trace.cpu import ENTER, HIT, LEAVE, add_pieces, collect, cut_pieces
 from phantomgen.ops.trace.table import MATERIAL, set_origin
 
 
@@ -70,12 +70,12 @@ def trace_pixels(frame, solids, tiles, whole, scratch, lengths, out):
             dy = frame[1, 1] + column * frame[2, 1] + row * frame[3, 1]
             dz = frame[1, 2] + column * frame[2, 2] + row * frame[3, 2]
             direction = (dx, dy, dz)
-            nested = False
-            if whole:
-                hits = collect(table, tubes, None, direction, active, count, events)
-                nested = _add_nested(table, background, sqrt(dx * dx + dy * dy + dz * dz), hits, events, lengths)
-            if not nested:
-                pieces = owned_pieces(table, tubes, None, direction, active, count, events)
+            hits, norm = (
+                collect(table, tubes, None, direction, active, count, events),
+                sqrt(dx * dx + dy * dy + dz * dz),
+            )
+            if not whole or not _add_nested(table, background, norm, hits, events, lengths):
+                pieces = cut_pieces(table, hits, events)
                 add_pieces(table, None, background, direction, pieces, events, lengths)
             for m in range(lengths.size):
                 out[row, column, m] = lengths[m]

@@ -22,12 +22,16 @@ from phantomgen.simulation.forward_model.sampled_rays import sampled_lengths
 from spectra.threads import run_parallel
 from spectra.transmission import Transmission
 
+# Rays along each edge of a pixel of the reference.
 SUB_RAYS = 256
 # With a focal spot, fewer rays per pixel from so many of its points.
 SPOT_RAYS, SPOT_POINTS = 24, 985
+# How many times finer the energy bins of the reference are than those of the simulator.
 FINER = 10
+# Edge pixels and rays of the quick check, about a second; views and rays of the full one, which takes minutes.
 _QUICK_PIXELS, _QUICK_RAYS = 24, 2000
 _FULL_VIEWS, _FULL_RAYS = 3, 100_000
+# Pixels per piece of work of a thread; changes time, not results.
 _PIXELS_PER_PIECE = 8
 # Of the pixels that voxel maps project to, which may be all, no more than these are looked at per view.
 _MOST_VOXEL_PIXELS = 200

@@ -10,6 +10,19 @@ from typing import Any
 
 from phantomgen.ops.expected_counts import INTERSECTION_TOLERANCE, RAYS_PER_VOXEL, RULES, Sampling
 
+# Gauss nodes across and along the silhouettes in a pixel, for growing contrast, from cheap to fine.
+RULE_LADDER = (
+    ((1, 1), (2, 1), (2, 2), (3, 2), (4, 3)),
+    ((2, 1), (2, 2), (3, 2), (4, 3), (6, 4)),
+    RULES,
+    ((3, 2), (4, 3), (6, 4), (9, 6), (12, 8)),
+    ((4, 3), (6, 4), (9, 6), (12, 8), (18, 12)),
+    ((8, 6), (10, 8), (14, 10), (18, 12), (24, 16)),
+    ((12, 9), (15, 12), (20, 14), (25, 17), (32, 22)),
+    ((18, 14), (22, 18), (28, 20), (34, 24), (42, 30)),
+    ((26, 20), (30, 25), (38, 28), (46, 33), (56, 40)),
+)
+
 
 @dataclass(frozen=True)
 class Settings:

@@ -13,8 +13,11 @@ from phantomgen.simulation.forward_model.discretization import Settings
 from phantomgen.simulation.forward_model.expected_counts import spectrum_of
 from spectra.transmission import Transmission
 
+# Views that settings are tried on.
 VIEWS = 3
+# Edge of a window [pixel].
 _WINDOW = 48
+# Most windows of a view.
 _MOST_WINDOWS = 4
 # Crossed pixels per view, and pixels per view and kind that are compared with a grid of rays.
 _MOST_CROSSED = 800

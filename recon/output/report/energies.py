@@ -31,10 +31,7 @@ def parts(case: Case) -> Parts:
         When the dataset was not found.
     """
     s = case.needs_dataset().spectra
-    path = spectrum(
-        s.energy, s.edges, s.source, s.response, s.channels, s.basis.names, s.basis_values, case.path("spectrum"),
-        s.basis.breaks, PAGE_WIDTH,
-    )  # fmt: skip
+    path = spectrum(s, case.path("spectrum"), PAGE_WIDTH)
     found = [picture(path, "Incident photons and the part that each channel counts, above the raw basis functions.")]
     drawn = conditioned_basis(s, case.path("conditioned_basis"))
     if drawn is not None:

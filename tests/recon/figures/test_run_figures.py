@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from phantomgen.dataset.spectral_model import Spectra
 from phantomgen.display.figures import dataset_energies as channel_figure
 from phantomgen.geometry.voxel_grid import Grid
 from recon.figures import run_figures as figures
+from spectra.basis.basis import Basis, BasisFunction
 
 NAMES = ("photoelectric", "compton", "kedge_63.3")
 GRID = Grid.cube(24, 48.0)
@@ -103,9 +105,10 @@ def test_the_spectrum_keeps_its_photons(tmp_path):
     edges = np.array([20.0, 40.0, 59.31, 59.33, 63.3, 90.0, 120.0])
     energy, source = (edges[1:] + edges[:-1]) / 2, np.array([50.0, 80.0, 30.0, 20.0, 60.0, 10.0])
     response = np.array([[1.0, 1, 1, 1, 0, 0], [0, 0, 0, 0, 0.9, 0.8]])
-    basis = np.stack([(energy / 70) ** -3, (energy > 63.3) * 1.0])
-    arguments = (energy, edges, source, response, ("low", "high"), ("photoelectric", "kedge_Lu"), basis)
-    table = read_csv(figures.spectrum(*arguments, tmp_path / "s.png", k_edges=(63.3,)))
+    basis = Basis((BasisFunction("photoelectric"), BasisFunction("step", edge_energy=63.3)))
+    limits = np.array([20.0, 63.3]), np.array([63.3, 120.0])
+    spectra = Spectra(energy, edges, source, response, basis, basis.evaluate(energy), ("low", "high"), *limits)
+    table = read_csv(figures.spectrum(spectra, tmp_path / "s.png"))
     np.testing.assert_allclose(table["low_counts"] + table["high_counts"], source * response.sum(axis=0))
     display = channel_figure._display_bins(edges, response)
     assert 63.3 in display
@@ -115,8 +118,10 @@ def test_the_spectrum_keeps_its_photons(tmp_path):
 
 def test_a_single_energy_is_drawn(tmp_path):
     one = np.ones(1)
-    path = tmp_path / "mono.png"
-    figures.spectrum(60 * one, np.array([59.99, 60.01]), one, one[None], ("all",), ("compton",), one[None], path)
+    path, basis = tmp_path / "mono.png", Basis((BasisFunction("compton"),))
+    figures.spectrum(
+        Spectra(60 * one, np.array([59.99, 60.01]), one, one[None], basis, one[None], ("all",), one, one), path
+    )
     assert path.stat().st_size > 5000
 
 
