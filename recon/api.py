@@ -28,10 +28,10 @@ from recon.kedge.choose_basis import BasisChoice, choose_basis
 from recon.output.render_file import rendered, views_of_geometry
 from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.paper.reconstruct import reconstruct_paper
+from recon.runs.outcomes.volume_outcome import VolumeOutcome
 from recon.runs.run_folder import Run
 from recon.runs.run_gaussians import outcome_of_fit
 from recon.runs.unfinished_run import LOG, log_entry
-from recon.runs.volume_outcome import VolumeOutcome
 from recon.runs.write_run import RunFolder
 from recon.segmentation.result import Options, Segmentation
 from recon.segmentation.segment import segment_subject

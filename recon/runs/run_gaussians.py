@@ -24,10 +24,9 @@ from recon.kedge.report import draw_choice
 from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.paper.reconstruct import reconstruct_paper
 from recon.runs.interfaces import Watcher
-from recon.runs.interruption import Interruption
 from recon.runs.memory_plan import MemoryPlan, plan_memory
-from recon.runs.unfinished_run import PartialRun
-from recon.runs.volume_outcome import VolumeOutcome
+from recon.runs.outcomes.volume_outcome import VolumeOutcome
+from recon.runs.unfinished_run import Interruption, PartialRun
 from recon.runs.write_run import Stopped
 from recon.voxel.initial_volumes import check_directions
 

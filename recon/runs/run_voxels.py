@@ -22,8 +22,8 @@ from recon.gaussians.recipe import Recipe
 from recon.kedge.basis_names import Asked, left_out, with_named
 from recon.runs.checks import PIPELINES, check_method
 from recon.runs.interfaces import Watcher
-from recon.runs.iteration_log import IterationLog
-from recon.runs.volume_outcome import VolumeOutcome
+from recon.runs.outcomes.iteration_log import IterationLog
+from recon.runs.outcomes.volume_outcome import VolumeOutcome
 from recon.voxel.image_domain import reconstruct_channels
 from recon.voxel.margin import with_margin_found
 from recon.voxel.method import CountsMethod, Iteration, Method, OnIteration

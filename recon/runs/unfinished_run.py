@@ -1,4 +1,4 @@
-"""Files of an unfinished run: the start of the fit, its state, its log, and models between the steps.
+"""Interruption of a run, and the files that it leaves: start and state of the fit, its log, and models between steps.
 
 A fit can be resumed from these files after `kill -9` at any moment. The log may be a few steps ahead of the last
 checkpoint; those lines are removed, and written again when the steps are repeated.
@@ -6,9 +6,12 @@ checkpoint; those lines are removed, and written again when the steps are repeat
 
 import json
 import shutil
+import signal
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -25,6 +28,36 @@ from spectra.errors import InputError
 
 START, CHECKPOINT, LOG, SNAPSHOTS = "start.safetensors", "checkpoint.safetensors", "log.jsonl", "snapshots"
 EVERY = 30.0  # s; time between two checkpoints, the most that `kill -9` costs
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)  # torchrun and batch systems send the second
+
+
+class Interruption:
+    """Context in which the first Ctrl-C or SIGTERM sets `asked`, and the next one ends the process at once.
+
+    Outside the main thread, where Python handles no signals, it does nothing.
+
+    Attributes
+    ----------
+    asked : whether a signal has come
+    """
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> "Interruption":
+        if threading.current_thread() is threading.main_thread():
+            self._before = {number: signal.signal(number, self._ask) for number in _SIGNALS}
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _ask(self, number: int, frame: FrameType | None) -> None:
+        if self.asked:
+            raise KeyboardInterrupt
+        self.asked = True
 
 
 def is_partial(folder: Path) -> bool:

@@ -12,7 +12,7 @@ from recon.comparison.contenders.channel_voxels import ChannelVoxels
 from recon.comparison.contenders.recorder import Recorder
 from recon.evaluation.metrics import HeldOutView
 from recon.gaussians.model import Gaussians
-from recon.runs.run_views import predicted_views
+from recon.runs.outcomes.view_outcome import predicted_views
 from recon.voxel.model import Voxels
 
 

@@ -22,8 +22,7 @@ from recon.gaussians.recipe import Recipe, Stage
 from recon.gaussians.state import FitState
 from recon.ops.deviance import chi_square
 from recon.runs.checkpoint import identity, read_checkpoint, write_checkpoint
-from recon.runs.interruption import Interruption
-from recon.runs.unfinished_run import CHECKPOINT, LOG, START, PartialRun, is_partial
+from recon.runs.unfinished_run import CHECKPOINT, LOG, START, Interruption, PartialRun, is_partial
 from recon.runs.write_run import RunFolder, Stopped
 from spectra.errors import DatasetError, InputError
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from phantomgen.runtime.stopwatch import Stopwatch
-from recon.runs.iteration_log import IterationLog
+from recon.runs.outcomes.iteration_log import IterationLog
 from recon.runs.run import run
 from recon.voxel.method import Iteration
 
