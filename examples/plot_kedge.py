@@ -172,7 +172,7 @@ def draw(dataset, truth, gaussians, folder: Path) -> list[Path]:
     channels = dataset.spectra.channels
     return [
         figures.basis_slices(volumes, truth.volumes, names, truth.grid, folder / "axial.png"),
-        figures.profiles(volumes, truth.volumes, names, truth.grid, folder / "profiles.png"),
+        figures.profiles({"result": volumes}, truth.volumes, names, truth.grid, folder / "profiles.png"),
         figures.residuals(view.counts, view.expected, channels, folder / "residuals.png", view.away),
     ]
 
