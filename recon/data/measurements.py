@@ -56,8 +56,9 @@ class Measurements:
         """Some of the views."""
         counts = taken(self.counts, views)
         shares = None if self.shares is None else taken(self.shares, views)
-        some = replace(self, counts=counts, exposure=self.exposure[views], geometry=self.geometry[views])
-        return replace(some, shares=shares, apart=None if self.apart is None else self.apart[views])
+        apart, exposure = None if self.apart is None else self.apart[views], self.exposure[views]
+        geometry = self.geometry[views]
+        return replace(self, counts=counts, exposure=exposure, geometry=geometry, shares=shares, apart=apart)
 
     def summed(self, factor: int) -> "Measurements":
         """The same scan with `factor` x `factor` pixels as one, whose counts are the sums of theirs, as noisy as such.

@@ -6,6 +6,7 @@
 from collections.abc import Sequence
 from typing import cast
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -27,7 +28,7 @@ class Adam:
         self.squares = [torch.zeros_like(tensor) for tensor in tensors]
 
     @torch.no_grad()
-    def step(self, rates: Sequence[float], number: int) -> None:
+    def step(self, rates: Sequence[float] | np.ndarray, number: int) -> None:
         """One step; `number` counts them from 1."""
         first, second = (1 - decay**number for decay in DECAY)
         for tensor, mean, square, rate in zip(self.tensors, self.means, self.squares, rates, strict=True):

@@ -8,7 +8,7 @@ that thin walls are kept; but thin structures that look like a mixture are taken
 """
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Integer
 from scipy import ndimage
 
 from recon.segmentation.features import SIGNIFICANT
@@ -20,7 +20,7 @@ DENSER = 1.5  # times the density of its label from which on a point is somethin
 RIM = 0.9  # part of a cluster's voxels that touch other clusters from which on it is a rim between them
 
 
-def rims(inner: Int[np.ndarray, "z y x"], count: int) -> Bool[np.ndarray, " cluster"]:
+def rims(inner: Integer[np.ndarray, "z y x"], count: int) -> Bool[np.ndarray, " cluster"]:
     """Clusters that are no material: soft edges between two that differ little, all of whose voxels touch others.
 
     Parameters
@@ -38,11 +38,11 @@ def rims(inner: Int[np.ndarray, "z y x"], count: int) -> Bool[np.ndarray, " clus
 
 
 def label_edges(
-    inner: Int[np.ndarray, "z y x"],
+    inner: Integer[np.ndarray, "z y x"],
     parts: Float[np.ndarray, "mechanism z y x"],
     air: Bool[np.ndarray, "z y x"],
     centres: Float[np.ndarray, "cluster mechanism"],
-) -> Int[np.ndarray, "z y x"]:
+) -> Integer[np.ndarray, "z y x"]:
     """Labels of all voxels.
 
     Parameters
@@ -95,7 +95,7 @@ def off_mixtures(
 
 
 def label_at(
-    labels: Int[np.ndarray, "z y x"],
+    labels: Integer[np.ndarray, "z y x"],
     places: Float[np.ndarray, "3 point"],
     values: Float[np.ndarray, "point mechanism"],
     centres: Float[np.ndarray, "cluster mechanism"],

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Integer
 from scipy.sparse.csgraph import connected_components
 
 from recon.segmentation.clustering import find_modes, is_tail, nearest_mode, unit_of
@@ -27,7 +27,7 @@ class Found:
     coefficients : the same of the basis functions [1/mm]
     """
 
-    labels: Int[np.ndarray, "z y x"]
+    labels: Integer[np.ndarray, "z y x"]
     centres: Float[np.ndarray, "cluster mechanism"]
     coefficients: Float[np.ndarray, "cluster basis"]
 
@@ -72,7 +72,7 @@ def find_materials(
 
 
 def medians(
-    volumes: Float[np.ndarray, "component ..."], labels: Int[np.ndarray, "..."]
+    volumes: Float[np.ndarray, "component ..."], labels: Integer[np.ndarray, "..."]
 ) -> Float[np.ndarray, "label component"]:
     """Median under each label but 0."""
     return np.array([np.median(volumes[:, labels == i], axis=1) for i in range(1, int(labels.max()) + 1)])
@@ -111,11 +111,11 @@ def _groups(
     return np.where(tail, 0, 1 + connected_components(one)[1])
 
 
-def _present(inner: Int[np.ndarray, "z y x"], count: int) -> Bool[np.ndarray, " cluster"]:
+def _present(inner: Integer[np.ndarray, "z y x"], count: int) -> Bool[np.ndarray, " cluster"]:
     return np.bincount(inner.ravel(), minlength=count + 1)[1:] > 0
 
 
-def _renumbered(inner: Int[np.ndarray, "z y x"], kept: Int[np.ndarray, " cluster"]) -> Int[np.ndarray, "z y x"]:
+def _renumbered(inner: Integer[np.ndarray, "z y x"], kept: Int[np.ndarray, " cluster"]) -> Integer[np.ndarray, "z y x"]:
     """Labels after clusters were left out or ordered: cluster ``kept[i]`` becomes i; others become 0."""
     table = np.zeros(int(max(inner.max(), kept.max() + 1)) + 1, np.uint16)
     table[1 + kept] = np.arange(1, len(kept) + 1)

@@ -83,7 +83,7 @@ class Readouts:
 
     def attenuation(self, values: Coefficients, energy: float) -> Volume:
         """Attenuation at an energy [1/mm]."""
-        return np.tensordot(self.basis.evaluate(np.array([energy]))[:, 0], values, axes=1)
+        return np.tensordot(self.basis.evaluate(np.array([float(energy)]))[:, 0], values, axes=1)
 
     def hounsfield(self, values: Coefficients, energy: float) -> Volume:
         """Virtual monoenergetic image [HU]; water, as the basis describes it, is 0 at every energy."""
