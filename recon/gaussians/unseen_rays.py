@@ -95,4 +95,4 @@ def certainly_larger(one: Float[np.ndarray, " view"], other: Float[np.ndarray, "
     difference = one - other
     if len(difference) < 2:
         return False
-    return float(difference.mean()) > CERTAIN * float(difference.std(ddof=1)) / np.sqrt(len(difference))
+    return bool(float(difference.mean()) > CERTAIN * float(difference.std(ddof=1)) / np.sqrt(len(difference)))

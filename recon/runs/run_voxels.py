@@ -101,7 +101,7 @@ def run_classical(
     with clock("check"):
         check_method(method, pipeline, dataset)
         for view in dataset.splits["test"]:
-            dataset.load([view])  # counts that cannot be scored are refused now
+            dataset.load([int(view)])  # counts that cannot be scored are refused now
     if isinstance(method, ViewMethod):
         return run_views(dataset, folder, method, bases, figures, watcher, clock)
     stated = dataset.spectra.basis.names

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Integer
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import Truth
@@ -62,7 +62,7 @@ class Case:
         return self.truth.volumes[[self.truth.basis_names.index(name) for name in self.names]]
 
     @cached_property
-    def labels(self) -> Int[np.ndarray, "z y x"]:
+    def labels(self) -> Integer[np.ndarray, "z y x"]:
         """What fills most of each voxel, as the truth has it."""
         return self.needs_truth().labels
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Real
+from jaxtyping import Bool, Float, Integer, Real
 from scipy import ndimage
 from scipy.special import erfinv
 
@@ -121,8 +121,8 @@ def edge_figure(case: Case, path: Path) -> tuple[Path, str] | None:
 
 
 def strongest_edge(
-    fractions: Int[np.ndarray, "material z y x"],
-    labels: Int[np.ndarray, "z y x"],
+    fractions: Integer[np.ndarray, "material z y x"],
+    labels: Integer[np.ndarray, "z y x"],
     coefficients: Float[np.ndarray, " material"],
 ) -> Edge | None:
     """Surface of the material with the largest coefficient that fills some voxels whole; None where there is none."""
@@ -132,7 +132,7 @@ def strongest_edge(
     return None
 
 
-def edge_of(fraction: Float[np.ndarray, "z y x"], labels: Int[np.ndarray, "z y x"], material: int) -> Edge:
+def edge_of(fraction: Float[np.ndarray, "z y x"], labels: Integer[np.ndarray, "z y x"], material: int) -> Edge:
     """Voxels near the surface of one material, and how far they are from it.
 
     A plane at distance d from a voxel, averaged over voxels and smoothed by a Gaussian of variance s^2, fills
@@ -182,7 +182,7 @@ def edge_width(distance: Float[np.ndarray, " bin"], response: Float[np.ndarray, 
 
 
 def uniform_region(
-    fractions: Int[np.ndarray, "material z y x"], names: tuple[str, ...]
+    fractions: Integer[np.ndarray, "material z y x"], names: tuple[str, ...]
 ) -> tuple[str, tuple[slice, slice, slice]] | None:
     """The material and box of the largest square that one material fills alone, in all slices where it does."""
     best: tuple[int, str, tuple[slice, slice, slice]] | None = None

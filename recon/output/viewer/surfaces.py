@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Integer
 from scipy.ndimage import gaussian_filter
 
 from phantomgen.dataset.truth import Truth
@@ -58,7 +58,7 @@ def result_materials(content: RunContent, truth: Truth) -> list[Material]:
 
 def nearest_materials(
     volumes: Float[np.ndarray, "basis z y x"], coefficients: Float[np.ndarray, "material basis"]
-) -> Int[np.ndarray, "z y x"]:
+) -> Integer[np.ndarray, "z y x"]:
     """0 where a voxel is nearest to nothing, i + 1 where it is nearest to material i."""
     largest = coefficients.max(axis=0)
     scale = np.where(largest > 0, largest, 1.0)
@@ -126,7 +126,7 @@ def level_bodies(
         yield Material(name, i, place, values, np.zeros_like(values) if holds else None, levels[names[i]])
 
 
-def _smoothed(labels: Int[np.ndarray, "z y x"], label: int) -> Float[np.ndarray, "z y x"]:
+def _smoothed(labels: Integer[np.ndarray, "z y x"], label: int) -> Float[np.ndarray, "z y x"]:
     """How much of a neighbourhood has a label, with one empty voxel around."""
     return np.pad(gaussian_filter((labels == label).astype(np.float32), _SMOOTHING, mode="constant"), 1)
 

@@ -22,7 +22,7 @@ def coarser(grid: Grid, factor: int) -> Grid:
     return Grid(shape, spacing, origin)  # type: ignore[arg-type]
 
 
-def resampled(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, onto: Grid) -> Float[np.ndarray, "basis z y x"]:
+def resampled(volumes: Float[np.ndarray, "basis _ _ _"], grid: Grid, onto: Grid) -> Float[np.ndarray, "basis z y x"]:
     """Volumes on another grid, by linear interpolation; beyond the border the nearest voxel counts."""
     if onto == grid:
         return volumes
@@ -63,7 +63,7 @@ def occupied(volumes: Float[np.ndarray, "basis z y x"]) -> Box:
 
 
 def _along(
-    volumes: Float[np.ndarray, "basis z y x"], place: Float[np.ndarray, " voxel"], axis: int
+    volumes: Float[np.ndarray, "basis _ _ _"], place: Float[np.ndarray, " voxel"], axis: int
 ) -> Float[np.ndarray, "basis z y x"]:
     """Linear interpolation along one axis, at places in voxels."""
     last = volumes.shape[axis] - 1
