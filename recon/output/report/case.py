@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Integer
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import Truth
