@@ -30,7 +30,7 @@ def with_thin_materials(
     air: Bool[np.ndarray, "z y x"],
     centres: Float[np.ndarray, "cluster mechanism"],
     seed: int,
-) -> Int[np.ndarray, "z y x"]:
+) -> Integer[np.ndarray, "z y x"]:
     """Add labels for the densest points of thin materials.
 
     Parameters

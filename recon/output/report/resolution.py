@@ -177,7 +177,7 @@ def strongest_edge(
     return None
 
 
-def edge_of(fraction: Float[np.ndarray, "z y x"], labels: Int[np.ndarray, "z y x"], material: int) -> Edge:
+def edge_of(fraction: Float[np.ndarray, "z y x"], labels: Integer[np.ndarray, "z y x"], material: int) -> Edge:
     """Compute the distance of voxels from the surface of one material.
 
     Parameters
