@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -42,6 +42,7 @@ _MOST_BINS, _MOST_PER_INTERVAL = 4096, 64
 EnergyArray = Float[np.ndarray, " energy"]
 
 
+@runtime_checkable
 class Response(Protocol):
     """Interface of a detector: counts per photon in each channel, and the energies where they are not smooth."""
 

@@ -36,7 +36,7 @@ class SceneGeometry(NamedTuple):
     true: Geometry
     nominal: Geometry | None
     sample: Float[np.ndarray, "view 4 4"] | None
-    splits: Mapping[str, Int[np.ndarray, " view"]]
+    splits: Mapping[str, Int[np.ndarray, " _view"]]
 
 
 def scene_geometry(file: SceneFile) -> SceneGeometry:

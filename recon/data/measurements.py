@@ -93,10 +93,10 @@ class Measurements:
             return self
         geometry = self.geometry.binned(factor)  # refuses panels that do not divide
         counts, gains = (sum_blocks(images, factor) for images in (self.counts, self.gains))
-        coarse = replace(self, counts=counts, gains=gains, geometry=geometry, shares=None)
-        if self.profile is None:
+        profile = None if self.profile is None else sum_blocks(self.profile, factor) / factor**2
+        coarse = replace(self, counts=counts, gains=gains, geometry=geometry, profile=profile, shares=None)
+        if profile is None:
             return coarse
-        coarse = replace(coarse, profile=sum_blocks(self.profile, factor) / factor**2)
         open_beam = sum_blocks(self.gains * self.open_beam, factor)
         return replace(coarse, gains=_ratio(open_beam, coarse.open_beam).astype(np.float32))
 

@@ -20,7 +20,7 @@ relative to that of the channel of the ray with the smallest correction.
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from scipy.ndimage import gaussian_filter, minimum_filter
 
 LEAST_COUNTS = 0.5  # counts; fewer are raised to this before a logarithm, as 0 counts have none; a convention
@@ -34,7 +34,7 @@ CERTAIN = 2.0  # standard deviations of its noise that a slope must exceed; chos
 EDGE = 0.3
 BLUNT = 40.0  # no unit; how fast that term fades where the slope goes on; by the same measurement
 # no unit; standard deviation of a correction over the correction; 0.45 and 0.1 are better and worse for single scenes
-# (docs/howto/fit.md, "Partial volume")
+# (docs/development/decisions/0005-partial-volume.md)
 KNOWN_TO = 0.2
 NEAR = 2  # pixels in each direction, within which rays have equal statistical weight; chosen by hand, not measured
 # pixels along (channel, row, column); standard deviation of the Gaussian that reduces noise before a minimum is taken
@@ -92,7 +92,7 @@ def doubtful_shares(counts: Image, air: Image, dispersion: float) -> Image:
     return variance / (variance + np.square(np.maximum(doubt - least, 0)))
 
 
-def excess_of_blocks(counts: Image, air: Image, factor: int) -> Float[np.ndarray, "channel row column"]:
+def excess_of_blocks(counts: Image, air: Image, factor: int) -> Float[np.ndarray, "channel coarse_row coarse_column"]:
     """Compute the excess of `excess_of_pixels` where pixels are summed: logarithm of mean over geometric mean.
 
     The expected contribution of noise is subtracted.
@@ -156,6 +156,6 @@ def _beside(images: Float[np.ndarray, "..."], axis: int, step: int) -> Float[np.
     return np.take(images, places, axis=axis)
 
 
-def _blocks(images: Image, factor: int) -> Float[np.ndarray, "channel row y column x"]:
+def _blocks(images: Shaped[np.ndarray, "channel row column"], factor: int) -> Shaped[np.ndarray, "channel r y c x"]:
     channels, rows, columns = images.shape
     return images.reshape(channels, rows // factor, factor, columns // factor, factor)

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 
-def sum_blocks(images: Float[np.ndarray, "... row column"], factor: int) -> Float[np.ndarray, "... row column"]:
+def sum_blocks(images: Float[np.ndarray, "... y x"], factor: int) -> Float[np.ndarray, "... row column"]:
     """Sum `factor` x `factor` pixels to one.
 
     Parameters

@@ -9,6 +9,7 @@ import numpy as np
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.display.figures.style import BASIS_LINES, GRAY, figure_file, write_csv
+from phantomgen.runtime.outputs import check_output
 from phantomgen.runtime.plain_json import write_json
 from recon.kedge.choose_basis import BasisChoice
 from recon.kedge.profile_likelihood import EdgeProfile
@@ -144,11 +145,8 @@ class EdgeFiles:
     def __init__(self, stem: Path, overwrite: bool) -> None:
         self.json, self.figure = (stem.with_name(stem.name + suffix) for suffix in (".json", ".png"))
         self.written: Sequence[Path] = ()
-        taken = [path for path in (self.json, self.figure) if path.exists()]
-        if taken and not overwrite:
-            raise InputError(f"the output {taken[0]} exists: choose another name by --out, or add --overwrite")
-        if not stem.absolute().parent.is_dir():
-            raise InputError(f"the folder {stem.parent} for the output {stem.name} does not exist")
+        for path in (self.json, self.figure):
+            check_output(path, overwrite)
 
     def write(self, choice: BasisChoice, dataset: Dataset, figures: bool) -> dict[str, Any]:
         """Write the JSON file, and the figure if it is wanted.

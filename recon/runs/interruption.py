@@ -1,4 +1,4 @@
-"""Ctrl-C that waits for the end of a step."""
+"""Ctrl-C and SIGTERM that end a fit after its current step."""
 
 import signal
 import threading
@@ -9,9 +9,13 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)  # torchrun and batch systems send th
 
 
 class Interruption:
-    """While this context lasts, the first Ctrl-C or SIGTERM sets `asked`; the next one ends the process at once.
+    """Context in which the first Ctrl-C or SIGTERM sets `asked`, and the next one ends the process at once.
 
-    Outside the main thread, where signals cannot be handled, it does nothing.
+    Outside the main thread, where Python handles no signals, it does nothing.
+
+    Attributes
+    ----------
+    asked : whether a signal has come
     """
 
     def __init__(self) -> None:

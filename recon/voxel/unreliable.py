@@ -17,14 +17,14 @@ from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import kinds_of, spread
 from recon.data.volume_edges import over_metal, relative_density
-from recon.ops.likelihood import likelihood
+from recon.ops.likelihood import MeasuredCounts, likelihood
 from recon.ops.nonnegative_newton import as_matrices
 from recon.voxel.iterative.likelihood import forward, transpose
 from spectra.cramer_rao import least_deviations
 
 METAL, STARVED = 1, 2  # flags of a voxel
 # no unit; standard deviation of a basis over the typical one, from which on a voxel is starved; it marks none in
-# kedge-small and some 3200 voxels of the implant in development_implant.yaml (docs/howto/fit.md)
+# kedge-small and some 3200 voxels of the implant in development_implant.yaml, as measured when it was chosen
 STARVED_DEVIATION = 5.0
 # no unit, over the typical density; denser voxels belong to the object; chosen by hand, not measured
 OBJECT_DENSITY = 0.1
@@ -135,9 +135,8 @@ def relative_deviations(
     some = measured[spread(kinds_of(measured.exposure), MOST_VIEWS)]
     some = some.binned(matching_bin(some.geometry, min(grid.spacing)))
     lengths = forward(volumes.astype(np.float32), some.geometry, grid)
-    fisher = likelihood(
-        lengths, some.counts, some.gains, some.exposure, some.transmission, dispersion, some.profile, True
-    )[2]
+    counts = MeasuredCounts(some.counts, some.gains, some.exposure, some.profile)
+    fisher = likelihood(lengths, counts, some.transmission, dispersion, information=True).curvatures
     assert fisher is not None
     found = np.zeros((len(volumes), *grid.shape), np.float32)
     slab = max(1, SLAB_VALUES // (len(volumes) ** 2 * grid.shape[1] * grid.shape[2]))

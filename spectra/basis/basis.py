@@ -314,6 +314,6 @@ def pretty(name: str) -> str:
     return "Compton" if name == "compton" else name
 
 
-def _texts(values: Sequence[Any]) -> list[str]:
+def _texts(values: Sequence[Any] | np.ndarray) -> list[str]:
     """Text, also from the bytes that HDF5 gives."""
     return [v.decode() if isinstance(v, bytes) else str(v) for v in values]

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from phantomgen.ops.expected_counts import INTERSECTION_TOLERANCE, RAYS_PER_VOXEL, RULES
+from phantomgen.ops.expected_counts import INTERSECTION_TOLERANCE, RAYS_PER_VOXEL, RULES, Sampling
 
 
 @dataclass(frozen=True)
@@ -32,15 +32,24 @@ class Settings:
     spot: int | None = None
     scatter: tuple[int, int] = (12, 5)
 
-    @property
-    def pixels(self) -> dict[str, Any]:
-        """Keyword arguments of `phantomgen.ops.expected_counts.expected_counts`."""
-        return {
-            "rules": self.rules,
-            "intersection_tolerance": self.intersections,
-            "sub_rays": self.sub_rays,
-            "rays_per_voxel": self.rays_per_voxel,
-        }
+    def sampling(self, aperture: tuple[float, float]) -> Sampling:
+        """Return the rules for the average over a pixel.
+
+        Parameters
+        ----------
+        aperture : width and height of the sensitive part of a pixel [pixel]
+
+        Returns
+        -------
+        the rules
+        """
+        return Sampling(
+            rules=self.rules,
+            sub_rays=self.sub_rays,
+            intersection_tolerance=self.intersections,
+            rays_per_voxel=self.rays_per_voxel,
+            aperture=aperture,
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return all settings under stable keys, for JSON.

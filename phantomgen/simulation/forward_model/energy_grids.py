@@ -352,7 +352,7 @@ def _with_profile(
 
 def _with_profile_lengths(
     scan: Scan, lengths: Float[np.ndarray, "ray material"]
-) -> Float[np.ndarray, "ray material_and_part"]:
+) -> Float[np.ndarray, "ray_and_pixel material_and_part"]:
     """Rays through objects, each on its way to some pixel, and rays without objects to the most extreme pixels."""
     if scan.profile is None:
         return lengths

@@ -77,7 +77,7 @@ def on_panel(
     return np.concatenate([depth, scaled[..., 1:] / np.where(depth == 0, 1.0, depth)], axis=-1)
 
 
-def points_of(shape: Shape, count: int) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
+def points_of(shape: Shape, count: int) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "surface 3"]]:
     """Sample points evenly inside a shape, and points of its surface.
 
     The middle of the bounds comes first if it is inside.

@@ -18,7 +18,7 @@ from phantomgen.ops.expected_counts import INTERSECTED, RULES, VOXELS, ExpectedC
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.checks.reference_rays import RayGrid, split_grid, worst_error
 from phantomgen.simulation.forward_model.discretization import Settings
-from phantomgen.simulation.forward_model.expected_counts import aperture_of
+from phantomgen.simulation.forward_model.expected_counts import spectrum_of
 from phantomgen.simulation.planning.plan import Choice, Trial
 from phantomgen.simulation.planning.sample_windows import Frame, Window, exposed, windows_of
 from spectra.threads import run_parallel
@@ -299,21 +299,12 @@ def _brute(
     scan: Scan, transmission: Transmission, window: Window, pixels: Int[np.ndarray, "pixel 2"], rays: int
 ) -> Float[np.ndarray, "pixel channel"]:
     """Counts of pixels from a grid of rays."""
-    spectrum = transmission.columns, transmission.weights, transmission.starts
+    scene, spectrum = scan.scene, spectrum_of(scan, transmission)._replace(profile=window.profile)
 
     def expose_part(frame: Frame, aperture: tuple[float, float], n: int) -> Float[np.ndarray, "pixel channel"]:
-        return expected_counts_by_grid(
-            frame,
-            pixels,
-            scan.scene.solids,
-            *spectrum,
-            scan.scene.background,
-            n=n,
-            profile=window.profile,
-            aperture=aperture,
-        )
+        return expected_counts_by_grid(frame, pixels, scene.solids, spectrum, scene.background, n, aperture)
 
-    return split_grid(expose_part, window.frame, aperture_of(scan), rays)
+    return split_grid(expose_part, window.frame, scan.aperture, rays)
 
 
 def _rule_name(rules: tuple[tuple[int, int], ...]) -> str:

@@ -1,4 +1,4 @@
-"""Bias and noise inside every material, cross-talk, and how materials scatter in the plane of two bases."""
+"""Bias and noise inside every material, cross-talk, and scatter plots of materials in the plane of two bases."""
 
 from pathlib import Path
 from typing import Any
@@ -12,15 +12,29 @@ from phantomgen.display.html.content import csv_of
 from recon.output.report.case import LINES, Case, LeftOut, Parts, number
 from spectra.basis.basis import pretty
 
-MARKERS = ("o", "s", "^", "D", "v")  # of runs
-MOST_POINTS = 6000  # voxels in a scatter plot
-# Colours that the colour-blind tell apart (Okabe and Ito); after them markers change.
+MARKERS = ("o", "s", "^", "D", "v")  # marker of each run
+MOST_POINTS = 6000  # voxels; largest number in a scatter plot, which limits the size of the page
+# hues of Okabe and Ito (2008); where there are more materials markers change
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#999999")
 _KEYS = ("true", "mean", "bias", "sd")
 
 
 def parts(case: Case) -> Parts:
-    """Means against the truth, errors with their noise, and cross-talk."""
+    """Draw means against the truth and errors with their noise, and create tables of cross-talk.
+
+    Parameters
+    ----------
+    case : runs of the report
+
+    Returns
+    -------
+    parts of the page
+
+    Raises
+    ------
+    LeftOut
+        When the runs have no scores per material.
+    """
     tables = {case.label(run): run.metrics["materials"] for run in case.runs if run.metrics.get("materials")}
     if not tables:
         raise LeftOut("no truth: the runs have no scores per material")
@@ -30,12 +44,12 @@ def parts(case: Case) -> Parts:
     found: list[Part] = [
         picture(
             identity,
-            "Mean of every material in each basis against its true coefficient; on the line, all is well. Bars are the "
-            "standard deviation over its voxels. Solutions of one agent make its linearity.",
+            "Mean of every material in each basis against its true coefficient; on the line both are equal. Bars are "
+            "the standard deviation over its voxels. Solutions of one agent show its linearity.",
             numbers,
         ),
         picture(
-            errors, "The same as errors: bias, with bars for the standard deviation over the voxels inside.", numbers
+            errors, "Errors of these means: bias, with bars for the standard deviation over the voxels inside.", numbers
         ),
     ]
     found += [_cross_talk(run.name, run.metrics["cross_talk"]) for run in case.runs if run.metrics.get("cross_talk")]
@@ -43,7 +57,21 @@ def parts(case: Case) -> Parts:
 
 
 def scatter_parts(case: Case) -> Parts:
-    """Voxels in the plane of the first two bases, by material."""
+    """Draw voxels in the plane of the first two bases, by material.
+
+    Parameters
+    ----------
+    case : runs of the report
+
+    Returns
+    -------
+    parts of the page
+
+    Raises
+    ------
+    LeftOut
+        When there is no truth, or one basis only.
+    """
     truth = case.needs_truth()
     if len(case.names) < 2:
         raise LeftOut("there is one basis only")
@@ -54,15 +82,26 @@ def scatter_parts(case: Case) -> Parts:
         values = case.volumes(run)[:2]
         text = scatter_figure(values, case.labels, truth.material_names, truth.coefficients[:, places], names, path)
         caption = (
-            f"{case.who(run)}Voxels in the plane of {pretty(names[0])} and {pretty(names[1])}, coloured by what fills "
-            "most of them; crosses are the true materials. Trails between crosses are voxels at edges."
+            f"{case.who(run)}Voxels in the plane of {pretty(names[0])} and {pretty(names[1])}, coloured by the "
+            "material that fills most of each; crosses are the true materials, and points between them voxels at edges."
         )
         found.append(picture(path, caption, text))
     return tuple(found)
 
 
 def identity_figure(tables: dict[str, dict[str, Any]], names: tuple[str, ...], path: Path) -> Path:
-    """Mean against true coefficient, a panel per basis."""
+    """Draw mean against true coefficient, in a panel per basis.
+
+    Parameters
+    ----------
+    tables : scores per material of each run, by the names of the runs
+    names : names of the bases
+    path : figure to write
+
+    Returns
+    -------
+    path
+    """
     across = min(len(names), 3)
     down = -(-len(names) // across)
     with figure_file(path, (PAGE_WIDTH, 1.75 * down + 0.55)) as figure:
@@ -87,7 +126,18 @@ def identity_figure(tables: dict[str, dict[str, Any]], names: tuple[str, ...], p
 
 
 def error_figure(tables: dict[str, dict[str, Any]], names: tuple[str, ...], path: Path) -> Path:
-    """Bias with noise, a panel per basis and a line per material."""
+    """Draw bias with noise, in a panel per basis with a line per material.
+
+    Parameters
+    ----------
+    tables : scores per material of each run, by the names of the runs
+    names : names of the bases
+    path : figure to write
+
+    Returns
+    -------
+    path
+    """
     materials = list(dict.fromkeys(material for table in tables.values() for material in table))
     places = np.arange(len(materials))[::-1]
     with figure_file(path, (PAGE_WIDTH, 0.24 * len(materials) * max(1, len(tables) / 2) + 1.1)) as figure:
@@ -120,12 +170,20 @@ def scatter_figure(
     names: tuple[str, ...],
     path: Path,
 ) -> str:
-    """Draw some voxels of every material, and its true place; returns them as CSV.
+    """Draw some voxels of every material, and its true coefficients.
 
     Parameters
     ----------
     values : coefficients of two bases [1/mm]
     labels : 0 for background, i + 1 for material i
+    materials : names of the materials
+    true : true coefficients of the materials [1/mm]
+    names : names of the two bases
+    path : figure to write
+
+    Returns
+    -------
+    the voxels that are drawn, as CSV
     """
     rng, table = np.random.default_rng(0), []
     with figure_file(path, (PAGE_WIDTH, 3.7)) as figure:
@@ -160,6 +218,7 @@ def _points(tables: dict[str, dict[str, Any]], name: str) -> dict[str, list[tupl
 
 
 def _milli(value: float | None) -> float:
+    """Value in 1e-3/mm; NaN for None."""
     return float("nan") if value is None else MILLI * value
 
 
@@ -176,8 +235,8 @@ def _numbers(tables: dict[str, dict[str, Any]]) -> str:
 
 
 def _cross_talk(name: str, matrix: dict[str, dict[str, float]]) -> Table:
-    """How mean coefficients follow true ones."""
+    """Table of the cross-talk of a run: mean coefficients per unit of true ones."""
     header = (name, *(f"true {pretty(b)}" for b in matrix))
     rows = tuple((pretty(row), *(number(v, ".4f") for v in cells.values())) for row, cells in matrix.items())
-    caption = "Cross-talk: how mean coefficients follow true ones; 1 on the diagonal and 0 elsewhere when all is well."
+    caption = "Cross-talk: mean coefficients per unit of true ones; ideal is 1 on the diagonal and 0 elsewhere."
     return Table(header, rows, caption, "cross_talk", csv_of(header, [(r, *c.values()) for r, c in matrix.items()]))

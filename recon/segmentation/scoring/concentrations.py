@@ -9,18 +9,24 @@ from recon.evaluation.metrics import pure_voxels
 from recon.segmentation.result import Segmentation
 from recon.segmentation.scoring.reference import Reference
 
-DETECTION = 3.3  # standard deviations of a blank, as in ICH guideline Q2
+DETECTION = 3.3  # standard deviations of a blank; limit of detection of ICH guideline Q2
 
 
 def regress(segmentation: Segmentation, reference: Reference) -> dict[str, Any]:
-    """Concentrations of each contrast agent: mean over pure voxels of the materials that hold it and of blanks.
+    """Fit measured against true concentrations of each contrast agent.
+
+    Parameters
+    ----------
+    segmentation : material maps
+    reference : truth
 
     Returns
     -------
-    By element ``slope``, ``intercept`` [mg/ml] and ``r_squared`` of measured against true; ``detection_limit`` [mg/ml]
-    of one voxel, 3.3 standard deviations of the blanks' voxels over the slope; ``crosstalk`` [mg/ml], the largest mean
-    in a material of another agent; ``points``: material, true, measured, standard deviation. A pure voxel is filled by
-    one material, and so are those at most two away.
+    by element ``slope``, ``intercept`` [mg/ml] and ``r_squared`` of measured against true; ``detection_limit`` [mg/ml]
+    of one voxel, 3.3 standard deviations of the blanks' voxels over the slope; ``crosstalk`` [mg/ml], the largest
+    absolute mean in a material of another agent; ``points``: material, true, measured, standard deviation. Values are
+    means over pure voxels of the materials that hold the agent, and of blanks. A voxel is pure where one material fills
+    it and all voxels at most two away
     """
     volumes, true = segmentation.subject.volumes, reference.truth
     inside = [pure_voxels(f, FRACTION_SCALE) for f in true.fractions]

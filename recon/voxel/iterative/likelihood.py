@@ -10,7 +10,7 @@ from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.project import project, project_transpose
 from recon.data.measurements import Measurements
 from recon.data.volume_edges import relative_density
-from recon.ops.likelihood import likelihood
+from recon.ops.likelihood import MeasuredCounts, likelihood
 from recon.ops.nonnegative_newton import as_matrices
 from recon.voxel.method import Images, Volumes
 
@@ -131,8 +131,6 @@ def _portions(measurements: Measurements) -> Iterator[Measurements]:
 def _likelihood(
     lengths: Images, data: Measurements, dispersion: float, information: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    deviances, gradient, fisher = likelihood(
-        lengths, data.counts, data.gains, data.exposure, data.transmission, dispersion, data.profile, information,
-        data.shares,
-    )  # fmt: skip
+    counts = MeasuredCounts(data.counts, data.gains, data.exposure, data.profile, data.shares)
+    deviances, gradient, fisher = likelihood(lengths, counts, data.transmission, dispersion, information)
     return deviances, gradient, np.zeros(0) if fisher is None else fisher

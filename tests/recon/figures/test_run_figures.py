@@ -50,7 +50,7 @@ def test_slices_without_truth_and_of_nothing_are_drawn(tmp_path, volumes):
     assert read_png_size(figures.basis_slices(volumes, None, NAMES, GRID, tmp_path / "a.png"))[1] > 300
     empty = np.zeros((1, 1, 1, 1))
     figures.basis_slices(empty, empty, ("compton",), Grid.cube(1, 2.0), tmp_path / "b.png")
-    figures.profiles(empty, empty, ("compton",), Grid.cube(1, 2.0), tmp_path / "c.png")
+    figures.profiles({"result": empty}, empty, ("compton",), Grid.cube(1, 2.0), tmp_path / "c.png")
 
 
 def test_a_basis_that_the_truth_lacks_is_drawn_without_it(tmp_path, volumes, truth):
@@ -58,7 +58,7 @@ def test_a_basis_that_the_truth_lacks_is_drawn_without_it(tmp_path, volumes, tru
     some[2] = np.nan
     path = figures.basis_slices(volumes, some, NAMES, GRID, tmp_path / "a.png", left_out=("kedge_50.2",))
     assert read_png_size(path)[0] == 1050
-    figures.profiles(volumes, some, NAMES, GRID, tmp_path / "b.png")
+    figures.profiles({"result": volumes}, some, NAMES, GRID, tmp_path / "b.png")
 
 
 def test_profiles_pass_through_both_regions_of_the_last_basis(tmp_path, volumes, truth):
@@ -68,7 +68,7 @@ def test_profiles_pass_through_both_regions_of_the_last_basis(tmp_path, volumes,
         offset = np.array([*centre, start[2]]) - start
         assert np.linalg.norm(offset - offset @ along * along) < 1.5
     assert np.abs(np.stack([start, stop])[:, :2]).max() == pytest.approx(24.0)
-    table = read_csv(figures.profiles(volumes, truth, NAMES, GRID, tmp_path / "profile.png"))
+    table = read_csv(figures.profiles({"result": volumes}, truth, NAMES, GRID, tmp_path / "profile.png"))
     assert table["kedge_63.3_truth"].max() == pytest.approx(0.02)
     assert np.abs(table["kedge_63.3_result"] - table["kedge_63.3_truth"]).mean() < 2e-3
     assert table["position_mm"][0] == 0
@@ -78,7 +78,7 @@ def test_a_profile_without_two_regions_runs_along_x(tmp_path, volumes):
     line = figures.profile_line(volumes[1], GRID)
     np.testing.assert_allclose(line[:, 0], [-24, 24])
     assert line[0, 1] == line[1, 1]
-    table = read_csv(figures.profiles(volumes, None, NAMES, GRID, tmp_path / "p.png", line))
+    table = read_csv(figures.profiles({"result": volumes}, None, NAMES, GRID, tmp_path / "p.png", line))
     assert set(table.dtype.names) >= {"x_mm", "compton_result"}
     assert "compton_truth" not in table.dtype.names
     x = GRID.axis("x")

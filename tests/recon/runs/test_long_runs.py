@@ -163,7 +163,7 @@ def test_a_fit_that_was_stopped_gets_its_name_and_goes_on_from_there(tmp_path):
     with pytest.raises(KeyboardInterrupt, match=r"run holds the model after step 3 of 9.*--resume"):
         interrupted(run, Stopped("after step 3 of 9"), **files)
     assert (run / "model.safetensors").read_text() == "mine"
-    with pytest.raises(InputError, match="interrupted: go on by --resume"):
+    with pytest.raises(InputError, match="interrupted run finished: go on by --resume"):
         RunFolder(run, overwrite=False)
     with RunFolder(run, overwrite=False, resume=True) as part:
         assert is_partial(part)
@@ -257,13 +257,14 @@ import torch
 from test_long_runs import PIXEL, RECIPE, toy_problem
 from recon.gaussians.optimize import fit
 from recon.gaussians.processes import joined
+from recon.gaussians.processes import Resources
 with joined() as processes:
     group = weakref.ref(torch.distributed.group.WORLD)
     import torch._dynamo  # whatever is imported meanwhile
     start, measured = toy_problem()
     start = processes.from_first(start)
     steps = []
-    fitted = fit(start, measured, PIXEL, RECIPE, steps.append, measured[[2]], processes)
+    fitted = fit(start, measured, PIXEL, RECIPE, steps.append, measured[[2]], resources=Resources(processes))
     rows = [p.deviance for p in steps]
     torch.save([fitted.centres, fitted.coefficients, rows], sys.argv[1] + str(processes.rank))
 assert group() is None, "threads of a group that outlives its processes' context may abort them at their end"
