@@ -1,5 +1,6 @@
 """How Sphinx builds the pages. `make docs` runs it; `make docs GALLERY=1` runs the example scripts as well."""
 
+import importlib.util
 import os
 import shutil
 import sys
@@ -28,6 +29,8 @@ extensions = [
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
 ]
+if importlib.util.find_spec("sphinx-mathjax-offline"):  # formulas without a network
+    extensions.append("sphinx-mathjax-offline")
 exclude_patterns = ["_build"]
 templates_path = ["_templates"]
 suppress_warnings = ["config.cache"]  # functions in sphinx_gallery_conf cannot be pickled

@@ -46,7 +46,6 @@ TEXTS = {
     "spectra.quadrature": "energy nodes by tolerance",
     "spectra.source": "tubes, lines, filters",
     "spectra.differentiable": "gradients",
-    "spectra.learned_edge": "K edges that can be learned",
     "spectra.materials": "compositions and densities",
     "spectra.basis": "basis functions",
     "spectra.transmission": "line integrals to expected counts",
