@@ -14,7 +14,7 @@ with suppress(ImportError):  # before anything is rendered: its LLVM and that of
     import triton  # noqa: F401
 
 CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"  # an int may stand for a float
-CHECKED = ()
+CHECKED = ("spectra",)
 install_import_hook(CHECKED, CHECKER)  # before anything of the project is imported
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
@@ -24,9 +24,10 @@ settings.load_profile("repeatable")
 @pytest.fixture(autouse=True)
 def checked_types(request):
     """Let arguments of wrong types through to a function's own checks, in tests that are marked `wrong_types`."""
-    config.update("jaxtyping_disable", request.node.get_closest_marker("wrong_types") is not None)
+    before = config.jaxtyping_disable  # JAXTYPING_DISABLE=1 turns all checks off
+    config.update("jaxtyping_disable", before or request.node.get_closest_marker("wrong_types") is not None)
     yield
-    config.update("jaxtyping_disable", False)
+    config.update("jaxtyping_disable", before)
 
 
 PROBE = "import pyvista; p = pyvista.Plotter(off_screen=True); p.add_mesh(pyvista.Sphere()); p.screenshot()"

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from jaxtyping import TypeCheckError
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("spectra", "phantomgen", "recon")
@@ -89,6 +90,13 @@ def test_every_test_can_fail():
     tests = [(place, f) for place, f in found if f.name.startswith("test_") and f.name not in sure]
     called = {place: {ast.unparse(c.func) for c in ast.walk(f) if isinstance(c, ast.Call)} for place, f in tests}
     assert [place for place, names in called.items() if not names & sure] == []
+
+
+def test_types_and_axes_of_calls_are_checked():
+    from spectra.basis.basis import klein_nishina
+
+    with pytest.raises(TypeCheckError):
+        klein_nishina([70.0])
 
 
 def test_only_kernels_go_without_checks_of_types():

@@ -162,9 +162,10 @@ def _angles(orbit: Turning, panel: PanelModel) -> tuple[Float[np.ndarray, " view
         raise GeometryError("an orbit needs either views, the number of them, or angles, a list in degrees")
     if orbit.views is not None:
         whole = 180.0 if isinstance(orbit, ParallelModel) else 360.0
-        short = isinstance(orbit, CircularModel) and orbit.arc == "short"
-        arc = _short_arc(panel, orbit.sdd) if short else orbit.arc or whole
-        angles = orbits.spread_angles(orbit.views, orbit.test_views, arc, orbit.start or 0.0)
+        arc = orbit.arc or whole
+        if isinstance(orbit, CircularModel) and arc == "short":
+            arc = _short_arc(panel, orbit.sdd)
+        angles = orbits.spread_angles(orbit.views, orbit.test_views, float(arc), orbit.start or 0.0)
         return angles, _times(orbit.views, orbit.test_views), orbit.views
     if orbit.arc is not None or orbit.start is not None:
         raise GeometryError("angles stand for themselves: leave arc and start out")

@@ -20,7 +20,7 @@ from recon.data.partial_volume import FEWEST, LEAST_COUNTS
 from recon.data.view_subsets import kinds_of, spread
 
 # All limits below were chosen by hand and not measured one by one; what they do together is measured by
-# `python -m benchmarks.reconstruction.truncation` (docs/howto/fit.md, "Truncated scans").
+# `python -m benchmarks.reconstruction.truncation` (docs/reference/benchmarks/truncation.md).
 VIEWS = 48  # views, evenly spread; the largest number that is examined
 BLOCKS = 32  # blocks along the longer side of the panel, in which counts are summed
 BORDER = 2  # pixels at each border of the panel, which show whether the object extends beyond it

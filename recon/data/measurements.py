@@ -75,8 +75,9 @@ class Measurements:
         """Take some of the views."""
         counts = taken(self.counts, views)
         shares = None if self.shares is None else taken(self.shares, views)
-        some = replace(self, counts=counts, exposure=self.exposure[views], geometry=self.geometry[views])
-        return replace(some, shares=shares, apart=None if self.apart is None else self.apart[views])
+        apart, exposure = None if self.apart is None else self.apart[views], self.exposure[views]
+        geometry = self.geometry[views]
+        return replace(self, counts=counts, exposure=exposure, geometry=geometry, shares=shares, apart=apart)
 
     def summed(self, factor: int) -> "Measurements":
         """Sum `factor` x `factor` pixels to one; the variance of sums of counts is their mean, as before.

@@ -34,7 +34,7 @@ CERTAIN = 2.0  # standard deviations of its noise that a slope must exceed; chos
 EDGE = 0.3
 BLUNT = 40.0  # no unit; how fast that term fades where the slope goes on; by the same measurement
 # no unit; standard deviation of a correction over the correction; 0.45 and 0.1 are better and worse for single scenes
-# (docs/howto/fit.md, "Partial volume")
+# (docs/development/decisions/0005-partial-volume.md)
 KNOWN_TO = 0.2
 NEAR = 2  # pixels in each direction, within which rays have equal statistical weight; chosen by hand, not measured
 # pixels along (channel, row, column); standard deviation of the Gaussian that reduces noise before a minimum is taken

@@ -13,14 +13,14 @@ from scipy.ndimage import gaussian_filter, maximum_filter
 SMOOTHING = 0.7  # voxels; standard deviation of the Gaussian that reduces noise before edges are found; by hand
 BACKGROUND = 0.1  # no unit, over a large signal; a voxel below is empty; chosen by hand, not measured
 # no unit, over the typical signal; a large signal is the 99th percentile, or this where metal exceeds it, so that the
-# body beside steel does not count as empty (docs/howto/fit.md, "Thick metal")
+# body beside steel does not count as empty (docs/development/decisions/0009-metal.md)
 LARGEST = 3.0
 METAL = 3.0  # no unit, over the typical density; denser voxels are metal; chosen by hand, not measured
 # no unit, over the median gradient, which is noise where most of an object is homogeneous; larger gradients are edges;
 # chosen by hand, not measured
 EDGE = 4.0
 # no unit, over the typical signal; larger gradients per voxel are edges whatever the median is; 0.3 loses 0.1 to 0.4 dB
-# (docs/howto/fit.md, "Where Gaussians are dense")
+# (docs/development/decisions/0015-where-gaussians-are-dense.md)
 CONTRAST = 0.1
 _FAINT = 0.02  # no unit; see `_typical`; chosen by hand, not measured
 

@@ -138,7 +138,15 @@ def score_materials(
         if values.size:
             means.append(values.mean(axis=1))
             present.append(true)
-    return {"materials": table, "cross_talk": cross_talk(np.array(means), np.array(present), basis_names)}
+    return {
+        "materials": table,
+        "cross_talk": cross_talk(_rows(means, basis_names), _rows(present, basis_names), basis_names),
+    }
+
+
+def _rows(values: Sequence[np.ndarray], names: Sequence[str]) -> Float[np.ndarray, "material basis"]:
+    """Values of each material and basis as an array, also of no material."""
+    return np.array(values, dtype=np.float64).reshape(-1, len(names))
 
 
 def cross_talk(

@@ -22,7 +22,7 @@ NUMBERS = tuple(z for z in (*range(21, 84), 90, 92) if z not in (43, 61))
 # no unit; elements whose deviances differ by less are not distinguished; three standard deviations
 INDISTINCT = 9.0
 # names of `spectra.elements.named_materials`; the alternative to photoelectric absorption and Compton scattering;
-# docs/tutorials/edge_energy.md has the deviances of both on `multi-energy`
+# docs/reference/benchmarks/kedge_search.md has the deviances of both on `multi-energy`
 TISSUES = ("Water, Liquid", "cortical bone")
 
 

@@ -9,7 +9,7 @@ surroundings.
 """
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Integer
 from scipy import ndimage
 
 from recon.segmentation.features import SIGNIFICANT
@@ -43,7 +43,7 @@ def rims(inner: Int[np.ndarray, "z y x"], count: int) -> Bool[np.ndarray, " clus
 
 
 def label_edges(
-    inner: Int[np.ndarray, "z y x"],
+    inner: Integer[np.ndarray, "z y x"],
     parts: Float[np.ndarray, "mechanism z y x"],
     air: Bool[np.ndarray, "z y x"],
     centres: Float[np.ndarray, "cluster mechanism"],
@@ -114,7 +114,7 @@ def off_mixtures(
 
 
 def label_at(
-    labels: Int[np.ndarray, "z y x"],
+    labels: Integer[np.ndarray, "z y x"],
     places: Float[np.ndarray, "3 point"],
     values: Float[np.ndarray, "point mechanism"],
     centres: Float[np.ndarray, "cluster mechanism"],

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Integer
 from scipy.sparse.csgraph import connected_components
 
 from recon.segmentation.clustering import find_modes, is_tail, nearest_mode, unit_of
@@ -27,7 +27,7 @@ class Found:
     coefficients : medians of the basis functions inside of each material [1/mm]
     """
 
-    labels: Int[np.ndarray, "z y x"]
+    labels: Integer[np.ndarray, "z y x"]
     centres: Float[np.ndarray, "cluster mechanism"]
     coefficients: Float[np.ndarray, "cluster basis"]
 
@@ -79,7 +79,7 @@ def find_materials(
 
 
 def medians(
-    volumes: Float[np.ndarray, "component ..."], labels: Int[np.ndarray, "..."]
+    volumes: Float[np.ndarray, "component ..."], labels: Integer[np.ndarray, "..."]
 ) -> Float[np.ndarray, "label component"]:
     """Compute the median under each label except 0.
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Integer
 
 from recon.segmentation.clustering import BANDWIDTH
 from recon.segmentation.colours import colours_of, kind_of, names_of
@@ -98,7 +98,7 @@ class Segmentation:
     readouts: Readouts
     options: Options
     clusters: tuple[Cluster, ...]
-    labels: Int[np.ndarray, "z y x"]
+    labels: Integer[np.ndarray, "z y x"]
     materials: Float[np.ndarray, "material z y x"]
     gaussian_labels: Int[np.ndarray, " gaussian"] | None = None
     gaussian_densities: Float[np.ndarray, "gaussian material"] | None = None

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Integer
 from scipy.ndimage import minimum_filter
 
 from recon.gaussians.model import Gaussians
@@ -123,7 +123,7 @@ def _described(
     readouts: Readouts,
     options: Options,
     coefficients: Float[np.ndarray, "cluster basis"],
-    labels: Int[np.ndarray, "z y x"],
+    labels: Integer[np.ndarray, "z y x"],
     materials: Float[np.ndarray, "material z y x"],
 ) -> Segmentation:
     """Clusters with names, colours and physical numbers."""

@@ -8,7 +8,7 @@ clustered. Partial volume lowers the coefficients of thin structures: a cluster 
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Integer
 from scipy import ndimage
 
 from recon.segmentation.clustering import find_modes, nearest_mode
@@ -24,13 +24,13 @@ _UNITS = (0.13, 0.1, 0.05)
 
 
 def with_thin_materials(
-    inner: Int[np.ndarray, "z y x"],
+    inner: Integer[np.ndarray, "z y x"],
     parts: Float[np.ndarray, "mechanism z y x"],
     features: Float[np.ndarray, "feature z y x"],
     air: Bool[np.ndarray, "z y x"],
     centres: Float[np.ndarray, "cluster mechanism"],
     seed: int,
-) -> Int[np.ndarray, "z y x"]:
+) -> Integer[np.ndarray, "z y x"]:
     """Add labels for the densest points of thin materials.
 
     Parameters

@@ -20,7 +20,8 @@ from recon.voxel.method import Iteration
 # no unit; width of each margin over that of the one before; chosen by hand, not measured
 GROWTH = 1.15
 # no unit, over the least misfit; the first margin stays below this, as wider ones cost Compton more than they gain;
-# chosen on five scenes, where the first margin has at most 2.3 or 10 times the least misfit (docs/howto/fit.md)
+# chosen on five scenes, where the first margin has at most 2.3 or 10 times the least misfit
+# (docs/development/decisions/0012-truncation-margin.md)
 LARGEST_FIRST_MISFIT = 3.0
 # no unit, over the least misfit; coarse voxels cannot tell smaller differences from their own errors; chosen by hand
 NEARLY_LEAST_MISFIT = 1.4

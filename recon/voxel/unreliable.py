@@ -24,7 +24,7 @@ from spectra.cramer_rao import least_deviations
 
 METAL, STARVED = 1, 2  # flags of a voxel
 # no unit; standard deviation of a basis over the typical one, from which on a voxel is starved; it marks none in
-# kedge-small and some 3200 voxels of the implant in development_implant.yaml (docs/howto/fit.md)
+# kedge-small and some 3200 voxels of the implant in development_implant.yaml, as measured when it was chosen
 STARVED_DEVIATION = 5.0
 # no unit, over the typical density; denser voxels belong to the object; chosen by hand, not measured
 OBJECT_DENSITY = 0.1

@@ -111,7 +111,7 @@ def _groups(components: int) -> list[tuple[slice, tuple[np.float32, ...]]]:
 
 def _lines_side_by_side(
     volume: Float32[np.ndarray, "component z y x"],
-) -> list[tuple[slice, tuple[np.float32, ...], Float32[np.ndarray, "y x number"]]]:
+) -> list[tuple[slice, tuple[np.float32, ...], Float32[np.ndarray, "y x_and_one number"]]]:
     """Groups of components, their lanes, and their lines along z.
 
     One x more than there are keeps lines of different y from the same sets of the cache.

@@ -8,8 +8,8 @@ from recon.ops.pieces import run_in_pieces
 
 CHUNK = 8192  # voxels per piece of work
 
-Volumes = Float[np.ndarray, "basis z y x"]
-Blocks = Float[np.ndarray, "pair z y x"]
+Volumes = Float[np.ndarray, "basis *voxels"]
+Blocks = Float[np.ndarray, "pair *voxels"]
 
 
 def nonnegative_newton_step(volumes: Volumes, inverse: Blocks, cotangents: Volumes, bounded: bool = True) -> Volumes:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Integer
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import Truth
@@ -62,7 +62,7 @@ class Case:
         return self.truth.volumes[[self.truth.basis_names.index(name) for name in self.names]]
 
     @cached_property
-    def labels(self) -> Int[np.ndarray, "z y x"]:
+    def labels(self) -> Integer[np.ndarray, "z y x"]:
         """Material that fills most of each voxel of the truth: 0 for background, i + 1 for material i."""
         return self.needs_truth().labels
 

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Integer
 
 from phantomgen.display.figures.style import MILLI, PAGE_WIDTH, UNIT, few_ticks, figure_file
 from phantomgen.display.html import Part, Table, picture
@@ -166,7 +166,7 @@ def error_figure(tables: dict[str, dict[str, Any]], names: tuple[str, ...], path
 
 def scatter_figure(
     values: Float[np.ndarray, "2 z y x"],
-    labels: Int[np.ndarray, "z y x"],
+    labels: Integer[np.ndarray, "z y x"],
     materials: tuple[str, ...],
     true: Float[np.ndarray, "material 2"],
     names: tuple[str, ...],

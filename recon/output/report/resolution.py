@@ -5,7 +5,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Real
+from jaxtyping import Bool, Float, Integer, Real
 from scipy import ndimage
 from scipy.special import erfinv
 
@@ -155,8 +155,8 @@ def edge_figure(case: Case, path: Path) -> tuple[Path, str] | None:
 
 
 def strongest_edge(
-    fractions: Int[np.ndarray, "material z y x"],
-    labels: Int[np.ndarray, "z y x"],
+    fractions: Integer[np.ndarray, "material z y x"],
+    labels: Integer[np.ndarray, "z y x"],
     coefficients: Float[np.ndarray, " material"],
 ) -> Edge | None:
     """Find the surface of the material with the largest coefficient among those that fill at least 100 voxels.
@@ -177,7 +177,7 @@ def strongest_edge(
     return None
 
 
-def edge_of(fraction: Float[np.ndarray, "z y x"], labels: Int[np.ndarray, "z y x"], material: int) -> Edge:
+def edge_of(fraction: Float[np.ndarray, "z y x"], labels: Integer[np.ndarray, "z y x"], material: int) -> Edge:
     """Compute the distance of voxels from the surface of one material.
 
     Parameters
@@ -259,7 +259,7 @@ def edge_width(distance: Float[np.ndarray, " bin"], response: Float[np.ndarray, 
 
 
 def uniform_region(
-    fractions: Int[np.ndarray, "material z y x"], names: tuple[str, ...]
+    fractions: Integer[np.ndarray, "material z y x"], names: tuple[str, ...]
 ) -> tuple[str, tuple[slice, slice, slice]] | None:
     """Find the largest square that one material fills alone, in all slices where it does.
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Integer
 from scipy.ndimage import gaussian_filter
 
 from phantomgen.dataset.truth import Truth
@@ -85,7 +85,7 @@ def result_materials(content: RunContent, truth: Truth) -> list[Material]:
 
 def nearest_materials(
     volumes: Float[np.ndarray, "basis z y x"], coefficients: Float[np.ndarray, "material basis"]
-) -> Int[np.ndarray, "z y x"]:
+) -> Integer[np.ndarray, "z y x"]:
     """Label voxels by the material whose coefficients are nearest, each basis relative to its largest coefficient.
 
     Parameters
@@ -206,7 +206,7 @@ def level_bodies(
         yield Material(name, i, place, values, np.zeros_like(values) if holds else None, levels[names[i]])
 
 
-def _smoothed(labels: Int[np.ndarray, "z y x"], label: int) -> Float[np.ndarray, "z y x"]:
+def _smoothed(labels: Integer[np.ndarray, "z y x"], label: int) -> Float[np.ndarray, "z y x"]:
     """Smoothed indicator of a label, with one empty voxel around the grid."""
     return np.pad(gaussian_filter((labels == label).astype(np.float32), _SMOOTHING, mode="constant"), 1)
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Integer
 from scipy.optimize import linear_sum_assignment
 
 from phantomgen.geometry.poses import Geometry
@@ -60,7 +60,7 @@ def score(segmentation: Segmentation, reference: Reference) -> dict[str, Any]:
 
 
 def confusion(
-    truth: Int[np.ndarray, "z y x"], found: Int[np.ndarray, "z y x"], materials: int, clusters: int
+    truth: Integer[np.ndarray, "z y x"], found: Integer[np.ndarray, "z y x"], materials: int, clusters: int
 ) -> Int[np.ndarray, "true found"]:
     """Count voxels by their true label and the label found.
 

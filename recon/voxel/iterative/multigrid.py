@@ -102,7 +102,7 @@ def occupied(volumes: Float[np.ndarray, "basis z y x"]) -> Box:
 
 
 def _along(
-    volumes: Float[np.ndarray, "basis z y x"], place: Float[np.ndarray, " voxel"], axis: int
+    volumes: Float[np.ndarray, "basis _ _ _"], place: Float[np.ndarray, " voxel"], axis: int
 ) -> Float[np.ndarray, "basis z y x"]:
     """Linear interpolation along one axis, at positions in voxels."""
     last = volumes.shape[axis] - 1

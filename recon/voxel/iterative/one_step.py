@@ -46,24 +46,26 @@ CURVATURE_STEP = 3.236
 # from the best volumes; chosen by hand, not measured
 DIVERGED = 1.5
 # no unit, over the typical curvature; below it the total variation has less weight; a quarter, with power 1, is 1 dB
-# worse with an implant (docs/howto/fit.md, "Thick metal")
+# worse with an implant, as measured when it was chosen (docs/development/decisions/0009-metal.md)
 LOW_CURVATURE = 0.5
 # no unit; power of the relative curvature with which the total variation fades, between that of noise (0.5) and that of
-# information (1); by its root, an opaque block of 2 per mm ends at 1.4 (docs/howto/fit.md, "Thick metal")
+# information (1); by its root, an opaque block of 2 per mm ends at 1.4 (as above)
 CURVATURE_POWER = 0.7
 # passes of a level; after them the curvature is computed again at the current volumes; chosen by hand, not measured
 METRIC_RENEWED = 3
-# views; of more, subsets are more and passes fewer in proportion; 180 views: the same dB in half the time (fit.md)
+# views; of more, subsets are more and passes fewer in proportion; with 180 views of development.yaml that has the same
+# PSNR within 0.1 dB in half the time, as measured when it was chosen
 MANY_VIEWS = 100
 # passes; the least number for any number of views; chosen by hand, not measured
 FEWEST_PASSES = 2
-# views; of fewer, passes are more by the root of 75 over their number; scenes with 10 and 25 views (fit.md)
+# views; of fewer, passes are more by the root of 75 over their number, as measured with 10 and 25 views when it was
+# chosen
 FEW_VIEWS = 75
 # no unit; precision of the prior of K edges at 0 over their curvature, in metal twice as dense as the least dense one;
-# ten times as much gains 0.3 dB of iodine and loses 0.4 dB of Compton beside a pin (fit.md, "Thick metal")
+# ten times as much gains 0.3 dB of iodine and loses 0.4 dB of Compton beside a pin, as above
 AGENT_PRIOR = 0.1
 # no unit, over the mean curvature; floor of the curvature, so that voxels without rays stay as they are; 1e-3 holds
-# back voxels in thick metal (fit.md, "Thick metal")
+# back voxels in thick metal, as above
 CURVATURE_FLOOR = 1e-4
 # no unit; weights of voxel centres in the mean of a piecewise linear function over a voxel; exact
 _MEAN = (1 / 8, 3 / 4, 1 / 8)
@@ -74,7 +76,7 @@ class OneStep:
     """One-step reconstruction with its settings.
 
     Levels, strength and dispersion were compared by `benchmarks.reconstruction.comparison_methods`
-    (`docs/explanation/voxel_methods.md`); the other values were chosen by hand.
+    (`docs/reference/benchmarks/voxel_methods.md`); the other values were chosen by hand.
 
     Parameters
     ----------

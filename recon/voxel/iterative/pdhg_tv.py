@@ -50,8 +50,8 @@ Weights = (
 class PdhgTv:
     """PDHG-TV with its settings.
 
-    The strength was compared by `benchmarks.reconstruction.comparison_methods` (`docs/explanation/voxel_methods.md`,
-    which also has the steps); the other values were chosen by hand.
+    The strength was compared by `benchmarks.reconstruction.comparison_methods`
+    (`docs/reference/benchmarks/voxel_methods.md`, which also has the steps); the other values were chosen by hand.
 
     Parameters
     ----------

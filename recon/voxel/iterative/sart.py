@@ -27,7 +27,7 @@ class Sart(IterativeMethod):
     """OS-SART as a method.
 
     The residual of a pass is ||(R w)^1/2 (b - A x)||, each subset before its step, over that of x = 0. Settings were
-    compared by `benchmarks.reconstruction.comparison_methods` (`docs/explanation/voxel_methods.md`).
+    compared by `benchmarks.reconstruction.comparison_methods` (`docs/reference/benchmarks/voxel_methods.md`).
 
     Parameters
     ----------

@@ -116,6 +116,7 @@ def test_any_number_of_threads_gives_the_same_bits():
     assert all(np.array_equal(a, b) for a, b in zip(*results, strict=True))
 
 
+@pytest.mark.wrong_types
 def test_line_integrals_of_other_views_are_refused():
     model = spectral_model(2)
     lengths, *rest = some_rays(model, 2, columns=5)

@@ -186,6 +186,7 @@ def test_no_gaussians_make_an_empty_image_in_the_dtype_of_the_coefficients():
     assert [tuple(g.shape) for g in gradients] == [(0, 3), (0, 3), (0, 4), (0, 3)]
 
 
+@pytest.mark.wrong_types
 def test_arrays_that_do_not_belong_together_are_refused():
     centres, log_scales, quaternions, values = random_gaussians(1)
     with pytest.raises(InputError, match=r"quaternions has shape \(12, 3\), expected \(12, 4\)"):
