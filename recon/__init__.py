@@ -15,17 +15,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from recon.api import Fit, fit, segment
     from recon.gaussians.model import Gaussians
+    from recon.gaussians.processes import Resources
     from recon.gaussians.recipe import Recipe, Stage
     from recon.gaussians.reconstruct import Reconstruction, reconstruct
     from recon.voxel.filtered.fdk import fdk
 
-__all__ = ["Fit", "Gaussians", "Recipe", "Reconstruction", "Stage", "fdk", "fit", "reconstruct", "segment"]
+__all__ = ["Fit", "Gaussians", "Recipe", "Reconstruction", "Resources", "Stage", "fdk", "fit", "reconstruct", "segment"]
 
 _HOMES = {
     "Fit": "api",
     "Gaussians": "gaussians.model",
     "Recipe": "gaussians.recipe",
     "Reconstruction": "gaussians.reconstruct",
+    "Resources": "gaussians.processes",
     "Stage": "gaussians.recipe",
     "fdk": "voxel.filtered.fdk",
     "fit": "api",

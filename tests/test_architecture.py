@@ -170,7 +170,8 @@ def test_commands_in_the_documentation_are_understood(page, monkeypatch):
 def test_links_in_the_documentation_lead_to_files(page):
     folder = (ROOT / page).parent
     links = re.findall(r"\]\(([^)#]+)[^)]*\)", (ROOT / page).read_text(encoding="utf-8"))
-    assert [link for link in links if "://" not in link and not (folder / link).exists()] == []
+    made = "gallery/index"  # by the build of the site
+    assert [link for link in links if "://" not in link and link != made and not (folder / link).exists()] == []
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if ">>> " in (ROOT / page).read_text(encoding="utf-8")])
@@ -186,7 +187,8 @@ def test_the_example_that_opens_the_package_is_true():
 
 def test_the_version_is_the_same_everywhere():
     version = PROJECT["project"]["version"]
-    assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"## [{version}] - 20" in changes or f"release will be version {version}." in changes
     assert f"version: {version}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 

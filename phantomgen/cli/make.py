@@ -108,7 +108,7 @@ def _make(
 ) -> Any:
     """Read the scene, then simulate; the output is checked before anything slow is imported.
 
-    `options` are those of `phantomgen.simulation.run.simulate`.
+    `options` are those of `phantomgen.simulation.options.SimulationOptions`.
     """
     from phantomgen.simulation.warm_up import compiling_ahead
 

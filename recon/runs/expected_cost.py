@@ -7,6 +7,7 @@ from typing import Any
 from phantomgen.dataset.reader import Dataset
 from recon.data.view_subsets import kinds_of, rounds_of
 from recon.gaussians.optimize import Progress
+from recon.gaussians.processes import Resources
 from recon.gaussians.recipe import Recipe
 from recon.gaussians.reconstruct import reconstruct
 from recon.runs.memory_plan import MemoryPlan, plan_memory
@@ -81,7 +82,7 @@ def expected_cost(
         timed.append(progress)
         return len(timed) == TIMED_STEPS
 
-    result = reconstruct(dataset, recipe, bases, on_step=on_step, device=device)
+    result = reconstruct(dataset, recipe, bases, on_step=on_step, resources=Resources(device=device))
     count, grid = len(result.gaussians), result.coverage.grid if result.coverage else dataset.grid
     rounds = rounds_of(kinds_of(dataset.exposure[dataset.splits["train"][recipe.held_out :]]))
     start = sum(seconds for name, seconds in result.seconds.items() if name != "fit")

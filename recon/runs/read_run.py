@@ -3,6 +3,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import h5py
 import numpy as np
@@ -58,6 +59,21 @@ class StoredRun:
         return model.volume(grid).astype(np.float32)
 
 
+class StoredVolumes(NamedTuple):
+    """Content of ``volumes.h5``.
+
+    Parameters
+    ----------
+    grid : grid of the volumes
+    basis_names : names of the basis functions
+    values : coefficients [1/mm]
+    """
+
+    grid: Grid
+    basis_names: tuple[str, ...]
+    values: Float32[np.ndarray, "basis z y x"]
+
+
 def check_run_folder(folder: Path) -> None:
     """Refuse a folder without the files of a run, before anything is read.
 
@@ -96,7 +112,7 @@ def read_run(folder: Path) -> StoredRun:
     volumes, model = folder / VOLUMES, folder / MODEL
     gaussians = Gaussians.load(model) if model.is_file() else None
     if volumes.is_file():
-        grid, names, values = _read_volumes(volumes)
+        grid, names, values = read_volumes(volumes)
     else:
         run = open_run(folder)
         grid, names, values = run.grid, run.gaussians.basis_names, run.gaussians.volume(run.grid)
@@ -105,10 +121,25 @@ def read_run(folder: Path) -> StoredRun:
             f"{folder}: {MODEL} has the bases {', '.join(gaussians.basis_names)}, {VOLUMES} has {', '.join(names)}: "
             "they are not of one run"
         )
-    return StoredRun(folder, grid, names, values, gaussians, _dataset_name(folder))
+    return StoredRun(folder, grid, names, values, gaussians, dataset_name(folder))
 
 
-def _read_volumes(path: Path) -> tuple[Grid, tuple[str, ...], np.ndarray]:
+def read_volumes(path: Path) -> StoredVolumes:
+    """Read the volumes of a run.
+
+    Parameters
+    ----------
+    path : ``volumes.h5`` of a run folder
+
+    Returns
+    -------
+    grid, names of the basis functions, and coefficients
+
+    Raises
+    ------
+    DatasetError
+        When the file was damaged, or is not what ``recon fit`` writes.
+    """
     try:
         with h5py.File(path, "r") as file:
             group, place = group_at(file, "basis"), group_at(file, "grid")
@@ -120,11 +151,20 @@ def _read_volumes(path: Path) -> tuple[Grid, tuple[str, ...], np.ndarray]:
         raise DatasetError(f"{path} cannot be read as what recon fit writes there ({error})") from None
     if values.shape != (len(names), *grid.shape):
         raise DatasetError(f"{path}: /basis/data has shape {values.shape}, expected {(len(names), *grid.shape)}")
-    return grid, names, values
+    return StoredVolumes(grid, names, values)
 
 
-def _dataset_name(folder: Path) -> str:
-    """Name of the dataset without its folder."""
+def dataset_name(folder: Path) -> str:
+    """Return the file name, without its folder, of the dataset that a run was made from.
+
+    Parameters
+    ----------
+    folder : run folder
+
+    Returns
+    -------
+    file name; empty where the folder does not state it
+    """
     try:
         content = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
         return Path(content["dataset"]).name

@@ -15,7 +15,7 @@ from recon.data.array_store import array_store
 from recon.figures.run_figures import convergence
 from recon.gaussians.fitted_grid import fitted_grid
 from recon.gaussians.optimize import Progress
-from recon.gaussians.processes import ALONE, Processes
+from recon.gaussians.processes import ALONE, Processes, Resources
 from recon.gaussians.recipe import RECIPES, Recipe
 from recon.gaussians.reconstruct import Reconstruction, reconstruct
 from recon.kedge.basis_names import Asked, left_out, with_named
@@ -129,10 +129,8 @@ class GaussianRun:
                         watcher.stage,
                         on_step,
                         unfinished,
-                        self.processes,
-                        store,
                         watcher.iterated,
-                        self.device,
+                        Resources(self.processes, store, self.device),
                     )
         clock.seconds.update(result.seconds)
         missing = left_out(stated, result.gaussians.basis_names)

@@ -22,7 +22,7 @@ from phantomgen.runtime.plain_json import to_json
 from recon.data.measurements import Measurements
 from recon.gaussians.model import Gaussians
 from recon.gaussians.optimize import Progress
-from recon.gaussians.state import FitState
+from recon.gaussians.state import FitState, InterruptedFit
 from recon.runs.checkpoint import identity, read_checkpoint, write_checkpoint, write_whole
 from spectra.errors import InputError
 
@@ -105,7 +105,7 @@ class PartialRun:
         self.log: list[dict[str, Any]] = []
         self._saved = time.perf_counter()
 
-    def found(self, measured: Measurements) -> tuple[FitState, Float[np.ndarray, "basis z y x"], dict] | None:
+    def found(self, measured: Measurements) -> InterruptedFit | None:
         """Read the state of an interrupted fit.
 
         Parameters
@@ -129,7 +129,7 @@ class PartialRun:
         self._check(content["identity"])
         state = FitState.restore(*read_checkpoint(self.folder / CHECKPOINT))
         self._read_log(state.done)
-        return state, start["volumes"].numpy(), content["seconds"]
+        return InterruptedFit(state, start["volumes"].numpy(), content["seconds"])
 
     def begin(self, volumes: Float[np.ndarray, "basis z y x"], seconds: dict[str, float], state: FitState) -> None:
         """Write the start of a fit.

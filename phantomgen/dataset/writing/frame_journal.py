@@ -23,6 +23,7 @@ SUFFIX = ".frames"
 Packed = list[list[bytes]]
 Frame = dict[str, Packed]
 _CHECK = 4  # bytes of a checksum
+# Most bytes of a line that begins a frame; a longer one is damaged.
 _LONGEST_HEAD = 1 << 20
 
 

@@ -32,7 +32,7 @@ from spectra.errors import InputError
 from spectra.materials.material import Material
 
 SUFFIXES = (".h5", ".hdf5", ".nxs")  # of datasets
-Splits = dict[str, Int[np.ndarray, " view"]]
+Splits = dict[str, Int[np.ndarray, " _view"]]
 
 
 class DatasetWriter:

@@ -11,7 +11,7 @@ from phantomgen.scene import schema
 from spectra.detector.response_matrix import ResponseMatrix
 from spectra.errors import InputError
 
-Axis = Float[np.ndarray, " n"]
+Axis = Float[np.ndarray, " _n"]
 Matrix = Float[np.ndarray, "row column"]
 
 

@@ -13,9 +13,8 @@ from jaxtyping import Float
 from phantomgen.ops.expected_counts import CROSSED
 from phantomgen.ops.trace import trace
 from phantomgen.scene.scan import Scan
-from phantomgen.simulation.forward_model.discretization import Settings
+from phantomgen.simulation.forward_model.discretization import RULE_LADDER, Settings
 from phantomgen.simulation.forward_model.sampled_rays import points_of
-from phantomgen.simulation.planning.pixels import RULE_LADDER
 from phantomgen.simulation.planning.sample_windows import Window, around, exposed, whole
 from spectra.transmission import Transmission
 
@@ -28,6 +27,7 @@ _MOST_OBJECTS, _MOST_FAINT, _VIEWS, _RAYS = 64, 3, 2, 12
 # Surfaces of more triangles are not traced once more without an object.
 _MOST_TRIANGLES = 100_000
 _REFERENCE = Settings(rules=RULE_LADDER[4], intersections=1e-6)
+# Seed of the sample, apart from that of the noise, so that plans do not depend on it.
 _SEED = 9
 
 

@@ -72,7 +72,7 @@ def make_plan(scan: Scan, tolerance: float = TOLERANCE) -> Plan:
         settings, points = choose_spot(scan, spot, exposure.transmission, settings, _SPOT * tolerance)
         choices, left = [*choices, points], left - _SPOT
     faint = FaintObjects.of(scan, exposure.transmission, tolerance)
-    settings, found = choose_pixels(scan, exposure.transmission, settings, left * tolerance, faint.missed)
+    settings, found = choose_pixels(scan, exposure.transmission, settings, left * tolerance, faint)
     return Plan(tolerance, scan, settings, exposure, (*choices, *found))
 
 

@@ -26,7 +26,7 @@ from recon.gaussians.model import Gaussians
 from recon.gaussians.optimize import Progress
 from recon.gaussians.recipe import BEST, FAST
 from recon.gaussians.reconstruct import reconstruct
-from recon.gaussians.state import FitState
+from recon.gaussians.state import FitState, InterruptedFit
 from recon.kedge.choose_basis import choose_basis
 from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.paper.reconstruct import reconstruct_paper
@@ -60,10 +60,12 @@ class _Beginning:
         else:
             self.clock.start(self.seconds)
 
-    def found(self, measured: Measurements) -> tuple[FitState, np.ndarray, dict[str, float]] | None:
+    def found(self, measured: Measurements) -> InterruptedFit | None:
         """See `recon.gaussians.reconstruct.CheckpointStore`."""
         del measured
-        return None if self.state is None else (FitState.restore(*deepcopy(self.state)), self.volumes, {})
+        if self.state is None:
+            return None
+        return InterruptedFit(FitState.restore(*deepcopy(self.state)), self.volumes, {})
 
     def begin(self, volumes: np.ndarray, seconds: dict[str, float], state: FitState) -> None:
         """See `recon.gaussians.reconstruct.CheckpointStore`."""

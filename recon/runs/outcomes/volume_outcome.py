@@ -172,10 +172,18 @@ class VolumeOutcome:
         """
         fitted, views = self.model.basis_names, len(self.dataset.splits["train"])
         stated = (*fitted, *self.left_out)
-        return verdict.verdict_of(
-            channels, Recipe().dispersion, self.coverage, self.volumes, views, fitted, stated, self.notes,
+        outcome = verdict.FitOutcome(
+            channels,
+            Recipe().dispersion,
+            self.volumes,
+            views,
+            fitted,
+            stated,
+            self.coverage,
             self.unreliable,
-        )  # fmt: skip
+            self.notes,
+        )
+        return verdict.verdict_of(outcome)
 
     def draw(self, truth: Truth | None, folder: Path, guard: Guard) -> None:
         """Draw all figures.

@@ -256,13 +256,14 @@ import torch
 from test_long_runs import PIXEL, RECIPE, toy_problem
 from recon.gaussians.optimize import fit
 from recon.gaussians.processes import joined
+from recon.gaussians.processes import Resources
 with joined() as processes:
     group = weakref.ref(torch.distributed.group.WORLD)
     import torch._dynamo  # whatever is imported meanwhile
     start, measured = toy_problem()
     start = processes.from_first(start)
     steps = []
-    fitted = fit(start, measured, PIXEL, RECIPE, steps.append, measured[[2]], processes)
+    fitted = fit(start, measured, PIXEL, RECIPE, steps.append, measured[[2]], resources=Resources(processes))
     rows = [p.deviance for p in steps]
     torch.save([fitted.centres, fitted.coefficients, rows], sys.argv[1] + str(processes.rank))
 assert group() is None, "threads of a group that outlives its processes' context may abort them at their end"

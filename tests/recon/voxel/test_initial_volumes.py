@@ -37,7 +37,7 @@ def test_all_else_starts_from_sart(geometry):
 
 @pytest.mark.parametrize("views", [[0], [3, 3, 3]])
 def test_what_shows_no_depth_is_refused(views):
-    with pytest.raises(GeometryError, match=r"look the same way within 1\.1 degrees"):
+    with pytest.raises(GeometryError, match=r"have the same direction within 1\.1 degrees"):
         starting_method(circle()[views], GRID)
 
 

@@ -1,6 +1,6 @@
 """Gaussians that follow volumes: how close they come, and what they keep."""
 
-from unittest.mock import patch
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,23 +9,14 @@ from scipy.optimize import minimize
 from support.gaussian_scenes import NAMES, small_model
 
 from phantomgen.geometry.voxel_grid import Grid
-from recon.gaussians.initial.fit_to_volume import (
-    CUTOFF,
-    FAINTEST,
-    MANY,
-    WIDEST,
-    _Distance,
-    evaluations_for,
-    fit_to_volume,
-    metric_of,
-)
+from recon.gaussians.initial.fit_to_volume import DEFAULT, _Distance, evaluations_for, fit_to_volume, metric_of
 from recon.gaussians.initial.initialize import initialize
 from recon.gaussians.model import Gaussians
 from recon.ops.voxelize import mass_within, voxelize_tensor
 
 GRID = Grid.cube(32, 32.0)
 METRIC = np.array([[4.0, 1.0], [1.0, 9.0]]) * 1e4
-WIDE = 4.5  # standard deviations, where next to nothing is cut off
+WIDE = replace(DEFAULT, cutoff=4.5)  # standard deviations, where next to nothing is cut off
 
 
 def ball_and_rod():
@@ -44,8 +35,7 @@ def distance(gaussians, volumes, metric=METRIC):
 def followed():
     volumes, told = ball_and_rod(), []
     start = initialize(volumes, GRID, METRIC, 1.2, NAMES[:2], 0)
-    with patch("recon.gaussians.initial.fit_to_volume.CUTOFF", WIDE):
-        return volumes, start, fit_to_volume(start, volumes, GRID, METRIC, 30, told.append), told
+    return volumes, start, fit_to_volume(start, volumes, GRID, METRIC, 30, told.append, WIDE), told
 
 
 def test_thirty_evaluations_bring_gaussians_much_closer(followed):
@@ -86,26 +76,24 @@ def test_it_gets_there_sooner_than_without_knowing_the_curvature_of_a_gaussian(f
     first = np.concatenate([p.double().numpy().ravel() for p in parts])
     other = minimize(cost, first, jac=True, method="L-BFGS-B", options={"maxfun": 60})
     assert shape[1] == 2
-    with patch("recon.gaussians.initial.fit_to_volume.CUTOFF", WIDE):
-        assert distance(fit_to_volume(start, volumes, GRID, METRIC, 60), volumes) < other.fun
+    assert distance(fit_to_volume(start, volumes, GRID, METRIC, 60, settings=WIDE), volumes) < other.fun
 
 
 def test_cutting_gaussians_off_costs_no_mass_and_little_accuracy(followed):
     volumes, start, uncut, _ = followed
     found = fit_to_volume(start, volumes, GRID, METRIC, 30)
-    mass, cut = found.volume(GRID).sum(axis=(1, 2, 3)), 1 - mass_within(CUTOFF)
+    mass, cut = found.volume(GRID).sum(axis=(1, 2, 3)), 1 - mass_within(DEFAULT.cutoff)
     assert mass == pytest.approx(uncut.volume(GRID).sum(axis=(1, 2, 3)), rel=cut / 3)  # starts scatter by up to cut / 4
     assert distance(found, volumes) < 1.1 * distance(uncut, volumes)
 
 
-def test_gaussians_that_already_fit_stay(monkeypatch):
-    monkeypatch.setattr("recon.gaussians.initial.fit_to_volume.CUTOFF", WIDE)
+def test_gaussians_that_already_fit_stay():
     start = small_model(1, count=12)
-    found = fit_to_volume(start, start.volume(GRID), GRID, np.eye(3), 5)
+    found = fit_to_volume(start, start.volume(GRID), GRID, np.eye(3), 5, settings=WIDE)
     assert distance(found, start.volume(GRID), np.eye(3)) < 1e-4 * distance(start, 0 * start.volume(GRID), np.eye(3))
 
 
-def test_no_gaussian_becomes_a_needle(monkeypatch):
+def test_no_gaussian_becomes_a_needle():
     """One Gaussian that follows a rod of 24 mm would stretch along it, and shine beyond its ends."""
     z, y, x = np.meshgrid(*(GRID.axis(name) for name in "zyx"), indexing="ij")
     rod = 0.02 * (np.hypot(x, y) < 2) * (np.abs(z) < 12)
@@ -113,12 +101,11 @@ def test_no_gaussian_becomes_a_needle(monkeypatch):
     shape = torch.zeros(1, 3), torch.full((1, 3), np.log(1.5)), torch.tensor([[1.0, 0, 0, 0]])
     start = Gaussians(*shape, torch.tensor([[0.02, 0.01]]), NAMES[:2])
 
-    def longest():
-        return float(torch.exp(fit_to_volume(start, volumes, GRID, METRIC, 20).log_scales.max()))
+    def longest(settings):
+        return float(torch.exp(fit_to_volume(start, volumes, GRID, METRIC, 20, settings=settings).log_scales.max()))
 
-    assert longest() == pytest.approx(1.5 * WIDEST, rel=1e-5)
-    monkeypatch.setattr("recon.gaussians.initial.fit_to_volume.WIDEST", 100.0)
-    assert longest() > 2 * 1.5 * WIDEST
+    assert longest(DEFAULT) == pytest.approx(1.5 * DEFAULT.widest, rel=1e-5)
+    assert longest(replace(DEFAULT, widest=100.0)) > 2 * 1.5 * DEFAULT.widest
 
 
 def test_a_basis_counts_by_its_large_values_and_a_faint_one_no_more_than_it_shows():
@@ -127,7 +114,7 @@ def test_a_basis_counts_by_its_large_values_and_a_faint_one_no_more_than_it_show
     fisher = np.array([[4.0, 1.0, 0.5], [1.0, 9.0, 2.0], [0.5, 2.0, 1.0]]) * 1e4
     found = metric_of(volumes, fisher)
     np.testing.assert_array_equal(found, np.diag(np.diag(found)))
-    np.testing.assert_allclose(np.sqrt(1 / np.diag(found)), [0.02, 0.005, FAINTEST * 0.02 * 2 / 1], rtol=1e-5)
+    np.testing.assert_allclose(np.sqrt(1 / np.diag(found)), [0.02, 0.005, DEFAULT.faintest * 0.02 * 2 / 1], rtol=1e-5)
     assert np.isfinite(metric_of(np.zeros_like(volumes), fisher)).all()
 
 
@@ -139,16 +126,16 @@ def test_a_step_that_leads_astray_is_not_taken(monkeypatch):
         return (1e3 if len(calls) % 5 == 0 else 1) * precondition(self, gradient)
 
     monkeypatch.setattr(_Distance, "precondition", sometimes_wild)
-    monkeypatch.setattr("recon.gaussians.initial.fit_to_volume.CUTOFF", WIDE)
     start = initialize(volumes, GRID, METRIC, 1.2, NAMES[:2], 0)
-    found = fit_to_volume(start, volumes, GRID, METRIC, 30, told.append)
+    found = fit_to_volume(start, volumes, GRID, METRIC, 30, told.append, WIDE)
     residuals = [told_of.residual for told_of in told]
     assert max(residuals[1:]) > 2 * residuals[0]
     assert distance(found, volumes) < 1.05 * min(residuals)
 
 
 def test_few_gaussians_take_more_evaluations():
-    assert [evaluations_for(n, 60) for n in (1, 682, MANY // 4, MANY, 10 * MANY)] == [150, 150, 120, 60, 60]
+    many = DEFAULT.many
+    assert [evaluations_for(n, 60) for n in (1, 682, many // 4, many, 10 * many)] == [150, 150, 120, 60, 60]
 
 
 def test_noise_as_small_as_rounding_moves_the_error_by_less_than_a_tenth_of_a_decibel():
