@@ -125,7 +125,7 @@ def _write_scores(job: Job, dataset: Dataset, runs: Runs, memory: float | None) 
         moment = None if recorder is None else recorder.result(budget)
         content: dict[str, Any] = {"contender": job.contender, "budget": budget}
         if recorder is None or moment is None:
-            lacking = f"there is no result within {budget:g} s: {runs.lacking}"
+            lacking = f"nothing is ready within {budget:g} s: {runs.lacking}"
             write_result(Path(job.folder), budget, content | {"error": lacking, "too_short": True})
             continue
         if moment.path not in scored:
