@@ -1,5 +1,6 @@
 """What the project promises about itself: who may import whom, how long a file may be, what a wheel holds."""
 
+import ast
 import dis
 import doctest
 import re
@@ -103,6 +104,25 @@ def test_no_file_is_longer_than_600_lines():
     sources = files(*PACKAGES, "tests", "examples", "benchmarks", suffix=".py")
     lengths = {path.relative_to(ROOT): len(path.read_text(encoding="utf-8").splitlines()) for path in sources}
     assert {path: length for path, length in lengths.items() if length > 600} == {}
+
+
+def parameters_of(function: ast.FunctionDef) -> int:
+    a = function.args
+    names = [argument.arg for argument in (*a.posonlyargs, *a.args, *a.kwonlyargs)]
+    return len(names) - (names[:1] in (["self"], ["cls"]))
+
+
+@pytest.mark.parametrize("package", ["spectra", "phantomgen"])
+def test_no_function_takes_more_than_eight_arguments(package):
+    """Commands take their options one by one, and Triton kernels sizes and strides as numbers."""
+    long = []
+    for path in files(package, suffix=".py"):
+        for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(function, ast.FunctionDef) and parameters_of(function) > 8:
+                marks = " ".join(ast.unparse(mark) for mark in function.decorator_list)
+                if "click" not in marks and "triton" not in marks:
+                    long.append(f"{path.relative_to(ROOT)}: {function.name}")
+    assert long == []
 
 
 def test_a_wheel_holds_the_three_packages_and_nothing_else():

@@ -4,8 +4,8 @@ Gaussian footprints are a few pixels wide: rows too short for the compiler's own
 one pixel at a time (measured: 10 ns per Gaussian and pixel against 1 ns with this type). And where values of several
 components lie side by side, places are computed, and waited for, once for all of them. A value of type `Vector` lives
 in one LLVM vector; ``+ - * /`` work on all its numbers at once, a float32 operand counts for each. LLVM lowers it to
-whatever the processor has (AVX, SSE, NEON). There are eight numbers, except where a tuple says how many: its values are
-not used.
+whatever the processor has (AVX, SSE, NEON). There are eight numbers, except where an argument is a tuple, which is as
+long as there are numbers: its values are not used.
 """
 
 import operator

@@ -45,7 +45,7 @@ def escape(mu: Float[np.ndarray, " energy"], mu_line: float, thickness: float) -
 
     Parameters
     ----------
-    mu : attenuation of the photons that excite it [1/mm]; it says how deep they are absorbed
+    mu : attenuation of the photons that excite it [1/mm], which determines how deep they are absorbed
     mu_line : attenuation of the fluorescence [1/mm]
     thickness : of the sensor [mm]
 

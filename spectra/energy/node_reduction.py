@@ -221,7 +221,7 @@ def _ever_fewer(
 def _sparse(full: Nodes, rays: Float[np.ndarray, "ray basis"], wanted: Float[np.ndarray, " ray"]) -> Nodes:
     """Few of the given nodes with new weights, by non-negative least squares on the relative counts.
 
-    All of them where the fit goes round in circles, as it may when nodes are all but the same.
+    All of them where the fit goes round in circles, as it may when nodes are almost equal.
     """
     relative = np.exp(-_attenuation(full, rays) - wanted[:, None]) * full.weights.max()
     try:

@@ -1,4 +1,4 @@
-"""The average over one pixel as its definition says, one ray after the other."""
+"""Average over one pixel by its definition, one ray after the other."""
 
 import numpy as np
 from jaxtyping import Float

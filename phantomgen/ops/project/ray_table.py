@@ -105,7 +105,7 @@ def ray_table(
 
 
 def _inverses(views: Float[np.ndarray, "view 4 3"], parallel: bool) -> Float[np.ndarray, "view 3 4"]:
-    """From voxel index to homogeneous column and row of the panel, as `RayTable` says."""
+    """Matrices from voxel index to homogeneous column and row of the panel, see `RayTable`."""
     fixed, corner, column, row = np.moveaxis(views, 1, 0)
     start, way = (corner, fixed) if parallel else (fixed, corner)
     normals = np.stack([np.cross(column, row), np.cross(row, way), np.cross(way, column)], axis=1)

@@ -1,4 +1,4 @@
-"""The voxel projector as its definition says: the whole matrix of one view, in float64, one ray after the other."""
+"""Voxel projector by its definition: the whole matrix of one view, in float64, one ray after the other."""
 
 from itertools import product
 

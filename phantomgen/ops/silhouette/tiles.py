@@ -1,6 +1,6 @@
 """Which shapes may be met in which part of a panel.
 
-A panel is cut into square tiles, and each tile lists the shapes whose bounds meet one of its cells. A ray then looks at
+A panel is cut into square tiles, and each tile lists the shapes whose bounds meet one of its cells. A ray then tests
 the shapes of its tile in place of all of them.
 """
 

@@ -298,7 +298,7 @@ def cut_pieces(table, hits, events):
     """Cut the ray where its owner changes, by the hits that `collect` has written.
 
     Afterwards the object that begins with row ``events[PIECE, i]`` owns the ray from ``events[CUT, i]``, where it meets
-    row ``events[END, i]``, to ``events[CUT, i + 1]``, where it meets row ``events[END, i + 1]``; -1: nobody does.
+    row ``events[END, i]``, to ``events[CUT, i + 1]``, where it meets row ``events[END, i + 1]``; -1: no object owns it.
 
     Parameters
     ----------
