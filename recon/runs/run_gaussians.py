@@ -227,7 +227,7 @@ def _stopped(progress: Progress, checkpoints: PartialRun, folder: Path) -> Stopp
 def _check_test_views(dataset: Dataset) -> None:
     """Refuse counts that cannot be scored before the fit, not after it; one view at a time."""
     for view in dataset.splits["test"]:
-        dataset.load([view])
+        dataset.load([int(view)])
 
 
 def metrics_of(

@@ -27,7 +27,7 @@ def crossings(kind: int, tube: float, o: Float[np.ndarray, " 3"], d: Float[np.nd
     return found + [float(t.real) for t in np.roots(polynomial) if abs(t.imag) < 1e-9]
 
 
-def inside(kind: int, tube: float, point: Float[np.ndarray, " 3"]) -> bool:
+def inside(kind: int, tube: float, point: Float[np.ndarray, " 3"]) -> bool | np.bool_:
     """Whether a local point lies in a unit primitive."""
     x, y, z = point
     if kind == BALL:
@@ -47,7 +47,9 @@ def owner_at(solids: Solids, point: Float[np.ndarray, " 3"], background: int = -
     """Material at a point [mm]: that of the last object with a term that holds there."""
     holds = [
         inside(kind, tube, m[:, :3] @ point + m[:, 3]) == wanted
-        for kind, tube, m, wanted in zip(solids.kinds, solids.tubes, solids.locals_, solids.inside, strict=True)
+        for kind, tube, m, wanted in zip(
+            solids.kinds.tolist(), solids.tubes, solids.locals_, solids.inside, strict=True
+        )
     ]
     for term in np.unique(solids.terms)[::-1]:
         rows = np.flatnonzero(solids.terms == term)
