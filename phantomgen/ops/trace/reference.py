@@ -38,7 +38,7 @@ def crossings(kind: int, tube: float, o: Float[np.ndarray, " 3"], d: Float[np.nd
     return found + [float(t.real) for t in np.roots(polynomial) if abs(t.imag) < 1e-9]
 
 
-def inside(kind: int, tube: float, point: Float[np.ndarray, " 3"]) -> bool:
+def inside(kind: int, tube: float, point: Float[np.ndarray, " 3"]) -> bool | np.bool_:
     """Return whether a local point lies in a unit primitive.
 
     Parameters

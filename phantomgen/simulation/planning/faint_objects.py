@@ -168,9 +168,9 @@ def _faint_object(scan: Scan, transmission: Transmission, signal: float, number:
         edges = np.argwhere(classes >= CROSSED)
         if len(edges):
             middle = edges.mean(axis=0).round().astype(int)
-            window = around(scan, int(view), classes, *middle)
+            window = around(scan, int(view), classes, *middle.tolist())
             if not (window.classes >= CROSSED).any():
-                window = around(scan, int(view), classes, *edges[rng.integers(len(edges))])
+                window = around(scan, int(view), classes, *edges[rng.integers(len(edges))].tolist())
             windows.append(window)
     indices = material if isinstance(material, tuple) else (material,)
     name = ", ".join(scan.scene.materials[i].name for i in indices)

@@ -129,6 +129,7 @@ def test_same_counts_whatever_the_threads() -> None:
     np.testing.assert_array_equal(results[0], results[1])
 
 
+@pytest.mark.wrong_types
 def test_refuses_spectrum_that_does_not_match() -> None:
     with pytest.raises(InputError, match="do not match"):
         expected_counts(frame_of(4, 1.0), 4, 4, solids_of(NESTED), Spectrum(ATTENUATION, WEIGHTS[:3], STARTS))
