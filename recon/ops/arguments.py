@@ -9,6 +9,9 @@ from torch import Tensor
 from phantomgen.geometry.voxel_grid import Grid
 from spectra.errors import InputError
 
+LARGEST_EXPONENT = 60.0  # no unit; negative line integrals amplify by at most e^60, so that expected counts stay finite
+TINY = 1e-300  # below all values that occur; replaces 0 in divisors and under square roots
+
 
 class GaussianTensors(NamedTuple):
     """Gaussians as a fit has them, or ellipsoids, whose semi-axes take the place of standard deviations.
@@ -55,6 +58,20 @@ class GaussianGradients(NamedTuple):
 
     centres: Float64[np.ndarray, "gaussian 3"]
     matrices: Float64[np.ndarray, "gaussian 3 3"]
+    coefficients: Float64[np.ndarray, "gaussian basis"]
+
+
+class TensorGradients(NamedTuple):
+    """Derivatives of a scalar in the tensors of `GaussianTensors`.
+
+    Parameters
+    ----------
+    centres, log_scales, quaternions, coefficients : derivatives in each of them
+    """
+
+    centres: Float64[np.ndarray, "gaussian 3"]
+    log_scales: Float64[np.ndarray, "gaussian 3"]
+    quaternions: Float64[np.ndarray, "gaussian 4"]
     coefficients: Float64[np.ndarray, "gaussian basis"]
 
 

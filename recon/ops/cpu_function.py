@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from recon.ops.arguments import GaussianTensors
+from recon.ops.arguments import GaussianTensors, TensorGradients
 
 
 class OperatorCall(Protocol):
@@ -22,7 +22,7 @@ class OperatorCall(Protocol):
         """
         ...
 
-    def gradients(self, cotangent: Tensor) -> tuple[np.ndarray, ...]:
+    def gradients(self, cotangent: Tensor) -> TensorGradients:
         """Compute gradients in the fields of `recon.ops.arguments.GaussianTensors`.
 
         Parameters

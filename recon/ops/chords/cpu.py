@@ -11,24 +11,18 @@ import numpy as np
 from numba import njit
 
 from phantomgen.ops.simd import WIDTH, load, minimum, ramp, splat, square_root, store, total, where_less
-from recon.ops.arguments import RayFrame
 from recon.ops.rasterize.cpu import SCRATCH, backpropagate, project_centre, write_footprint
 from recon.ops.rasterize.footprint_table import (
     AMPLITUDE,
-    E1,
-    E2,
     E3,
-    E4,
-    E5,
     L11,
-    L21,
-    L22,
     ROW_0,
     ROW_1,
     XC,
     YC,
     row_span,
 )
+from recon.ops.rasterize.pixel_sums import no_pixels, row_terms, with_pixels, write_totals
 from spectra.ops.min_max import larger, smaller
 
 f4 = np.float32
@@ -63,7 +57,7 @@ def footprints(gaussians, view, rows, first, last, out):
                 norm += matrices[g, i, j] * matrices[g, i, j]
             spread += along * along / (norm * norm)
         half = math.sqrt(spread)
-        if not half < depth < 1 - half or not project_centre(centres[g], matrices[g], view, 0.0, False, w):
+        if not half < depth < 1 - half or not project_centre(centres[g], matrices[g], frame, inverse, 0.0, False, w):
             continue
         low, high = write_footprint(w, 0.0, 1.0, rows, out[g])
         if high > low:
@@ -92,8 +86,7 @@ def forward(table, coefficients, lengths, smooth, row_first, row_last, image):
         for r in range(larger(int(p[ROW_0]), row_first), smaller(int(p[ROW_1]), row_last)):
             dy = f4(r) - p[YC]
             low, high = row_span(p, dy, f4(1), columns)
-            shear, across = p[L21] * dy, p[L22] * dy
-            flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
+            shear, across, flat, tilt = row_terms(p, dy)
             for base in range(low, high, WIDTH):
                 x = ramp(f4(base) - p[XC])
                 inverse = f4(1) / ((x * p[E3] + tilt) * x + flat)
@@ -116,17 +109,14 @@ def forward(table, coefficients, lengths, smooth, row_first, row_last, image):
 @njit(forceinline=True, fastmath=True, error_model="numpy")
 @no_type_check
 def _gather(p, coefficients, cotangent, smooth, columns, sums, to_coefficients):
-    """Sums over one ellipsoid's pixels, as `recon.ops.rasterize.cpu.backward` defines them."""
+    """Sum over one ellipsoid's pixels; `recon.ops.rasterize.cpu.backward` defines the sums."""
     bases, rows, stride = cotangent.shape
-    zero = splat(f4(0))
     e, corner = f4(smooth), f4(math.sqrt(smooth))
-    w0, ax, ay, axx, axy, ayy = zero, zero, zero, zero, zero, zero
-    b0, bx, by, bxx, bxy, byy = zero, zero, zero, zero, zero, zero
+    found = no_pixels()
     for r in range(int(p[ROW_0]), int(p[ROW_1])):
         dy = f4(r) - p[YC]
         low, high = row_span(p, dy, f4(1), columns)
-        shear, across = p[L21] * dy, p[L22] * dy
-        flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
+        shear, across, flat, tilt = row_terms(p, dy)
         for base in range(low, high, WIDTH):
             x = ramp(f4(base) - p[XC])
             inverse = f4(1) / ((x * p[E3] + tilt) * x + flat)
@@ -140,7 +130,7 @@ def _gather(p, coefficients, cotangent, smooth, columns, sums, to_coefficients):
             slope = f4(0.5) / long + (f4(1) - part) * (f4(1) / corner)
             height = square_root(inverse) * (p[AMPLITUDE] * UNIT)
             value = where_less(q, f4(1), height * root)
-            to_value = zero
+            to_value = splat(f4(0))
             for m in range(bases):
                 incoming = load(cotangent, (m * rows + r) * stride + base)
                 to_value = to_value + incoming * coefficients[m]
@@ -148,15 +138,8 @@ def _gather(p, coefficients, cotangent, smooth, columns, sums, to_coefficients):
             alpha = where_less(q, f4(1), to_value * height * slope * inverse) * f4(-1)
             to_value = to_value * value
             beta = to_value * inverse * f4(-0.5) - alpha * q
-            w0 = w0 + to_value
-            step, step_y = alpha * x, alpha * dy
-            ax, ay, axx, axy, ayy = ax + step, ay + step_y, axx + step * x, axy + step * dy, ayy + step_y * dy
-            step, step_y = beta * x, beta * dy
-            b0, bx, by = b0 + beta, bx + step, by + step_y
-            bxx, bxy, byy = bxx + step * x, bxy + step * dy, byy + step_y * dy
-    sums[0], sums[1], sums[2], sums[3] = total(w0), total(ax), total(ay), total(axx)
-    sums[4], sums[5], sums[6], sums[7] = total(axy), total(ayy), total(b0), total(bx)
-    sums[8], sums[9], sums[10], sums[11] = total(by), total(bxx), total(bxy), total(byy)
+            found = with_pixels(found, to_value, alpha, beta, x, dy)
+    write_totals(found, sums)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -173,24 +156,25 @@ def backward(gaussians, views, cotangents, smooth, first, last, gradients):
     first, last : ellipsoids from `first` to one before `last`
     gradients : added to, `recon.ops.arguments.GaussianGradients`
     """
-    centres, matrices, coefficients = gaussians.centres, gaussians.matrices, gaussians.coefficients
+    centres, matrices, coefficients = gaussians
+    frames, inverses, tables = views
+    to_centres, to_matrices, to_coefficients = gradients
     columns = cotangents.shape[3] - WIDTH
     bases = coefficients.shape[1]
-    w, t, sums = np.zeros((SCRATCH, 3)), np.empty((6, 3)), np.empty(12)
+    w, sums = np.zeros((SCRATCH, 3)), np.empty(12)
     lanes = np.empty(bases * WIDTH, np.float32)
     for g in range(first, last):
-        for v in range(views.frames.shape[0]):
-            p = views.tables[v, g]
+        for v in range(frames.shape[0]):
+            p = tables[v, g]
             if p[ROW_1] <= p[ROW_0]:
                 continue
             for i in range(bases * WIDTH):
                 lanes[i] = f4(0)
             _gather(p, coefficients[g], cotangents[v], smooth, columns, sums, lanes)
             for m in range(bases):
-                gradients.coefficients[g, m] += total(load(lanes, m * WIDTH))
-            view = RayFrame(views.frames[v], views.inverses[v])
-            project_centre(centres[g], matrices[g], view, 0.0, False, w)
-            backpropagate(w, sums, False, matrices[g], view, t, gradients.centres[g], gradients.matrices[g])
+                to_coefficients[g, m] += total(load(lanes, m * WIDTH))
+            project_centre(centres[g], matrices[g], frames[v], inverses[v], 0.0, False, w)
+            backpropagate(w, sums, False, matrices[g], frames[v], inverses[v], to_centres[g], to_matrices[g])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

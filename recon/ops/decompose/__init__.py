@@ -12,6 +12,7 @@ from spectra.transmission import Transmission
 CHUNK = 8192  # rays per piece of work
 PRIOR = 1e-2  # inverse variance of a prior centred on zero; it matters only for rays without photons
 COLLINEAR = 1e-2  # of the largest singular value; smaller ones are left out of the starting values
+LARGEST_START = 20.0  # no unit; largest starting value of a line integral, e^-20 of the photons arrive
 LARGEST_STEP = 1.0  # no unit; largest change of a line integral in one iteration
 
 
@@ -74,7 +75,7 @@ def _log_linear(
 ) -> Float[np.ndarray, "ray basis"]:
     """Compute starting values: least squares on log projections with the open-beam mean of each basis per channel.
 
-    Values are clipped to 0 ... 20.
+    Values are limited to 0 ... `LARGEST_START`.
     """
     bases = len(transmission.columns) - known.shape[1]
     open_beam = transmission.open_beam
@@ -83,4 +84,4 @@ def _log_linear(
     projections = -np.log(np.maximum(counts, 0.5) / np.maximum(gains * open_beam, 0.5))
     typical = np.append(np.zeros(bases), known.mean(axis=0))
     means = transmission.log_projection_and_slopes(typical)[1][:, :bases]
-    return np.ascontiguousarray(np.clip(projections @ np.linalg.pinv(means, rcond=COLLINEAR).T, 0.0, 20.0))
+    return np.ascontiguousarray(np.clip(projections @ np.linalg.pinv(means, rcond=COLLINEAR).T, 0.0, LARGEST_START))

@@ -7,6 +7,7 @@ from jaxtyping import Float64
 from numba import njit
 
 from phantomgen.ops.kernel_decorators import inlined
+from recon.ops.arguments import LARGEST_EXPONENT, TINY
 from spectra.ops.fast_exp import fast_exp
 
 
@@ -75,7 +76,7 @@ def _information(lengths, counts, gains, known, nodes, dispersion, room):
                 exponent -= columns[m, k] * lengths[m]
             for p in range(known.size):
                 exponent -= columns[bases + p, k] * known[p]
-            part = gains[c] * weights[k] * fast_exp(min(exponent, 60.0))
+            part = gains[c] * weights[k] * fast_exp(min(exponent, LARGEST_EXPONENT))
             expected += part
             for m in range(bases):
                 slopes[m] -= part * columns[m, k]
@@ -98,7 +99,7 @@ def _solve(matrix, right, factor, out):
             s = matrix[i, j]
             for k in range(j):
                 s -= factor[i, k] * factor[j, k]
-            factor[i, j] = np.sqrt(max(s, 1e-300)) if i == j else s / factor[j, j]
+            factor[i, j] = np.sqrt(max(s, TINY)) if i == j else s / factor[j, j]
     for i in range(n):
         s = right[i]
         for k in range(i):
@@ -146,7 +147,7 @@ def decompose(rays, nodes, dispersion, scoring, first, last, lengths, fishers):
             longest = 0.0
             for m in range(bases):
                 longest = max(longest, abs(step[m]))
-            shrink = min(1.0, scoring.largest_step / max(longest, 1e-300))
+            shrink = min(1.0, scoring.largest_step / max(longest, TINY))
             for m in range(bases):
                 lengths[ray, m] += shrink * step[m]
             if longest < scoring.tolerance:

@@ -8,6 +8,7 @@ from jaxtyping import Float32, Float64
 from numba import njit
 
 from phantomgen.ops.kernel_decorators import inlined
+from recon.ops.arguments import LARGEST_EXPONENT
 from spectra.ops.fast_exp import FLAGS, fast_exp
 from spectra.ops.min_max import smaller
 
@@ -70,7 +71,7 @@ def _transmit(rays, view, nodes, channel, start, count, room):
                 exponents[i] -= factor * known[p, start + i]
         weight = weights[k]
         for i in range(count):
-            exponents[i] = weight * fast_exp(smaller(exponents[i], 60.0))
+            exponents[i] = weight * fast_exp(smaller(exponents[i], LARGEST_EXPONENT))
             room[0, i] += exponents[i]
         for m in range(bases):
             factor = columns[m, k]

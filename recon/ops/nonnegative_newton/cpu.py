@@ -7,6 +7,9 @@ import numpy as np
 from numba import njit
 
 from phantomgen.ops.kernel_decorators import inlined
+from recon.ops.arguments import TINY
+
+SINGULAR = 1e-30  # of the floor; smallest pivot of a block, which rounding could make 0 or negative
 
 
 @inlined
@@ -37,7 +40,7 @@ def _hold(matrix, held, wanted, factor, force):
             factor[i, j] = product / factor[j, j]
             square -= factor[i, j] * factor[i, j]
             s -= factor[i, j] * force[j]
-        factor[i, i] = sqrt(max(square, 1e-300))
+        factor[i, i] = sqrt(max(square, TINY))
         force[i] = s / factor[i, i]
     for i in range(bases - 1, -1, -1):
         if held[i] > 0.0:
@@ -178,7 +181,7 @@ def inverse_blocks(blocks, floor, first, last, room, out):
                 s = float(blocks[_pair(i, j, bases), voxel]) + (floor[i] if i == j else 0.0)
                 for k in range(j):
                     s -= factor[i, k] * factor[j, k]
-                factor[i, j] = sqrt(max(s, 1e-30 * floor[i])) if i == j else s / factor[j, j]
+                factor[i, j] = sqrt(max(s, SINGULAR * floor[i])) if i == j else s / factor[j, j]
         for j in range(bases):
             for i in range(j, bases):
                 s = 1.0 if i == j else 0.0

@@ -52,9 +52,10 @@ from recon.ops.rasterize.footprint_table import (
     lattice_mass,
     row_span,
 )
+from recon.ops.rasterize.pixel_sums import no_pixels, row_terms, with_pixels, write_totals
 from spectra.ops.min_max import larger, smaller
 
-SCRATCH = 15  # rows of the scratch array of one Gaussian in one view
+SCRATCH = 21  # rows of the scratch array of one Gaussian in one view; the last 6 belong to `backpropagate`
 HIDDEN, NEAR = near.HIDDEN, near.NEAR
 NEAR_SOURCE = 0.5  # part of the way to the panel; up to there all pixels are visited, as a shadow may be that large
 f4 = np.float32
@@ -126,16 +127,16 @@ def whitening_backward(log_scales, quaternions, matrices, cotangents, first, las
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def project_centre(centre, matrix, view, box, affine, w):
+def project_centre(centre, matrix, frame, inverse, box, affine, w):
     """Compute what a footprint is made of, for one Gaussian in one view.
 
     Parameters
     ----------
     centre, matrix : of the Gaussian [mm], [1/mm]
-    view : `recon.ops.arguments.RayFrame`
+    frame, inverse : as in `recon.ops.arguments.RayFrame`
     box : variance that the pixel adds [pixel^2]
     affine : whether the projection is local-affine
-    w : written, (15, 3): 0 offset from the source, 1 u, 2 vx, 3 vy, 4 u x vx, 5 u x vy, 6 v at the centre,
+    w : written, (21, 3): 0 offset from the source, 1 u, 2 vx, 3 vy, 4 u x vx, 5 u x vy, 6 v at the centre,
         7 (xc, yc, depth), 8 covariance before the pixel averages, 9 inverse of the covariance after that, 10 (D0, mass
         kept, |d| of a local-affine centre), 11 (e1, e2, e3), 12 (e4, e5, 0), 13 and 14 sum over pixels and its gradient
 
@@ -143,10 +144,9 @@ def project_centre(centre, matrix, view, box, affine, w):
     -------
     False where the centre lies behind the source, or the footprint is not finite
     """
-    frame = view.frame
     for i in range(3):
         w[0, i] = centre[i] - frame[0, i]
-    apply(view.inverse, w[0], w[7])
+    apply(inverse, w[0], w[7])
     depth = w[7, 2]
     if not depth > 0:
         return False
@@ -166,7 +166,7 @@ def project_centre(centre, matrix, view, box, affine, w):
     det_wide = 1 / det + box * (c11 + c22) + box * box
     w[8, 0], w[8, 1], w[8, 2] = c11, c12, c22
     w[9, 0], w[9, 1], w[9, 2] = (c22 + box) / det_wide, -c12 / det_wide, (c11 + box) / det_wide
-    lattice_mass(w[7, 0], w[7, 1], c11, c12, c22, box, w[13:].reshape(6))
+    lattice_mass(w[7, 0], w[7, 1], c11, c12, c22, box, w[13:15].reshape(6))
     w[10, 0], w[10, 1] = d0, 1 / (math.sqrt(det * det_wide) * w[13, 0])
     w[11, 0], w[11, 1], w[11, 2] = 2 * dot(w[6], w[2]) / d0, 2 * dot(w[6], w[3]) / d0, dot(w[2], w[2]) / d0
     w[12, 0], w[12, 1] = 2 * dot(w[2], w[3]) / d0, dot(w[3], w[3]) / d0
@@ -230,7 +230,7 @@ def footprints(gaussians, view, sampling, rows, first, last, out):
     first, last : Gaussians from `first` to one before `last`
     out : written, (gaussian, 13)
     """
-    centres, matrices = gaussians.centres, gaussians.matrices
+    centres, matrices, frame, inverse = gaussians.centres, gaussians.matrices, view.frame, view.inverse
     box, affine = sampling.box, sampling.affine
     w = np.empty((SCRATCH, 3))
     k2 = sampling.cutoff * sampling.cutoff
@@ -241,7 +241,7 @@ def footprints(gaussians, view, sampling, rows, first, last, out):
             kind = near.classify(centres[g], matrices[g], view, k2)
             if kind == HIDDEN:
                 continue
-        seen = project_centre(centres[g], matrices[g], view, box, affine, w)
+        seen = project_centre(centres[g], matrices[g], frame, inverse, box, affine, w)
         if kind == NEAR and (not seen or w[7, 2] < NEAR_SOURCE):  # all pixels
             for i in range(XC, AMPLITUDE):
                 out[g, i] = f4(0)
@@ -280,8 +280,7 @@ def forward(bases, table, coefficients, lengths, cutoff, row_first, row_last, im
             row = one_more(row)
             dy = row - p[YC]
             low, high = row_span(p, dy, k2, columns)
-            shear, across = p[L21] * dy, p[L22] * dy
-            flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
+            shear, across, flat, tilt = row_terms(p, dy)
             for base in range(low, high, WIDTH):
                 x = ramp(f4(base) - p[XC])
                 inverse = f4(1) / ((x * p[E3] + tilt) * x + flat)
@@ -303,19 +302,16 @@ def forward(bases, table, coefficients, lengths, cutoff, row_first, row_last, im
 @njit(forceinline=True, fastmath=True, error_model="numpy")
 @no_type_check
 def _gather(bases, p, coefficients, cotangent, k2, columns, sums, to_coefficients):
-    """Sums over one Gaussian's pixels: see `backward` for their meaning."""
+    """Sum over one Gaussian's pixels; `backward` defines the sums."""
     _, rows, stride = cotangent.shape
-    zero = splat(f4(0))
-    w0, ax, ay, axx, axy, ayy = zero, zero, zero, zero, zero, zero
-    b0, bx, by, bxx, bxy, byy = zero, zero, zero, zero, zero, zero
+    found = no_pixels()
     first = int(p[ROW_0])
     row = f4(first - 1)
     for r in range(first, int(p[ROW_1])):
         row = one_more(row)
         dy = row - p[YC]
         low, high = row_span(p, dy, k2, columns)
-        shear, across = p[L21] * dy, p[L22] * dy
-        flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
+        shear, across, flat, tilt = row_terms(p, dy)
         for base in range(low, high, WIDTH):
             x = ramp(f4(base) - p[XC])
             inverse = f4(1) / ((x * p[E3] + tilt) * x + flat)
@@ -323,7 +319,7 @@ def _gather(bases, p, coefficients, cotangent, k2, columns, sums, to_coefficient
             q = (along * along + across * across) * inverse
             value = square_root(inverse) * exp_negative(minimum(q, k2) * f4(-0.5)) * p[AMPLITUDE]
             value = where_less(q, k2, value)
-            to_value = zero
+            to_value = splat(f4(0))
             for m in range(len(bases)):
                 incoming = load(cotangent, (m * rows + r) * stride + base)
                 to_value = to_value + incoming * coefficients[m]
@@ -331,33 +327,13 @@ def _gather(bases, p, coefficients, cotangent, k2, columns, sums, to_coefficient
             to_value = to_value * value
             alpha = to_value * inverse * f4(-0.5)
             beta = alpha - alpha * q
-            w0 = w0 + to_value
-            step, step_y = alpha * x, alpha * dy
-            ax, ay, axx, axy, ayy = ax + step, ay + step_y, axx + step * x, axy + step * dy, ayy + step_y * dy
-            step, step_y = beta * x, beta * dy
-            b0, bx, by = b0 + beta, bx + step, by + step_y
-            bxx, bxy, byy = bxx + step * x, bxy + step * dy, byy + step_y * dy
-    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = (
-        total(w0),
-        total(ax),
-        total(ay),
-        total(axx),
-        total(axy),
-        total(ayy),
-    )
-    sums[6], sums[7], sums[8], sums[9], sums[10], sums[11] = (
-        total(b0),
-        total(bx),
-        total(by),
-        total(bxx),
-        total(bxy),
-        total(byy),
-    )
+            found = with_pixels(found, to_value, alpha, beta, x, dy)
+    write_totals(found, sums)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def backpropagate(w, s, affine, matrix, view, t, to_centre, to_matrix):
+def backpropagate(w, s, affine, matrix, frame, inverse, to_centre, to_matrix):
     """Compute gradients in centre and whitening matrix from sums over pixels: `project_centre` in reverse.
 
     Parameters
@@ -366,11 +342,10 @@ def backpropagate(w, s, affine, matrix, view, t, to_centre, to_matrix):
     s : sums over the pixels of the footprint, see `backward`
     affine : whether the projection is local-affine
     matrix : whitening matrix [1/mm]
-    view : `recon.ops.arguments.RayFrame`
-    t : scratch, (6, 3)
+    frame, inverse : as in `recon.ops.arguments.RayFrame`
     to_centre, to_matrix : added to, (3,) and (3, 3)
     """
-    frame, inverse = view.frame, view.inverse
+    t = w[15:]
     xc, yc, depth = w[7, 0], w[7, 1], w[7, 2]
     c11, c12, c22 = w[8, 0], w[8, 1], w[8, 2]
     p11, p12, p22 = w[9, 0], w[9, 1], w[9, 2]
@@ -442,25 +417,27 @@ def backward(bases, gaussians, views, cotangents, sampling, first, last, gradien
     beta = alpha (1 - N / E) to E; the sums over pixels are w, alpha (x, y, x^2, x y, y^2) and
     beta (1, x, y, x^2, x y, y^2).
     """
-    centres, matrices, coefficients = gaussians.centres, gaussians.matrices, gaussians.coefficients
+    # Named here, as numba counts a reference each time an array is taken out of a tuple.
+    centres, matrices, coefficients = gaussians
+    frames, inverses, tables = views
+    to_centres, to_matrices, to_coefficients = gradients
     box, affine, k2 = sampling.box, sampling.affine, f4(sampling.cutoff * sampling.cutoff)
     columns = cotangents.shape[3] - WIDTH
-    w, t, sums = np.zeros((SCRATCH, 3)), np.empty((6, 3)), np.empty(12)
+    w, sums = np.zeros((SCRATCH, 3)), np.empty(12)
     lanes = np.empty(len(bases) * WIDTH, np.float32)
     for g in range(first, last):
-        for v in range(views.frames.shape[0]):
-            p = views.tables[v, g]
+        for v in range(frames.shape[0]):
+            p = tables[v, g]
             if p[ROW_1] < p[ROW_0]:
-                view = RayFrame(views.frames[v], views.inverses[v])
+                view = RayFrame(frames[v], inverses[v])
                 near.backward(gaussians, g, view, p, cotangents[v], sampling, gradients)
             if p[ROW_1] <= p[ROW_0]:
                 continue
             lanes[:] = f4(0)
             _gather(bases, p, coefficients[g], cotangents[v], k2, columns, sums, lanes)
             for m in range(len(bases)):
-                gradients.coefficients[g, m] += total(load(lanes, m * WIDTH))
-            view = RayFrame(views.frames[v], views.inverses[v])
-            project_centre(centres[g], matrices[g], view, box, affine, w)
+                to_coefficients[g, m] += total(load(lanes, m * WIDTH))
+            project_centre(centres[g], matrices[g], frames[v], inverses[v], box, affine, w)
             if affine:
                 sums[6:] = 0.0
-            backpropagate(w, sums, affine, matrices[g], view, t, gradients.centres[g], gradients.matrices[g])
+            backpropagate(w, sums, affine, matrices[g], frames[v], inverses[v], to_centres[g], to_matrices[g])

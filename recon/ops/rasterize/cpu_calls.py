@@ -8,7 +8,14 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from phantomgen.ops.simd import WIDTH
-from recon.ops.arguments import GaussianArrays, GaussianGradients, GaussianTensors, RayFrame, inverse_frames
+from recon.ops.arguments import (
+    GaussianArrays,
+    GaussianGradients,
+    GaussianTensors,
+    RayFrame,
+    TensorGradients,
+    inverse_frames,
+)
 from recon.ops.pieces import run_all, run_in_pieces
 from recon.ops.rasterize import cpu
 from recon.ops.rasterize import near_field as near
@@ -73,7 +80,7 @@ class RasterizeCall:
             self._add_bands(views, image)
         return image[..., :columns]
 
-    def gradients(self, cotangent: Float[Tensor, "view basis row column"]) -> tuple[np.ndarray, ...]:
+    def gradients(self, cotangent: Float[Tensor, "view basis row column"]) -> TensorGradients:
         """Compute gradients in the tensors of the Gaussians.
 
         Parameters
@@ -82,7 +89,7 @@ class RasterizeCall:
 
         Returns
         -------
-        gradients in centres, log-scales, quaternions and coefficients
+        gradients in each tensor
         """
         n, bases = self.gaussians.coefficients.shape
         (rows, columns), images = self.panel, cotangent.detach().cpu().numpy()
@@ -101,7 +108,7 @@ class RasterizeCall:
                 to_scales, to_quaternions,
             )
         )  # fmt: skip
-        return sums.centres, to_scales, to_quaternions, sums.coefficients
+        return TensorGradients(sums.centres, to_scales, to_quaternions, sums.coefficients)
 
     def groups(self) -> Iterator[ViewGroup]:
         """Yield all views in their order, as many at a time as TABLE_BYTES holds.

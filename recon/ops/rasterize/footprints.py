@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
+from recon.ops.arguments import TINY
 from recon.ops.rasterize.footprint_table import NARROWEST
 from recon.ops.rasterize.gpu import Footprints
 from recon.ops.rasterize.near_field import REACH
@@ -178,7 +179,7 @@ def near_images(
     """
     centres, matrices, coefficients = gaussians
     view, _ = _in_view(centres, matrices, frame)
-    box, depth, square = projector.box, view.place[:, 2], _dot(view.u, view.u).clamp(min=1e-300)
+    box, depth, square = projector.box, view.place[:, 2], _dot(view.u, view.u).clamp(min=TINY)
     jacobian = torch.stack([view.a, view.b], -1)
     one = torch.eye(3, dtype=square.dtype, device=square.device)
     c = (box * depth**2 / square)[:, None, None]

@@ -19,6 +19,7 @@ from jaxtyping import Float64
 from numba import njit
 
 from phantomgen.ops.simd import WIDTH
+from recon.ops.arguments import TINY
 from recon.ops.rasterize.footprint_table import ROW_0, ROW_1, YC, apply, cross, dot, lattice_mass, row_span
 
 HIDDEN, BETWEEN, NEAR = range(3)
@@ -146,7 +147,7 @@ def project(centre, matrix, view, box, w):
     cross(w[1], w[2], w[4])
     cross(w[1], w[3], w[5])
     depth = inverse[2, 0] * w[0, 0] + inverse[2, 1] * w[0, 1] + inverse[2, 2] * w[0, 2]
-    square = max(dot(w[1], w[1]), 1e-300)
+    square = max(dot(w[1], w[1]), TINY)
     c = box * depth * depth / square
     h = w[8:11]
     for i in range(3):
@@ -343,7 +344,7 @@ def _backpropagate(w, sums, box, matrix, view, to_centre, to_matrix):
             to_a[i] += 2 * c * to_h[i, j] * w[4, j]
             to_b[i] += 2 * c * to_h[i, j] * w[5, j]
             to_c += to_h[i, j] * (w[4, i] * w[4, j] + w[5, i] * w[5, j])
-    square = max(dot(w[1], w[1]), 1e-300)
+    square = max(dot(w[1], w[1]), TINY)
     to_depth, to_square = to_c * 2 * box * depth / square, -to_c * c / square
     x = w[12]
     if mass != 0 and (w[13, 1] != 0 or w[13, 2] != 0 or w[14, 0] != 0 or w[14, 2] != 0):

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.simd import WIDTH
-from recon.ops.arguments import GaussianArrays, GaussianTensors, lattice_of
+from recon.ops.arguments import GaussianArrays, GaussianTensors, TensorGradients, lattice_of
 from recon.ops.pieces import run_in_pieces
 from recon.ops.rasterize.cpu import whitening, whitening_backward
 from recon.ops.voxelize import cpu
@@ -51,7 +51,7 @@ class VoxelizeCall:
         run_in_pieces(lambda a, b: cpu.fill(self.bases, self.table, weights, cutoff, a, b, volume), slices, SLAB)
         return np.ascontiguousarray(volume[..., :columns])
 
-    def gradients(self, cotangent: Float[Tensor, "basis z y x"]) -> tuple[np.ndarray, ...]:
+    def gradients(self, cotangent: Float[Tensor, "basis z y x"]) -> TensorGradients:
         """Compute gradients in the tensors of the Gaussians.
 
         Parameters
@@ -60,7 +60,7 @@ class VoxelizeCall:
 
         Returns
         -------
-        gradients in centres, log-scales, quaternions and coefficients
+        gradients in each tensor
         """
         n, bases = self.gaussians.coefficients.shape
         columns = self.shape[2]
@@ -78,4 +78,4 @@ class VoxelizeCall:
 
         run_in_pieces(gather, n, CHUNK)
         to_scales += found.log_peaks[:, None]  # the mean over voxels is proportional to the product of the scales
-        return found.centres, to_scales, to_quaternions, found.coefficients
+        return TensorGradients(found.centres, to_scales, to_quaternions, found.coefficients)
