@@ -259,35 +259,37 @@ def _average(view, cell, scratch, count, square):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def voxelize_row(view, scratch, iy, out):
-    """Write the volume fractions of the columns of one row y.
+def voxelize_rows(view, scratch, first, out):
+    """Write the volume fractions of the columns of some rows y.
 
     Parameters
     ----------
     view : `Columns`
     scratch : `ColumnScratch`
-    iy : the row
-    out : fractions (material, z, x), written
+    first : first row
+    out : fractions (material, z, y, x) of these rows, written
     """
     table, background = view.solids.table, view.solids.background
     (active, events), share = scratch.line, scratch.share
-    materials, voxels, columns = out.shape
-    v = float(iy)
-    for ix in range(columns):
-        u, cell = float(ix), iy * columns + ix
-        _clear(share)
-        count = list_active(view.tiles, iy, ix, active)
-        conics = _gather(view, active, count, (u, v, 1.0), scratch.room.local)
-        uniform, pieces = _is_uniform(view, cell, u, v, scratch, count)
-        if uniform and conics == 0:
-            _share_out(table, events, pieces, 1.0, share)
-        else:
-            _average(view, cell, scratch, count, (u, v, 1.0))
-        for k in range(voxels):
-            free = 1.0
-            for m in range(materials):
-                free -= share[m, k]
-            if background >= 0:
-                share[background, k] += free
-            for m in range(materials):
-                out[m, k, ix] = min(1.0, max(0.0, share[m, k]))
+    materials, voxels, rows, columns = out.shape
+    for row in range(rows):
+        iy = first + row
+        v = float(iy)
+        for ix in range(columns):
+            u, cell = float(ix), iy * columns + ix
+            _clear(share)
+            count = list_active(view.tiles, iy, ix, active)
+            conics = _gather(view, active, count, (u, v, 1.0), scratch.room.local)
+            uniform, pieces = _is_uniform(view, cell, u, v, scratch, count)
+            if uniform and conics == 0:
+                _share_out(table, events, pieces, 1.0, share)
+            else:
+                _average(view, cell, scratch, count, (u, v, 1.0))
+            for k in range(voxels):
+                free = 1.0
+                for m in range(materials):
+                    free -= share[m, k]
+                if background >= 0:
+                    share[background, k] += free
+                for m in range(materials):
+                    out[m, k, row, ix] = min(1.0, max(0.0, share[m, k]))
