@@ -1,4 +1,4 @@
-"""The steps of the fit: Gaussians follow the gradient of the objective, all channels at once.
+"""The steps of the fit, which lower the objective for all channels at once.
 
 `recon.gaussians.objective` has the equation. It has two kinds of unknowns, and each has its own kind of step. With the
 geometry held, the model is linear in the coefficients up to the exponential of Beer's law, so these take second-order

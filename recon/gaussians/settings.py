@@ -7,6 +7,7 @@ measures a change.
 
 from collections.abc import Collection
 from dataclasses import dataclass, fields
+from math import gcd
 from typing import Any
 
 from spectra.errors import InputError
@@ -137,6 +138,11 @@ class PriorSettings:
 
     def __post_init__(self) -> None:
         check_positive(self, "recipe voxel_prior")
+        if gcd(self.slabs, self.slab_stride) > 1:
+            raise InputError(
+                "recipe voxel_prior slabs and slab_stride must have no common factor, so that every slab is used, got "
+                f"{self.slabs} and {self.slab_stride}"
+            )
 
 
 @dataclass(frozen=True)

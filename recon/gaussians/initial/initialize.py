@@ -58,7 +58,7 @@ def initialize(
     scales = _neighbour_distance(centres, settings.neighbours, default=spacing) * settings.overlap
     normals, edge = _normals(structure, voxel)
     thickness = settings.flatness**edge
-    flat = np.stack([thickness**-0.25, thickness**-0.25, thickness**0.75], axis=1)
+    flat = np.stack([thickness**-0.25, thickness**-0.25, thickness**0.75], axis=1)  # thinner, and a little wider
     parts = (
         torch.from_numpy(centres).float(),
         torch.log(torch.from_numpy(scales[:, None] * flat)).float(),
@@ -149,7 +149,7 @@ def _blue_noise(
     voxels = np.argwhere(occupied)
     numbers = _random_of_places(voxels + first, seed)
     distances = distance[occupied]
-    order = np.lexsort([numbers[:, 3], np.round(distances, 1)])
+    order = np.lexsort([numbers[:, 3], np.round(distances, 1)])  # equal tenths of a voxel in random order
     taken = np.full(occupied.shape, -1)
     voxels, offsets = voxels[order], numbers[order, :3] - 0.5
     kept = _throw_darts(voxels, offsets, distances[order], np.array(occupied.shape), taken)

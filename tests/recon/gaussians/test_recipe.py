@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from recon.gaussians.recipe import BEST, FAST, Recipe, Stage
+from recon.gaussians.settings import PriorSettings
 from spectra.errors import InputError
 
 UNCHOSEN = ("name", "seed", "held_out")  # what a user gives
@@ -74,3 +75,8 @@ def test_settings_refuse_what_is_not_positive(group):
     name = fields(settings)[0].name
     with pytest.raises(InputError, match=f"recipe {group} {name} must be positive, got 0"):
         replace(settings, **{name: 0})
+
+
+def test_a_stride_that_leaves_slabs_out_is_refused():
+    with pytest.raises(InputError, match="must have no common factor, so that every slab is used, got 8 and 4"):
+        PriorSettings(slab_stride=4)

@@ -1,4 +1,4 @@
-"""Gaussians that follow volumes: how close they come, and what they keep."""
+"""Gaussians fitted to volumes: how close they come, and what does not change."""
 
 from dataclasses import replace
 
@@ -32,29 +32,29 @@ def distance(gaussians, volumes, metric=METRIC):
 
 
 @pytest.fixture(scope="module")
-def followed():
-    volumes, told = ball_and_rod(), []
+def fitted():
+    volumes, iterations = ball_and_rod(), []
     start = initialize(volumes, GRID, METRIC, 1.2, NAMES[:2], 0)
-    return volumes, start, fit_to_volume(start, volumes, GRID, METRIC, 30, told.append, WIDE), told
+    return volumes, start, fit_to_volume(start, volumes, GRID, METRIC, 30, iterations.append, WIDE), iterations
 
 
-def test_thirty_evaluations_bring_gaussians_much_closer(followed):
-    volumes, start, found, _ = followed
+def test_thirty_evaluations_bring_gaussians_much_closer(fitted):
+    volumes, start, found, _ = fitted
     assert distance(found, volumes) < 0.2 * distance(start, volumes)
     assert len(found) == len(start)
     assert (found.coefficients >= 0).all()
 
 
-def test_what_is_told_is_the_distance_on_the_way(followed):
-    volumes, start, found, told = followed
-    assert [told_of.done for told_of in told] == list(range(1, 31))
-    assert told[0].residual == pytest.approx(distance(start, volumes), rel=1e-2)
-    assert min(told_of.residual for told_of in told) == pytest.approx(distance(found, volumes), rel=5e-2)
+def test_what_is_told_is_the_distance_on_the_way(fitted):
+    volumes, start, found, iterations = fitted
+    assert [iteration.done for iteration in iterations] == list(range(1, 31))
+    assert iterations[0].residual == pytest.approx(distance(start, volumes), rel=1e-2)
+    assert min(iteration.residual for iteration in iterations) == pytest.approx(distance(found, volumes), rel=5e-2)
 
 
-def test_it_gets_there_sooner_than_without_knowing_the_curvature_of_a_gaussian(followed):
+def test_it_gets_there_sooner_than_without_knowing_the_curvature_of_a_gaussian(fitted):
     """The same number of evaluations spent by scipy's L-BFGS-B on the raw parameters; 30 are too few to tell."""
-    volumes, start, _, _ = followed
+    volumes, start, _, _ = fitted
     shape, count = start.coefficients.shape, len(start)
     parts = [start.centres, start.log_scales, start.quaternions, start.coefficients / 0.02]
     sizes = [p.numel() for p in parts]
@@ -79,8 +79,8 @@ def test_it_gets_there_sooner_than_without_knowing_the_curvature_of_a_gaussian(f
     assert distance(fit_to_volume(start, volumes, GRID, METRIC, 60, settings=WIDE), volumes) < other.fun
 
 
-def test_cutting_gaussians_off_costs_no_mass_and_little_accuracy(followed):
-    volumes, start, uncut, _ = followed
+def test_cutting_gaussians_off_costs_no_mass_and_little_accuracy(fitted):
+    volumes, start, uncut, _ = fitted
     found = fit_to_volume(start, volumes, GRID, METRIC, 30)
     mass, cut = found.volume(GRID).sum(axis=(1, 2, 3)), 1 - mass_within(DEFAULT.cutoff)
     assert mass == pytest.approx(uncut.volume(GRID).sum(axis=(1, 2, 3)), rel=cut / 3)  # starts scatter by up to cut / 4
@@ -94,7 +94,7 @@ def test_gaussians_that_already_fit_stay():
 
 
 def test_no_gaussian_becomes_a_needle():
-    """One Gaussian that follows a rod of 24 mm would stretch along it, and shine beyond its ends."""
+    """One Gaussian that is fitted to a rod of 24 mm would stretch along it, and extend beyond its ends."""
     z, y, x = np.meshgrid(*(GRID.axis(name) for name in "zyx"), indexing="ij")
     rod = 0.02 * (np.hypot(x, y) < 2) * (np.abs(z) < 12)
     volumes = np.stack([rod, 0.5 * rod]).astype(np.float32)
@@ -118,8 +118,8 @@ def test_a_basis_counts_by_its_large_values_and_a_faint_one_no_more_than_it_show
     assert np.isfinite(metric_of(np.zeros_like(volumes), fisher)).all()
 
 
-def test_a_step_that_leads_astray_is_not_taken(monkeypatch):
-    volumes, told, precondition, calls = ball_and_rod(), [], _Distance.precondition, []
+def test_a_step_that_leads_away_is_not_taken(monkeypatch):
+    volumes, iterations, precondition, calls = ball_and_rod(), [], _Distance.precondition, []
 
     def sometimes_wild(self, gradient):
         calls.append(1)
@@ -127,8 +127,8 @@ def test_a_step_that_leads_astray_is_not_taken(monkeypatch):
 
     monkeypatch.setattr(_Distance, "precondition", sometimes_wild)
     start = initialize(volumes, GRID, METRIC, 1.2, NAMES[:2], 0)
-    found = fit_to_volume(start, volumes, GRID, METRIC, 30, told.append, WIDE)
-    residuals = [told_of.residual for told_of in told]
+    found = fit_to_volume(start, volumes, GRID, METRIC, 30, iterations.append, WIDE)
+    residuals = [iteration.residual for iteration in iterations]
     assert max(residuals[1:]) > 2 * residuals[0]
     assert distance(found, volumes) < 1.05 * min(residuals)
 
