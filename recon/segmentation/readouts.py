@@ -124,7 +124,7 @@ class Readouts:
         -------
         attenuation [1/mm]
         """
-        return np.tensordot(self.basis.evaluate(np.array([energy]))[:, 0], values, axes=1)
+        return np.tensordot(self.basis.evaluate(np.array([energy], dtype=np.float64))[:, 0], values, axes=1)
 
     def hounsfield(self, values: Coefficients, energy: float) -> Volume:
         """Compute a virtual monoenergetic image.
