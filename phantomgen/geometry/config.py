@@ -162,8 +162,10 @@ def _angles(orbit: Turning, panel: PanelModel) -> tuple[Float[np.ndarray, " view
         raise GeometryError("an orbit needs either views, the number of them, or angles, a list in degrees")
     if orbit.views is not None:
         whole = 180.0 if isinstance(orbit, ParallelModel) else 360.0
-        short = isinstance(orbit, CircularModel) and orbit.arc == "short"
-        arc = _short_arc(panel, orbit.sdd) if short else orbit.arc or whole
+        if isinstance(orbit, CircularModel) and orbit.arc == "short":
+            arc = _short_arc(panel, orbit.sdd)
+        else:
+            arc = orbit.arc if isinstance(orbit.arc, float) else whole
         angles = orbits.spread_angles(orbit.views, orbit.test_views, arc, orbit.start or 0.0)
         return angles, _times(orbit.views, orbit.test_views), orbit.views
     if orbit.arc is not None or orbit.start is not None:
