@@ -98,13 +98,13 @@ class ColumnScratch(NamedTuple):
 
 @called
 @no_type_check
-def _cut_line(view, mesh, cell, u, v, active, count, events):
+def _cut_line(solids, mesh, cell, u, v, active, count, events):
     """Cut the line through (u, v) in a cell of the column grid; return the number of pieces.
 
-    `mesh` is that of the view, as numba leaves out a branch for None only where an argument is None.
+    `solids` are the frame, table and tubes of the view, without its other arrays, whose references numba would count
+    in every call. `mesh` is an argument, as numba leaves out a branch for None only where an argument is None.
     """
-    frame, solids, _, _, _, _ = view
-    table, tubes, _, _ = solids
+    frame, table, tubes = solids
     x, y = frame[1, 0] + u * frame[2, 0], frame[1, 1] + v * frame[3, 1]
     for i in range(count):
         set_origin(table, active[i], x, y, frame[1, 2])
@@ -138,10 +138,11 @@ def _is_uniform(view, cell, ix, iy, scratch, count):
     The cuts through the centre are left in the events of ``scratch.line``.
     """
     (active, events), other = scratch.line, scratch.other
-    pieces = _cut_line(view, view.mesh, cell, ix, iy, active, count, events)
+    solids = (view.frame, view.solids.table, view.solids.tubes)
+    pieces = _cut_line(solids, view.mesh, cell, ix, iy, active, count, events)
     for corner in range(4):
         u, v = ix + (_CORNER if corner % 2 else -_CORNER), iy + (_CORNER if corner // 2 else -_CORNER)
-        if _cut_line(view, view.mesh, cell, u, v, active, count, other) != pieces:
+        if _cut_line(solids, view.mesh, cell, u, v, active, count, other) != pieces:
             return False, pieces
         for i in range(pieces):
             if events[PIECE, i] != other[PIECE, i]:
@@ -205,12 +206,12 @@ def _estimate(view, cell, level, scratch, count, square, share):
     """Fractions that a square (u, v, side) of a column adds to its voxels, by one Gauss rule split along the conics."""
     (active, events), (local, lines, nodes), table = scratch.line, scratch.room, view.solids.table
     rule_nodes, rule_sizes = view.rules.nodes[level], view.rules.sizes[level]
-    u, v, side = square
+    solids, (u, v, side) = (view.frame, table, view.solids.tubes), square
     _clear(share)
     conics, start = _gather(view, active, count, square, local), np.int64(0)
     for i in range(square_nodes(local, conics, rule_nodes, rule_sizes, lines, nodes, start)):
         a, b, weight = u + side * nodes[i, 0], v + side * nodes[i, 1], side * side * nodes[i, 2]
-        pieces = _cut_line(view, view.mesh, cell, a, b, active, count, events)
+        pieces = _cut_line(solids, view.mesh, cell, a, b, active, count, events)
         _share_out(table, events, pieces, weight, share)
 
 
