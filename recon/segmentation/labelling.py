@@ -99,7 +99,7 @@ def label_at(
     places: Float[np.ndarray, "3 point"],
     values: Float[np.ndarray, "point mechanism"],
     centres: Float[np.ndarray, "cluster mechanism"],
-) -> Int[np.ndarray, " point"]:
+) -> Integer[np.ndarray, " point"]:
     """Labels of points: that of their voxel, or the nearest in coefficients where it is air or far less dense."""
     found = labels[nearest_voxels(places, labels.shape)]
     density = np.concatenate([[0.0], centres.sum(axis=1)])

@@ -55,7 +55,7 @@ def score(segmentation: Segmentation, reference: Reference) -> dict[str, Any]:
 
 
 def confusion(
-    truth: Integer[np.ndarray, "z y x"], found: Integer[np.ndarray, "z y x"], materials: int, clusters: int
+    truth: Integer[np.ndarray, "*voxels"], found: Integer[np.ndarray, "*voxels"], materials: int, clusters: int
 ) -> Int[np.ndarray, "true found"]:
     """Voxels by their true label and the one found; 0 is air in both."""
     pairs = truth.astype(np.int64).ravel() * (clusters + 1) + found.ravel()

@@ -45,7 +45,7 @@ class CircularOrbit:
     @property
     def is_full(self) -> bool:
         """Whether the orbit goes all the way round."""
-        return self.arc >= 2 * np.pi
+        return bool(self.arc >= 2 * np.pi)
 
     @property
     def is_z_aligned(self) -> bool:

@@ -5,8 +5,8 @@ from jaxtyping import Float
 
 
 def half_fan_weights(
-    across: Float[np.ndarray, " column"], overlap: float, distance: float
-) -> Float[np.ndarray, " column"]:
+    across: Float[np.ndarray, "*view column"], overlap: float, distance: float
+) -> Float[np.ndarray, "*view column"]:
     """Weights of a panel that sees one side of the axis fully, and the other up to `overlap`.
 
     They rise from 0 to 2 over the part of the panel that is seen from both sides, smoothly, and those of opposite
