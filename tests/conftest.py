@@ -14,9 +14,8 @@ with suppress(ImportError):  # before anything is rendered: its LLVM and that of
     import triton  # noqa: F401
 
 CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"  # an int may stand for a float
-install_import_hook(
-    os.environ.get("CHECKED_TYPES", "spectra").split(), CHECKER
-)  # before anything of the project is imported
+CHECKED = os.environ.get("CHECKED_TYPES", "spectra").split()  # all are "spectra phantomgen recon"
+install_import_hook(CHECKED, CHECKER)  # before anything of the project is imported
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")

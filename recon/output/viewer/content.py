@@ -171,7 +171,7 @@ class RunContent:
 
 def _in_order(
     names: tuple[str, ...], own: tuple[str, ...], volumes: Float[np.ndarray, "basis z y x"]
-) -> Float[np.ndarray, "basis z y x"]:
+) -> Float[np.ndarray, "shown_basis z y x"]:
     """Volumes by names, zeros for those that are missing."""
     if names == own:
         return volumes

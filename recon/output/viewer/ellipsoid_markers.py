@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyvista
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Integer
 
 from recon.figures.basis_colours import brightest, mixed_colours
 from recon.gaussians.model import Gaussians
@@ -76,7 +76,7 @@ def ellipsoid_mesh(
     centres: Float[np.ndarray, "gaussian 3"],
     scales: Float[np.ndarray, "gaussian 3"],
     rotations: Float[np.ndarray, "gaussian 3 3"],
-    colours: Int[np.ndarray, "gaussian 3"],
+    colours: Integer[np.ndarray, "gaussian 3"],
     fineness: int = FINE,
 ) -> pyvista.PolyData:
     """Create one mesh of all ellipsoids p + R S u, where u is the unit sphere; normals are R S^-1 u.
@@ -110,7 +110,7 @@ def ellipsoid_mesh(
     return mesh
 
 
-def _shapes(gaussians: Gaussians, chosen: Int[np.ndarray, " some"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _shapes(gaussians: Gaussians, chosen: Integer[np.ndarray, " some"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centres, standard deviations and rotations of some Gaussians."""
     rotations = rotation(gaussians.quaternions[chosen].detach().cpu().double()).numpy()
     return _numbers(gaussians.centres)[chosen], np.exp(_numbers(gaussians.log_scales)[chosen]), rotations

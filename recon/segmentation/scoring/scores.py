@@ -60,7 +60,7 @@ def score(segmentation: Segmentation, reference: Reference) -> dict[str, Any]:
 
 
 def confusion(
-    truth: Integer[np.ndarray, "z y x"], found: Integer[np.ndarray, "z y x"], materials: int, clusters: int
+    truth: Integer[np.ndarray, "*voxels"], found: Integer[np.ndarray, "*voxels"], materials: int, clusters: int
 ) -> Int[np.ndarray, "true found"]:
     """Count voxels by their true label and the label found.
 
