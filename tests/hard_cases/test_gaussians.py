@@ -24,17 +24,20 @@ from recon.gaussians.initial.initialize import initialize
 from recon.gaussians.optimize import fit
 from recon.gaussians.recipe import Recipe, Stage
 from recon.ops.decompose import decompose
-from recon.ops.rasterize import rasterize, reference
+from recon.ops.rasterize import Projector, rasterize, reference
 from recon.ops.voxelize import voxelize
 from spectra.transmission import Transmission
 
 PARTS = ("centres", "log_scales", "quaternions", "coefficients")
+UNCUT = Projector(cutoff=5.0)  # standard deviations; next to nothing lies beyond
 SHORT = Recipe(stages=(Stage(1.0, 3.0),))
 
 
-def image_and_gradients(parts, geometry, function=rasterize, footprint=1.0, *cutoff):
+def image_and_gradients(parts, geometry, projector=None):
+    """Images by the kernels, or by the reference where no projector is given, and gradients for random cotangents."""
     leaves = [part.clone().requires_grad_() for part in parts]
-    image = function(*leaves, frames_of(geometry), geometry.panel.rows, geometry.panel.columns, footprint, *cutoff)
+    view = (*leaves, frames_of(geometry), geometry.panel.rows, geometry.panel.columns)
+    image = reference.rasterize(*view, 1.0) if projector is None else rasterize(*view, projector)
     cotangent = torch.from_numpy(np.random.default_rng(0).normal(size=image.shape)).to(image)
     return image.detach(), torch.autograd.grad(image, leaves, cotangent)
 
@@ -50,8 +53,8 @@ def needles(count=30, thin=0.02, aspect=1e3):
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_needles_a_thousand_times_longer_than_wide(where, dtype):
     parts, geometry = needles(), GEOMETRIES[where]
-    truth, gradients = image_and_gradients(parts, geometry, reference.rasterize)
-    image, kernel_gradients = image_and_gradients([p.to(dtype) for p in parts], geometry, rasterize, 1.0, 5.0)
+    truth, gradients = image_and_gradients(parts, geometry)
+    image, kernel_gradients = image_and_gradients([p.to(dtype) for p in parts], geometry, UNCUT)
     assert (image - truth).abs().max() < 3e-4 * truth.max()
     for gradient, right in zip(kernel_gradients, gradients, strict=True):
         assert torch.isfinite(gradient).all()
@@ -62,7 +65,7 @@ def test_flat_discs_a_thousand_times_wider_than_thick():
     centres, scales, turns, values = needles()
     scales = scales.flip(1)
     scales[:, :2] = np.log(20 * PIXEL)
-    image, gradients = image_and_gradients((centres, scales, turns, values), GEOMETRIES["tilted"])
+    image, gradients = image_and_gradients((centres, scales, turns, values), GEOMETRIES["tilted"], Projector())
     assert torch.isfinite(image).all()
     assert all(torch.isfinite(gradient).all() for gradient in gradients)
 
@@ -75,7 +78,7 @@ def test_a_needle_along_a_ray():
     towards = source / np.linalg.norm(source)
     turns[0] = torch.tensor([np.cos(np.arctan2(towards[1], towards[0]) / 2), 0, 0, np.sin(0.1)])
     scales = torch.tensor([[10.0, 0.01, 0.01]]).double().log()
-    image, gradients = image_and_gradients((centres, scales, turns, values), geometry, rasterize, 0.0)
+    image, gradients = image_and_gradients((centres, scales, turns, values), geometry, Projector(footprint=0.0))
     assert image.max() == pytest.approx(np.sqrt(2 * np.pi) * 10, rel=1e-4)
     assert all(torch.isfinite(gradient).all() for gradient in gradients)
 
@@ -83,8 +86,8 @@ def test_a_needle_along_a_ray():
 @pytest.mark.parametrize("sigma", [1e-6, 0.05, 1e3])
 def test_a_gaussian_far_smaller_than_a_pixel_and_one_far_larger_than_the_panel(sigma):
     parts, geometry = one_gaussian([0.31, -0.17, 0.23], sigma * PIXEL), circular()
-    truth, gradients = image_and_gradients(parts, geometry, reference.rasterize)
-    image, kernel_gradients = image_and_gradients(parts, geometry, rasterize, 1.0, 5.0)
+    truth, gradients = image_and_gradients(parts, geometry)
+    image, kernel_gradients = image_and_gradients(parts, geometry, UNCUT)
     assert (image - truth).abs().max() <= TOLERANCES["kernel_value"] * truth.max()
     for gradient, right in zip(kernel_gradients, gradients, strict=True):
         assert (gradient - right).norm() <= 1e-3 * gradients[0].norm() + TOLERANCES["kernel_gradient"] * right.norm()
@@ -98,7 +101,7 @@ def test_a_gaussian_far_smaller_than_a_pixel_and_one_far_larger_than_the_panel(s
 def test_a_gaussian_around_the_source():
     """Rays begin inside of it: what lies behind the source does not count."""
     parts, geometry = one_gaussian([55.0, 0.0, 0.0], 10.0), circular(views=5)
-    image, gradients = image_and_gradients(parts, geometry)
+    image, gradients = image_and_gradients(parts, geometry, Projector())
     assert torch.isfinite(image).all()
     assert all(torch.isfinite(gradient).all() for gradient in gradients)
 
@@ -109,7 +112,7 @@ def test_gaussians_in_the_plane_of_the_source():
     source, _, column_step, _ = geometry.ray_frames()[0]
     for shift in (0.0, 1e-12, 1e-3):
         centre = source + 3 * column_step - shift * source
-        image, gradients = image_and_gradients(one_gaussian(list(centre), 1.0), geometry)
+        image, gradients = image_and_gradients(one_gaussian(list(centre), 1.0), geometry, Projector())
         assert torch.isfinite(image).all()
         assert all(torch.isfinite(gradient).all() for gradient in gradients)
 

@@ -51,7 +51,7 @@ def test_the_likelihood_has_its_maximum_where_scipy_finds_it(bases, dispersion):
 @pytest.mark.parametrize("lengths", [[0.0, 0.0, 0.0], [0.5, 1.0, 0.3], [1.0, 2.0, 0.0]])
 def test_estimates_scatter_as_little_as_the_cramer_rao_bound_allows(lengths):
     model, rays = spectral_model(3, photons=1e5), 4000
-    counts = np.random.default_rng(4).poisson(model.expected(lengths), (rays, len(model))).astype(float)
+    counts = np.random.default_rng(4).poisson(model.expected(np.array(lengths)), (rays, len(model))).astype(float)
     found, fisher = decompose(counts, np.ones_like(counts), model)
     bound = np.sqrt(np.diag(np.linalg.inv(model.fisher(np.array(lengths)))))
     np.testing.assert_allclose(found.std(axis=0) / bound, 1, atol=TOLERANCES["efficiency"])

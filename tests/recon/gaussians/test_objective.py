@@ -19,7 +19,7 @@ from recon.gaussians.recipe import Recipe
 from recon.gaussians.settings import PriorSettings
 from recon.gaussians.state import FitState
 from recon.gaussians.voxel_prior import VoxelPrior
-from recon.ops.rasterize import rasterize, reference
+from recon.ops.rasterize import Projector, rasterize, reference
 from recon.ops.voxelize.reference import voxelize
 from spectra.ops.transmit.reference import transmit
 
@@ -66,7 +66,7 @@ def equation(parts, objective, metric):
 
 @pytest.mark.parametrize("strength", [0.3, 30.0])
 def test_gradients_of_all_slabs_are_those_of_the_equation(objective, strength, monkeypatch):
-    monkeypatch.setattr("recon.gaussians.model.rasterize", partial(rasterize, cutoff=UNCUT.cutoff))
+    monkeypatch.setattr("recon.gaussians.model.rasterize", partial(rasterize, projector=Projector(cutoff=UNCUT.cutoff)))
     start = small_model(2)
     objective = replace(objective, prior=replace(objective.prior, strength=strength))
     metric = objective.curvature(start, Recipe().optimizer).prior_metric
