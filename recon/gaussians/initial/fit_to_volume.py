@@ -9,6 +9,10 @@ volumes, as much as the rounding of another processor, moved fits of small scans
 by less than 0.1 dB. Coefficients stay non-negative: one at 0 that would sink further is held. So is the length of a
 Gaussian at twice what it began with: a needle through even tissue hardly shows in voxels, while a view along it sees
 all of what sticks out at its ends.
+
+Means of voxels do not tell what lies within a voxel: a thin dense sheet in the middle of the last voxel before a face
+meets them better than an even density whose edge leaks into the next voxel, but line integrals along the face differ by
+7 to 10 %. So the distance on a second grid, half a voxel further along every axis, is added with a small weight.
 """
 
 import math
@@ -25,7 +29,8 @@ from recon.gaussians.model import Gaussians
 from recon.ops.voxelize import mass_within, voxelize_tensor
 from recon.voxel.method import OnIteration, Report, unwatched
 
-CUTOFF = 3.1  # standard deviations; 2 % of the mass lies beyond, and a third of the time would be spent there
+CUTOFF = 3.5  # standard deviations; with 3.1, what lies beyond makes the inside 0.2 to 0.5 % too low
+HALFWAY_WEIGHT = 0.1  # of the distance on the grid half a voxel further; 0.3 and 1 blurred thin vessels
 RENEWED = 5  # evaluations after which the diagonal is computed anew, which costs as much as an evaluation
 REACH = (0.5, 0.3, 0.2)  # longest step of a coordinate [standard deviations], a log-scale and an angle [rad]
 FIRST = 0.4  # length of the steps over those that the diagonal suggests
@@ -124,21 +129,29 @@ class _Distance:
         grid: Grid,
         report: Report,
     ) -> None:
-        self.volumes, self.grid = mass_within(CUTOFF) * volumes, grid
+        self.grid = grid
+        self.targets = [(grid, mass_within(CUTOFF) * volumes, 1.0)]
+        if min(grid.shape) > 1:
+            self.targets.append((_halfway(grid), mass_within(CUTOFF) * _means_halfway(volumes), HALFWAY_WEIGHT))
         self.metric = torch.from_numpy(metric / np.trace(metric)).to(volumes)
         self.inverse_metric = torch.linalg.inv(self.metric)
         self.evaluations, self.report = 0, report
 
     def evaluate(self, model: Gaussians) -> tuple[float, Float[Tensor, "gaussian step"]]:
         parts = [p.detach().requires_grad_() for p in _parts(model)]
-        found = voxelize_tensor(parts[0], parts[1], parts[2], parts[3], self.grid, cutoff=CUTOFF)
-        away = found.detach() - self.volumes
-        weighted = torch.einsum("mn,nzyx->mzyx", self.metric, away)
-        found.backward(weighted)
+        distance, shown, on_voxels = 0.0, torch.empty(0), 0.0
+        for grid, target, weight in self.targets:
+            found = voxelize_tensor(parts[0], parts[1], parts[2], parts[3], grid, cutoff=CUTOFF)
+            away = found.detach() - target
+            weighted = weight * torch.einsum("mn,nzyx->mzyx", self.metric, away)
+            found.backward(weighted)
+            # rows first: ten times as fast
+            part = 0.5 * float((away * weighted).sum(dim=-1).sum(dtype=torch.float64))
+            distance += part
+            if grid == self.grid:
+                shown, on_voxels = found.detach(), part
         self.evaluations += 1
-        # rows first: ten times as fast
-        distance = 0.5 * float((away * weighted).sum(dim=-1).sum(dtype=torch.float64))
-        self.report(found.detach().cpu().numpy(), distance, self.grid)
+        self.report(shown.cpu().numpy(), on_voxels, self.grid)
         return distance, gradient_of_steps(model, [p.grad for p in parts if p.grad is not None])
 
     def renew_diagonal(self, model: Gaussians) -> None:
@@ -167,6 +180,22 @@ class _Distance:
     def precondition(self, gradient: Float[Tensor, "gaussian step"]) -> Float[Tensor, "gaussian step"]:
         geometry = gradient[:, :GEOMETRY] / self.bends
         return torch.cat([geometry, gradient[:, GEOMETRY:] @ self.inverse_metric / self.share], dim=1)
+
+
+def _halfway(grid: Grid) -> Grid:
+    """Grid whose voxels are centred on the corners of the voxels of another one."""
+    depth, height, width = (n + 1 for n in grid.shape)
+    z, y, x = (o - s / 2 for o, s in zip(grid.origin, grid.spacing, strict=True))
+    return Grid((depth, height, width), grid.spacing, (z, y, x))
+
+
+def _means_halfway(volumes: Float[Tensor, "basis z y x"]) -> Float[Tensor, "basis z1 y1 x1"]:
+    """Means over the voxels of `_halfway`; outside the grid the nearest voxel counts."""
+    out = torch.nn.functional.pad(volumes[None], (1, 1, 1, 1, 1, 1), mode="replicate")[0]
+    for axis in (1, 2, 3):
+        before, after = out.narrow(axis, 0, out.shape[axis] - 1), out.narrow(axis, 1, out.shape[axis] - 1)
+        out = 0.5 * (before + after)
+    return out.contiguous()
 
 
 def _parts(model: Gaussians) -> tuple[Tensor, Tensor, Tensor, Tensor]:

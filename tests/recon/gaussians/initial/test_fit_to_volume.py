@@ -15,6 +15,8 @@ from recon.gaussians.initial.fit_to_volume import (
     MANY,
     WIDEST,
     _Distance,
+    _halfway,
+    _means_halfway,
     evaluations_for,
     fit_to_volume,
     metric_of,
@@ -100,6 +102,7 @@ def test_cutting_gaussians_off_costs_no_mass_and_little_accuracy(followed):
 
 def test_gaussians_that_already_fit_stay(monkeypatch):
     monkeypatch.setattr("recon.gaussians.initial.fit_to_volume.CUTOFF", WIDE)
+    monkeypatch.setattr("recon.gaussians.initial.fit_to_volume.HALFWAY_WEIGHT", 0.0)
     start = small_model(1, count=12)
     found = fit_to_volume(start, start.volume(GRID), GRID, np.eye(3), 5)
     assert distance(found, start.volume(GRID), np.eye(3)) < 1e-4 * distance(start, 0 * start.volume(GRID), np.eye(3))
@@ -163,3 +166,26 @@ def test_noise_as_small_as_rounding_moves_the_error_by_less_than_a_tenth_of_a_de
         found = fit_to_volume(start, seen, GRID, METRIC, evaluations_for(len(start), 60)).volume(GRID)
         errors.append(20 * np.log10(np.sqrt(np.square(found - clean).mean(axis=(1, 2, 3)))))
     assert np.ptp(errors, axis=0).max() < 0.1
+
+
+def test_sheets_within_the_last_voxel_before_a_face_are_less_dense_with_the_second_grid(monkeypatch):
+    grid, thirds = Grid.cube(16, 16.0), Grid.cube(48, 16.0)
+    volumes = np.zeros((2, *grid.shape), np.float32)
+    volumes[:, 4:12, 3:13, 4:11] = np.array([0.02, 0.01])[:, None, None, None]
+    start = initialize(volumes, grid, METRIC, 1.0, NAMES[:2], 0)
+
+    def densest():
+        return fit_to_volume(start, volumes, grid, METRIC, 60).volume(thirds)[0].max() / 0.02
+
+    with_both = densest()
+    monkeypatch.setattr("recon.gaussians.initial.fit_to_volume.HALFWAY_WEIGHT", 0.0)
+    assert with_both < min(2.2, 0.7 * densest())
+
+
+def test_means_halfway_between_voxels_are_those_of_the_voxels_that_meet_there():
+    volumes = torch.from_numpy(np.random.default_rng(0).random((1, 3, 4, 5)))
+    grid = Grid((3, 4, 5), (1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
+    means = _means_halfway(volumes)
+    assert tuple(means.shape[1:]) == _halfway(grid).shape
+    assert _halfway(grid).origin == (-0.5, -1.0, -1.5)
+    assert float(means[0, 1, 2, 3]) == pytest.approx(float(volumes[0, 0:2, 1:3, 2:4].mean()))
