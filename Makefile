@@ -1,28 +1,37 @@
 # make demo   scan the kedge phantom, reconstruct it, print the scores
-# make test   run the test suite
+# make test   run the test suite; TESTS="tests/spectra" for a part
+# make coverage  the same, and report the lines that no test runs
 # make test-isa  the same as processors with other instructions run it; ISA_TESTS="tests/recon" for a part
 # make check  formatting, lint, import contracts, docstrings, types
 # make docs   build the documentation site, docs/_build/html; GALLERY=1 runs the example scripts as well, some minutes
 # make numbers  run the commands behind the numbers of README and docs; say which no longer hold (ONLY=readme, SLOW=1)
-PYTHON ?= python3
 VENV := .venv
-BIN := $(VENV)/bin
 ifeq ($(OS),Windows_NT)
+PYTHON ?= python
 BIN := $(VENV)/Scripts
+EXE := .exe
+else
+PYTHON ?= python3
+BIN := $(VENV)/bin
 endif
 
 # instruction sets of numba / of torch; an x86-64 processor with AVX2 can run all of these
 INSTRUCTIONS := x86-64/default x86-64-v3/avx2
+TESTS ?= tests
 ISA_TESTS ?= tests
+PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
-.PHONY: demo test test-isa check docs numbers clean
+.PHONY: demo test coverage test-isa check docs numbers clean
 
 demo: $(VENV)/installed
 	$(BIN)/phantomgen make --preset kedge --overwrite
 	$(BIN)/recon fit kedge.h5 --overwrite
 
 test: $(VENV)/installed-test
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
+	$(PYTEST) $(TESTS)
+
+coverage: $(VENV)/installed-test
+	$(PYTEST) --cov --cov-report=term:skip-covered $(TESTS)
 
 test-isa: $(VENV)/installed-test
 	set -e; for setting in $(INSTRUCTIONS); do echo "$$setting"; \
@@ -45,21 +54,21 @@ numbers: $(VENV)/installed
 clean:
 	rm -rf $(VENV) build dist *.egg-info
 
-$(BIN)/python:
+$(BIN)/python$(EXE):
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/installed: pyproject.toml constraints.txt | $(BIN)/python
+$(VENV)/installed: pyproject.toml constraints.txt | $(BIN)/python$(EXE)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
 	touch $@
 
-$(VENV)/installed-test: pyproject.toml constraints.txt | $(BIN)/python
+$(VENV)/installed-test: pyproject.toml constraints.txt | $(BIN)/python$(EXE)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
 	touch $@ $(VENV)/installed
 
-$(VENV)/installed-docs: pyproject.toml constraints.txt | $(BIN)/python
+$(VENV)/installed-docs: pyproject.toml constraints.txt | $(BIN)/python$(EXE)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
 	touch $@ $(VENV)/installed
 
-$(VENV)/installed-dev: pyproject.toml constraints.txt | $(BIN)/python
+$(VENV)/installed-dev: pyproject.toml constraints.txt | $(BIN)/python$(EXE)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@ $(VENV)/installed-test $(VENV)/installed

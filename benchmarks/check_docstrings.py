@@ -100,8 +100,6 @@ def main() -> int:
     for top in arguments.folders or [ROOT / folder for folder in settings["folders"]]:
         for path in sorted(top.rglob("*.py")) if top.is_dir() else [top]:
             shown = path.resolve().relative_to(ROOT).as_posix()
-            if any(shown.startswith(left_out) for left_out in settings["without"]):
-                continue
             for line, name, check, text in findings(path, set(settings["checks"])):
                 count[check] += 1
                 print(f"{shown}:{line}: {check} {name}: {text}")

@@ -1,5 +1,6 @@
 """How Sphinx builds the pages. `make docs` runs it; `make docs GALLERY=1` runs the example scripts as well."""
 
+import importlib.util
 import os
 import shutil
 import sys
@@ -28,9 +29,13 @@ extensions = [
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
 ]
+if importlib.util.find_spec("sphinx-mathjax-offline"):  # formulas without a network
+    extensions.append("sphinx-mathjax-offline")
 exclude_patterns = ["_build"]
+templates_path = ["_templates"]
 suppress_warnings = ["config.cache"]  # functions in sphinx_gallery_conf cannot be pickled
 nitpicky = False
+smartquotes = False  # two hyphens of an option must stay two hyphens
 
 # Markdown
 myst_enable_extensions = ["colon_fence", "dollarmath"]
@@ -44,6 +49,7 @@ numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
 
 # Pages
+toc_object_entries_show_parents = "hide"
 html_theme = "pydata_sphinx_theme"
 html_title = "spectral-ct"
 html_static_path = ["_static"]
@@ -53,9 +59,11 @@ html_theme_options = {
     "show_prev_next": False,
     "secondary_sidebar_items": ["page-toc"],
     "navigation_with_keys": False,
+    "show_toc_level": 2,
     "footer_start": ["copyright"],
     "footer_end": ["sphinx-version"],
 }
+html_sidebars = {"outside/readme": []}
 html_context = {"default_mode": "light"}
 
 # Example scripts become pages. They run, in their quick form, only where the environment has GALLERY=1: about four
@@ -86,10 +94,12 @@ sphinx_gallery_conf = {
     "download_all_examples": False,
     "remove_config_comments": True,
     "show_memory": False,
+    "write_computation_times": False,
 }
 
 
 def setup(app) -> None:
-    """Register the directive of scene keys, and the mending of links."""
+    """Register the directive of scene keys, and what mends links and docstrings."""
     app.add_directive("scene-keys", generated.SceneKeys)
     app.connect("source-read", generated.lead_links)
+    app.connect("autodoc-process-docstring", generated.describe_below_names, priority=400)  # before numpydoc

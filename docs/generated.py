@@ -68,6 +68,25 @@ def lead_links(app: Any, name: str, source: list[str]) -> None:
         source[0] = with_links(source[0], page, page)
 
 
+def describe_below_names(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, lines: list[str]) -> None:
+    """Move the descriptions of parameters below their names.
+
+    Docstrings have `name : description`, because types stand in the signature; numpydoc would show the description as a
+    type.
+    """
+    out, inside = [], False
+    for i, line in enumerate(lines):
+        below = lines[i + 1] if i + 1 < len(lines) else ""
+        if line and set(below.strip()) == {"-"}:
+            inside = line.strip() in ("Parameters", "Attributes", "Other Parameters")
+        name, colon, description = line.partition(" : ")
+        if inside and colon and not line.startswith(" "):
+            out += [name, f"    {description}"]
+        else:
+            out.append(line)
+    lines[:] = out
+
+
 class QuickArguments:
     """The command line that example scripts see: `--quick`."""
 

@@ -136,7 +136,8 @@ def kedge_scan(size: Size) -> Scan:
 # only. It takes partial volume out of them, finds voxels of all bases at once by Poisson likelihood and joint total
 # variation, coarse ones first; places Gaussians, flat along edges and sparse inside; moves them until their volumes are
 # those voxels; and then lets them follow the likelihood of all counts again. The default recipe goes over the training
-# views once. ``docs/howto/fit.md`` says what each part is worth. The truth is opened for the score and figures.
+# views once. ``docs/reference/benchmarks/ablation.md`` says what each stage contributes. The truth is opened for the
+# score and figures.
 
 
 def main(folder: Path = FOLDER, size: Size = Size()) -> dict:
@@ -171,7 +172,7 @@ def draw(dataset, truth, gaussians, folder: Path) -> list[Path]:
     channels = dataset.spectra.channels
     return [
         figures.basis_slices(volumes, truth.volumes, names, truth.grid, folder / "axial.png"),
-        figures.profiles(volumes, truth.volumes, names, truth.grid, folder / "profiles.png"),
+        figures.profiles({"result": volumes}, truth.volumes, names, truth.grid, folder / "profiles.png"),
         figures.residuals(view.counts, view.expected, channels, folder / "residuals.png", view.away),
     ]
 

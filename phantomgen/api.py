@@ -41,8 +41,9 @@ def make(
     scan : what to simulate, or a preset or scene file
     out : name of the dataset; ``<name of the scene>.h5`` where left out
     seed : of the noise; that of the scene where left out
-    **options : of `phantomgen.simulation.run.simulate`, such as ``tolerance=1e-4`` or ``overwrite=True``; that function
-        returns the time of a simulation and the error of its counts
+    **options : fields of `phantomgen.simulation.options.SimulationOptions`, such as ``tolerance=1e-4`` or
+        ``overwrite=True``; `phantomgen.simulation.run.simulate` takes them as well, and returns the time of the
+        simulation and the error of its counts
 
     Returns
     -------

@@ -1,12 +1,12 @@
-"""From spectral-CT counts to basis volumes, by Gaussians that know the physics.
+"""Reconstruction of basis volumes from spectral-CT counts, by Gaussians with a physical forward model.
 
 >>> import recon
 >>> recon.Recipe().stages
 (Stage(pixel=0.5, sweeps=1.0),)
 
-`recon.fit(dataset)` is the whole way from an open dataset to a fit that renders, scores and saves itself,
-`recon.segment(fit)` finds its materials, and `recon.reconstruct(dataset, recipe)` is the bare computation. Names are
-imported when they are first used, so that importing the package costs nothing.
+`recon.fit(dataset)` gives a fit that renders, scores and saves itself, `recon.segment(fit)` finds its materials, and
+`recon.reconstruct(dataset, recipe)` is the computation alone. Names are imported when they are first used, so that
+importing the package takes no time.
 """
 
 from importlib import import_module
@@ -15,17 +15,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from recon.api import Fit, fit, segment
     from recon.gaussians.model import Gaussians
+    from recon.gaussians.processes import Resources
     from recon.gaussians.recipe import Recipe, Stage
     from recon.gaussians.reconstruct import Reconstruction, reconstruct
     from recon.voxel.filtered.fdk import fdk
 
-__all__ = ["Fit", "Gaussians", "Recipe", "Reconstruction", "Stage", "fdk", "fit", "reconstruct", "segment"]
+__all__ = ["Fit", "Gaussians", "Recipe", "Reconstruction", "Resources", "Stage", "fdk", "fit", "reconstruct", "segment"]
 
 _HOMES = {
     "Fit": "api",
     "Gaussians": "gaussians.model",
     "Recipe": "gaussians.recipe",
     "Reconstruction": "gaussians.reconstruct",
+    "Resources": "gaussians.processes",
     "Stage": "gaussians.recipe",
     "fdk": "voxel.filtered.fdk",
     "fit": "api",

@@ -1,7 +1,8 @@
-"""The short way from Python: a dataset to a fit that evaluates, renders, scores and saves itself, and its materials."""
+"""Interface for Python programs: fit a dataset, evaluate, render, score and save the fit, and find its materials."""
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,6 @@ from phantomgen.runtime.guarded import Guard, Salvage, unguarded
 from phantomgen.runtime.plain_json import to_json, write_json
 from phantomgen.runtime.stopwatch import peak_memory_mib
 from phantomgen.runtime.thumbnails import thumbnails
-from recon.evaluation.scoring import score_test_views
 from recon.evaluation.verdict import Verdict
 from recon.gaussians.model import Gaussians
 from recon.gaussians.optimize import Progress
@@ -28,8 +28,9 @@ from recon.kedge.choose_basis import BasisChoice, choose_basis
 from recon.output.render_file import rendered, views_of_geometry
 from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.paper.reconstruct import reconstruct_paper
+from recon.runs.outcomes.volume_outcome import VolumeOutcome
 from recon.runs.run_folder import Run
-from recon.runs.run_gaussians import metrics_of, verdict_of_fit, write_model, write_result
+from recon.runs.run_gaussians import outcome_of_fit
 from recon.runs.unfinished_run import LOG, log_entry
 from recon.runs.write_run import RunFolder
 from recon.segmentation.result import Options, Segmentation
@@ -41,12 +42,12 @@ from spectra.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Projections:
-    """What a model expects in some views.
+    """Projections of a model.
 
     Parameters
     ----------
     line_integrals : of every basis [no unit]
-    counts : expected in every channel
+    counts : expected number of photons in every channel
     """
 
     line_integrals: Float[np.ndarray, "view basis row column"]
@@ -59,12 +60,13 @@ class Fit:
 
     Parameters
     ----------
-    result : model, what it started from, its spectral model, seconds per stage
+    result : model, the volumes that it started from, its spectral model, and time per stage
     basis : functions of energy that the dataset states or that were found; those of the model are the first
-    grid : the volume that the scan asked for
-    recipe : what steered it
-    path, air : the dataset, which is opened again for scores and names of channels
-    choice : of basis functions; None for the paper's method, which takes what it is told
+    grid : of the dataset
+    recipe : hyper-parameters of the fit
+    path : dataset, which is opened again for scores and names of channels
+    air : part of the panel that takes the place of flats; None for flats
+    choice : of basis functions; None for the paper's method, which fits those that are asked for
     left_out : names of the dataset's basis functions that are not fitted
     log : one entry per step
     """
@@ -94,17 +96,35 @@ class Fit:
         return f"Fit({self.path.name}: {len(self.gaussians)} Gaussians, {', '.join(self.basis_names)}, {seconds:.0f} s)"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
+        """Picture of the middle slice for notebooks."""
         middle = self.grid.slices(self.grid.shape[0] // 2, 1)
         images = [(pretty(n), v[0, ::-1]) for n, v in zip(self.basis_names, self.volume(middle), strict=True)]
         return thumbnails(repr(self), images)
 
     def volume(self, grid: Grid | None = None) -> Float[np.ndarray, "basis z y x"]:
-        """Every basis on a grid, that of the scan where left out: means over voxels [1/mm]."""
+        """Compute the basis volumes on a grid.
+
+        Parameters
+        ----------
+        grid : any grid; None for that of the dataset
+
+        Returns
+        -------
+        means over the voxels [1/mm]
+        """
         return self.gaussians.volume(grid or self.grid)
 
     def render(self, geometry: Geometry) -> Projections:
-        """Line integrals and expected counts in any views, for ideal pixels that get as many photons as the scan's."""
+        """Compute projections in any views.
+
+        Parameters
+        ----------
+        geometry : poses of the views
+
+        Returns
+        -------
+        line integrals, and expected counts of ideal pixels that get as many photons as those of the scan
+        """
         transmission = self.result.transmission
         columns = transmission.columns[: len(self.basis_names)]
         run = Run(self.gaussians, self.grid, self.basis, replace(transmission, columns=columns))
@@ -115,33 +135,33 @@ class Fit:
 
     @property
     def verdict(self) -> Verdict:
-        """What to know of it, in sentences, without the truth; see `recon.evaluation.verdict`."""
-        with self._dataset() as dataset:
-            channels: dict[str, Any] = {}
-            if len(dataset.splits["test"]):
-                channels = score_test_views(dataset, self.gaussians, self.result.unreliable)
-            return verdict_of_fit(dataset, self.result, channels)
+        """Remarks on the result, made without the truth; see `recon.evaluation.verdict`."""
+        with self._outcome() as outcome:
+            return outcome.verdict(outcome.score_test_views())
 
     def score(self) -> dict[str, Any]:
-        """Scores as ``metrics.json`` has them: against the truth where the dataset has one, and on its test views."""
-        return self._metrics(unguarded)
+        """Score the fit against the truth, where the dataset has one, and on its test views.
 
-    def _metrics(self, guard: Guard) -> dict[str, Any]:
-        """The same, without what `guard` catches."""
-        with self._dataset() as dataset:
-            truth: Truth | None = None
-            with guard("reading the truth"):
-                truth = read_truth(self.path)
-            metrics = metrics_of(dataset, truth, self.result, self.recipe.seed, guard)
-        metrics["bases_left_out"] = list(self.left_out)
-        metrics |= {} if self.choice is None else {"basis_choice": self.choice.record()}
-        metrics["recipe"] = self.recipe.says if isinstance(self.recipe, PaperRecipe) else self.recipe.name
-        return metrics | {"seconds": self.result.seconds, "peak_memory_mib": peak_memory_mib()}
+        Returns
+        -------
+        what ``metrics.json`` holds
+        """
+        with self._outcome() as outcome:
+            return self._metrics(outcome, unguarded)
 
     def save(self, folder: Path | str, *, overwrite: bool = False) -> Path:
         """Write a run folder that every command of ``recon`` reads, scores included.
 
         The model and its volumes are written first; scores that fail are left out and warned of.
+
+        Parameters
+        ----------
+        folder : name of the run folder
+        overwrite : replace a run folder that exists
+
+        Returns
+        -------
+        the run folder
 
         Raises
         ------
@@ -150,16 +170,27 @@ class Fit:
         """
         target = RunFolder(Path(folder), overwrite)
         guard = Salvage(lambda sentence, error: warnings.warn(sentence, RuntimeWarning, stacklevel=5))
-        with target as part, self._dataset() as dataset:
-            write_model(dataset, self.recipe, self.result, part)
-            write_result(dataset, self.result, part)
+        with target as part, self._outcome() as outcome:
+            outcome.write(part)
             (part / LOG).write_text("".join(to_json(entry) + "\n" for entry in self.log), encoding="utf-8")
-            metrics = self._metrics(guard)
+            metrics = self._metrics(outcome, guard)
             write_json(part / "metrics.json", metrics | ({"failed": guard.failed} if guard.failed else {}))
         return target.path
 
-    def _dataset(self) -> Dataset:
-        return open_dataset(self.path, self.air).with_basis(self.basis)
+    def _metrics(self, outcome: VolumeOutcome, guard: Guard) -> dict[str, Any]:
+        """Scores, times and memory, without what `guard` catches."""
+        truth: Truth | None = None
+        with guard("reading the truth"):
+            truth = read_truth(self.path)
+        scores = outcome.scores(truth, guard)
+        return scores | {"seconds": self.result.seconds, "peak_memory_mib": peak_memory_mib()}
+
+    @contextmanager
+    def _outcome(self) -> Iterator[VolumeOutcome]:
+        """The fit as runs write and score it, while its dataset is open."""
+        with open_dataset(self.path, self.air) as dataset:
+            fitted = dataset.with_basis(self.basis)
+            yield outcome_of_fit(fitted, self.recipe, self.result, self.choice, self.left_out)
 
 
 def fit(
@@ -174,13 +205,17 @@ def fit(
 
     Parameters
     ----------
-    dataset : open, or where it is
-    recipe : numbers that steer it, or ``fast``, ``best`` or ``paper``
+    dataset : open dataset, or its file
+    recipe : hyper-parameters, or ``fast``, ``best`` or ``paper``
     bases : how many basis functions to fit, or their names, such as ``("photoelectric", "compton", "kedge_I")``; those
         that the counts warrant where left out
     edges : where to look for K edges [keV], see `recon.kedge.choose_basis.choose_basis`; None to believe the dataset
     callbacks : functions, or objects with a method ``on_step``, that get a `recon.gaussians.optimize.Progress` after
         every step and end the fit by returning True; objects may have a method ``on_end`` that gets the finished `Fit`
+
+    Returns
+    -------
+    the finished fit
 
     Raises
     ------
@@ -191,11 +226,11 @@ def fit(
         with open_dataset(dataset) as opened:
             return fit(opened, recipe, bases=bases, edges=edges, callbacks=callbacks)
     how, log, stated = _recipe(recipe), [], dataset.spectra.basis.names
-    told = [_on_step(callback) for callback in callbacks]
+    after_step = [_on_step(callback) for callback in callbacks]
 
     def on_step(progress: Progress) -> bool:
         log.append(log_entry(progress, dataset.spectra.channels))
-        return any([bool(tell(progress)) for tell in told])  # noqa: C419 - all of them are told
+        return any([bool(callback(progress)) for callback in after_step])  # noqa: C419 - all callbacks are called
 
     if isinstance(how, PaperRecipe):
         chosen, count = with_named(dataset, bases)
@@ -219,14 +254,18 @@ def segment(run: Fit | Path | str, **options: Any) -> Segmentation:
     Parameters
     ----------
     run : a fit, or a folder of any method
-    options : what `recon.segmentation.result.Options` has, such as ``energies=(50, 70)`` or ``domain="voxels"``
+    **options : fields of `recon.segmentation.result.Options`, such as ``energies=(50, 70)`` or ``domain="voxels"``
+
+    Returns
+    -------
+    materials, with their labels, densities and images
 
     Raises
     ------
     DatasetError
         When the folder is not a complete run of this version.
     InputError
-        When there is no such option, it cannot be, or the run has no Gaussians to segment, or nothing but air.
+        When there is no such option, its value is not possible, the run has no Gaussians to segment, or only air.
     """
     known = [field.name for field in fields(Options)]
     for name in options:
@@ -252,7 +291,7 @@ def _recipe(recipe: Recipe | PaperRecipe | str) -> Recipe | PaperRecipe:
 
 
 def _on_step(callback: Any) -> Callable[[Progress], Any]:
-    """What to call after a step."""
+    """Function to call after a step."""
     if hasattr(callback, "on_step"):
         return callback.on_step
     if hasattr(callback, "on_end"):

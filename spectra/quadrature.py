@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -36,12 +36,15 @@ _FINE_NODES = 4
 TABLE_STEP = 0.5
 # Far below any feature of a response [keV].
 _POINT = 1e-6
+# Rays that rules are compared on, and the seed that they are drawn by.
 _FRESH_RAYS, _SEED = 2000, 1234
+# Most bins of the midpoint rule, and most Gauss nodes between two breaks: bounds of time.
 _MOST_BINS, _MOST_PER_INTERVAL = 4096, 64
 
 EnergyArray = Float[np.ndarray, " energy"]
 
 
+@runtime_checkable
 class Response(Protocol):
     """Interface of a detector: counts per photon in each channel, and the energies where they are not smooth."""
 

@@ -68,7 +68,7 @@ def without_other_pools() -> Iterator[None]:
     ------
     nothing
     """
-    from threadpoolctl import threadpool_limits  # noqa: PLC0415 - nobody pays for it at import
+    from threadpoolctl import threadpool_limits  # noqa: PLC0415 - only where it is needed
 
     with threadpool_limits(limits=1):
         yield

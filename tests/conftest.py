@@ -1,4 +1,4 @@
-"""Settings of all tests: hypothesis draws the same examples in every run, however slow the machine."""
+"""Settings of all tests: types and axes of all calls are checked, hypothesis repeats its examples in every run."""
 
 import os
 import subprocess
@@ -7,13 +7,28 @@ from contextlib import suppress
 
 import pytest
 from hypothesis import settings
+from jaxtyping import config, install_import_hook
 
 os.environ.setdefault("TRITON_INTERPRET", "1")  # asked at import; 0 tests on a GPU, where there is one
 with suppress(ImportError):  # before anything is rendered: its LLVM and that of Mesa load in this order only
     import triton  # noqa: F401
 
+CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"  # an int may stand for a float
+CHECKED = os.environ.get("CHECKED_TYPES", "spectra").split()  # all are "spectra phantomgen recon"
+install_import_hook(CHECKED, CHECKER)  # before anything of the project is imported
+
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
+
+
+@pytest.fixture(autouse=True)
+def checked_types(request):
+    """Let arguments of wrong types through to a function's own checks, in tests that are marked `wrong_types`."""
+    before = config.jaxtyping_disable  # JAXTYPING_DISABLE=1 turns all checks off
+    config.update("jaxtyping_disable", before or request.node.get_closest_marker("wrong_types") is not None)
+    yield
+    config.update("jaxtyping_disable", before)
+
 
 PROBE = "import pyvista; p = pyvista.Plotter(off_screen=True); p.add_mesh(pyvista.Sphere()); p.screenshot()"
 

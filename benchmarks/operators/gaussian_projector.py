@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
-from recon.ops.rasterize import FARTHEST, PROJECTORS, rasterize
+from recon.ops.rasterize import FARTHEST, PROJECTORS, Projector, rasterize
 from spectra.threads import set_threads
 
 SOD, SDD, PIXELS = 500.0, 1000.0, 81
@@ -65,7 +65,7 @@ def errors(half_fan: float, scales: tuple[float, float, float]) -> dict[str, tup
         truth = quadrature(parts, frame)
         for name in PROJECTORS:
             view = torch.from_numpy(frame[None]), PIXELS, PIXELS
-            image = rasterize(*parts, *view, 0.0, FARTHEST, name)[0, 0].numpy()
+            image = rasterize(*parts, *view, Projector(0.0, FARTHEST, name))[0, 0].numpy()
             pixel, total = abs(image - truth).max() / truth.max(), abs(image.sum() / truth.sum() - 1)
             worst[name] = (max(worst[name][0], pixel), max(worst[name][1], total))
     return worst

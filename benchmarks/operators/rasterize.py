@@ -26,8 +26,9 @@ from numba import njit
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
 from phantomgen.ops.simd import WIDTH
-from recon.ops.rasterize import CUTOFF, cpu, rasterize
-from recon.ops.rasterize.cpu_calls import Scene, Settings
+from recon.ops.arguments import GaussianTensors
+from recon.ops.rasterize import CUTOFF, Projector, cpu, rasterize
+from recon.ops.rasterize.cpu_calls import RasterizeCall
 from spectra.threads import set_threads
 
 PIXELS, BASES, SOD, SDD, SIZE = 256, 3, 500.0, 800.0, 100.0
@@ -95,16 +96,16 @@ def compiled(folder: str) -> ctypes.CDLL | None:
 def loops(sigma: float, count: int, c: ctypes.CDLL | None) -> str:
     """One line of the table of loops."""
     parts = gaussians(count, sigma)
-    scene = Scene(tuple(parts), frames(1), Settings(PIXELS, PIXELS, 1.0, CUTOFF, False))
+    call = RasterizeCall(GaussianTensors(*parts), frames(1), (PIXELS, PIXELS), Projector())
     image = np.zeros((BASES, PIXELS, PIXELS + WIDTH), np.float32)
-    scene.images()
-    views, weights = next(scene._groups()), scene.coefficients
+    call.values()
+    views, weights = next(call.groups()), call.gaussians.coefficients
     table, lengths = views.tables[0], views.lengths[0]
     k2, cotangent = np.float32(CUTOFF**2), np.random.default_rng(0).normal(size=image.shape).astype(np.float32)
     cotangent[..., PIXELS:] = 0
     sums, lanes = np.zeros((count, 12)), np.zeros(BASES * WIDTH, np.float32)
     tasks: dict[str, Callable[[], object]] = {
-        "forward": lambda: cpu.forward(EACH, table, weights, lengths, CUTOFF, PIXELS, 0, PIXELS, image),
+        "forward": lambda: cpu.forward(EACH, table, weights, lengths, CUTOFF, 0, PIXELS, image),
         "backward": lambda: gather(table, weights, cotangent, k2, PIXELS, sums, lanes),
         "call": lambda: whole_call(parts, 1),
     }

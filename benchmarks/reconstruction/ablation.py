@@ -70,7 +70,7 @@ def best(name: str, *patches: tuple[str, Any], **changes: Any) -> Change:
 
 HELD = {"centre_rate": 1e-9, "shape_rate": 1e-9}
 FROM_RAYS = {"prior": 0.0, "centre_rate": 0.06, "shape_rate": 0.015}
-BY_INFORMATION = ("recon.gaussians.reconstruct.metric_of", lambda volumes, fisher: fisher)
+BY_INFORMATION = ("recon.gaussians.initial.first_guess.metric_of", lambda volumes, fisher, settings: fisher)
 SUMMED = ("recon.data.measurements.excess_of_blocks", lambda counts, air, factor: 0.0)
 UNCORRECTED = ("recon.data.measurements.excess_of_pixels", lambda counts, air: 0.0)
 UNEVEN = ("recon.data.measurements.even_shares", lambda counts, air: 1.0)
@@ -78,11 +78,11 @@ UNDOUBTED = ("recon.data.measurements.doubtful_shares", lambda counts, air, disp
 EVEN_PACE = ("recon.voxel.iterative.likelihood.relative_density", lambda volumes: np.ones_like(volumes[0]))
 NO_DENSITY = ("recon.gaussians.voxel_prior.over_metal", lambda volumes: np.ones_like(volumes[0]))
 EVEN_SAY = ("recon.voxel.iterative.one_step._statistical_weights", lambda curvatures, density: np.ones_like(density))
-HELD_BACK = ("recon.voxel.iterative.one_step.UNMET", 1e-3)
+HELD_BACK = ("recon.voxel.iterative.one_step.CURVATURE_FLOOR", 1e-3)
 NODES = ("recon.voxel.iterative.one_step.means_in_metal", lambda volumes: volumes)
 UP_TO_METAL = ("recon.data.volume_edges.LARGEST", np.inf)
 BASIS_BY_BASIS = (
-    "recon.gaussians.optimize.coefficient_curvature",
+    "recon.gaussians.objective.coefficient_curvature",
     lambda *scene: torch.diag_embed(torch.diagonal(coefficient_curvature(*scene), dim1=1, dim2=2)),
 )
 UNSHARPENED = ("recon.voxel.iterative.one_step.sharpened", lambda volumes: volumes)

@@ -25,10 +25,10 @@ from scipy.stats import norm
 
 from phantomgen.dataset.spectral_model import Spectra
 from recon.gaussians.recipe import Recipe
+from recon.kedge.edge_likelihood import EdgeLikelihood
 from recon.kedge.expected_noise import null_law
-from recon.kedge.profile_likelihood import EdgeLikelihood
+from recon.kedge.judgement import LEAST_SCORE, judge
 from recon.kedge.rays import Rays
-from recon.kedge.search import WARRANTED, judge
 from spectra.basis.basis import Basis, BasisFunction
 from spectra.detector.detector import Detector
 from spectra.materials.material import Material
@@ -109,7 +109,7 @@ def theory(model: EdgeLikelihood, symbol: str, concentration: float) -> tuple[fl
     spread = np.sqrt(1.25 * (q**2).sum())
     score, wide = (first.sum() - q.sum() / 2) / spread, np.sqrt((second - first**2).sum()) / spread
     best = np.sqrt((mean**2 / q).sum())
-    return float(norm.cdf((score - WARRANTED) / wide)), float(norm.cdf(best - WARRANTED))
+    return float(norm.cdf((score - LEAST_SCORE) / wide)), float(norm.cdf(best - LEAST_SCORE))
 
 
 def _moments(mean: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -173,7 +173,7 @@ def false_edges(trials: int, levels: tuple[float, ...]) -> list[str]:
             for _ in range(trials):
                 model = measured(source, nulls(source.energy, rng)[name], rng)
                 scores.append(max(judge(model, PLAIN, BasisFunction("element", element=e)).score for e in ELEMENTS))
-        found = sum(score >= WARRANTED for score in scores)
+        found = sum(score >= LEAST_SCORE for score in scores)
         total, wrong = total + len(scores), wrong + found
         lines.append(f"{name:30}{len(scores):>8}{found:>8}{max(scores):>16.1f}")
         print(lines[-1], flush=True)

@@ -25,13 +25,13 @@ import numpy as np
 import phantomgen
 from phantomgen.dataset.reader import Dataset
 from recon.kedge import expected_noise
-from recon.kedge.alternatives import drops
+from recon.kedge.alternatives import deviance_drops
 from recon.kedge.choose_basis import DISPERSION, choose_basis
+from recon.kedge.edge_likelihood import EdgeLikelihood
 from recon.kedge.expected_noise import NullLaw, excess_score, null_law
+from recon.kedge.judgement import JUDGED_RAYS, LEAST_SCORE, POOL_RAYS, RAY_FRACTIONS
 from recon.kedge.neighbour_agreement import agreement
-from recon.kedge.profile_likelihood import EdgeLikelihood
 from recon.kedge.rays import VIEWS, rays_away_from_edges
-from recon.kedge.search import FEWER, POOL, RAYS, WARRANTED
 from spectra.basis.basis import Basis, BasisFunction
 from spectra.threads import set_threads
 
@@ -113,14 +113,14 @@ def _likelihood(dataset: Dataset, binned: bool) -> EdgeLikelihood:
 
 
 def needed_single(likelihood: EdgeLikelihood, further: BasisFunction) -> float:
-    """Least misfit with which single rays do not warrant a function, chosen as `recon.kedge.search.judge` does."""
+    """Least misfit with which single rays do not warrant a function, chosen as `recon.kedge.judgement.judge` does."""
     saved, lengths = likelihood.saving(PLAIN)(further)
     saved = np.where((lengths > 0) & (saved > 0), saved, 0.0)
-    pool = likelihood.with_rays(likelihood.rays[likelihood.rays.highest(saved, POOL)])
-    saved = drops(pool, PLAIN, further)[0]
+    pool = likelihood.with_rays(likelihood.rays[likelihood.rays.highest(saved, POOL_RAYS)])
+    saved = deviance_drops(pool, PLAIN, further)
     law = null_law(pool, PLAIN, further, pool.deviances(PLAIN)[1], misfit=1.0)
-    ranked = pool.rays.highest(saved, RAYS)
-    choices = [ranked[: RAYS // part] for part in FEWER]
+    ranked = pool.rays.highest(saved, JUDGED_RAYS)
+    choices = [ranked[: JUDGED_RAYS // part] for part in RAY_FRACTIONS]
 
     def score(misfit: float) -> float:
         some = NullLaw(law.variance, misfit * law.shift)
@@ -141,12 +141,12 @@ def needed_neighbours(likelihood: EdgeLikelihood, further: BasisFunction) -> flo
 
 def _least(score: Callable[[float], float], halvings: int) -> float:
     """Where a falling score reaches what a K edge needs; 0 where it is never above."""
-    if score(0.0) < WARRANTED:
+    if score(0.0) < LEAST_SCORE:
         return 0.0
     low, high = 0.0, MOST
     for _ in range(halvings):
         middle = (low + high) / 2
-        low, high = (middle, high) if score(middle) >= WARRANTED else (low, middle)
+        low, high = (middle, high) if score(middle) >= LEAST_SCORE else (low, middle)
     return high
 
 

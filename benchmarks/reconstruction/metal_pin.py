@@ -61,8 +61,8 @@ def fitted(scan: Scan, path: Path, recipe: str, prior: bool) -> Found:
     """A fit, whose scan is made where there is none."""
     dataset = phantomgen.open_dataset(path) if path.exists() else phantomgen.make(scan, out=path)
     off = (
-        patch("recon.voxel.iterative.one_step.NO_AGENT", 0.0),
-        patch("recon.gaussians.voxel_prior.VoxelPrior.agents_in_metal", lambda anchor, gaussians: None),
+        patch("recon.voxel.iterative.one_step.AGENT_PRIOR", 0.0),
+        patch("recon.gaussians.voxel_prior.VoxelPrior.held_coefficients", lambda prior, gaussians: None),
     )
     with dataset:
         began = time.process_time()

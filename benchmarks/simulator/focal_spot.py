@@ -20,11 +20,11 @@ from phantomgen.effects import FocalSpot
 from phantomgen.effects.focal_spot import spot_lattice
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
-from phantomgen.ops.expected_counts import RULES, expected_counts
+from phantomgen.ops.expected_counts import RULES, Sampling, Spectrum, expected_counts
 from phantomgen.shapes import Cylinder, Sphere, solids_of
 
 SOD, SDD, PITCH = 500.0, 800.0, 0.8
-SPECTRUM = (np.array([[0.02], [0.06]]), np.array([1.0]), np.array([0, 1]))
+SPECTRUM = Spectrum(np.array([[0.02], [0.06]]), np.array([1.0]), np.array([0, 1]))
 OBJECTS = {"cylinder": (Cylinder((0, 0, 0), 12, 40), 1), "sphere": (Sphere((1, 2, 3), 9), 1)}
 CHEAP = (RULES[0], *RULES[:-1])
 POINTS = (5, 13, 29, 53, 89)
@@ -35,7 +35,7 @@ def view(frames: np.ndarray, pixels: int, solids, rules=RULES) -> np.ndarray:
     """Average over source points."""
     total = np.zeros((pixels, pixels))
     for frame in frames:
-        total += expected_counts(frame, pixels, pixels, solids, *SPECTRUM, rules=rules).counts[0]
+        total += expected_counts(frame, pixels, pixels, solids, SPECTRUM, sampling=Sampling(rules=rules)).counts[0]
     return total / len(frames)
 
 
@@ -105,7 +105,7 @@ def main(pixels: int) -> None:
         times = []
         for _ in range(3):
             began = time.perf_counter()
-            expected_counts(frame, pixels, pixels, solids, *SPECTRUM, rules=rules)
+            expected_counts(frame, pixels, pixels, solids, SPECTRUM, sampling=Sampling(rules=rules))
             times.append(time.perf_counter() - began)
         print(f"{'cheap' if rules is CHEAP else 'usual'} rules: {min(times) * 1e3:.1f} ms per point")
 

@@ -14,7 +14,14 @@ import trimesh
 
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
-from phantomgen.ops.expected_counts import CROSSED, INTERSECTED, expected_counts, expected_counts_by_grid
+from phantomgen.ops.expected_counts import (
+    CROSSED,
+    INTERSECTED,
+    Sampling,
+    Spectrum,
+    expected_counts,
+    expected_counts_by_grid,
+)
 from phantomgen.ops.solids import Solids
 from phantomgen.scene.scan import load_scene
 from phantomgen.shapes import Box, Cylinder, Difference, HalfSpace, Intersection, Mesh, Shape, Sphere, Union, solids_of
@@ -51,11 +58,11 @@ def aorta() -> tuple[np.ndarray, int, int, Solids]:
     return scan.geometry.ray_frames()[0], panel.rows, panel.columns, scan.scene.solids
 
 
-def spectrum(solids: Solids):
-    """Curves for as many materials as there are, weights, starts."""
+def spectrum(solids: Solids) -> Spectrum:
+    """Energies for as many materials as there are."""
     count = int(solids.materials.max()) + 1
     curves = ATTENUATION if count <= 4 else np.concatenate([ATTENUATION, ATTENUATION[: count - 4] * 0.7])
-    return curves, np.full(20, 5000.0), STARTS
+    return Spectrum(curves, np.full(20, 5000.0), STARTS)
 
 
 def log_error(found: np.ndarray, exact: np.ndarray) -> str:
@@ -66,7 +73,7 @@ def log_error(found: np.ndarray, exact: np.ndarray) -> str:
 
 def rows_of(name: str, frame: np.ndarray, rows: int, columns: int, solids: Solids) -> list[str]:
     """One line for a plain grid, and one for each tolerance."""
-    args = (solids, *spectrum(solids))
+    args = (solids, spectrum(solids))
 
     def brute(pixels: np.ndarray, n: int) -> np.ndarray:
         pieces = np.array_split(pixels, max(1, len(pixels) // 8))
@@ -82,7 +89,7 @@ def rows_of(name: str, frame: np.ndarray, rows: int, columns: int, solids: Solid
         times = []
         for _ in range(3):
             begin = time.thread_time()
-            found = expected_counts(frame, rows, columns, *args, intersection_tolerance=tolerance)
+            found = expected_counts(frame, rows, columns, *args, sampling=Sampling(intersection_tolerance=tolerance))
             times.append(time.thread_time() - begin)
         errors = [log_error(found.counts[:, p[:, 0], p[:, 1]].T, e) for p, e in zip(chosen, exact, strict=True)]
         each = found.rays[INTERSECTED] / max(1, counted)

@@ -16,7 +16,7 @@ import numpy as np
 
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
-from phantomgen.ops.expected_counts import CROSSED, expected_counts, expected_counts_by_grid
+from phantomgen.ops.expected_counts import CROSSED, Sampling, Spectrum, expected_counts, expected_counts_by_grid
 from phantomgen.ops.solids import Solids
 from phantomgen.ops.trace import trace
 from phantomgen.ops.trace.reference import trace_one
@@ -31,8 +31,8 @@ FRAMES = Geometry.circular(
 ENERGIES = np.linspace(30, 120, 40)
 # Plastic and three materials from air to bone, 4 channels of 10 energies.
 ATTENUATION = np.stack([a * (70 / ENERGIES) ** b for a, b in ((0.018, 0.7), (0.0, 1), (0.02, 0.8), (0.05, 2))])
-SPECTRUM = (ATTENUATION, np.full(40, 5000.0), np.array([0, 10, 20, 30, 40]))
-ONE_ENERGY = (ATTENUATION[:, :1], np.ones(1), np.array([0, 1]))  # little but path lengths
+SPECTRUM = Spectrum(ATTENUATION, np.full(40, 5000.0), np.array([0, 10, 20, 30, 40]))
+ONE_ENERGY = Spectrum(ATTENUATION[:, :1], np.ones(1), np.array([0, 1]))  # little but path lengths
 
 
 def mixed(count: int) -> Solids:
@@ -96,24 +96,24 @@ def lines_of(name: str, solids: Solids, rules: tuple[int | None, ...], rays: int
     single = f"{ray_error(solids, rays):9.1e}" if rays else ""
 
     def lengths(frame: np.ndarray):
-        return expected_counts(frame, SIDE, SIDE, solids, *ONE_ENERGY, sub_rays=1)
+        return expected_counts(frame, SIDE, SIDE, solids, ONE_ENERGY, sampling=Sampling(sub_rays=1))
 
     times = times_of(lengths, solids.rows > 20_000)
     lines = [f"{name:<14} {'1 energy':<8} {lengths(FRAMES[1]).rays.sum() / SIDE**2:10.1f} {times}{'':23}{single}"]
     print(lines[0], flush=True)
-    classes = expected_counts(FRAMES[1], SIDE, SIDE, solids, *SPECTRUM, sub_rays=2).classes
+    classes = expected_counts(FRAMES[1], SIDE, SIDE, solids, SPECTRUM, sampling=Sampling(sub_rays=2)).classes
     pixels = np.argwhere(classes >= CROSSED)
     pixels = pixels[np.random.default_rng(0).choice(len(pixels), 24, replace=False)]
     exact = np.concatenate(
         list(
-            run_parallel(lambda p: expected_counts_by_grid(FRAMES[1], p, solids, *SPECTRUM, n=128), np.split(pixels, 6))
+            run_parallel(lambda p: expected_counts_by_grid(FRAMES[1], p, solids, SPECTRUM, n=128), np.split(pixels, 6))
         )
     )
     for sub_rays in rules:
         heavy = sub_rays != 1 or solids.rows > 20_000
 
         def view(frame: np.ndarray, sub_rays: int | None = sub_rays):
-            return expected_counts(frame, SIDE, SIDE, solids, *SPECTRUM, sub_rays=sub_rays)
+            return expected_counts(frame, SIDE, SIDE, solids, SPECTRUM, sampling=Sampling(sub_rays=sub_rays))
 
         found, times = view(FRAMES[1]), times_of(view, heavy)
         error = np.log(found.counts[:, pixels[:, 0], pixels[:, 1]].T / exact)

@@ -47,7 +47,7 @@ def centres(frame: np.ndarray, surfaces: Surfaces) -> np.ndarray:
     view = mesh_view(frame, SIDE, SIDE, surfaces)
     norms = np.linalg.norm(frame[1] + UV @ frame[2:], axis=1)
     out = np.empty(SIDE * SIDE)
-    cpu.ray_lengths(*view[:2], view.starts[0], view.candidates, UV, norms, AT, np.empty(view.room), out)
+    cpu.ray_lengths(view.lists(0), UV, AT, norms, np.empty(view.room), out)
     return out
 
 

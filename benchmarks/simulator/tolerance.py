@@ -22,7 +22,7 @@ import matplotlib as mpl
 import numpy as np
 
 from benchmarks.result_rows import store
-from phantomgen.ops.expected_counts import CROSSED, VOXELS, expected_counts, expected_counts_by_grid
+from phantomgen.ops.expected_counts import CROSSED, VOXELS, Sampling, Spectrum, expected_counts, expected_counts_by_grid
 from phantomgen.scene.scan import Scan, load_scene
 from phantomgen.simulation.checks.verification import FINER
 from phantomgen.simulation.checks.verification import _ray_errors as ray_errors
@@ -72,9 +72,11 @@ class Reference:
     def __init__(self, scan: Scan) -> None:
         self.scan, self.view = scan, len(scan.geometry) // 3
         fine, _ = compressed_transmission(scan, sampled_lengths(scan), 1e-7, refine=False, step=STEP / FINER)
-        spectrum = fine.columns, fine.weights, fine.starts, scan.scene.background
+        spectrum = Spectrum(fine.columns, fine.weights, fine.starts), scan.scene.background
         frame, panel = scan.geometry.ray_frames()[self.view], scan.geometry.panel
-        classes = expected_counts(frame, panel.rows, panel.columns, scan.scene.solids, *spectrum, sub_rays=2).classes
+        classes = expected_counts(
+            frame, panel.rows, panel.columns, scan.scene.solids, *spectrum, Sampling(sub_rays=2)
+        ).classes
         pixels = np.argwhere(classes >= CROSSED)
         self.pixels = pixels[np.random.default_rng(9).permutation(len(pixels))[:PIXELS]]
         rays = RAYS // 4 if (classes == VOXELS).any() else RAYS  # voxels have no silhouettes, and each ray costs more

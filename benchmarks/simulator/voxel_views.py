@@ -15,12 +15,12 @@ import numpy as np
 
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
-from phantomgen.ops.expected_counts import expected_counts, expected_counts_by_grid
+from phantomgen.ops.expected_counts import Sampling, Spectrum, expected_counts, expected_counts_by_grid
 from phantomgen.ops.voxel_maps import VoxelMap
 from phantomgen.shapes import Voxels, solids_of
 
 VOXELS, SPACING = 128, 0.8
-SPECTRUM = (np.array([[0.02], [0.06]]), np.array([1e5]), np.array([0, 1]))
+SPECTRUM = Spectrum(np.array([[0.02], [0.06]]), np.array([1e5]), np.array([0, 1]))
 
 
 def rod_in_cylinder() -> np.ndarray:
@@ -43,11 +43,11 @@ def main() -> None:
         panel = Panel(side, side, 204.8 / side)
         frame = Geometry.circular(500.0, 800.0, np.array([0.3]), panel).ray_frames()[0]
         chosen = np.argwhere(np.ones((side, side)))[rng.choice(side**2, 300, replace=False)]
-        brute = expected_counts_by_grid(frame, chosen, solids, *SPECTRUM, n=64)
+        brute = expected_counts_by_grid(frame, chosen, solids, SPECTRUM, n=64)
         for rays in (1.0, 2.0, 4.0, 8.0):
-            expected_counts(frame, side, side, solids, *SPECTRUM, rays_per_voxel=rays)
+            expected_counts(frame, side, side, solids, SPECTRUM, sampling=Sampling(rays_per_voxel=rays))
             begin = time.thread_time()
-            counts = expected_counts(frame, side, side, solids, *SPECTRUM, rays_per_voxel=rays).counts
+            counts = expected_counts(frame, side, side, solids, SPECTRUM, sampling=Sampling(rays_per_voxel=rays)).counts
             took = 1e3 * (time.thread_time() - begin)
             error = np.log(counts[:, chosen[:, 0], chosen[:, 1]].T / brute)
             ratio = 204.8 / side / 1.6 / SPACING

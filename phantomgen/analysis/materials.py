@@ -16,6 +16,7 @@ from spectra.errors import InputError
 from spectra.materials.material import Material
 
 LOWEST, HIGHEST, STEP = 20.0, 140.0, 0.25  # keV, the range of the fit
+# Energies of the printed table [keV].
 _PRINTED = (20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 100.0, 120.0, 140.0)
 
 EnergyArray = Float[np.ndarray, " energy"]

@@ -25,6 +25,7 @@ from spectra.errors import InputError
 STEP = 0.5  # keV between candidates; the K edges of the basis are candidates, too
 # Line integral of every K-edge function that the ray passes besides the object: 10 % absorption at its reference.
 TRACE = 0.1
+# Sets of thresholds that are all tried, at most: a bound of time.
 _MOST_TRIALS = 20_000
 # So many starts found what 200 random ones found, in seven searches with 3 to 8 channels; one start did in five.
 _STARTS = 50

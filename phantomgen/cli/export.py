@@ -26,8 +26,8 @@ def export(dataset: Path, out: Path, labels: bool, overwrite: bool, as_json: boo
     x, y and z are those of the scan, in mm; values are in 1/mm.
     """
     from phantomgen.dataset.truth import true_volumes
-    from phantomgen.dataset.writing.writer import check_output
     from phantomgen.exporters.volumes import write_volumes, writer_of
+    from phantomgen.runtime.outputs import check_output
 
     writer_of(out)
     check_output(out, overwrite)

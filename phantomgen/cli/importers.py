@@ -25,8 +25,8 @@ def import_forbild(file: str, out: str, overwrite: bool) -> None:
 
     Lengths become millimetres; a later object replaces what it overlaps. A scan is put around it, to be edited.
     """
-    from phantomgen.dataset.writing.writer import check_output
     from phantomgen.importers.forbild import forbild_scene
+    from phantomgen.runtime.outputs import check_output
 
     path = Path(out)
     check_output(path, overwrite)

@@ -108,7 +108,7 @@ def _make(
 ) -> Any:
     """Read the scene, then simulate; the output is checked before anything slow is imported.
 
-    `options` are those of `phantomgen.simulation.run.simulate`.
+    `options` are those of `phantomgen.simulation.options.SimulationOptions`.
     """
     from phantomgen.simulation.warm_up import compiling_ahead
 
@@ -117,7 +117,8 @@ def _make(
     with compiling_ahead(lambda text: click.echo(text, err=True) if shown else None) as wait_for_kernels:
         from phantomgen.dataset.compression import check_compression
         from phantomgen.dataset.writing.frame_journal import check_journal
-        from phantomgen.dataset.writing.writer import check_dataset_name, check_output
+        from phantomgen.dataset.writing.writer import check_dataset_name
+        from phantomgen.runtime.outputs import check_output
         from phantomgen.scene.file.find_scene import find_scene
         from phantomgen.scene.file.scene_file import SceneFile
         from spectra.threads import set_threads

@@ -16,6 +16,7 @@ from spectra.errors import InputError, NotInstalledError
 
 Compression = Literal["gzip", "bitshuffle", "none"]
 BITSHUFFLE = 32008  # registered number of the filter
+# Level of gzip: 4 takes twice as long to write for 5 % less (60 x 5 x 512 x 512 Poisson counts).
 _GZIP_LEVEL = 1
 _numbers = count()
 

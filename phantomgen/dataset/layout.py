@@ -18,6 +18,7 @@ SCHEMA = "spectral-ct"
 SCHEMA_VERSION = (1, 0)
 FRAME = "right-handed, z = rotation axis, origin = isocentre"
 FRACTION_SCALE = 65535
+# Most bytes of a chunk, uncompressed; rows of larger images are split.
 _CHUNK_BYTES = 4 << 20
 
 TABLE = """\

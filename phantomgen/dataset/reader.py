@@ -303,7 +303,7 @@ class Dataset:
         return Grid(tuple(map(int, shape)), tuple(map(float, spacing)), tuple(map(float, origin)))  # type: ignore[arg-type]
 
     @cached_property
-    def splits(self) -> dict[str, Int[np.ndarray, " view"]]:
+    def splits(self) -> dict[str, Int[np.ndarray, " _view"]]:
         """Indices of the views in ``train``, ``test`` and ``val`` of the default scheme."""
         group = group_at(self.file, "/entry/splits")
         scheme = text_of(group.attrs.get("default", next(iter(group), "")))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from jaxtyping import Float, Float32, Int, UInt16
+from jaxtyping import Float, Float32, Integer, UInt16
 
 from phantomgen.dataset.compression import Compression, filters
 from phantomgen.dataset.file import damaged_file, open_file
@@ -128,7 +128,7 @@ class Truth:
         yield 0, self
 
     @property
-    def labels(self) -> Int[np.ndarray, "z y x"]:
+    def labels(self) -> Integer[np.ndarray, "z y x"]:
         """Label of the material that fills most of each voxel: 0 the background, i + 1 material i."""
         filled = self.fractions.sum(axis=0, dtype=np.int32)
         largest = np.maximum(FRACTION_SCALE - filled, 0)

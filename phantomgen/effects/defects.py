@@ -14,7 +14,9 @@ from jaxtyping import Bool, Int64, Shaped, UInt32
 from phantomgen.effects.random_streams import Stream, generator
 from spectra.errors import InputError
 
+# Bits of a pixel mask, by NXdetector of NeXus: dead, over-responding, part of a cluster.
 DEAD, HOT, CLUSTER = 1 << 1, 1 << 3, 1 << 6
+# Largest part of the pixels that may be defective, no unit.
 _MOST = 0.5
 
 Image = Shaped[np.ndarray, "row column"]

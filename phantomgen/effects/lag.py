@@ -19,6 +19,7 @@ from jaxtyping import Float
 
 from spectra.errors import InputError
 
+# Largest sum of the fractions of a signal that come later, no unit.
 _MOST = 0.9
 
 Frame = Float[np.ndarray, "channel row column"]

@@ -20,6 +20,7 @@ from jaxtyping import Float
 from phantomgen.effects.random_streams import Stream, generator
 from spectra.errors import InputError
 
+# Largest standard deviation of gains, no unit; half periods of the smooth map along each edge of the panel, at most.
 _LARGEST = 0.2
 _HALF_PERIODS = 3
 _MAP, _DRIFT = 0, 1  # in the place of a frame in keys

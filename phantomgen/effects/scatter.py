@@ -38,6 +38,7 @@ from spectra.errors import InputError
 Images = Float[np.ndarray, "group row column"]
 # Pixels whose log projection exceeds this lie in the shadow of an object.
 SHADOW = 0.01
+# Blocks of pixels per standard deviation of the kernel, whose scatter is summed as one.
 _BLOCKS = 8
 
 

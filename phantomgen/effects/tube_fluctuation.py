@@ -13,6 +13,7 @@ from jaxtyping import Float
 from phantomgen.effects.random_streams import Stream, generator
 from spectra.errors import InputError
 
+# Largest standard deviation of the tube's output, no unit.
 _LARGEST = 0.2
 
 

@@ -1,14 +1,15 @@
-"""Views from a YAML file with the keys ``geometry`` and ``panel``, as scene files have them; other keys do not matter.
+"""Nominal views of an orbit and a panel as scene files describe them, and of a file of views alone.
 
-The poses are nominal: jitter and motion of a scene are no business of a reconstruction.
+Jitter of poses and motion of the sample are added elsewhere (`phantomgen.scene.geometry`).
 """
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import yaml
+from jaxtyping import Float
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from phantomgen.geometry import orbits
 from phantomgen.geometry.fan_angles import fan_angles
@@ -16,23 +17,48 @@ from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.panel_mount import Mount, mounted
 from phantomgen.geometry.pose_table import read_poses
 from phantomgen.geometry.poses import Geometry
-from spectra.errors import Error, InputError
+from phantomgen.geometry.schema import (
+    CircularModel,
+    HelicalModel,
+    LaminographyModel,
+    OffsetModel,
+    OrbitModel,
+    PanelModel,
+    ParallelModel,
+    PosesModel,
+    TiltModel,
+)
+from spectra.errors import Error, GeometryError, InputError
 
-_TURNING = {"views", "angles", "arc", "start"}
-_KEYS = {
-    "circular": {"sod", "sdd", *_TURNING},
-    "helical": {"sod", "sdd", "views", "pitch", "turns", "range", "start"},
-    "laminography": {"sod", "sdd", "tilt", *_TURNING},
-    "parallel": {"distance", "tilt", *_TURNING},
-    "poses": {"file"},
-}
-_ALWAYS = {"type", "test_views", "jitter"}
-_PANEL = {"rows", "columns", "pitch", "offset", "tilt"}
-Values = dict[str, Any]
+Turning = CircularModel | LaminographyModel | ParallelModel
+
+
+class NominalViews(NamedTuple):
+    """Views of an orbit, training views first.
+
+    Parameters
+    ----------
+    geometry : poses with the panel at its nominal place
+    times : of the views, from 0 to 1; test views lie between the training views
+    train : number of training views
+    """
+
+    geometry: Geometry
+    times: Float[np.ndarray, " view"]
+    train: int
+
+
+class _GeometryFile(BaseModel):
+    """Keys of a scene file that say where views are; the others are not read."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    geometry: OrbitModel
+    panel: PanelModel
 
 
 def read_geometry_file(path: Path) -> Geometry:
-    """Read views in the order of a dataset: training views, then test views.
+    """Read views from a YAML file with the keys ``geometry`` and ``panel`` of a scene file.
 
     Parameters
     ----------
@@ -40,7 +66,7 @@ def read_geometry_file(path: Path) -> Geometry:
 
     Returns
     -------
-    nominal poses
+    nominal poses, training views first
 
     Raises
     ------
@@ -55,129 +81,144 @@ def read_geometry_file(path: Path) -> Geometry:
         raise InputError(f"{path} cannot be read as a geometry: {error.strerror}") from None
     except (yaml.YAMLError, UnicodeDecodeError):
         raise InputError(f"{path} cannot be read as a geometry: it is not YAML text") from None
-    place = _Place(path)
-    values = place.mapping("", values)
-    panel_values, orbit = (place.mapping(name, values.get(name)) for name in ("panel", "geometry"))
-    place.known("panel", panel_values, _PANEL)
-    kind = orbit.get("type")
-    if kind not in _KEYS:
-        raise InputError(f"{path}: geometry.type must be one of {', '.join(_KEYS)}, got {kind!r}")
-    place.known("geometry", orbit, _KEYS[kind] | _ALWAYS)
-    panel, mount = _panel(place, panel_values)
+    if not isinstance(values, dict):
+        raise InputError(f"{path}: the file must be a mapping with keys, as in scene files")
     try:
-        return mounted(_orbit(place, kind, orbit, panel, mount), mount)
-    except (TypeError, KeyError) as error:
-        raise InputError(f"{path}: geometry of type {kind} is incomplete or holds something else: {error}") from None
+        file = _GeometryFile.model_validate(values)
+    except ValidationError as error:
+        raise InputError(f"{path}: {_sentence(error, values)}") from None
+    orbit, panel = file.geometry, panel_of(file.panel)
+    try:
+        table = read_poses(path.parent / orbit.file, panel) if isinstance(orbit, PosesModel) else None
+        return mounted(nominal_views(orbit, file.panel, table).geometry, mount_of(file.panel))
     except Error as error:
         raise type(error)(f"{path}: {error}") from None
 
 
-class _Place:
-    """Complaints that name the file."""
+def panel_of(model: PanelModel) -> Panel:
+    """Create the pixel grid.
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    Parameters
+    ----------
+    model : panel of a scene file
 
-    def mapping(self, name: str, values: Any) -> Values:
-        """A mapping that must be there."""
-        if not isinstance(values, dict):
-            raise InputError(f"{self.path}: {name or 'the file'} must be a mapping with keys, as in scene files")
-        return values
-
-    def known(self, name: str, values: Values, keys: set[str]) -> None:
-        """Refuse keys that mean nothing."""
-        for key in sorted(set(map(str, values)) - keys):
-            raise InputError(f"{self.path}: {name}.{key} is no key here: use {', '.join(sorted(keys))}")
-
-    def number(self, name: str, values: Values, default: float | None = None) -> float:
-        """A number; one without default must be there."""
-        group, _, key = name.partition(".")
-        value = values.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(f"{self.path}: {group}.{key} must be a number, got {value!r}")
-        return float(value)
-
-    def count(self, name: str, values: Values, default: int | None = None) -> int:
-        """Read a number that is whole and not negative."""
-        value = self.number(name, values, default)
-        if value != int(value) or value < 0:
-            raise InputError(f"{self.path}: {name} must be a whole number, 0 or more, got {value:g}")
-        return int(value)
+    Returns
+    -------
+    rows, columns and pitch
+    """
+    return Panel(model.rows, model.columns, model.pitch)
 
 
-def _panel(place: _Place, values: Values) -> tuple[Panel, Mount]:
-    """The pixel grid and how it stands."""
-    pitch = values.get("pitch")
-    pitch = tuple(map(float, pitch)) if isinstance(pitch, list) else place.number("panel.pitch", values)
-    panel = Panel(place.count("panel.rows", values), place.count("panel.columns", values), pitch)  # type: ignore[arg-type]
-    offset, tilt = (values.get(name) or {} for name in ("offset", "tilt"))
-    shift = [place.number(f"panel.{name}", place.mapping("panel.offset", offset), 0.0) for name in ("columns", "rows")]
-    names = ("columns", "rows", "in_plane")
-    turns = np.deg2rad([place.number(f"panel.{name}", place.mapping("panel.tilt", tilt), 0.0) for name in names])
-    return panel, Mount((shift[0], shift[1]), tuple(turns.tolist()))  # type: ignore[arg-type]
+def mount_of(model: PanelModel) -> Mount:
+    """Create the shift and the tilt of the panel.
+
+    Parameters
+    ----------
+    model : panel of a scene file
+
+    Returns
+    -------
+    offsets [mm] and angles [rad]
+    """
+    offset, tilt = model.offset or OffsetModel(), model.tilt or TiltModel()
+    turns = np.deg2rad([tilt.columns, tilt.rows, tilt.in_plane]).tolist()
+    return Mount((offset.columns, offset.rows), (turns[0], turns[1], turns[2]))
 
 
-def _orbit(place: _Place, kind: str, orbit: Values, panel: Panel, mount: Mount) -> Geometry:
-    """Poses of a panel that is not yet mounted."""
+def nominal_views(orbit: OrbitModel, panel: PanelModel, table: Geometry | None = None) -> NominalViews:
+    """Create the views of an orbit.
 
-    def number(name: str, default: float | None = None) -> float:
-        return place.number(f"geometry.{name}", orbit, default)
+    Parameters
+    ----------
+    orbit, panel : as in a scene file
+    table : poses of an orbit of type ``poses``, as read from its file
 
-    tests = place.count("geometry.test_views", orbit, 0)
-    if kind == "poses":
-        return _table(read_poses(place.path.parent / str(orbit["file"]), panel), tests)
-    if kind == "helical":
-        return _helix(place, orbit, panel, tests)
-    tilt = float(np.deg2rad(number("tilt", 0.0)))
-    angles = _angles(place, orbit, tests, 180.0 if kind == "parallel" else 360.0, lambda: _fan(panel, orbit, mount))
-    if kind == "circular":
-        return Geometry.circular(number("sod"), number("sdd"), angles, panel)
-    if kind == "laminography":
-        return orbits.laminography(number("sod"), number("sdd"), angles, tilt, panel)
-    return orbits.parallel(number("distance"), angles, panel, tilt)
+    Returns
+    -------
+    the views
 
-
-def _angles(place: _Place, orbit: Values, tests: int, whole: float, fan: Callable[[], float]) -> np.ndarray:
-    """Angles of training views, then of test views [rad]."""
-    if ("views" in orbit) == ("angles" in orbit):
-        raise InputError("geometry needs either views, the number of them, or angles, a list in degrees")
-    if "angles" in orbit:
-        listed = np.array(orbit["angles"], dtype=float)
-        return np.deg2rad(np.append(listed, orbits.between(listed, tests)))
-    short = orbit.get("arc") == "short"
-    arc = orbits.short_arc(fan()) if short else place.number("geometry.arc", orbit, whole)
-    views = place.count("geometry.views", orbit)
-    return orbits.spread_angles(views, tests, arc, place.number("geometry.start", orbit, 0.0))
+    Raises
+    ------
+    GeometryError
+        When the keys of the orbit contradict each other, or the views are impossible.
+    """
+    grid = panel_of(panel)
+    if isinstance(orbit, PosesModel):
+        return _from_table(orbit, table)
+    if isinstance(orbit, HelicalModel):
+        return _helical(orbit, grid)
+    angles, times, train = _angles(orbit, panel)
+    if isinstance(orbit, CircularModel):
+        return NominalViews(Geometry.circular(orbit.sod, orbit.sdd, angles, grid), times, train)
+    tilt = float(np.deg2rad(orbit.tilt))
+    if isinstance(orbit, LaminographyModel):
+        return NominalViews(orbits.laminography(orbit.sod, orbit.sdd, angles, tilt, grid), times, train)
+    return NominalViews(orbits.parallel(orbit.distance, angles, grid, tilt), times, train)
 
 
-def _fan(panel: Panel, orbit: Values, mount: Mount) -> float:
-    """Largest fan angle, outer edges of pixels included [rad]."""
+def _angles(orbit: Turning, panel: PanelModel) -> tuple[Float[np.ndarray, " view"], Float[np.ndarray, " view"], int]:
+    """Angles [rad], times and number of training views of orbits that turn about the axis."""
+    if (orbit.views is None) == (orbit.angles is None):
+        raise GeometryError("an orbit needs either views, the number of them, or angles, a list in degrees")
+    if orbit.views is not None:
+        whole = 180.0 if isinstance(orbit, ParallelModel) else 360.0
+        arc = orbit.arc or whole
+        if isinstance(orbit, CircularModel) and arc == "short":
+            arc = _short_arc(panel, orbit.sdd)
+        angles = orbits.spread_angles(orbit.views, orbit.test_views, float(arc), orbit.start or 0.0)
+        return angles, _times(orbit.views, orbit.test_views), orbit.views
+    if orbit.arc is not None or orbit.start is not None:
+        raise GeometryError("angles stand for themselves: leave arc and start out")
+    listed = np.array(orbit.angles)
+    positions = np.arange(len(listed)) / len(listed)
+    angles, times = (np.append(a, orbits.between(a, orbit.test_views)) for a in (listed, positions))
+    return np.deg2rad(angles), times, len(listed)
+
+
+def _times(views: int, test_views: int) -> Float[np.ndarray, " view"]:
+    """Return the times of the views, from 0 to 1; test views lie between the training views."""
+    return np.concatenate([np.arange(views) / views, (np.arange(test_views) + 0.5) / max(test_views, 1)])
+
+
+def _short_arc(panel: PanelModel, sdd: float) -> float:
+    """Half a turn and the fan of the panel, outer edges of pixels included [degree]."""
     edges = Panel(panel.rows + 1, panel.columns + 1, panel.pitch)
-    return float(np.abs(fan_angles(edges, orbit["sdd"], mount)).max())
+    return orbits.short_arc(float(np.abs(fan_angles(edges, sdd, mount_of(panel))).max()))
 
 
-def _helix(place: _Place, orbit: Values, panel: Panel, tests: int) -> Geometry:
+def _helical(orbit: HelicalModel, panel: Panel) -> NominalViews:
     """A helix whose middle is at z = 0."""
-    if ("turns" in orbit) == ("range" in orbit):
-        raise InputError("a helical geometry needs either turns, the number of them, or range, its rise in mm")
-    names = ("sod", "sdd", "pitch")
-    sod, sdd, pitch = (place.number(f"geometry.{name}", orbit) for name in names)
-    if "range" in orbit and pitch == 0:
-        raise InputError("a helical geometry of pitch 0 covers no range: give turns")
-    start = place.number("geometry.start", orbit, 0.0)
-    turns = (
-        place.number("geometry.turns", orbit)
-        if "turns" in orbit
-        else place.number("geometry.range", orbit) / abs(pitch)
-    )
-    angles = orbits.spread_angles(place.count("geometry.views", orbit), tests, 360.0 * turns, start)
-    return orbits.helical(sod, sdd, angles, pitch, panel, -pitch * (turns / 2 + start / 360))
+    if (orbit.turns is None) == (orbit.range is None):
+        raise GeometryError("a helical orbit needs either turns, the number of them, or range, its rise in mm")
+    if orbit.turns is None and orbit.pitch == 0:
+        raise GeometryError("a helical orbit of pitch 0 covers no range: give turns")
+    turns = orbit.turns if orbit.turns is not None else float(orbit.range or 0.0) / abs(orbit.pitch)
+    angles = orbits.spread_angles(orbit.views, orbit.test_views, 360.0 * turns, orbit.start)
+    first = -orbit.pitch * (turns / 2 + orbit.start / 360)
+    geometry = orbits.helical(orbit.sod, orbit.sdd, angles, orbit.pitch, panel, first)
+    return NominalViews(geometry, _times(orbit.views, orbit.test_views), orbit.views)
 
 
-def _table(poses: Geometry, tests: int) -> Geometry:
+def _from_table(orbit: PosesModel, table: Geometry | None) -> NominalViews:
     """Rows of a table, those for tests last."""
-    rows = len(poses)
-    if tests >= rows:
-        raise InputError(f"of {rows} poses, {tests} cannot be test views: some must be left to train")
+    rows, tests = 0 if table is None else len(table), orbit.test_views
+    if table is None or tests >= rows:
+        raise GeometryError(
+            f"of {rows} poses in {orbit.file}, {tests} cannot be test views: some must be left to train"
+        )
     picked = ((np.arange(tests) + 0.5) * rows / max(tests, 1)).astype(int)
-    return poses[np.append(np.delete(np.arange(rows), picked), picked)]
+    order = np.append(np.delete(np.arange(rows), picked), picked)
+    return NominalViews(table[order], order / rows, rows - tests)
+
+
+def _sentence(error: ValidationError, values: dict) -> str:
+    """Return the first error that pydantic found as a sentence; misspelt keys come first, as they explain the rest."""
+    found = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
+    orbit = values.get("geometry")
+    kind = orbit.get("type") if isinstance(orbit, dict) else None
+    key = ".".join(str(part) for part in found["loc"] if part != kind)
+    if found["type"] == "extra_forbidden":
+        return f"{key} is an unknown key"
+    if found["type"] == "missing":
+        return f"{key} is missing"
+    return f"{key} - {found['msg'][0].lower()}{found['msg'][1:]}"

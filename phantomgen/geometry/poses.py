@@ -52,7 +52,7 @@ class Geometry:
     column_step: VectorPerView
     row_step: VectorPerView
     panel: Panel
-    angles: Float[np.ndarray, " view"] = field(default_factory=lambda: np.empty(0))
+    angles: Float[np.ndarray, " view"] | Float[np.ndarray, "0"] = field(default_factory=lambda: np.empty(0))
     kind: str = "free"
     ray_direction: VectorPerView | None = None
 

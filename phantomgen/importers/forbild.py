@@ -14,6 +14,7 @@ from phantomgen.scene.file.scene_file import SceneFile, closest
 from phantomgen.scene.objects.build import objects_of
 from spectra.errors import SceneError
 
+# FORBILD files give lengths in cm [mm/cm].
 _MM = 10.0
 # Photoelectric and Compton attenuation of water at 70 keV [1/mm]: what rho is a multiple of where no formula stands.
 _WATER = {"photoelectric": 0.00138, "compton": 0.01788}
@@ -30,6 +31,7 @@ _NEEDS: dict[str, tuple[set[str], set[str]]] = {
 _ALONG = {"_x": (1.0, 0.0, 0.0), "_y": (0.0, 1.0, 0.0), "_z": (0.0, 0.0, 1.0)}
 _NEEDS |= {f"{kind}{end}": (_NEEDS[kind][0], set()) for kind in ("Cylinder", "Cone") for end in _ALONG}
 _NEEDS["Ellipt_Cyl_z"] = (_NEEDS["Ellipt_Cyl"][0], set())
+# Products of a rotation's columns may differ from those of the unit matrix by this, no unit: digits in the files.
 _ORTHOGONAL = 1e-4
 # The scan around the phantom: half a cone angle of at most about 17 degrees, and a panel of 256 columns.
 _COLUMNS, _MAGNIFICATION, _ROOM = 256, 1.6, 1.02

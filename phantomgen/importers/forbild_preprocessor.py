@@ -12,6 +12,7 @@ _TOKEN = re.compile(
     r'|(?P<string>"[^"\n]*")|(?P<mark>[{}\[\]():=<>,+\-*/])'
 )
 _COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
+# Files may include each other so deep; deeper, they do so without end.
 _DEEPEST = 20
 
 

@@ -4,8 +4,8 @@ Gaussian footprints are a few pixels wide: rows too short for the compiler's own
 one pixel at a time (measured: 10 ns per Gaussian and pixel against 1 ns with this type). And where values of several
 components lie side by side, places are computed, and waited for, once for all of them. A value of type `Vector` lives
 in one LLVM vector; ``+ - * /`` work on all its numbers at once, a float32 operand counts for each. LLVM lowers it to
-whatever the processor has (AVX, SSE, NEON). There are eight numbers but where a tuple says how many: its values do not
-count.
+whatever the processor has (AVX, SSE, NEON). There are eight numbers, except where an argument is a tuple, which is as
+long as there are numbers: its values are not used.
 """
 
 import operator
@@ -17,11 +17,17 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic, models, overload, register_model
 
+# Numbers of a vector: 256 bits of float32, the registers of AVX.
 WIDTH = 8
 
 
 class Vector(types.Type):
-    """Numba type of `count` float32 numbers."""
+    """Numba type of several float32 numbers.
+
+    Parameters
+    ----------
+    count : how many
+    """
 
     def __init__(self, count: int) -> None:
         super().__init__(name=f"Vector({count})")
@@ -88,13 +94,34 @@ _define(operator.truediv, "fdiv")
 
 @intrinsic
 def splat(typingctx, value):
-    """Eight times the float32 `value`."""
+    """Repeat a float32 eight times.
+
+    Parameters
+    ----------
+    typingctx : context of numba, not part of the call
+    value : the number
+
+    Returns
+    -------
+    vector
+    """
     return float32x8(types.float32), lambda context, builder, signature, args: _splat(builder, args[0])
 
 
 @intrinsic
 def splat_as(typingctx, numbers, value):
-    """The float32 `value`, as many times as the tuple `numbers` is long."""
+    """Repeat a float32 as many times as a tuple is long.
+
+    Parameters
+    ----------
+    typingctx : context of numba, not part of the call
+    numbers : the tuple
+    value : the number
+
+    Returns
+    -------
+    vector
+    """
     count = numbers.count
     return Vector(count)(numbers, types.float32), lambda context, builder, signature, args: _splat(
         builder, args[1], count
@@ -103,7 +130,17 @@ def splat_as(typingctx, numbers, value):
 
 @intrinsic
 def ramp(typingctx, first):
-    """`first`, `first` + 1, ... `first` + 7."""
+    """Count up from a float32 by 1.
+
+    Parameters
+    ----------
+    typingctx : context of numba, not part of the call
+    first : the first number
+
+    Returns
+    -------
+    vector
+    """
 
     def codegen(context, builder, signature, args):
         steps = ir.Constant(_VECTOR, [float(i) for i in range(WIDTH)])
@@ -114,7 +151,17 @@ def ramp(typingctx, first):
 
 @intrinsic
 def count_from(typingctx, first):
-    """The integers `first`, `first` + 1, ... `first` + 7 as float32, exactly, however the compiler orders sums."""
+    """Count up from an integer by 1, exactly, however the compiler orders sums.
+
+    Parameters
+    ----------
+    typingctx : context of numba, not part of the call
+    first : the first number
+
+    Returns
+    -------
+    vector of float32
+    """
 
     def codegen(context, builder, signature, args):
         integers = ir.VectorType(ir.IntType(32), WIDTH)
@@ -128,10 +175,19 @@ def count_from(typingctx, first):
 
 @intrinsic
 def one_more(typingctx, number):
-    """`number` + 1, a float32, exactly where it is whole, however the compiler orders sums.
+    """Add 1 to a float32, exactly where it is whole, however the compiler orders sums.
 
-    Counts along in a loop. To convert the loop's index in each turn costs more than it seems: the instruction waits for
-    what its register held before, and that may be the end of the turn before.
+    For counters of loops: an instruction that converts the loop's index waits for the value that its register held
+    before, which may be the result of the previous turn.
+
+    Parameters
+    ----------
+    typingctx : context of numba, not part of the call
+    number : the number
+
+    Returns
+    -------
+    the sum
     """
 
     def codegen(context, builder, signature, args):
@@ -148,7 +204,18 @@ def _pointer(context, builder, array_type, place, count):
 
 @intrinsic
 def load(typingctx, array, offset):
-    """Eight numbers of a contiguous float32 `array`, from flat index `offset` on; bounds are the caller's duty."""
+    """Load eight numbers of an array; the caller checks bounds.
+
+    Parameters
+    ----------
+    typingctx : context of numba, not part of the call
+    array : contiguous, of float32
+    offset : flat index of the first number
+
+    Returns
+    -------
+    vector
+    """
 
     def codegen(context, builder, signature, args):
         return builder.load(_pointer(context, builder, signature.args[0], args, WIDTH), align=4)
@@ -158,7 +225,18 @@ def load(typingctx, array, offset):
 
 @intrinsic
 def load_as(typingctx, numbers, array, offset):
-    """As many numbers as the tuple `numbers` is long, otherwise as `load`."""
+    """Load as many numbers of an array as a tuple is long; the caller checks bounds.
+
+    Parameters
+    ----------
+    typingctx : context of numba, not part of the call
+    numbers : the tuple
+    array, offset : as in `load`
+
+    Returns
+    -------
+    vector
+    """
     count = numbers.count
 
     def codegen(context, builder, signature, args):
@@ -169,7 +247,18 @@ def load_as(typingctx, numbers, array, offset):
 
 @intrinsic
 def store(typingctx, array, offset, value):
-    """Write a vector's numbers into a contiguous float32 `array`, from flat index `offset` on."""
+    """Write the numbers of a vector to an array; the caller checks bounds.
+
+    Parameters
+    ----------
+    typingctx : context of numba, not part of the call
+    array, offset : as in `load`
+    value : the vector
+
+    Returns
+    -------
+    nothing
+    """
 
     def codegen(context, builder, signature, args):
         place = _pointer(context, builder, signature.args[0], args[:2], value.count)
@@ -181,7 +270,17 @@ def store(typingctx, array, offset, value):
 
 @intrinsic
 def square_root(typingctx, value):
-    """Square root of each number."""
+    """Compute the square root of each number.
+
+    Parameters
+    ----------
+    typingctx : context of numba, not part of the call
+    value : the vector
+
+    Returns
+    -------
+    vector
+    """
 
     def codegen(context, builder, signature, args):
         function = cgutils.get_or_insert_function(
@@ -194,7 +293,19 @@ def square_root(typingctx, value):
 
 @intrinsic
 def where_less(typingctx, a, limit, value):
-    """`value` where `a` < `limit`, else 0; `limit` is one float32."""
+    """Select the numbers whose partners are below a limit.
+
+    Parameters
+    ----------
+    typingctx : context of numba, not part of the call
+    a : partners of the numbers
+    limit : one float32
+    value : the numbers
+
+    Returns
+    -------
+    vector of `value` where ``a < limit``, else 0
+    """
 
     def codegen(context, builder, signature, args):
         inside = builder.fcmp_ordered("<", args[0], _splat(builder, args[1]))
@@ -205,7 +316,18 @@ def where_less(typingctx, a, limit, value):
 
 @intrinsic
 def minimum(typingctx, a, limit):
-    """The smaller of `a` and one float32 `limit`."""
+    """Bound numbers from above.
+
+    Parameters
+    ----------
+    typingctx : context of numba, not part of the call
+    a : the numbers
+    limit : one float32
+
+    Returns
+    -------
+    vector of the smaller of each number and the limit
+    """
 
     def codegen(context, builder, signature, args):
         bound = _splat(builder, args[1])
@@ -216,7 +338,17 @@ def minimum(typingctx, a, limit):
 
 @intrinsic
 def total(typingctx, value):
-    """Sum of the eight numbers, pairwise."""
+    """Sum eight numbers pairwise.
+
+    Parameters
+    ----------
+    typingctx : context of numba, not part of the call
+    value : the vector
+
+    Returns
+    -------
+    float32
+    """
 
     def codegen(context, builder, signature, args):
         vector = args[0]
@@ -237,9 +369,15 @@ f4 = np.float32
 @njit(inline="always")
 @no_type_check
 def exp_negative(x):
-    """exp(x) for x in [-12.5, 0], error below 1e-6: the Taylor polynomial of exp(x / 16), squared four times.
+    """Compute exp(x), by the Taylor polynomial of exp(x / 16), squared four times.
 
-    The relative error is below 2e-6 down to -3, 2e-5 at -6.9 and 1.2e-3 at -12.5.
+    Parameters
+    ----------
+    x : vector in [-12.5, 0]
+
+    Returns
+    -------
+    vector; the error is below 1e-6, the relative error below 2e-6 down to -3, 2e-5 at -6.9 and 1.2e-3 at -12.5
     """
     t = x * f4(1 / 16)
     p = t * f4(1 / 720) + f4(1 / 120)

@@ -50,7 +50,16 @@ class Solids(NamedTuple):
         locals_: Float[np.ndarray, "row 3 4"],
         materials: Int64[np.ndarray, " row"],
     ) -> "Solids":
-        """One primitive per object."""
+        """Create objects of one primitive each.
+
+        Parameters
+        ----------
+        kinds, locals_, materials : as in `Solids`
+
+        Returns
+        -------
+        the objects
+        """
         rows = np.arange(len(kinds))
         whole = np.ones(len(rows), np.bool_)
         return cls(kinds, locals_, materials, np.zeros(len(rows)), rows, rows, whole, np.full(len(rows), -1))
@@ -68,7 +77,22 @@ class Solids(NamedTuple):
         return np.column_stack([center, np.where(self.kinds == HALFSPACE, np.inf, radius**2)])
 
     def checked(self, count: int, background: int) -> "Solids":
-        """The same with the types that kernels want; refuses what would make a kernel write outside its arrays."""
+        """Check the arrays, and convert them to the types of the kernels.
+
+        Parameters
+        ----------
+        count : number of materials
+        background : material outside all shapes, -1 for none
+
+        Returns
+        -------
+        the objects
+
+        Raises
+        ------
+        InputError
+            When the arrays would make a kernel write outside of them.
+        """
         rows = self.rows
         integers = [
             np.ascontiguousarray(a, dtype=np.int64)
@@ -102,7 +126,16 @@ class Solids(NamedTuple):
 def half_axes(
     locals_: Float[np.ndarray, "row 3 4"],
 ) -> tuple[Float[np.ndarray, "row 3"], Float[np.ndarray, "row 3 3"]]:
-    """Centre of the cube -1 .. 1 of each local system, and its half axes as columns [mm]; no use for half-spaces."""
+    """Compute centres and half axes of the cubes -1 .. 1 of local systems; without meaning for half-spaces.
+
+    Parameters
+    ----------
+    locals_ : maps from world [mm] to local coordinates
+
+    Returns
+    -------
+    centres (x, y, z) [mm], and half axes as columns [mm]
+    """
     x, y, z = locals_[:, 0, :3], locals_[:, 1, :3], locals_[:, 2, :3]
     axes = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=2)
     size = (x * axes[:, :, 0]).sum(axis=1)

@@ -1,8 +1,8 @@
 """Voxel maps as operators take them: boxes of voxels, each of which holds a mixture of materials.
 
 A map fills the local box -1 .. 1 of a row of `Solids`, x fastest. A voxel names a row of a table of mixtures: with
-labels the table is short, with volume fractions each mixed voxel has a row of its own. What a mixture lacks to 1 is
-nobody's.
+labels the table is short, with volume fractions each mixed voxel has a row of its own. The part that a mixture lacks to
+1 belongs to no object.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from spectra.errors import InputError
 
 
 class VoxelMap(NamedTuple):
-    """One map, and the parts that its mixtures are made of; which materials these are is said elsewhere.
+    """One map, whose mixtures consist of parts; `VoxelMaps.of` gets the material of each part.
 
     Parameters
     ----------
@@ -28,7 +28,17 @@ class VoxelMap(NamedTuple):
 
     @classmethod
     def of_labels(cls, labels: np.ndarray, values: Sequence[int]) -> "VoxelMap":
-        """Part i fills the voxels with ``values[i]``; all others are empty."""
+        """Create a map of labels; part i fills the voxels with ``values[i]``, all others are empty.
+
+        Parameters
+        ----------
+        labels : label of each voxel (z, y, x)
+        values : label of each part
+
+        Returns
+        -------
+        the map
+        """
         cells = np.zeros(labels.shape, dtype=np.int32)
         for i, value in enumerate(values):
             cells[labels == value] = i + 1
@@ -36,7 +46,16 @@ class VoxelMap(NamedTuple):
 
     @classmethod
     def of_fractions(cls, fractions: Float[np.ndarray, "part z y x"]) -> "VoxelMap":
-        """Volume fractions of several parts."""
+        """Create a map of volume fractions.
+
+        Parameters
+        ----------
+        fractions : of several parts
+
+        Returns
+        -------
+        the map
+        """
         parts, pure = len(fractions), (fractions == 1).sum(axis=0) == 1
         cells = np.where(pure, fractions.argmax(axis=0) + 1, 0).astype(np.int32)
         mixed = ~pure & (fractions > 0).any(axis=0)
@@ -53,14 +72,33 @@ class VoxelMap(NamedTuple):
         return low, high
 
     def points(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "3 point"]:
-        """Random points (x, y, z) of the local box in voxels that are not empty."""
+        """Draw random points in voxels that are not empty.
+
+        Parameters
+        ----------
+        count : number of points
+        rng : source of random numbers
+
+        Returns
+        -------
+        points (x, y, z) of the local box
+        """
         solid = np.flatnonzero(np.any(self.mixtures > 0, axis=1)[self.cells])
         z, y, x = np.unravel_index(rng.choice(solid, count), self.cells.shape)
         counts = np.array(self.cells.shape[::-1])[:, None]
         return 2 * (np.stack([x, y, z]) + rng.random((3, count))) / counts - 1
 
     def at(self, local: Float[np.ndarray, "3 point"]) -> Float[np.ndarray, "point part"]:
-        """Mixtures at points (x, y, z) of the local box; 0 outside."""
+        """Return the mixtures at points; 0 outside.
+
+        Parameters
+        ----------
+        local : points (x, y, z) of the local box
+
+        Returns
+        -------
+        volume fraction of each part
+        """
         counts = np.array(self.cells.shape[::-1])[:, None]
         index = np.floor((local + 1) / 2 * counts).astype(np.int64)
         inside = np.all((index >= 0) & (index < counts), axis=0)
@@ -87,7 +125,16 @@ class VoxelMaps(NamedTuple):
 
     @classmethod
     def of(cls, rows: Sequence[tuple[VoxelMap, tuple[int, ...]] | None]) -> "VoxelMaps | None":
-        """From the map of each row of primitives and the materials of its parts; None where no row has a map."""
+        """Create the maps of all primitives.
+
+        Parameters
+        ----------
+        rows : of each primitive, its map and the materials of the map's parts; None without a map
+
+        Returns
+        -------
+        the maps; None where no primitive has one
+        """
         maps = [row for row in rows if row is not None]
         if not maps:
             return None
@@ -110,7 +157,22 @@ class VoxelMaps(NamedTuple):
         )
 
     def checked(self, rows: int, count: int) -> "VoxelMaps":
-        """The same with one column for each of `count` materials; refuses what a kernel would read beyond."""
+        """Check the arrays, and add columns for materials that no map has.
+
+        Parameters
+        ----------
+        rows : number of primitives
+        count : number of materials
+
+        Returns
+        -------
+        the maps
+
+        Raises
+        ------
+        InputError
+            When the arrays would make a kernel read outside of them.
+        """
         sizes = self.shapes.prod(axis=1)
         within = self.cells.min() >= 0 and self.cells.max() < len(self.mixtures)
         if self.numbers.shape != (rows,) or (self.starts + sizes).max() > len(self.cells) or not within:

@@ -91,7 +91,7 @@ def one_sentence(path: Path, needed: float | None = None) -> Iterator[None]:
     Parameters
     ----------
     path : the file
-    needed : room that it still takes [byte], where somebody knows
+    needed : room that it still takes [byte], where it is known
 
     Yields
     ------

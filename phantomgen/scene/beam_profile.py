@@ -1,12 +1,13 @@
 """Beam profile: absorption by the bowtie filter and the heel effect in each pixel."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 
+@runtime_checkable
 class Absorber(Protocol):
     """Interface of an absorber: anything with an attenuation curve."""
 

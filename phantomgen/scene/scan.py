@@ -84,7 +84,7 @@ class Scan:
     name: str
     scene: Scene
     geometry: Geometry
-    splits: Mapping[str, Int[np.ndarray, " view"]]
+    splits: Mapping[str, Int[np.ndarray, " _view"]]
     source: Source
     detector: AnyDetector
     basis: Basis
@@ -122,6 +122,17 @@ class Scan:
         if self.file is None:
             return self
         return load_scene(replace(self.file, overrides=(*self.file.overrides, f"tessellation={fineness}")))
+
+    @property
+    def aperture(self) -> tuple[float, float]:
+        """Width and height of the sensitive part of pixels [pixel]."""
+        aperture = self.effects.aperture
+        return (1.0, 1.0) if aperture is None else (aperture.width, aperture.height)
+
+    @property
+    def profile_lengths(self) -> Float[np.ndarray, "part row column"] | None:
+        """Path lengths of the rays to each pixel in what shapes the beam [mm]; None where the beam is even."""
+        return None if self.profile is None else self.profile.lengths
 
     @property
     def scheme(self) -> str:
@@ -240,7 +251,7 @@ def _check_coefficients(file: SceneFile, basis: Basis) -> None:
 
 
 def _exposure(
-    file: SceneFile, splits: Mapping[str, Int[np.ndarray, " view"]], detector: AnyDetector
+    file: SceneFile, splits: Mapping[str, Int[np.ndarray, " _view"]], detector: AnyDetector
 ) -> Float[np.ndarray, "view channel"] | None:
     """Exposure of views that sources take in turn, training and test views each from the first source on."""
     if not isinstance(detector, MultiSource) or file.model.source.type != "switching":

@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.geometry.config import mount_of, panel_of
 from phantomgen.geometry.fan_angles import anode_angles, fan_angles, obliquity
 from phantomgen.scene import schema
 from phantomgen.scene.beam_profile import Absorber, Profile
 from phantomgen.scene.file.scene_file import SceneFile
-from phantomgen.scene.geometry import mount_of, panel_distance, panel_of
+from phantomgen.scene.geometry import panel_distance
 from phantomgen.scene.input_files.spectrum_table import read_source
 from spectra.errors import InputError
 from spectra.materials.material import Material
@@ -91,7 +92,7 @@ def profile_of(file: SceneFile, source: Source) -> Profile | None:
     -------
     the profile; None where every pixel gets the same beam
     """
-    model, panel, mount = file.model.source, panel_of(file.model), mount_of(file.model)
+    model, panel, mount = file.model.source, panel_of(file.model.panel), mount_of(file.model.panel)
     if isinstance(model, schema.MultiSourceModel):
         return None
     parts: list[tuple[str, Absorber, np.ndarray]] = []
@@ -178,7 +179,7 @@ def _material(model: schema.FilterModel | schema.BowtieModel) -> Material:
 
 def _pixel_area(scene: schema.SceneModel) -> float:
     """Area of a pixel at the panel's centre [cm^2], as seen at 1 m from the source."""
-    panel, sdd = panel_of(scene), panel_distance(scene, "the charge per view, mas,")
+    panel, sdd = panel_of(scene.panel), panel_distance(scene, "the charge per view, mas,")
     return panel.row_pitch * panel.column_pitch / 100 * (1000 / sdd) ** 2
 
 

@@ -11,6 +11,7 @@ from phantomgen.ops.primitives import HALFSPACE
 from phantomgen.shapes.base import Part, Shape, Term, Triple, checked_axis
 from spectra.errors import InputError
 
+# Most terms that a combination of shapes may fall into: a bound of time.
 _MOST_TERMS = 500
 
 

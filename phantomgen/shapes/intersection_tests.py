@@ -14,6 +14,7 @@ from phantomgen.shapes.base import Bounds, Part, Shape
 _TOUCH = 1e-7
 # Points by which non-convex parts are judged; what they miss is smaller than about 1e-4 of the box around it.
 _POINTS = 20_000
+# Points that are enough where both shapes are convex.
 _GLANCE = 64
 
 _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))

@@ -13,6 +13,7 @@ from spectra.errors import InputError
 
 Points = Float[np.ndarray, "corner 2"]
 
+# No unit, relative to the square of the polygon's size; a smaller area is rounding.
 FLAT = 1e-12
 """Area over squared extent below which rounding decides what is inside."""
 
@@ -133,7 +134,7 @@ def _triangles(points: Points) -> list[np.ndarray]:
     return [*found, np.array(left)]
 
 
-def _any_inside(triangle: Points, points: Points) -> bool:
+def _any_inside(triangle: Float[np.ndarray, "3 2"], points: Points) -> bool:
     """Return whether a triangle contains any of the points, its edges included."""
     edges = np.roll(triangle, -1, axis=0) - triangle
     offsets = points[:, None] - triangle

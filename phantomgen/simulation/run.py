@@ -1,10 +1,10 @@
 """From a scan to its dataset: expected counts view by view, noise, truth, and an error measured on the way."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from phantomgen.dataset.compression import Compression, check_compression
+from phantomgen.dataset.compression import check_compression
 from phantomgen.dataset.writing.frame_journal import FrameJournal, check_journal
 from phantomgen.dataset.writing.writer import DatasetWriter
 from phantomgen.runtime.stopwatch import Stopwatch
@@ -20,6 +20,7 @@ from phantomgen.simulation.forward_model.energy_grids import (
 from phantomgen.simulation.forward_model.fingerprint import identity
 from phantomgen.simulation.forward_model.frames import Views
 from phantomgen.simulation.forward_model.truth import streamed_truth
+from phantomgen.simulation.options import SimulationOptions
 from phantomgen.simulation.planning.make_plan import make_plan
 from phantomgen.simulation.planning.plan import TOLERANCE
 from phantomgen.simulation.projection_cache.cache import CacheWriter, usable
@@ -27,39 +28,15 @@ from phantomgen.simulation.summary import Summary
 from phantomgen.simulation.write_frames import compute_frames, write_frames
 
 
-def simulate(
-    scan: Scan,
-    out: Path | str,
-    *,
-    tolerance: float | None = None,
-    overwrite: bool = False,
-    keep_expected: bool = False,
-    keep_paths: bool = False,
-    paths: Path | str | None = None,
-    verify: bool = False,
-    progress: bool = False,
-    on_stage: Callable[[str], None] = lambda name: None,
-    resume: bool = False,
-    compression: Compression = "gzip",
-) -> Summary:
+def simulate(scan: Scan, out: Path | str, **options: Any) -> Summary:
     """Simulate a scan and write its dataset.
 
     Parameters
     ----------
     scan : what is scanned, with what
     out : name of the dataset; it appears there when complete
-    tolerance : worst error of log projections that is wanted; by default
-        `phantomgen.simulation.planning.plan.TOLERANCE` as far as the scene allows
-    overwrite : replace a file that exists
-    keep_expected : store the counts without noise in the truth as well
-    keep_paths : store the projections of each view at a few energies, so that `paths` of a later run may name this one
-    paths : dataset with such projections of the same objects, materials and geometry: views are computed from there,
-        with the spectra, doses, channels and noise of `scan`
-    verify : measure the error on all edge pixels of three views, not on a sample
-    progress : show a progress bar on stderr
-    on_stage : called with the name of each stage when it begins
-    resume : go on with the frames that an interrupted run left, if any; the dataset is the same as without interruption
-    compression : of the large arrays
+    **options : fields of `phantomgen.simulation.options.SimulationOptions`, such as ``tolerance=1e-4``,
+        ``overwrite=True`` or ``keep_expected=True``
 
     Returns
     -------
@@ -72,34 +49,35 @@ def simulate(
     InputError
         When a tolerance is given that cannot be met, or projections are those of another scan.
     """
-    kept = None if paths is None else usable(paths, scan, out, keep_paths)
+    return _simulate(scan, out, SimulationOptions(**options))
+
+
+def _simulate(scan: Scan, out: Path | str, options: SimulationOptions) -> Summary:
+    """Simulate a scan and write its dataset."""
+    kept = None if options.paths is None else usable(options.paths, scan, out, options.keep_paths)
     check_collisions(scan)
-    watch = Stopwatch(on_stage)
-    writer = DatasetWriter(out, overwrite, compression)
-    check_journal(writer.path, resume, overwrite)
-    check_compression(compression)
+    watch = Stopwatch(options.on_stage)
+    writer = DatasetWriter(out, options.overwrite, options.compression)
+    check_journal(writer.path, options.resume, options.overwrite)
+    check_compression(options.compression)
     with watch("spectrum"):
         spectra = reconstructor_spectra(scan)
     with watch("plan"):
-        wanted = TOLERANCE if tolerance is None else tolerance
+        wanted = TOLERANCE if options.tolerance is None else options.tolerance
         plan, cached_views = (make_plan(scan, wanted), None) if kept is None else kept.planned(scan, wanted)
-        if tolerance is not None:
+        if options.tolerance is not None:
             plan.check()
         scan = plan.scan
         views = Views(scan, plan.exposure, plan.settings, cached=cached_views.primary if cached_views else None)
-        cache_writer = CacheWriter.of(plan) if keep_paths else None
+        cache_writer = CacheWriter.of(plan) if options.keep_paths else None
         warnings = [*plan.warnings, *coverage_warnings(scan), *fit_warnings(scan, material_fit(scan))]
         warnings += [*scan.detector.poor, *plan.exposure.warnings]
-    nominal, options = (
-        scan.nominal or scan.geometry,
-        {"compression": compression, "keep": f"{keep_expected}{' paths' * keep_paths}"},
-    )
-    if kept is not None:
-        options["projections"] = kept.identity
-    same = identity(scan, plan.settings, plan.exposure.groups, options)
-    with FrameJournal(writer.path, same, resume, overwrite) as journal:
+    nominal = scan.nominal or scan.geometry
+    stored = options.stored if kept is None else {**options.stored, "projections": kept.identity}
+    same = identity(scan, plan.settings, plan.exposure.groups, stored)
+    with FrameJournal(writer.path, same, options.resume, options.overwrite) as journal:
         with watch("views"):
-            compute_frames(journal, views, keep_expected, compression, progress, cache_writer)
+            compute_frames(journal, views, options, cache_writer)
         with writer:
             writer.write_scan(
                 scan.name, nominal, spectra, scan.grid, dict(scan.splits), scan.scheme, views.recorded_exposure
@@ -108,14 +86,14 @@ def simulate(
             writer.write_mask(spectra.channels, views.detector.recorded_mask)
             writer.write_process("phantomgen make", scan.seed)
             with watch("write"):
-                write_frames(writer, views, journal, keep_expected, cache_writer)
+                write_frames(writer, views, journal, options.keep_expected, cache_writer)
             with watch("truth"):
                 filled = None if kept is None else kept.fractions(scan)
                 writer.write_truth(streamed_truth(scan, filled), scan.scene.materials)
                 if scan.nominal is not None:
                     writer.write_true_geometry(scan.geometry, scan.sample_poses)
             with watch("check"):
-                check, primary = full_check if verify else quick_check, None if kept is None else views.primary
+                check, primary = full_check if options.verify else quick_check, None if kept is None else views.primary
                 error = check(scan, plan.exposure.transmission, plan.settings, primary)
             writer.write_plan(json.dumps({**plan.to_dict(), "measured": error.to_dict()}, indent=1))
             writer.finish(spectra)

@@ -14,13 +14,14 @@ from threading import Timer
 import numpy as np
 
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.ops.expected_counts import expected_counts, expected_counts_by_grid
+from phantomgen.ops.expected_counts import Spectrum, expected_counts, expected_counts_by_grid
 from phantomgen.ops.primitives import BALL
 from phantomgen.ops.solids import Solids
 from phantomgen.ops.trace import trace
 from phantomgen.ops.voxelize_shapes import fractions
 
-PATIENCE = 2.0  # s
+# Seconds of compilation after which the user is told.
+PATIENCE = 2.0
 
 
 @contextmanager
@@ -56,15 +57,15 @@ def compiling_ahead(say: Callable[[str], None]) -> Iterator[Callable[[], None]]:
 def _compile() -> None:
     """Run the smallest job through each operation, in the order in which a simulation requires them."""
     ball = Solids.plain(np.array([BALL]), np.eye(3, 4)[None], np.array([0]))
-    spectrum = np.ones((1, 1)), np.ones(1), np.array([0, 1])
+    spectrum = Spectrum(np.ones((1, 1)), np.ones(1), np.array([0, 1]))
     source, step = np.array([[0.0, -5.0, 0.0]]), np.array([[0.0, 10.0, 0.0]])
     frame = np.concatenate([source, step, np.eye(3)[[0, 2]]])
     trace(source, step, ball, 1)
-    expected_counts(frame, 1, 1, ball, *spectrum)
+    expected_counts(frame, 1, 1, ball, spectrum)
     sys.stdout.write("ready for views\n")
     sys.stdout.flush()
     fractions(Grid(shape=(1, 1, 1), spacing=(1.0, 1.0, 1.0), origin=(0.0, 0.0, 0.0)), ball, 1)
-    expected_counts_by_grid(frame, np.array([[0, 0]]), ball, *spectrum, n=1)
+    expected_counts_by_grid(frame, np.array([[0, 0]]), ball, spectrum, n=1)
 
 
 if __name__ == "__main__":

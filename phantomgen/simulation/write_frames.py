@@ -5,7 +5,6 @@ Never many are in memory. An interrupted run goes on from the journal, with the 
 
 from collections.abc import Iterator
 
-from phantomgen.dataset.compression import Compression
 from phantomgen.dataset.layout import pack_image, write_image
 from phantomgen.dataset.writing.frame_journal import Frame, FrameJournal, Packed
 from phantomgen.dataset.writing.writer import DatasetWriter
@@ -13,17 +12,13 @@ from phantomgen.runtime.disk import check_room
 from phantomgen.simulation.forward_model.detector import Frame as Images
 from phantomgen.simulation.forward_model.frames import Views
 from phantomgen.simulation.forward_model.readout import dark, flat, projections
+from phantomgen.simulation.options import SimulationOptions
 from phantomgen.simulation.projection_cache.cache import CacheWriter
 from spectra.threads import run_parallel
 
 
 def compute_frames(
-    journal: FrameJournal,
-    views: Views,
-    keep_expected: bool,
-    compression: Compression,
-    progress: bool,
-    cache_writer: CacheWriter | None = None,
+    journal: FrameJournal, views: Views, options: SimulationOptions, cache_writer: CacheWriter | None = None
 ) -> None:
     """Compute all views, flats and darks that the journal lacks.
 
@@ -33,17 +28,15 @@ def compute_frames(
     ----------
     journal : stores finished frames
     views : frames of the scan
-    keep_expected : store counts without noise as well
-    compression : of the frames
-    progress : show a progress bar on stderr
+    options : what is stored, how it is compressed, and whether a progress bar is shown on stderr
     cache_writer : stores projections at a few energies; None where they are not wanted
     """
 
     def packed(images: Images) -> Packed:
-        return [pack_image(image, compression) for image in images]
+        return [pack_image(image, options.compression) for image in images]
 
     def view(number: int, counts: Images, means: Images) -> Frame:
-        expected = {"expected": packed(means)} if keep_expected else {}
+        expected = {"expected": packed(means)} if options.keep_expected else {}
         return (
             {"data": packed(counts)}
             | expected
@@ -51,12 +44,12 @@ def compute_frames(
         )
 
     flats, darks = views.scan.flats, 0 if views.detector.reads_zero else views.scan.darks
-    found = projections(views, view, keep_expected, journal.done("views"))
-    _keep(journal, "views", found, views.shape[0], flats + darks, progress)
+    found = projections(views, view, options.keep_expected, journal.done("views"))
+    _keep(journal, "views", found, views.shape[0], flats + darks, options.progress)
     found = run_parallel(lambda n: {"flat": packed(flat(views, n))}, range(journal.done("flats"), flats))
-    _keep(journal, "flats", found, flats, darks, progress)
+    _keep(journal, "flats", found, flats, darks, options.progress)
     found = run_parallel(lambda n: {"dark": packed(dark(views, n))}, range(journal.done("darks"), darks))
-    _keep(journal, "darks", found, darks, 0, progress)
+    _keep(journal, "darks", found, darks, 0, options.progress)
 
 
 def write_frames(

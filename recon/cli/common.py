@@ -1,6 +1,7 @@
-"""What commands of recon share: progress bar, checks of options, words for the end of a run."""
+"""Parts that commands of recon share: progress bar, checks of options, and text for the end of a run."""
 
 import traceback
+from collections.abc import Callable
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -11,17 +12,33 @@ if TYPE_CHECKING:
     from recon.voxel.method import Iteration
 
 
-def finite_number(_: click.Context, __: click.Parameter, value: float | None) -> float | None:
-    """Refuse NaN and infinity as an option's value."""
+def finite_number(context: click.Context, parameter: click.Parameter, value: float | None) -> float | None:
+    """Refuse NaN and infinity as the value of an option; a callback of click.
+
+    Parameters
+    ----------
+    context, parameter : of click, not used
+    value : of the option
+
+    Returns
+    -------
+    the value
+    """
+    del context, parameter
     if value is not None and not isfinite(value):
         raise click.BadParameter(f"{value} is not a finite number.")
     return value
 
 
 def exit_where_failed(metrics: dict[str, Any], strict: bool) -> None:
-    """Exit code 1 where scores are missing that the run should have, 3 where a strict user wants no check to fail.
+    """End with exit code 1 where scores failed, or with 3 where a check of the verdict failed and the user is strict.
 
-    A missing figure is no failure.
+    A figure that failed does not count.
+
+    Parameters
+    ----------
+    metrics : content of ``metrics.json``
+    strict : whether checks of the verdict count
     """
     from recon.evaluation import verdict
 
@@ -32,38 +49,95 @@ def exit_where_failed(metrics: dict[str, Any], strict: bool) -> None:
 
 
 def refuse_options(beside: str, options: dict[str, Any]) -> None:
-    """Refuse options that mean nothing beside another one."""
+    """Refuse options that have no meaning beside another one.
+
+    Parameters
+    ----------
+    beside : the other option, for the message
+    options : values by name; those that were not given are None, False, 0 or empty
+    """
     for name, value in options.items():
         if value is not None and value is not False and value not in (0, ()):
             raise click.UsageError(f"--{name} cannot be used with {beside}.")
 
 
 def seconds_text(metrics: dict[str, Any]) -> str:
-    """Seconds of the whole run and of its stages."""
+    """Format the time of a run.
+
+    Parameters
+    ----------
+    metrics : content of ``metrics.json``
+
+    Returns
+    -------
+    seconds of the whole run and of its stages
+    """
     parts = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in metrics["seconds"].items())
     return f"{sum(metrics['seconds'].values()):.0f} s ({parts})"
 
 
 def memory_text(metrics: dict[str, Any]) -> str:
-    """Peak memory, where it is known."""
+    """Format the peak memory of a run.
+
+    Parameters
+    ----------
+    metrics : content of ``metrics.json``
+
+    Returns
+    -------
+    end of a sentence; empty where the system does not tell
+    """
     peak = metrics["peak_memory_mib"]
     return "" if peak is None else f", peak memory {peak:.0f} MiB"
 
 
 def each_text(values: Any) -> str:
-    """Values with one decimal, parted by slashes."""
+    """Format values with one decimal, separated by slashes.
+
+    Parameters
+    ----------
+    values : numbers
+
+    Returns
+    -------
+    such as ``1.0/1.1/0.9``
+    """
     return "/".join(f"{value:.1f}" for value in values)
 
 
+def teller(quiet: bool) -> Callable[[str], None]:
+    """Return a function that writes sentences to stderr.
+
+    Parameters
+    ----------
+    quiet : whether the function shall do nothing
+
+    Returns
+    -------
+    the function
+    """
+    return (lambda sentence: None) if quiet else (lambda sentence: click.echo(sentence, err=True))
+
+
 class ProgressBar:
-    """Progress on stderr: a line per stage, a bar for the fit."""
+    """Progress on stderr: a line per stage and a bar for iterations; a `recon.runs.interfaces.Watcher`.
+
+    Parameters
+    ----------
+    quiet : whether to show only warnings
+    """
 
     def __init__(self, quiet: bool) -> None:
         self.quiet = quiet
         self.bar: Any = None
 
     def stage(self, name: str) -> None:
-        """A stage begins."""
+        """Show that a stage begins.
+
+        Parameters
+        ----------
+        name : of the stage
+        """
         if self.bar is not None:
             self.bar.close()
             self.bar = None
@@ -71,19 +145,35 @@ class ProgressBar:
             click.echo(f"{name} ...", err=True)
 
     def say(self, sentence: str) -> None:
-        """Something was decided."""
+        """Show a decision.
+
+        Parameters
+        ----------
+        sentence : for the user
+        """
         if not self.quiet:
             click.echo(sentence, err=True)
 
     def warn(self, sentence: str, error: Exception) -> None:
-        """A score or a figure failed."""
+        """Show that a score or a figure failed, with a traceback after ``--debug``.
+
+        Parameters
+        ----------
+        sentence : for the user
+        error : its cause
+        """
         context = click.get_current_context(silent=True)
         if context is not None and context.find_root().meta.get("debug"):
             click.echo("".join(traceback.format_exception(error)), err=True, nl=False)
         click.echo(f"Warning: {sentence}.", err=True)
 
     def step(self, progress: "Progress") -> None:
-        """A step of the fit is done."""
+        """Show a finished step of the fit.
+
+        Parameters
+        ----------
+        progress : number of the step, its deviance and chi-square
+        """
         from tqdm.auto import tqdm
 
         if self.bar is None:
@@ -94,7 +184,12 @@ class ProgressBar:
         self.bar.set_postfix(deviance=f"{progress.deviance:.3f}", chi_square=each_text(progress.chi_square))
 
     def iterated(self, iteration: "Iteration") -> None:
-        """An iteration of a classical method is done."""
+        """Show a finished iteration of a voxel or view method.
+
+        Parameters
+        ----------
+        iteration : number of the iteration and its residual
+        """
         from tqdm.auto import tqdm
 
         if self.bar is None:

@@ -6,9 +6,10 @@ from pathlib import Path
 import click
 
 from phantomgen.cli.common import debug_option, json_option
+from recon.cli.common import teller
 from recon.cli.run_argument import check_run_name
 
-CHECK_FAILED = 3  # exit code of a comparison that was made, and did not turn out as was required
+CHECK_FAILED = 3  # exit code of a finished comparison in which a requirement is not met
 _METHODS = "fdk,cgls,pdhg-tv,one-step,gaussian"
 
 
@@ -18,18 +19,24 @@ _METHODS = "fdk,cgls,pdhg-tv,one-step,gaussian"
 )
 @click.argument("dataset", type=click.Path(dir_okay=False, path_type=Path))
 @click.option(
-    "--methods", metavar="NAME,...", help=f"What takes part; see docs/howto/compare.md [default: {_METHODS}]."
+    "--methods", metavar="NAME,...", help=f"Methods to compare; see docs/howto/compare.md [default: {_METHODS}]."
 )
 @click.option("--study", metavar="NAME", help="A table of the paper in place of --methods; see docs/howto/compare.md.")
 @click.option("--budget", metavar="SECONDS,...", default="60s", show_default=True, help="Time of each method.")
-@click.option("--protocol", default="honest", show_default=True, help="Scores to show: honest, paper or r2.")
-@click.option("--clock", type=click.Choice(["wall", "cpu"]), default="wall", show_default=True, help="What is counted.")
+@click.option("--protocol", default="honest", show_default=True, help="Definition of the scores: honest, paper or r2.")
+@click.option(
+    "--clock",
+    type=click.Choice(["wall", "cpu"]),
+    default="wall",
+    show_default=True,
+    help="Time that counts: that of the wall clock or of the processor.",
+)
 @click.option("--require", metavar="NAME", multiple=True, help="Exit with 3 unless gaussian is above it; repeatable.")
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder to write [default: <dataset>-compare].")
 @click.option("--resume", is_flag=True, help="Run what is missing in a folder that exists.")
 @click.option("--overwrite", is_flag=True, help="Replace a folder that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads of each method [default: all].")
-@click.option("-q", "--quiet", is_flag=True, help="Say nothing on the way.")
+@click.option("-q", "--quiet", is_flag=True, help="No progress.")
 @json_option
 @debug_option
 def compare(
@@ -49,8 +56,8 @@ def compare(
 ) -> None:
     """Run methods on DATASET at equal time budgets, and score them.
 
-    Every method runs in a process of its own, on the same training views and with the same projector. What it has when
-    a budget ends is scored; time spent on scores does not count. Writes compare.json, compare.csv, compare.md and a
+    Every method runs in a process of its own, on the same training views and with the same projector. Its result at the
+    end of a budget is scored; the time of scoring does not count. Writes compare.json, compare.csv, compare.md and a
     figure of error against time.
     """
     from recon.comparison.campaign import Campaign
@@ -70,7 +77,7 @@ def compare(
     required = contenders(require) if require else ()
     folder = out or Path(f"{dataset.stem}-{study or 'compare'}")
     campaign = Campaign(dataset, folder, clock, threads, resume, overwrite)
-    campaign.run(who, budgets, (lambda sentence: None) if quiet or as_json else lambda s: click.echo(s, err=True))
+    campaign.run(who, budgets, teller(quiet or as_json))
     results = campaign.results(who, budgets)
     text = write_outcome(campaign, results, protocol, chosen)
     failed = requirements(results, required, budgets[-1], protocol)

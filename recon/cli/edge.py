@@ -10,7 +10,9 @@ from phantomgen.cli.common import debug_option, json_option
 @click.command(epilog="\b\nExamples:\n  recon edge kedge.h5\n  recon edge scan.h5 --edge 33,50 -o found")
 @click.argument("dataset", type=click.Path(dir_okay=False))
 @click.option("-o", "--out", type=click.Path(), help="Files to write, without suffix [default: <dataset>-edge].")
-@click.option("--edge", metavar="auto|keV[,keV]", default="auto", show_default=True, help="Where to start.")
+@click.option(
+    "--edge", metavar="auto|keV[,keV]", default="auto", show_default=True, help="Energies to try besides all others."
+)
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw the profile.")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
@@ -29,8 +31,8 @@ def edge(
 ) -> None:
     """Find the energies of K edges in DATASET.
 
-    Tries edges at all energies on rays that two bases do not explain, whatever the dataset says about edges, and writes
-    the profile likelihood as JSON and as a figure.
+    Tries edges at all energies on rays that two bases do not explain, without the edges that the dataset states, and
+    writes the profile likelihood as JSON and as a figure.
     """
     from phantomgen.dataset.reader import open_dataset
     from phantomgen.runtime.plain_json import to_json

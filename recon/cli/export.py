@@ -29,8 +29,8 @@ def export(run: Path, out: Path, overwrite: bool, as_json: bool) -> None:
 
     x, y and z are those of the scan, in mm; coefficients are in 1/mm. Other grids: `recon volume`.
     """
-    from phantomgen.dataset.writing.writer import check_output
     from phantomgen.exporters.volumes import FORMATS, suffix_of, writer_of
+    from phantomgen.runtime.outputs import check_output
     from recon.output.ply import check_ply
 
     splats = suffix_of(out, {**FORMATS, ".ply": "ply"}) == ".ply"

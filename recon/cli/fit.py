@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -9,6 +10,9 @@ from phantomgen.cli.common import debug_option, json_option
 from recon.cli.common import ProgressBar, exit_where_failed, finite_number, memory_text, refuse_options, seconds_text
 from recon.cli.run_argument import check_run_name
 from recon.runs.methods import METHODS
+
+if TYPE_CHECKING:
+    from recon.runs.interfaces import RunMethod
 
 
 @click.command(epilog="\b\nExamples:\n  recon fit kedge.h5\n  recon fit scan.h5 --edge auto --air 0:16,0:256")
@@ -22,13 +26,15 @@ from recon.runs.methods import METHODS
     help="Basis functions to fit: those that the counts warrant, the first ones of the file, or those named.",
 )
 @click.option(
-    "--edge", metavar="auto|keV[,keV]", help="Look for K edges, starting anywhere [default: believe the file]."
+    "--edge",
+    metavar="auto|keV[,keV]",
+    help="Search for K edges at all energies, these included [default: take those of the file].",
 )
 @click.option(
     "--sweeps",
     type=click.FloatRange(min=0, min_open=True),
     callback=finite_number,
-    help="Times every training view is used.",
+    help="Number of times that every training view is used.",
 )
 @click.option(
     "--recipe",
@@ -44,19 +50,21 @@ from recon.runs.methods import METHODS
     type=click.Choice(["gaussian", *METHODS]),
     default="gaussian",
     show_default=True,
-    help="Gaussians, or a method to compare with, classical or learned; `--sweeps` are then its iterations.",
+    help="Gaussians, or a classical or learned method for comparison; `--sweeps` are then its iterations.",
 )
 @click.option(
     "--pipeline",
     type=click.Choice(["two-step", "image"]),
     default="two-step",
     show_default=True,
-    help="Of classical methods: bases from counts ray by ray before, or linearly voxel by voxel after.",
+    help="Of voxel methods: decompose rays before the reconstruction, or voxels after it.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all that is random.")
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
-@click.option("--held-out", type=click.IntRange(min=0), default=0, help="Training views that only say when to stop.")
+@click.option(
+    "--held-out", type=click.IntRange(min=0), default=0, help="Number of training views that only tell when to stop."
+)
 @click.option("--memory", type=click.FloatRange(min=0, min_open=True), metavar="GIB", help="Largest memory to take.")
 @click.option(
     "--device",
@@ -65,7 +73,7 @@ from recon.runs.methods import METHODS
     show_default=True,
     help="Where Gaussians are computed.",
 )
-@click.option("--dry-run", is_flag=True, help="Say what it takes: Gaussians, time, memory; write nothing.")
+@click.option("--dry-run", is_flag=True, help="Estimate Gaussians, time and memory; write nothing.")
 @click.option("--strict", is_flag=True, help="Exit code 3 where a check of the verdict failed.")
 @click.option("--resume", is_flag=True, help="Go on with a run that was interrupted, if there is one.")
 @click.option("--overwrite", is_flag=True, help="Replace a run folder that exists.")
@@ -98,11 +106,11 @@ def fit(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Fit Gaussians to DATASET, or reconstruct it classically, and score the result.
+    """Fit Gaussians to DATASET, or reconstruct it by another method, and score the result.
 
     Writes a run folder: model.safetensors, volumes.h5, metrics.json, log.jsonl and figures. `--bases auto` uses
     those basis functions of the dataset that its counts warrant; the truth is read only after the fit, for the score.
-    Ctrl-C stops after the step and leaves the model; --resume goes on, also after a crash.
+    Ctrl-C ends the fit after the current step and keeps the model; --resume continues, also after a crash.
     """
     from phantomgen.dataset.reader import open_dataset
     from phantomgen.runtime.plain_json import to_json
@@ -114,9 +122,13 @@ def fit(
     from recon.published_methods.paper.recipe import PAPER_STEPS, PaperRecipe
     from recon.runs.expected_cost import expected_cost
     from recon.runs.methods import method_named
-    from recon.runs.run_gaussians import chosen_recipe, run
-    from recon.runs.run_voxels import run_classical
+    from recon.runs.run import run
+    from recon.runs.run_folder import VOLUMES
+    from recon.runs.run_gaussians import GaussianRun, chosen_recipe
+    from recon.runs.run_views import ViewRun
+    from recon.runs.run_voxels import VoxelRun
     from recon.runs.write_run import RunFolder, score_table
+    from recon.voxel.method import ViewMethod
     from spectra.threads import set_threads
 
     if out:
@@ -141,18 +153,17 @@ def fit(
         return
     with joined() as processes, open_dataset(source, air) as opened:
         bar = ProgressBar(quiet or as_json or not processes.first)
-        options = (asked, how, figures, bar, edges, memory, processes, device)
+        way: RunMethod = GaussianRun(how, asked, edges, memory, processes, device)
         if not processes.first:
-            run(opened, None, *options)
+            if method == "gaussian":
+                run(opened, None, way, figures, bar)
             return
         folder = RunFolder(Path(out) if out else Path(f"{source.stem}-run"), overwrite, resume)
         if method != "gaussian":
             chosen = method_named(method, None if sweeps is None else max(round(sweeps), 1), seed)
-            with folder as part:
-                metrics = run_classical(opened, part, chosen, pipeline, asked, figures, bar)
-        else:
-            with folder as part:
-                metrics = run(opened, part, *options)
+            way = (ViewRun if isinstance(chosen, ViewMethod) else VoxelRun)(chosen, pipeline, asked)  # type: ignore[arg-type]
+        with folder as part:
+            metrics = run(opened, part, way, figures, bar)
     if as_json:
         click.echo(to_json({"run": str(folder.path), **metrics}))
         exit_where_failed(metrics, strict)
@@ -160,12 +171,12 @@ def fit(
     click.echo("\n".join([score_table(metrics), "", *verdict.lines(metrics)]))
     if isinstance(how, PaperRecipe):
         click.echo(how.says)
-    result = next(name for name in ("volumes.h5", "views.h5") if (folder.path / name).is_file())
-    in_what = "in voxels" if result == "volumes.h5" else "without a volume"
+    has_volumes = (folder.path / VOLUMES).is_file()
+    in_what = "in voxels" if has_volumes else "without a volume"
     what = f"{metrics['gaussians']} Gaussians" if method == "gaussian" else f"{method} {in_what}"
     click.echo(f"{what}, {seconds_text(metrics)}{memory_text(metrics)}")
     for name in sorted(path.name for path in (folder.path / "figures").glob("*.png")):
         click.echo(str(folder.path / "figures" / name))
-    ways = "look at the figures" if result == "views.h5" else f"recon view {folder.path}, or recon report {folder.path}"
+    ways = f"recon view {folder.path}, or recon report {folder.path}" if has_volumes else "look at the figures"
     click.echo(f"Wrote {folder.path}; next: {ways}")
     exit_where_failed(metrics, strict)

@@ -20,7 +20,7 @@ from recon.cli.volume_and_render import render, volume
 )
 @version_option("recon")
 def main() -> None:
-    """Reconstruct basis volumes from spectral-CT scans, and say how good they are."""
+    """Reconstruct basis volumes from spectral-CT scans, and score them."""
 
 
 for command in (fit, edge, compare, report, view, segment, volume, render, export):

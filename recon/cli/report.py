@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from phantomgen.cli.common import debug_option, json_option
+from recon.cli.common import teller
 from recon.cli.run_argument import RunFolder
 
 _RUN = RunFolder()
@@ -48,8 +49,8 @@ def report(
     check_page(target, overwrite)
     set_threads(threads)
     began = time.perf_counter()
-    tell = (lambda name: None) if quiet or as_json else (lambda name: click.echo(f"{name} ...", err=True))
-    page = run_report(runs, dataset, air, tell)
+    tell = teller(quiet or as_json)
+    page = run_report(runs, dataset, air, lambda name: tell(f"{name} ..."))
     size = write_page(page, target)
     found = {
         "report": str(target),

@@ -1,4 +1,4 @@
-"""The argument RUN of commands: a run folder, and what to do with what is none."""
+"""The argument RUN of commands: a run folder, and messages for paths that are none."""
 
 from pathlib import Path
 from typing import Any
@@ -12,12 +12,27 @@ _OF_A_RUN = ("volumes.h5", "model.safetensors", "metrics.json", "scan.json", "re
 
 
 class RunFolder(click.ParamType):
-    """A folder; of a file it is said what the file is, and which command takes it."""
+    """Type of an argument that is a run folder; the message for a file names the command that takes it."""
 
     name = "path"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        """Path of the folder."""
+        """Check that the value of the argument is a folder.
+
+        Parameters
+        ----------
+        value : of the argument
+        param, ctx : of click, not used
+
+        Returns
+        -------
+        the folder
+
+        Raises
+        ------
+        DatasetError
+            When it is none.
+        """
         del param, ctx
         path = Path(value)
         if path.is_dir():
@@ -35,6 +50,17 @@ class RunFolder(click.ParamType):
 
 
 def check_run_name(path: Path, option: str = "--out") -> None:
-    """Refuse the name of a file for a folder that is to be written."""
+    """Refuse the name of a file for a folder that is to be written.
+
+    Parameters
+    ----------
+    path : name of the output
+    option : that names it, for the message
+
+    Raises
+    ------
+    DatasetError
+        When the name ends as that of a file.
+    """
     if path.suffix.lower() in {".h5", ".hdf5", ".nxs", ".yaml", ".html", ".png", ".json", ".vti", ".nii", ".ply"}:
         raise DatasetError(f"{option} names a folder, got {path}: write {path.with_suffix('')}, for example")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from phantomgen.cli.common import debug_option, json_option
+from recon.cli.common import teller
 from recon.cli.run_argument import RunFolder, check_run_name
 
 if TYPE_CHECKING:
@@ -32,21 +33,36 @@ _POSITIVE = click.FloatRange(min=0, min_open=True)
     show_default=True,
     help="Values at each Gaussian, or its own coefficients as in SpectralCTGaussians.",
 )
-@click.option("--bandwidth", type=_POSITIVE, default=3.0, show_default=True, help="Of the mean shift, in noise units.")
 @click.option(
-    "--energy", "energies", type=float, multiple=True, metavar="KEV", help="Of images in HU; repeatable [default: 70]."
+    "--bandwidth",
+    type=_POSITIVE,
+    default=3.0,
+    show_default=True,
+    help="Bandwidth of the mean shift, in units of the noise.",
 )
 @click.option(
-    "--view", "views", multiple=True, metavar="AZIMUTH[,ELEVATION]", help="To render from, in degrees; repeatable."
+    "--energy",
+    "energies",
+    type=float,
+    multiple=True,
+    metavar="KEV",
+    help="Energy of images in HU; repeatable [default: 70].",
+)
+@click.option(
+    "--view",
+    "views",
+    multiple=True,
+    metavar="AZIMUTH[,ELEVATION]",
+    help="Direction of a rendering, in degrees; repeatable.",
 )
 @click.option(
     "--truth",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="DATASET",
-    help="To score against [default: the run's dataset, if it is beside the run or here].",
+    help="Dataset with the truth for scores [default: that of the run, if it is beside the run or here].",
 )
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw pictures.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the choice of samples.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the choice of samples.")
 @click.option("--overwrite", is_flag=True, help="Replace a folder that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
 @click.option("-q", "--quiet", is_flag=True, help="No progress.")
@@ -68,7 +84,7 @@ def segment(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Find the materials of a fitted RUN, and say what they are.
+    """Find and identify the materials of a fitted RUN.
 
     Clusters photoelectric, Compton and K-edge coefficients, and writes labels, densities of materials, RGB, virtual
     monoenergetic and non-contrast images, concentrations, atomic numbers, coloured Gaussians and pictures. The truth is
@@ -95,7 +111,7 @@ def segment(
 
     if out is not None:
         check_run_name(out)
-    say = _silent if quiet or as_json else _statistical_weights
+    say = teller(quiet or as_json)
     chosen = parse_views(views) or DEFAULT_VIEWS
     options = Options(domain, features, bandwidth, energies or (ENERGY,), seed)
     if truth is not None:
@@ -127,7 +143,7 @@ def segment(
 
 
 def _reference(run: Path, truth: Path | None, found: "Segmentation", say) -> "Reference | None":
-    """The truth that is asked for, or the one that lies at hand; says why there are no scores."""
+    """The truth that is asked for, or that of a dataset beside the run or here; says why there are no scores."""
     from recon.segmentation.scoring.reference import read_reference
     from spectra.errors import Error
 
@@ -146,11 +162,3 @@ def _reference(run: Path, truth: Path | None, found: "Segmentation", say) -> "Re
     if reference is None:
         say(f"No scores: {places[0]} has no truth")
     return reference
-
-
-def _statistical_weights(sentence: str) -> None:
-    click.echo(sentence, err=True)
-
-
-def _silent(_: str) -> None:
-    return

@@ -16,13 +16,16 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 )
 @click.argument("run", type=RunFolder())
 @click.option(
-    "--truth", type=_FILE, metavar="DATASET", help="Compare with its truth [default: of the run, if it lies beside it]."
+    "--truth",
+    type=_FILE,
+    metavar="DATASET",
+    help="Dataset with the truth to compare with [default: that of the run, if it is beside the run].",
 )
-@click.option("--basis", metavar="NAME", help="Slices of one basis [default: all; in a window the first].")
+@click.option("--basis", metavar="NAME", help="Basis of the slices [default: all; in a window the first].")
 @click.option(
     "--level", "levels", metavar="BASIS=VALUE", multiple=True, help="A surface at a value in 1/mm, not of materials."
 )
-@click.option("--at", metavar="X,Y,Z", help="Where the slices cut, in mm [default: the centre].")
+@click.option("--at", metavar="X,Y,Z", help="Point that the slices pass through, in mm [default: the centre].")
 @click.option("--screenshot", type=_FILE, help="Write a PNG; needs no display.")
 @click.option("--html", type=_FILE, help="Write one page to turn in a browser; needs no display.")
 @click.option("--size", metavar="WIDTHxHEIGHT", help="Pixels [default: 1600x1000, wider for many bases].")

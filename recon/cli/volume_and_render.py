@@ -125,7 +125,7 @@ def render(
 
 
 def _check_free(path: Path, overwrite: bool) -> None:
-    from phantomgen.dataset.writing.writer import check_output
+    from phantomgen.runtime.outputs import check_output
     from spectra.errors import InputError
 
     if path.suffix.lower() not in _SUFFIXES:
@@ -141,14 +141,27 @@ def _report(as_json: bool, found: dict[str, Any], text: str) -> None:
 
 
 class ProgressBar:
-    """Progress on stderr."""
+    """Progress bar on stderr.
+
+    Parameters
+    ----------
+    what : is done
+    unit : of what is counted
+    quiet : whether to show nothing
+    """
 
     def __init__(self, what: str, unit: str, quiet: bool) -> None:
         self.what, self.unit, self.quiet = what, unit, quiet
         self.bar: Any = None
 
     def update(self, done: int, total: int) -> None:
-        """So many are done."""
+        """Show how many units are done.
+
+        Parameters
+        ----------
+        done : number of finished units
+        total : number of all units
+        """
         from tqdm.auto import tqdm
 
         if self.bar is None:
@@ -156,6 +169,6 @@ class ProgressBar:
         self.bar.update(done - self.bar.n)
 
     def close(self) -> None:
-        """The end."""
+        """Remove the bar."""
         if self.bar is not None:
             self.bar.close()

@@ -1,5 +1,6 @@
-"""Methods against each other on one dataset: the same views, the same projector, equal time, and the same scores.
+"""Comparison of methods on one dataset: the same views, the same projector, equal time, and the same scores.
 
-`recon.comparison.campaign` runs what is missing, each method in a process of its own (`worker`), which stops it by the
-clock (`clock`, `recorder`) and scores it afterwards (`scores`, `protocols`). `table` and `figure` show the results.
+`recon.comparison.campaign` computes missing results, each method in a separate process (`worker`). The process stops
+the method by the clock (`clock`, `recorder`) and scores it afterwards (`scores`, `protocols`). Results are
+shown by `table` and `figure`.
 """

@@ -1,4 +1,4 @@
-"""A comparison as a folder of results: what is missing is run, a process per contender, and one failure stops nothing.
+"""Folder of a comparison: missing results are computed, by a process for each contender; a failure ends only that one.
 
 The folder holds ``settings.json``, ``results/<contender>/<budget>s.json`` and what `recon.comparison.tables.table` and
 `recon.comparison.tables.figure` make of them.
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from phantomgen.dataset.reader import Dataset, open_dataset
+from phantomgen.runtime.outputs import check_output_folder
 from recon.comparison.contenders.contender import Contender
 from recon.comparison.job import Job, read_result, result_file, write_result
 from recon.data.measurements import matching_bin, read_measurements
@@ -26,7 +27,7 @@ from spectra.errors import Error, InputError
 from spectra.threads import set_threads, without_other_pools
 
 SETTINGS, RESULTS, PSEUDO = "settings.json", "results", "pseudo-truth.npy"
-_SAMPLE = 2**20  # bytes at either end of a file that tell it from others
+_SAMPLE = 2**20  # bytes; part at either end of a file that its fingerprint depends on
 
 Tell = Callable[[str], None]
 Result = dict[str, Any]
@@ -34,14 +35,14 @@ Result = dict[str, Any]
 
 @dataclass(frozen=True)
 class Settings:
-    """What all results of a folder have in common.
+    """Settings that all results of a folder have in common.
 
     Parameters
     ----------
     dataset : name of the file
-    fingerprint : of its content
+    fingerprint : of its content, see `fingerprint`
     clock : ``wall`` or ``cpu``
-    threads : of each method; None for all
+    threads : number for each method; None for all
     """
 
     dataset: str
@@ -51,15 +52,15 @@ class Settings:
 
 
 class Campaign:
-    """The folder of a comparison.
+    """Folder of a comparison.
 
     Parameters
     ----------
     dataset : the file
     folder : to write in
     clock, threads : see `Settings`
-    resume : go on in a folder that exists
-    overwrite : begin anew in a folder that exists
+    resume : compute missing results in a folder that exists
+    overwrite : replace a folder that exists
 
     Raises
     ------
@@ -74,27 +75,22 @@ class Campaign:
             opened.splits  # noqa: B018 - a damaged file is refused now
         self.dataset, self.folder = dataset, folder
         self.settings = Settings(dataset.name, fingerprint(dataset), clock, threads)
-        if folder.exists() and not (folder / SETTINGS).is_file():
-            raise InputError(f"the output {folder} is not a folder that recon compare wrote; choose another by --out")
-        if folder.exists() and not (resume or overwrite):
-            raise InputError(f"the output {folder} exists: add --resume to run what is missing, or --overwrite")
+        check_output_folder(folder, overwrite or resume, "recon compare", _is_comparison, "run what is missing")
         if folder.exists() and overwrite:
             shutil.rmtree(folder)
-        if not folder.absolute().parent.is_dir():
-            raise InputError(f"the folder {folder.parent} for the output {folder.name} does not exist")
         if folder.exists():
             self._check_settings()
         (folder / RESULTS).mkdir(parents=True, exist_ok=True)
         (folder / SETTINGS).write_text(json.dumps(asdict(self.settings), indent=1) + "\n", encoding="utf-8")
 
     def run(self, who: Sequence[Contender], budgets: Sequence[float], tell: Tell = lambda sentence: None) -> None:
-        """Run what has no result yet; what failed is tried again, but not what a budget was too short for.
+        """Compute missing results; failed ones are repeated, but not those for which a budget was too short.
 
         Parameters
         ----------
-        who : the contenders
-        budgets : [s]
-        tell : is told how it goes on, one sentence at a time
+        who : contenders
+        budgets : times that each contender gets [s]
+        tell : gets the progress, one sentence at a time
         """
         for contender in who:
             place = self.folder / RESULTS / str(contender)
@@ -108,13 +104,23 @@ class Campaign:
                 tell(_outcome(read_result(place, budget) or {}))
 
     def results(self, who: Sequence[Contender], budgets: Sequence[float]) -> list[Result]:
-        """Results in the order of contenders and budgets."""
+        """Read the results in the order of contenders and budgets.
+
+        Parameters
+        ----------
+        who : contenders
+        budgets : [s]
+
+        Returns
+        -------
+        those that exist
+        """
         pairs = ((self.folder / RESULTS / str(contender), budget) for contender in who for budget in budgets)
         found = (read_result(place, budget) for place, budget in pairs)
         return [result for result in found if result is not None]
 
     def _work(self, contender: Contender, place: Path, budgets: tuple[float, ...]) -> None:
-        """A process that writes results; where it dies, its last words are the result."""
+        """Run a process that writes results; where it ends without one, the last line of its messages is the result."""
         place.mkdir(parents=True, exist_ok=True)
         for budget in budgets:
             result_file(place, budget).unlink(missing_ok=True)
@@ -134,7 +140,7 @@ class Campaign:
         shutil.rmtree(place / "models", ignore_errors=True)
 
     def _pseudo_truth(self) -> Path | None:
-        """Volumes of the channels from all views, made once; None where the orbit allows no back-projection."""
+        """File of `pseudo_truth`, which is computed once; None where there is none."""
         path = self.folder / PSEUDO
         if not path.is_file():
             set_threads(self.settings.threads)
@@ -154,16 +160,27 @@ class Campaign:
             )
 
 
+def _is_comparison(folder: Path) -> bool:
+    """Whether a folder was written by a comparison."""
+    return (folder / SETTINGS).is_file()
+
+
 def _is_known(result: Result | None) -> bool:
-    """Whether running again would tell nothing new."""
+    """Whether a repetition would give the same."""
     return result is not None and ("seconds" in result or bool(result.get("too_short")))
 
 
 @without_other_pools()
 def pseudo_truth(dataset: Dataset) -> np.ndarray | None:
-    """Filtered back-projection of the log projections of each channel, from all views there are [1/mm].
+    """Reconstruct each channel by filtered back-projection of its log projections, from training and test views.
 
-    None where the orbit allows none.
+    Parameters
+    ----------
+    dataset : open dataset
+
+    Returns
+    -------
+    attenuation [1/mm], (channel, z, y, x); None where the orbit does not allow filtered back-projection
     """
     views = np.arange(len(dataset.geometry))
     try:
@@ -175,7 +192,16 @@ def pseudo_truth(dataset: Dataset) -> np.ndarray | None:
 
 
 def fingerprint(path: Path) -> str:
-    """Tells a file from others by its size and both of its ends."""
+    """Compute a number that differs between files of different size, beginning or end.
+
+    Parameters
+    ----------
+    path : the file
+
+    Returns
+    -------
+    SHA-256 of size, first and last megabyte, as hexadecimal digits
+    """
     size = path.stat().st_size
     with path.open("rb") as file:
         digest = hashlib.sha256(str(size).encode() + file.read(_SAMPLE))

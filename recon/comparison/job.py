@@ -1,4 +1,4 @@
-"""What one process of a comparison is asked to do, and the files that it leaves."""
+"""Input of one process of a comparison, and the files that it writes."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -15,12 +15,12 @@ class Job:
     Parameters
     ----------
     dataset : the file
-    folder : of the contender; results go there, `result_file` says under which name
-    contender : its word
+    folder : of the contender, where results are written, see `result_file`
+    contender : its word, see `recon.comparison.contenders.contender`
     budgets : [s]
     clock : ``wall`` or ``cpu``
-    threads : None for all
-    pseudo : volumes of the channels from all views (.npy); None where there are none
+    threads : number of threads; None for all
+    pseudo : file of `recon.comparison.campaign.pseudo_truth` (.npy); None where there is none
     """
 
     dataset: str
@@ -32,28 +32,69 @@ class Job:
     pseudo: str | None
 
     def to_json(self) -> str:
-        """For the standard input of a process."""
+        """Convert to the JSON that a process reads from its standard input.
+
+        Returns
+        -------
+        the JSON
+        """
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, text: str) -> "Job":
-        """What `to_json` made."""
+        """Read what `to_json` gave.
+
+        Parameters
+        ----------
+        text : the JSON
+
+        Returns
+        -------
+        the job
+        """
         content = json.loads(text)
         return cls(**content | {"budgets": tuple(content["budgets"])})
 
 
 def result_file(folder: Path, budget: float) -> Path:
-    """Where the result of a budget is."""
+    """Return the file of the result for a budget.
+
+    Parameters
+    ----------
+    folder : of the contender
+    budget : [s]
+
+    Returns
+    -------
+    its name
+    """
     return folder / f"{budget:g}s.json"
 
 
 def write_result(folder: Path, budget: float, content: dict[str, Any]) -> None:
-    """Write a result so that it is whole when it is there."""
+    """Write a result, which is complete when its file appears.
+
+    Parameters
+    ----------
+    folder : of the contender
+    budget : [s]
+    content : the result, without NaN
+    """
     text = json.dumps(content, indent=1, allow_nan=False) + "\n"
     write_whole(result_file(folder, budget), text.encode())
 
 
 def read_result(folder: Path, budget: float) -> dict[str, Any] | None:
-    """A result; None where there is none."""
+    """Read a result.
+
+    Parameters
+    ----------
+    folder : of the contender
+    budget : [s]
+
+    Returns
+    -------
+    the result; None where there is none
+    """
     path = result_file(folder, budget)
     return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None

@@ -1,4 +1,4 @@
-"""What is made of results: files, and whether requirements are met."""
+"""Files of a finished comparison, and the check of requirements."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -16,12 +16,20 @@ Result = dict[str, Any]
 
 
 def parse_budgets(text: str) -> tuple[float, ...]:
-    """Seconds in ascending order, from ``60s,240s`` or ``1m``.
+    """Read times from the text of an option.
+
+    Parameters
+    ----------
+    text : such as ``60s,240s`` or ``1m``
+
+    Returns
+    -------
+    times in ascending order [s]
 
     Raises
     ------
     InputError
-        When a part is no positive time.
+        When a part is not a positive time.
     """
     found = set()
     for part in text.split(","):
@@ -39,7 +47,19 @@ def parse_budgets(text: str) -> tuple[float, ...]:
 
 
 def write_outcome(campaign: Campaign, results: Sequence[Result], protocol: str, study: Study | None) -> str:
-    """Write all files of a comparison; returns the Markdown page, in which a study has its table first."""
+    """Write all files of a comparison.
+
+    Parameters
+    ----------
+    campaign : folder and settings
+    results : of `recon.comparison.campaign.Campaign.results`
+    protocol : whose scores the tables show, see `recon.comparison.scoring.protocols`
+    study : whose table comes first; None for no study
+
+    Returns
+    -------
+    the page in Markdown
+    """
     folder, settings = campaign.folder, campaign.settings
     threads = "all threads" if settings.threads is None else f"{settings.threads} thread(s)"
     unit = "processor time" if settings.clock == "cpu" else "wall time"
@@ -56,14 +76,26 @@ def write_outcome(campaign: Campaign, results: Sequence[Result], protocol: str, 
 
 
 def requirements(results: Sequence[Result], required: Sequence[Contender], budget: float, protocol: str) -> list[str]:
-    """A sentence for each contender that the fit of Gaussians is not above at a budget.
+    """List the contenders that the fit of Gaussians does not exceed at a budget.
 
-    Above is a larger mean PSNR of the basis volumes; where there is no truth, of the test views.
+    The fit exceeds a contender when its mean PSNR of the basis volumes is larger; without a truth, that of the test
+    views.
+
+    Parameters
+    ----------
+    results : of `recon.comparison.campaign.Campaign.results`
+    required : contenders that the fit must exceed
+    budget : [s]
+    protocol : whose scores count
+
+    Returns
+    -------
+    a sentence for each contender that it does not exceed
     """
-    ours = _standing(results, GAUSSIAN, budget, protocol)
+    ours = _psnr_at(results, GAUSSIAN, budget, protocol)
     failed = []
     for who in map(str, required):
-        theirs = _standing(results, who, budget, protocol)
+        theirs = _psnr_at(results, who, budget, protocol)
         if ours is None or theirs is None:
             lacking = GAUSSIAN if ours is None else who
             failed.append(f"{GAUSSIAN} cannot be compared with {who} at {budget:g} s: {lacking} has no score.")
@@ -72,7 +104,7 @@ def requirements(results: Sequence[Result], required: Sequence[Contender], budge
     return failed
 
 
-def _standing(results: Sequence[Result], who: str, budget: float, protocol: str) -> float | None:
+def _psnr_at(results: Sequence[Result], who: str, budget: float, protocol: str) -> float | None:
     """Mean PSNR of basis volumes, or of test views; None where there is neither."""
     own = next((r for r in results if (r["contender"], r["budget"]) == (who, budget)), {})
     bases = mean_psnr(own, "basis", protocol)

@@ -1,4 +1,4 @@
-"""The paper's studies: which contenders each needs, and its table with the paper's numbers beside ours."""
+"""Studies of the paper: contenders of each, and its table with the numbers of the paper beside those measured."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -32,7 +32,14 @@ _TWO_STEP, _ONE_STEP = ("fdk", "sart", "cgls", "pdhg-tv"), "one-step"
 
 @dataclass(frozen=True)
 class Scan:
-    """What studies need to know of a dataset."""
+    """Properties of a dataset that studies depend on.
+
+    Parameters
+    ----------
+    channels : their names
+    bases : number of basis functions
+    views : number of training views
+    """
 
     channels: tuple[str, ...]
     bases: int
@@ -45,10 +52,10 @@ class Study:
 
     Parameters
     ----------
-    name : as ``--study`` has it
-    title : above the table
+    name : value of ``--study``
+    title : of the table
     contenders : all that take part
-    rows : header and lines of the table, from results by contender and the protocol
+    rows : function of results by contender and of the protocol, which gives header and lines of the table
     """
 
     name: str
@@ -57,7 +64,17 @@ class Study:
     rows: Callable[[dict[str, Result], str], Rows]
 
     def page(self, results: Sequence[Result], protocol: str) -> str:
-        """The table as Markdown, one per budget."""
+        """Write the table in Markdown, once per budget.
+
+        Parameters
+        ----------
+        results : of `recon.comparison.campaign.Campaign.results`
+        protocol : whose scores are shown
+
+        Returns
+        -------
+        the page
+        """
         parts = [
             f"# {self.title}",
             f"`{self.name}`, metric protocol `{protocol}`; the paper's numbers are of other scans.",
@@ -70,7 +87,16 @@ class Study:
 
 
 def study_named(name: str, dataset: Path) -> Study:
-    """A study of a dataset.
+    """Prepare a study of a dataset.
+
+    Parameters
+    ----------
+    name : one of `STUDIES`
+    dataset : the file
+
+    Returns
+    -------
+    the study
 
     Raises
     ------
@@ -85,7 +111,16 @@ def study_named(name: str, dataset: Path) -> Study:
 
 
 def views_and_volumes(scan: Scan) -> Study:
-    """Table 1."""
+    """Prepare Table 1: scores of new views and of volumes of the channels.
+
+    Parameters
+    ----------
+    scan : properties of the dataset
+
+    Returns
+    -------
+    the study
+    """
     words = _CHANNEL_WISE | _both(scan)
 
     def rows(own: dict[str, Result], protocol: str) -> Rows:
@@ -109,7 +144,16 @@ def views_and_volumes(scan: Scan) -> Study:
 
 
 def basis(scan: Scan) -> Study:
-    """Table 2."""
+    """Prepare Table 2: scores of the basis volumes.
+
+    Parameters
+    ----------
+    scan : properties of the dataset
+
+    Returns
+    -------
+    the study
+    """
     words = {row: _CHANNEL_WISE[row] for row in TABLE_2 if row in _CHANNEL_WISE} | _both(scan)
     words |= {f"{method}, ray by ray": method for method in _TWO_STEP} | {f"{_ONE_STEP}, from counts": _ONE_STEP}
 
@@ -131,7 +175,16 @@ def basis(scan: Scan) -> Study:
 
 
 def material_maps(scan: Scan) -> Study:
-    """Table 3: materials in colour, by clustering."""
+    """Prepare Table 3: materials in colour, found by clustering.
+
+    Parameters
+    ----------
+    scan : properties of the dataset
+
+    Returns
+    -------
+    the study
+    """
     counts = [m for m in (2, 3) if m <= scan.bases]
     words = {f"{method}+{m}": f"{method}+{m}" for method in (GAUSSIAN, PAPER) for m in counts} | {
         method: method for method in (*_TWO_STEP, _ONE_STEP)
@@ -161,10 +214,18 @@ def material_maps(scan: Scan) -> Study:
 
 
 def held_out_channel(scan: Scan) -> Study:
-    """Table 4a: a channel that is not fitted is predicted.
+    """Prepare Table 4a: prediction of a channel that is not fitted.
 
-    The paper leaves out one of three channels; its numbers stand beside ours where the scan has three, too, as what
-    two channels tell is not what three tell.
+    The paper leaves out one of three channels. Its numbers are shown where the scan has three channels, too, as a
+    prediction from two channels is not comparable with one from three.
+
+    Parameters
+    ----------
+    scan : properties of the dataset
+
+    Returns
+    -------
+    the study
 
     Raises
     ------
@@ -195,7 +256,16 @@ def held_out_channel(scan: Scan) -> Study:
 
 
 def few_views(scan: Scan) -> Study:
-    """Table 4b: 75, 50, 25 and 10 views, or the same parts of fewer."""
+    """Prepare Table 4b: fits of 75, 50, 25 and 10 views, or of the same parts of fewer.
+
+    Parameters
+    ----------
+    scan : properties of the dataset
+
+    Returns
+    -------
+    the study
+    """
     most = min(scan.views, max(TABLE_4B))
     counts = {max(round(most * n / max(TABLE_4B)), 1): n for n in TABLE_4B}
     who = (GAUSSIAN, PAPER, _ONE_STEP, "fdk")
@@ -216,7 +286,16 @@ def few_views(scan: Scan) -> Study:
 
 
 def ablation(scan: Scan) -> Study:
-    """Table 4c: the paper's method without one of its components."""
+    """Prepare Table 4c: the paper's method without one of its components.
+
+    Parameters
+    ----------
+    scan : properties of the dataset
+
+    Returns
+    -------
+    the study
+    """
     del scan
     words = {name: f"{PAPER}+without-{name}" if name else PAPER for name in TABLE_4C}
 
@@ -255,12 +334,12 @@ def _both(scan: Scan) -> dict[str, str]:
 
 
 def _pairs(*names: str) -> list[str]:
-    """Each column, and the paper's beside it."""
+    """Names of columns, each followed by that of the paper."""
     return [column for name in names for column in (name, f"{name} in the paper")]
 
 
 def _beside(value: float | None, printed: Printed | None, key: str, layout: str) -> list[str]:
-    """Ours, and what the paper prints."""
+    """Measured value, and that of the paper."""
     return [number(value, layout), number(None if printed is None else getattr(printed, key), layout)]
 
 

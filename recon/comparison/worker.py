@@ -1,6 +1,6 @@
-"""One contender in a process of its own: warm-up, runs by the clock, memory, and scores at the end.
+"""One contender in a process of its own: warm-up, timed runs, memory, and scores at the end.
 
-The reconstruction gets a dataset of which it reads ``/entry``; the truth is opened when all runs are over.
+The reconstruction reads only ``/entry`` of the dataset; the truth is opened after all runs.
 """
 
 import os
@@ -31,11 +31,16 @@ from recon.voxel.iterative.multigrid import coarser
 from spectra.errors import Error
 from spectra.threads import set_threads, without_other_pools
 
-WARM_VIEWS, WARM_VOXELS = 12, 16  # of the small problem on which kernels are compiled
+WARM_VIEWS, WARM_VOXELS = 12, 16  # views, and voxels along an axis, of the small problem on which kernels are compiled
 
 
 def work(job: Job) -> None:
-    """Run and score a contender; a method that refuses leaves its sentence in place of scores."""
+    """Run and score a contender; the message of a method that refuses takes the place of scores.
+
+    Parameters
+    ----------
+    job : contender and budgets
+    """
     set_threads(job.threads)
     folder, who = Path(job.folder), contender(job.contender)
     room = folder / "models"
@@ -54,7 +59,17 @@ def work(job: Job) -> None:
 
 
 def restricted(dataset: Dataset, who: Contender) -> Dataset:
-    """What a contender may see: some of the training views, all channels but one."""
+    """Restrict a dataset to what a contender may use: some of the training views, and all channels but one.
+
+    Parameters
+    ----------
+    dataset : open dataset
+    who : contender
+
+    Returns
+    -------
+    the same open file
+    """
     if who.views is not None:
         dataset = dataset.with_training_views(who.views)
     return dataset if who.blind is None else dataset.without_channel(who.blind)
@@ -62,7 +77,19 @@ def restricted(dataset: Dataset, who: Contender) -> Dataset:
 
 @without_other_pools()
 def run(dataset: Dataset, who: Contender, job: Job, room: Path) -> Runs:
-    """All runs that the budgets of a job need, their models in `room`."""
+    """Run a contender as often as the budgets of a job need.
+
+    Parameters
+    ----------
+    dataset : open dataset, restricted to what the contender may use
+    who : contender
+    job : its budgets and clock
+    room : folder for models, which is replaced
+
+    Returns
+    -------
+    the runs with their models
+    """
     shutil.rmtree(room, ignore_errors=True)
     clock, made = Clock(job.clock), []
 
@@ -81,7 +108,7 @@ def run(dataset: Dataset, who: Contender, job: Job, room: Path) -> Runs:
 
 
 def _small(dataset: Dataset) -> Dataset:
-    """The same scan with few views and large voxels; evenly spaced views stay so where their number divides."""
+    """Few views and large voxels of a scan; the number of views divides theirs, so that they stay evenly spaced."""
     views = len(dataset.splits["train"])
     few = min((n for n in range(1, views + 1) if views % n == 0), key=lambda n: abs(n - WARM_VIEWS))
     factor = max(max(dataset.grid.shape) // WARM_VOXELS, 1)
@@ -89,7 +116,7 @@ def _small(dataset: Dataset) -> Dataset:
 
 
 def _write_scores(job: Job, dataset: Dataset, runs: Runs, memory: float | None) -> None:
-    """Score what each budget holds, and the models along the way."""
+    """Score the result for each budget, and the models between the steps."""
     truth = read_truth(dataset.path)
     pseudo = None if job.pseudo is None else np.load(job.pseudo)
     scored: dict[Path, dict[str, Any]] = {}
@@ -118,7 +145,7 @@ def _write_scores(job: Job, dataset: Dataset, runs: Runs, memory: float | None) 
 
 
 def _curve(moments: list[Moment], runs: Runs, truth: Truth | None) -> list[dict[str, float]]:
-    """PSNR of each basis along the way, as ``seconds``, ``done`` and ``psnr_<basis>``; empty without a truth."""
+    """PSNR of each basis over time, as ``seconds``, ``done`` and ``psnr_<basis>`` [dB]; empty without a truth."""
     points = []
     if truth is None:
         return points
@@ -130,7 +157,7 @@ def _curve(moments: list[Moment], runs: Runs, truth: Truth | None) -> list[dict[
 
 
 def end_with_parent() -> None:
-    """End this process within a second after the one that started it, whatever ended that."""
+    """End this process within a second after the end of the process that started it."""
     parent = os.getppid()
 
     def watch() -> None:

@@ -1,4 +1,4 @@
-"""From a dataset to what a fit sees.
+"""From a dataset to the measurements of a fit.
 
-Measurements, their defects and noise, line integrals, edges, where arrays live.
+Measurements, their defects and noise, line integrals, edges, storage of arrays.
 """

@@ -1,4 +1,4 @@
-"""Where the large arrays of a fit live: in memory, or in files whose pages come and go."""
+"""Storage of the large arrays of a fit: in memory, or in memory-mapped files."""
 
 import mmap
 from collections.abc import Iterator
@@ -13,18 +13,27 @@ from phantomgen.runtime.disk import check_room, one_sentence
 
 
 class ArrayStore:
-    """Makes float32 arrays.
+    """Maker of float32 arrays.
 
     Parameters
     ----------
-    folder : where their files are; None for memory
+    folder : folder of the memory-mapped files; None for memory
     """
 
     def __init__(self, folder: Path | None = None) -> None:
         self.folder = folder
 
     def empty(self, name: str, shape: tuple[int, ...]) -> Float32[np.ndarray, "..."]:
-        """A new array.
+        """Make an array without values.
+
+        Parameters
+        ----------
+        name : name of its file, without suffix
+        shape : shape of the array
+
+        Returns
+        -------
+        the array
 
         Raises
         ------
@@ -44,7 +53,13 @@ IN_MEMORY = ArrayStore()
 
 @contextmanager
 def array_store(folder: Path, on_disk: bool) -> Iterator[ArrayStore]:
-    """A store that is removed in the end, in a new folder inside `folder` where it is on disk."""
+    """Open a store that is removed in the end, in a new folder inside `folder` where it is on disk.
+
+    Parameters
+    ----------
+    folder : an existing folder
+    on_disk : whether arrays are memory-mapped files
+    """
     if not on_disk:
         yield IN_MEMORY
         return
@@ -53,7 +68,17 @@ def array_store(folder: Path, on_disk: bool) -> Iterator[ArrayStore]:
 
 
 def taken(array: Float32[np.ndarray, "..."], index: object) -> Float32[np.ndarray, "..."]:
-    """A part of an array; of one in a file a copy, and the pages that were read are let go."""
+    """Take a part of an array.
+
+    Parameters
+    ----------
+    array : the array
+    index : any index of numpy
+
+    Returns
+    -------
+    the part; a copy where the array is in a file, whose pages are released
+    """
     if not isinstance(array, np.memmap):
         return array[index]  # type: ignore[index]
     part = np.array(array[index])  # type: ignore[index]
@@ -62,7 +87,12 @@ def taken(array: Float32[np.ndarray, "..."], index: object) -> Float32[np.ndarra
 
 
 def release(array: Float32[np.ndarray, "..."]) -> None:
-    """Let the pages of an array in a file go; the file keeps their content."""
+    """Release the memory of an array in a file; the file keeps the values.
+
+    Parameters
+    ----------
+    array : the array; nothing happens to one in memory
+    """
     pages = getattr(array, "_mmap", None)
     if isinstance(pages, mmap.mmap):
         with suppress(AttributeError, OSError):  # systems without such advice do it when memory is short

@@ -1,12 +1,14 @@
-"""What a scan covers, from its counts: whether its object leaves the panel or the grid, and a grid that would hold it.
+"""Coverage of an object by a scan, from its counts: truncation by panel or grid, and a grid that is large enough.
 
-Where an object leaves the panel or the grid, rays are attenuated by what no voxel holds. A fit then puts that into
-voxels at the border, and into the wrong bases. A margin that is fitted as well and cut off again takes it instead. How
-far the object goes on where no view sees it is not known; that of a round one of even density follows from how much
-its rays are attenuated at the border of the panel, compared with those through its middle.
+Where an object extends beyond the panel or the grid, rays are attenuated by matter that no voxel holds. A fit then puts
+that attenuation into voxels at the border, and into the wrong bases. A margin of further voxels, fitted as well and cut
+off afterwards, takes it instead. The extent of the object where no view sees it is unknown; it is computed as if the
+object were round and homogeneous, from the attenuation of its rays at the border of the panel relative to those through
+its middle.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,33 +16,38 @@ from jaxtyping import Bool, Float
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements
-from recon.data.partial_volume import FEWEST
+from recon.data.partial_volume import FEWEST, LEAST_COUNTS
 from recon.data.view_subsets import kinds_of, spread
 
-VIEWS = 48  # at most, evenly spread, that are looked at
-BLOCKS = 32  # along the longer side of the panel, in which counts are summed
-BORDER = 2  # pixels of the panel that tell whether an object goes on beyond it
-ATTENUATED = 0.05  # log projection; scatter and drift make up less
-CERTAIN = 5.0  # standard deviations of its noise that it must exceed
-FEW_BLOCKS = 0.05  # of a border; what is less may be a defect
-FEW_RAYS = 0.005  # of those through the object
-NEAR = 0.1  # rad; of an opposite view
-LARGEST = 2.0  # times the field of view that an object is taken to fill, at most
+# All limits below were chosen by hand and not measured one by one; what they do together is measured by
+# `python -m benchmarks.reconstruction.truncation` (docs/reference/benchmarks/truncation.md).
+VIEWS = 48  # views, evenly spread; the largest number that is examined
+BLOCKS = 32  # blocks along the longer side of the panel, in which counts are summed
+BORDER = 2  # pixels at each border of the panel, which show whether the object extends beyond it
+ATTENUATED = 0.05  # log projection; rays with more pass through the object; scatter and drift make up less
+CERTAIN = 5.0  # standard deviations of the noise that a log projection must exceed as well
+FEW_BLOCKS = 0.05  # of the blocks of a border; fewer attenuated ones may be defects
+FEW_RAYS = 0.005  # of the rays through the object; fewer may miss the grid
+OUTER = 0.9  # of the larger of both border distances of a view; a border at less is the near side of a half-fan
+WIDEST_RAY = 0.995  # quantile of the distances of attenuated rays from the axis that is the radius of the object
+ENDS = (0.002, 0.998)  # quantiles of the heights of attenuated rays that are the ends of the object along z
+NEAR = 0.1  # rad; least difference in azimuth at which a view counts as opposite
+LARGEST = 2.0  # times the field of view; largest radius that is assumed for an object
 SIDES = ("left", "right", "top", "bottom")
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """Of an object by a scan.
+    """Coverage of an object by a scan.
 
     Parameters
     ----------
-    sides : parts of the views in which the object leaves the panel by each of `SIDES`
-    lateral, axial : parts of the views in which it does so and no other view makes up for it
+    sides : parts of the views in which the object extends beyond the panel at each of `SIDES`
+    lateral, axial : parts of the views in which it does so and no other view covers what is missing
     outside : part of the rays through the object that miss the grid
-    starved : part of the rays through the object that hardly anything passed, in all channels together
-    views : that were looked at
-    grid : the smallest grid that holds what the rays see, of the same voxels; the one asked for where it does
+    starved : part of the rays through the object with hardly any counts in all channels together
+    views : number of views that were examined
+    grid : the smallest grid that holds the object, with the same voxels; the requested grid where that holds it
     """
 
     sides: tuple[float, ...]
@@ -53,75 +60,52 @@ class Coverage:
 
 
 def coverage(measured: Measurements, grid: Grid) -> Coverage:
-    """What the views of a scan cover of its object.
+    """Find out how far the views of a scan cover its object.
 
     Parameters
     ----------
     measured : the scan, before pixels are summed
-    grid : that was asked for
+    grid : the requested grid
+
+    Returns
+    -------
+    the coverage, with a grid that is large enough
     """
     some = measured[spread(kinds_of(measured.exposure), VIEWS)]
     panel, size = some.geometry.panel, -(-max(some.counts.shape[2:]) // BLOCKS)
     rows, columns = (np.arange(0, n, size) for n in (panel.rows, panel.columns))
-    shadow = _Shadow.of(some, rows, columns)
+    blocks = _BlockProjections.of(some, rows, columns)
     sides = _leaving(some, size)
-    share = sides.mean(axis=0)
-    frames = some.geometry.ray_frames()
     middle = (np.append(columns[1:], panel.columns) + columns - 1) / 2, (np.append(rows[1:], panel.rows) + rows - 1) / 2
     block = float(np.median(_pixel_height(some.geometry)) * size)
-    across, height, missed_beside, missed = _paths(frames, *middle, grid, block)
-    seen = shadow.attenuated
+    paths = _paths(some.geometry.ray_frames(), *middle, grid, block)
+    seen = blocks.attenuated
     count = max(int(seen.sum()), 1)
-    beside, above = ((seen & miss).sum() / count for miss in (missed_beside, missed & ~missed_beside))
-    edges = border_distances(some.geometry)
-    reach = float(np.median(edges.max(axis=1)))
-    outer = edges >= 0.9 * edges.max(axis=1, keepdims=True)  # of a half-fan, the other side is seen from opposite
-    alone = ~_met_from_opposite(some.geometry, measured.geometry)  # or should be
-    lateral = float((sides[:, :2] & (outer | alone)).any(axis=1).mean())
-    distance = np.linalg.norm(frames[:, 0, :2], axis=1)[:, None, None]
-    radius = float(np.quantile(across[seen], 0.995)) if seen.any() else 0.0
-    if (sides[:, :2] & outer).any():
-        radius = max(radius, min(_beyond(shadow, sides[:, :2] & outer, across) * reach, LARGEST * reach))
-    nearest = height[1][seen] if seen.any() else np.zeros(1)
-    far = height[0] + (height[1] - height[0]) * (1 + radius / np.maximum(distance, radius + 1e-9))
-    low_end, high_end = (float(np.quantile(nearest, q)) for q in (0.002, 0.998))
-    z = grid.axis("z")
-    faces = z[0] - grid.spacing[0] / 2, z[-1] + grid.spacing[0] / 2
-    room = 2 * max(grid.spacing[0], block)
-    leaves = bool(share[2:].any()) or above > FEW_RAYS
-    ends = [faces[0], faces[1]]
-    if leaves and seen.any():
-        exits = np.array([low_end, high_end])
-        if share[2:].any():  # it may go on to where the rays through the border leave it
-            exits = np.quantile(far[seen], (0.002, 0.998)) + np.array([-block, block]) / 2
-        ends[0] = min(ends[0], exits[0]) if low_end < faces[0] + room else ends[0]
-        ends[1] = max(ends[1], exits[1]) if high_end > faces[1] - room else ends[1]
-    hidden = height[1].max() < faces[1] - room or height[1].min() > faces[0] + room  # from all views, as of a helix
-    axial = float(sides[:, 2:].any(axis=1).mean()) if hidden or ends != [faces[0], faces[1]] else 0.0
-    wide = radius if lateral or beside > FEW_RAYS else 0.0
-    grown = grown_to(grid, wide, (ends[0], ends[1]))
+    beside, above = ((seen & miss).sum() / count for miss in (paths.beside, paths.missed & ~paths.beside))
+    lateral, radius = _lateral_extent(some.geometry, measured.geometry, blocks, paths, sides)
+    axial, ends = _axial_extent(grid, block, paths, seen, sides, radius, bool(above > FEW_RAYS))
     outside = float(beside + above)
     return Coverage(
-        tuple(map(float, share)),
+        tuple(map(float, sides.mean(axis=0))),
         lateral,
         axial,
         outside if outside > FEW_RAYS else 0.0,
-        float((seen & shadow.starved).sum() / count),
+        float((seen & blocks.starved).sum() / count),
         len(some),
-        grown,
+        grown_to(grid, radius if lateral or beside > FEW_RAYS else 0.0, ends),
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _Shadow:
-    """Blocks of pixels of some views: log projections of all channels together, where they are certain, and starved."""
+class _BlockProjections:
+    """Log projections of all channels together in blocks of pixels; where they are certain; where counts are few."""
 
     logs: Float[np.ndarray, "view row column"]
     attenuated: Bool[np.ndarray, "view row column"]
     starved: Bool[np.ndarray, "view row column"]
 
     @classmethod
-    def of(cls, measured: Measurements, rows: np.ndarray, columns: np.ndarray) -> "_Shadow":
+    def of(cls, measured: Measurements, rows: np.ndarray, columns: np.ndarray) -> "_BlockProjections":
         beam = measured.gains * measured.open_beam
         parts = [
             [_sums(image, rows, columns) for image in (np.asarray(counts).sum(0), (beam * e[:, None, None]).sum(0))]
@@ -133,18 +117,82 @@ class _Shadow:
         return cls(logs, certain, counts < FEWEST * np.maximum(pixels, 1))
 
 
+class _RayPaths(NamedTuple):
+    """Paths of rays.
+
+    Distance from the axis of rotation [mm]; distance of the source from the axis [mm]; height of the source, and of the
+    point of the ray nearest to the axis [mm]; whether the ray passes beside the grid, and whether it misses the grid.
+    """
+
+    across: Float[np.ndarray, "view row column"]
+    source_distance: Float[np.ndarray, "view 1 1"]
+    source_height: Float[np.ndarray, "view row column"]
+    height: Float[np.ndarray, "view row column"]
+    beside: Bool[np.ndarray, "view row column"]
+    missed: Bool[np.ndarray, "view row column"]
+
+
+def _lateral_extent(
+    some: Geometry, every: Geometry, blocks: _BlockProjections, paths: _RayPaths, sides: Bool[np.ndarray, "view side"]
+) -> tuple[float, float]:
+    """Part of the views that are truncated to the left or right, and the radius of the object [mm]."""
+    seen, edges = blocks.attenuated, border_distances(some)
+    reach = float(np.median(edges.max(axis=1)))
+    outer = edges >= OUTER * edges.max(axis=1, keepdims=True)  # the inner side of a half-fan is covered from opposite
+    alone = ~_met_from_opposite(some, every)  # or is not, where there is no opposite view
+    lateral = float((sides[:, :2] & (outer | alone)).any(axis=1).mean())
+    radius = float(np.quantile(paths.across[seen], WIDEST_RAY)) if seen.any() else 0.0
+    if (sides[:, :2] & outer).any():
+        beyond = _beyond(blocks, sides[:, :2] & outer, paths.across) * reach
+        radius = max(radius, min(beyond, LARGEST * reach))
+    return lateral, radius
+
+
+def _axial_extent(
+    grid: Grid,
+    block: float,
+    paths: _RayPaths,
+    seen: Bool[np.ndarray, "view row column"],
+    sides: Bool[np.ndarray, "view side"],
+    radius: float,
+    rays_above: bool,
+) -> tuple[float, tuple[float, float]]:
+    """Part of the views that are truncated above or below, and the heights between which the grid must reach [mm]."""
+    nearest = paths.height[seen] if seen.any() else np.zeros(1)
+    slope = 1 + radius / np.maximum(paths.source_distance, radius + 1e-9)
+    far = paths.source_height + (paths.height - paths.source_height) * slope
+    low_end, high_end = (float(np.quantile(nearest, q)) for q in ENDS)
+    z = grid.axis("z")
+    faces = z[0] - grid.spacing[0] / 2, z[-1] + grid.spacing[0] / 2
+    room = 2 * max(grid.spacing[0], block)
+    truncated = bool(sides[:, 2:].any())
+    ends = [faces[0], faces[1]]
+    if (truncated or rays_above) and seen.any():
+        exits = np.array([low_end, high_end])
+        if truncated:  # the object may extend to where the rays through the border leave it
+            exits = np.quantile(far[seen], ENDS) + np.array([-block, block]) / 2
+        ends[0] = min(ends[0], exits[0]) if low_end < faces[0] + room else ends[0]
+        ends[1] = max(ends[1], exits[1]) if high_end > faces[1] - room else ends[1]
+    # ends of the grid that no view sees, unlike those of a helix
+    hidden = paths.height.max() < faces[1] - room or paths.height.min() > faces[0] + room
+    axial = float(sides[:, 2:].any(axis=1).mean()) if hidden or ends != [faces[0], faces[1]] else 0.0
+    return axial, (ends[0], ends[1])
+
+
 def _sums(image: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Sums over blocks of pixels that begin at these rows and columns."""
     return np.add.reduceat(np.add.reduceat(image.astype(np.float64), rows, axis=-2), columns, axis=-1)
 
 
 def _attenuation(counts: np.ndarray, air: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Log projections, and where they are certain."""
-    logs = np.log(np.where(air > 0, np.maximum(air, 0.5), 1.0)) - np.log(np.where(air > 0, np.maximum(counts, 0.5), 1))
-    return logs, (air > 0) & (logs > np.maximum(ATTENUATED, CERTAIN / np.sqrt(np.maximum(counts, 0.5))))
+    """Log projections, and where they certainly show attenuation."""
+    seen, fewest = air > 0, np.maximum(counts, LEAST_COUNTS)
+    logs = np.log(np.where(seen, np.maximum(air, LEAST_COUNTS), 1.0)) - np.log(np.where(seen, fewest, 1))
+    return logs, seen & (logs > np.maximum(ATTENUATED, CERTAIN / np.sqrt(fewest)))
 
 
 def _leaving(measured: Measurements, size: int) -> Bool[np.ndarray, "view side"]:
-    """Whether the object goes on beyond each side of the panel, by the outermost pixels."""
+    """Whether the object extends beyond each side of the panel, by the outermost pixels."""
     panel, beam = measured.geometry.panel, measured.gains * measured.open_beam
     strips = (np.s_[:, :, :BORDER], np.s_[:, :, -BORDER:], np.s_[:, :BORDER], np.s_[:, -BORDER:])
     found = np.zeros((len(measured), 4), bool)
@@ -165,14 +213,8 @@ def _leaving(measured: Measurements, size: int) -> Bool[np.ndarray, "view side"]
 
 def _paths(
     frames: Float[np.ndarray, "view 4 3"], columns: np.ndarray, rows: np.ndarray, grid: Grid, spare: float = 0.0
-) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
-    """Of the rays through points of the panel, each (view, row, column).
-
-    Returns
-    -------
-    distance from the axis of rotation [mm]; height of the source, and of the point nearest to the axis [mm]; whether
-    they pass the grid beside it, and at all, by more than `spare` [mm]
-    """
+) -> _RayPaths:
+    """Paths of the rays through points of the panel; rays miss the grid if they pass it by more than `spare` [mm]."""
     source, first, step, down = (frames[:, None, None, i] for i in range(4))
     direction = first + columns[None, None, :, None] * step + rows[None, :, None, None] * down
     flat = np.maximum(np.sum(direction[..., :2] ** 2, axis=-1), 1e-30)
@@ -189,21 +231,31 @@ def _paths(
         enter, leave = np.maximum(enter, np.minimum(a, b)), np.minimum(leave, np.maximum(a, b))
         if name == "y":
             beside = enter >= leave
-    return across, (np.broadcast_to(source[..., 2], height.shape), height), beside, enter >= leave
+    distance = np.linalg.norm(frames[:, 0, :2], axis=1)[:, None, None]
+    return _RayPaths(across, distance, np.broadcast_to(source[..., 2], height.shape), height, beside, enter >= leave)
 
 
 def border_distances(geometry: Geometry) -> Float[np.ndarray, "view 2"]:
-    """Distance of the rays through the middle of the left and of the right border from the axis of rotation [mm]."""
+    """Compute how far from the axis of rotation the rays through the left and the right border of the panel pass.
+
+    Parameters
+    ----------
+    geometry : poses of the views
+
+    Returns
+    -------
+    distances of the rays through the middle of the left and of the right border [mm]
+    """
     panel = geometry.panel
     columns = np.array([-0.5, panel.columns - 0.5])
-    return _paths(geometry.ray_frames(), columns, np.array([(panel.rows - 1) / 2]), Grid.cube(1, 1.0))[0][:, 0]
+    return _paths(geometry.ray_frames(), columns, np.array([(panel.rows - 1) / 2]), Grid.cube(1, 1.0)).across[:, 0]
 
 
 def _met_from_opposite(some: Geometry, every: Geometry) -> Bool[np.ndarray, "view 2"]:
-    """Whether the rays of some views through the left and the right border have a view at their other end.
+    """Whether the rays of some views through the left and the right border are measured from their other end, too.
 
-    That is where they leave the circle on which the source moves; a view counts that is near in azimuth, by the gaps
-    that so many views leave on a circle.
+    The other end is where a ray leaves the circle on which the source moves. A view nearby in azimuth suffices, by the
+    gaps that so many views leave on a circle.
     """
     source, first, step, down = (part[:, None, :2] for part in np.moveaxis(some.ray_frames(), 1, 0))
     columns = np.array([-0.5, some.panel.columns - 0.5])[None, :, None]
@@ -216,23 +268,23 @@ def _met_from_opposite(some: Geometry, every: Geometry) -> Bool[np.ndarray, "vie
 
 
 def _pixel_height(geometry: Geometry) -> Float[np.ndarray, " view"]:
-    """Distance of two rows, seen at the axis [mm]."""
+    """Distance of two rows of the panel as seen at the axis [mm]."""
     panel = geometry.panel
     rows = (panel.rows - 1) / 2 + np.array([-0.5, 0.5])
-    heights = _paths(geometry.ray_frames(), np.array([(panel.columns - 1) / 2]), rows, Grid.cube(1, 1.0))[1][1]
+    heights = _paths(geometry.ray_frames(), np.array([(panel.columns - 1) / 2]), rows, Grid.cube(1, 1.0)).height
     return np.abs(np.diff(heights[:, :, 0], axis=1))[:, 0]
 
 
 def _beyond(
-    shadow: _Shadow, leaving: Bool[np.ndarray, "view side"], across: Float[np.ndarray, "view row column"]
+    blocks: _BlockProjections, leaving: Bool[np.ndarray, "view side"], across: Float[np.ndarray, "view row column"]
 ) -> float:
-    """Radius of the object over that of the field of view, as if it were round and even: chords are sqrt(R^2 - s^2).
+    """Radius of the object over that of the field of view, as if round and homogeneous: chords are 2 sqrt(R^2 - s^2).
 
-    The middle of the object is the inner half of the field of view, which is beside the middle of a half-fan's panel.
+    The middle of the object is the inner half of the field of view, which is not the middle of the panel of a half-fan.
     """
     found, near = [1.0], _inner_half(across)
     for side, column in enumerate((0, -1)):
-        for logs, middle_half in zip(shadow.logs[leaving[:, side]], near[leaving[:, side]], strict=True):
+        for logs, middle_half in zip(blocks.logs[leaving[:, side]], near[leaving[:, side]], strict=True):
             inside = logs[:, middle_half]
             rows = np.argsort(inside.mean(axis=1))[-max(len(logs) // 2, 1) :]  # through the object
             middle, border = float(np.median(inside[rows])), float(np.median(logs[rows, column]))
@@ -242,7 +294,7 @@ def _beyond(
 
 
 def _inner_half(across: Float[np.ndarray, "view row column"]) -> Bool[np.ndarray, "view column"]:
-    """Blocks that lie within half the distance of the outermost from the axis, at least one of each view."""
+    """Blocks within half the distance of the outermost one from the axis, at least one of each view."""
     distance = across[:, across.shape[1] // 2]
     step = np.median(np.abs(np.diff(distance, axis=1)), axis=1) if distance.shape[1] > 1 else np.zeros(len(distance))
     half = (distance.max(axis=1) + step / 2) / 2 + step / 2  # from the axis to the border, and half a block more
@@ -250,7 +302,18 @@ def _inner_half(across: Float[np.ndarray, "view row column"]) -> Bool[np.ndarray
 
 
 def grown_to(grid: Grid, radius: float, ends: tuple[float, float]) -> Grid:
-    """The grid with voxels added, so that it holds a circle about the axis and reaches from one height to another."""
+    """Add voxels to a grid, so that it holds a circle about the axis and reaches from one height to another.
+
+    Parameters
+    ----------
+    grid : the grid to enlarge
+    radius : radius of the circle [mm]
+    ends : lowest and highest height [mm]
+
+    Returns
+    -------
+    the larger grid with the same voxels; `grid` itself where it is large enough
+    """
     wanted = (ends, (-radius, radius), (-radius, radius))
     shape, origin = [], []
     for n, spacing, first, (low, high) in zip(grid.shape, grid.spacing, grid.origin, wanted, strict=True):
@@ -262,6 +325,16 @@ def grown_to(grid: Grid, radius: float, ends: tuple[float, float]) -> Grid:
 
 
 def inner_box(grid: Grid, grown: Grid) -> tuple[slice, slice, slice]:
-    """Where the voxels of a grid are in one that has grown from it."""
+    """Locate a grid in a larger one that was made from it.
+
+    Parameters
+    ----------
+    grid : the original grid
+    grown : the larger grid, see `grown_to`
+
+    Returns
+    -------
+    ranges of voxels along z, y, x
+    """
     firsts = [round((a - b) / s) for a, b, s in zip(grid.origin, grown.origin, grid.spacing, strict=True)]
     return tuple(slice(first, first + n) for first, n in zip(firsts, grid.shape, strict=True))  # type: ignore[return-value]

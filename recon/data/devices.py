@@ -1,4 +1,4 @@
-"""Where a fit computes: the processor, or a GPU."""
+"""The device on which a fit computes: the processor, or a GPU."""
 
 from importlib.util import find_spec
 
@@ -8,12 +8,20 @@ from spectra.errors import InputError
 
 
 def device_named(name: str) -> torch.device:
-    """The device of that name; of several GPUs the current one.
+    """Find the device of a name; of several GPUs the current one.
+
+    Parameters
+    ----------
+    name : ``cpu`` or ``cuda``
+
+    Returns
+    -------
+    the device
 
     Raises
     ------
     InputError
-        When there is none, or what computes on it is not installed.
+        When there is no GPU, or its compiler is not installed.
     """
     if name == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda needs a GPU and a PyTorch that was built for it; this machine shows none")

@@ -1,22 +1,31 @@
-"""Images without holes: pixels that nothing measured, interpolated from those around them."""
+"""Interpolation of blind pixels from those around them."""
+
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
-
-Lines = Int[np.ndarray, "row column"]
+from jaxtyping import Bool, Float, Float32, Int
 
 
 def inpainted(
     images: Float[np.ndarray, "... row column"], unseen: Bool[np.ndarray, "row column"]
 ) -> Float[np.ndarray, "... row column"]:
-    """Images whose unseen pixels are interpolated linearly between the nearest seen ones along a row or a column.
+    """Interpolate unseen pixels linearly between the nearest seen ones along a row or a column.
 
     The axis with the smaller gap is taken. At the border, where one neighbour is missing, the other gives the value.
     Filtered back-projection needs every pixel; a fit does not, and leaves these out.
+
+    Parameters
+    ----------
+    images : images of any unit
+    unseen : pixels without a value
+
+    Returns
+    -------
+    images with all values; `images` itself where no pixel or every pixel is unseen
     """
     if not unseen.any() or unseen.all():
         return images
-    along = [_between(~unseen), [x.T for x in _between(~unseen.T)]]
+    along = [_between(~unseen), _Neighbours(*(x.T for x in _between(~unseen.T)))]
     row, column = np.nonzero(unseen)
     whole, best = images.copy(), np.full(len(row), np.inf)
     for (before, after, gap), axis in zip(along, (1, 0), strict=True):
@@ -32,8 +41,16 @@ def inpainted(
     return inpainted(whole, left)
 
 
-def _between(seen: Bool[np.ndarray, "row column"]) -> list[np.ndarray]:
-    """For every pixel the nearest seen columns before and after it in its row, and the gap between; inf for none."""
+class _Neighbours(NamedTuple):
+    """Nearest seen places before and after every pixel along one axis, and the gap between them; inf without any."""
+
+    before: Int[np.ndarray, "row column"]
+    after: Int[np.ndarray, "row column"]
+    gap: Float[np.ndarray, "row column"]
+
+
+def _between(seen: Bool[np.ndarray, "row column"]) -> _Neighbours:
+    """Nearest seen columns in the row of every pixel."""
     count = seen.shape[1]
     column = np.broadcast_to(np.arange(count), seen.shape)
     before = np.maximum.accumulate(np.where(seen, column, -1), axis=1)
@@ -41,4 +58,19 @@ def _between(seen: Bool[np.ndarray, "row column"]) -> list[np.ndarray]:
     first, last = before < 0, after >= count
     gap = np.where(first & last, np.inf, np.where(first | last, 2.0 * count, 0.0) + after - before)
     before, after = np.where(first, after, before), np.where(last, before, after)
-    return [before, after, gap]
+    return _Neighbours(before, after, gap)
+
+
+def ray_weights(unseen: Bool[np.ndarray, "row column"], views: int) -> Float32[np.ndarray, "view row column"] | None:
+    """Return statistical weights that leave out unseen pixels.
+
+    Parameters
+    ----------
+    unseen : pixels in which too few channels measure
+    views : number of views
+
+    Returns
+    -------
+    1 for rays that were measured and 0 for others; None where all were measured
+    """
+    return np.broadcast_to(~unseen, (views, *unseen.shape)).astype(np.float32) if unseen.any() else None

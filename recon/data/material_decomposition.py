@@ -1,4 +1,4 @@
-"""From counts to basis line integrals for whole scans."""
+"""Decomposition of counts into line integrals of the bases, for whole scans."""
 
 import numpy as np
 from jaxtyping import Float
@@ -11,13 +11,17 @@ from recon.ops.decompose import decompose
 def decompose_views(
     measurements: Measurements, dispersion: float = 0.0, store: ArrayStore = IN_MEMORY
 ) -> tuple[Float[np.ndarray, "view basis row column"], Float[np.ndarray, "basis basis"]]:
-    """Maximum-likelihood line integrals of every view, and their mean Fisher matrix.
+    """Find the maximum-likelihood line integrals of every view, and their mean Fisher matrix.
 
     Parameters
     ----------
     measurements : views to decompose, at any binning
-    dispersion : relative model error that is added to the Poisson variance
-    store : where the line integrals shall live
+    dispersion : relative model error added to the Poisson variance [no unit]
+    store : storage of the line integrals
+
+    Returns
+    -------
+    one image per view and basis [no unit]; Fisher matrix of a ray, mean over all rays
     """
     views, channels, rows, columns = measurements.counts.shape
     bases = len(measurements.basis_names)

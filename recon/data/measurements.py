@@ -1,4 +1,8 @@
-"""What the reconstructor sees: counts, open beam, geometry and the spectral model of some of the views."""
+"""Measurements of a fit: counts, open beam, geometry and the spectral model of some of the views.
+
+`read_measurements` prepares them from a dataset. What is done with the pixels lies in the modules that this one
+imports, as functions of plain arrays: partial volume, readout noise, missing channels, blocks of pixels.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,34 +13,49 @@ from jaxtyping import Bool, Float, Int
 from phantomgen.dataset.reader import Dataset
 from phantomgen.geometry.poses import Geometry
 from recon.data.array_store import IN_MEMORY, ArrayStore, release, taken
-from recon.data.partial_volume import doubtful_shares, even_shares, excess_of_blocks, excess_of_pixels
+from recon.data.missing_channels import interpolate_missing
+from recon.data.partial_volume import (
+    LEAST_COUNTS,
+    doubtful_shares,
+    even_shares,
+    excess_of_blocks,
+    excess_of_pixels,
+)
+from recon.data.pixel_blocks import sum_blocks, touched
 from recon.data.readout_noise import with_floor, without_floor
 from spectra.detector.dead_time import DeadTime
 from spectra.errors import InputError
 from spectra.threads import run_parallel
 from spectra.transmission import Transmission
 
-HARDENING = 1.5  # a hardened beam is attenuated less per line integral than the open beam, so boxes get this much room
+# Box of line integrals within which energy nodes are exact; all chosen by hand, not measured. The error that results is
+# measured for every scan.
+SAMPLED = np.s_[::4, ::4]  # rows and columns whose counts tell how large the box must be
+LARGEST_PROJECTION = 0.999  # quantile of the log projections of a channel that the box must hold
+LEAST_PROJECTION = 0.1  # log projection that the box holds in any case
+HARDENING = 1.5  # no unit; factor of the box, as a hard beam is attenuated less per line integral than the open beam
+NEGATIVE = 0.05  # no unit, over the largest line integral; room of the box for noise below 0
+MOST_BINNING = 32  # pixels; largest binning that `matching_bin` considers
 
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """Counts and what is known about how they came about.
+    """Counts of some views with their calibration, geometry and spectral model.
 
     Parameters
     ----------
-    counts : measured counts minus dark, corrected for dead time, float32; sums of energies in units whose open-beam
-        variance is their mean; `recon.data.readout_noise` has what noise without beam adds
+    counts : measured counts minus dark, corrected for dead time, float32; signals of energy-integrating detectors are
+        in units in which the open-beam variance equals the mean; readout noise see `recon.data.readout_noise`
     gains : open-beam counts of each pixel over those that `transmission` expects, float32; 0 where a pixel or a
         channel is blind or masked, and then counts are 0 as well
-    exposure : tube output of each view and channel relative to the flat frames; 0 where a view was not taken
+    exposure : tube output of each view and channel relative to the flat frames; 0 where it was not measured
     geometry : poses of the views
-    transmission : columns are the basis functions, and after them the parts of `profile`
+    transmission : spectral model whose columns are the basis functions, and after them the parts of `profile`
     basis_names : names of the basis functions
-    profile : what a bowtie filter and the heel effect add to the rays of each pixel; None where there are none
-    shares : of the deviance of each count that a fit minds; None where it minds all of all, see `weighted`
-    apart : blocks of pixels of the whole panel that no fit minds, see `recon.gaussians.unseen_rays`; None where there
-        are none
+    profile : line integrals of bowtie filter and heel effect in each pixel; None where there are none
+    shares : statistical weight of each count in a fit, from 0 to 1, see `weighted`; None where all weights are 1
+    apart : blocks of pixels of the whole panel that are left out of a fit, see `recon.gaussians.unseen_rays`; None
+        where there are none
     """
 
     counts: Float[np.ndarray, "view channel row column"]
@@ -53,32 +72,47 @@ class Measurements:
         return len(self.counts)
 
     def __getitem__(self, views: slice | list[int] | np.ndarray) -> "Measurements":
-        """Some of the views."""
+        """Take some of the views."""
         counts = taken(self.counts, views)
         shares = None if self.shares is None else taken(self.shares, views)
-        some = replace(self, counts=counts, exposure=self.exposure[views], geometry=self.geometry[views])
-        return replace(some, shares=shares, apart=None if self.apart is None else self.apart[views])
+        apart, exposure = None if self.apart is None else self.apart[views], self.exposure[views]
+        geometry = self.geometry[views]
+        return replace(self, counts=counts, exposure=exposure, geometry=geometry, shares=shares, apart=apart)
 
     def summed(self, factor: int) -> "Measurements":
-        """The same scan with `factor` x `factor` pixels as one, whose counts are the sums of theirs, as noisy as such.
+        """Sum `factor` x `factor` pixels to one; the variance of sums of counts is their mean, as before.
 
-        Shares are of pixels, and are left out.
+        Parameters
+        ----------
+        factor : pixels along each side of a block
+
+        Returns
+        -------
+        the binned scan, without `shares`, which belong to single pixels
         """
         if factor == 1:
             return self
         geometry = self.geometry.binned(factor)  # refuses panels that do not divide
-        counts, gains = (_sum_blocks(images, factor) for images in (self.counts, self.gains))
-        coarse = replace(self, counts=counts, gains=gains, geometry=geometry, shares=None)
-        if self.profile is None:
+        counts, gains = (sum_blocks(images, factor) for images in (self.counts, self.gains))
+        profile = None if self.profile is None else sum_blocks(self.profile, factor) / factor**2
+        coarse = replace(self, counts=counts, gains=gains, geometry=geometry, profile=profile, shares=None)
+        if profile is None:
             return coarse
-        coarse = replace(coarse, profile=_sum_blocks(self.profile, factor) / factor**2)
-        open_beam = _sum_blocks(self.gains * self.open_beam, factor)
+        open_beam = sum_blocks(self.gains * self.open_beam, factor)
         return replace(coarse, gains=_ratio(open_beam, coarse.open_beam).astype(np.float32))
 
     def binned(self, factor: int) -> "Measurements":
-        """The same as `summed`, but with line integrals that are the means of those of the pixels.
+        """Bin pixels as `summed` does, with line integrals that are the means of those of the pixels.
 
-        The excess of a mean over a geometric mean is taken off (`recon.data.partial_volume`).
+        The excess of the mean over the geometric mean is removed (`recon.data.partial_volume`).
+
+        Parameters
+        ----------
+        factor : pixels along each side of a block
+
+        Returns
+        -------
+        the binned scan, without `shares`
         """
         if factor == 1:
             return self
@@ -92,7 +126,16 @@ class Measurements:
         return coarse
 
     def without_partial_volume(self, store: ArrayStore = IN_MEMORY) -> "Measurements":
-        """Counts as if each pixel were one ray, whose line integrals are the pixel's means; they live in `store`."""
+        """Correct the counts for partial volume, as if each pixel were one ray with the mean line integrals.
+
+        Parameters
+        ----------
+        store : storage of the new counts
+
+        Returns
+        -------
+        the scan with corrected counts, see `recon.data.partial_volume`
+        """
         counts, air = store.empty("corrected", self.counts.shape), self.gains * self.open_beam
 
         def correct(view: int) -> None:
@@ -104,10 +147,19 @@ class Measurements:
         return replace(self, counts=counts)
 
     def weighted(self, dispersion: float, store: ArrayStore = IN_MEMORY) -> "Measurements":
-        """The same counts, with shares that live in `store`.
+        """Compute the statistical weights of the counts, `shares`.
 
-        Rays close to each other get the same say, and counts less where their correction for partial volume is in
-        doubt (`recon.data.partial_volume`); `dispersion` is the relative model error besides.
+        Rays close to each other get equal weights, and counts lower ones where their correction for partial volume is
+        uncertain (`recon.data.partial_volume`). Pixels that are left out get the weight 0.
+
+        Parameters
+        ----------
+        dispersion : relative model error [no unit]
+        store : storage of the weights
+
+        Returns
+        -------
+        the scan with `shares`
         """
         shares, air = store.empty("shares", self.counts.shape), self.gains * self.open_beam
 
@@ -123,7 +175,7 @@ class Measurements:
 
     @property
     def open_beam(self) -> Float[np.ndarray, "channel row column"]:
-        """Counts that `transmission` expects in each pixel without an object."""
+        """Counts that `transmission` expects in each pixel without an object, at exposure and gain 1."""
         if self.profile is None:
             air = self.transmission.open_beam[:, None, None]
             return np.broadcast_to(air, (len(air), *self.counts.shape[2:]))
@@ -133,86 +185,108 @@ class Measurements:
 
     @property
     def unseen(self) -> Bool[np.ndarray, "row column"]:
-        """Pixels in which too few channels measure to tell the bases apart."""
+        """Pixels in which too few channels measure to separate the bases."""
         channels = (self.gains > 0).sum(axis=0)
         return channels < min(len(self.basis_names), int(channels.max(initial=0)))
 
     def with_profile(
         self, lengths: Float[np.ndarray, "... row column basis"]
     ) -> Float[np.ndarray, "... row column basis_and_part"]:
-        """Line integrals of the bases as `transmission` takes them."""
+        """Append the line integrals of the profile to those of the bases, as `transmission` needs them.
+
+        Parameters
+        ----------
+        lengths : line integrals of the bases [no unit]
+
+        Returns
+        -------
+        line integrals of the bases and of the parts of the profile
+        """
         if self.profile is None:
             return lengths
         fixed = np.moveaxis(self.profile, 0, -1).astype(lengths.dtype)
         return np.concatenate([lengths, np.broadcast_to(fixed, (*lengths.shape[:-1], len(self.profile)))], axis=-1)
 
     def completed(self, some: Int[np.ndarray, " few"] | None = None) -> "Measurements":
-        """Views, or some of them, that lack a channel get it from those before and after, by interpolated logarithms.
+        """Interpolate channels that views lack between the views before and after.
 
-        Tube voltages that are switched from view to view leave every ray with half of the channels. What this makes up
-        is good enough to start a fit from; the fit itself keeps to what was measured. A channel that no view has stays
-        unmeasured.
+        A tube voltage that switches from view to view leaves every ray with half of the channels. The interpolated ones
+        suffice for the start of a fit; the fit itself uses measured counts alone. A channel that no view has stays
+        missing.
+
+        Parameters
+        ----------
+        some : indices of the views to return, all by default
+
+        Returns
+        -------
+        the views with all channels
         """
         chosen = self if some is None else self[some]
         if (self.exposure > 0).all():
             return chosen
-        counts, exposure = np.array(chosen.counts), np.array(chosen.exposure)
         views = np.arange(len(self)) if some is None else some
-        for c in np.flatnonzero((self.exposure > 0).any(axis=0)):
-            taken = np.flatnonzero(self.exposure[:, c] > 0)
-            for place in np.flatnonzero(exposure[:, c] == 0):
-                view = views[place]
-                after = np.searchsorted(taken, view)
-                a, b = taken[max(after - 1, 0)], taken[min(after, len(taken) - 1)]
-                part = (view - a) / (b - a) if b > a else 0.0
-                logs = [np.log(np.maximum(self.counts[v, c], 0.5) / self.exposure[v, c]) for v in (a, b)]
-                counts[place, c] = np.exp((1 - part) * logs[0] + part * logs[1])
-                exposure[place, c] = 1.0
+        counts, exposure = interpolate_missing(self.counts, self.exposure, views)
         return replace(chosen, counts=counts, exposure=exposure)
 
     def shifted(self, added: Float[np.ndarray, " channel"], transmission: Transmission) -> "Measurements":
-        """Counts with so many more at exposure and gain 1, and the transmission that expects them."""
+        """Add a constant to the counts.
+
+        Parameters
+        ----------
+        added : counts to add in each channel at exposure and gain 1
+        transmission : spectral model of the new counts
+
+        Returns
+        -------
+        the scan with the new counts
+        """
         more = added[:, None, None] * self.gains * self.exposure[:, :, None, None]
         return replace(self, counts=(self.counts + more).astype(np.float32), transmission=transmission)
 
     def compressed(self, tolerance: float) -> tuple["Measurements", float]:
-        """The same scan with few energy nodes, and the worst error of the log counts that this causes.
+        """Reduce the energy grid of the spectral model to a few nodes.
 
-        The box of line integrals in which the error holds is read off the data: no line integral of a basis can exceed
-        what the least attenuated channel allows.
+        The error holds in a box of line integrals, see `_line_integral_box`.
+
+        Parameters
+        ----------
+        tolerance : largest error of the log counts [no unit]
+
+        Returns
+        -------
+        the scan with few energy nodes, and the largest error of the log counts that they cause
         """
         bare, floor = without_floor(self.transmission)
         if floor.any():
             few, error = self.shifted(-floor, bare).compressed(tolerance)
             return replace(self, transmission=with_floor(few.transmission, floor)), error
-        gains = (self.gains * self.open_beam)[:, ::4, ::4] * self.exposure[:, :, None, None]
-        open_beam = np.maximum(gains, 0.5)
-        projections = np.log(open_beam / np.maximum(taken(self.counts, np.s_[:, :, ::4, ::4]), 0.5))
-        largest = np.maximum(np.quantile(projections, 0.999, axis=(0, 2, 3)), 0.1)
-        bases = len(self.basis_names)
-        extremes = np.zeros((1, 0)) if self.profile is None else _extremes(self.profile)
-        beams = np.hstack([np.zeros((len(extremes), bases)), extremes])
-        slopes = self.transmission.log_projection_and_slopes(beams)[1][:, :, :bases].min(axis=0)
-        slopes[~self.gains.any(axis=(1, 2))] = 0.0  # a blind channel allows anything
-        with np.errstate(divide="ignore"):
-            high = HARDENING * (largest[:, None] / slopes).min(axis=0)
-        high = np.where(np.isfinite(high), high, 1.0)
-        lowest, highest = np.append(-0.05 * high, extremes.min(axis=0)), np.append(high, extremes.max(axis=0))
-        few, error = self.transmission.compress(lowest, highest, tolerance)
+        few, error = self.transmission.compress(*_line_integral_box(self), tolerance)
         return replace(self, transmission=few), error
 
 
 def read_measurements(
     dataset: Dataset, views: Int[np.ndarray, " view"], bases: int | None = None, store: ArrayStore = IN_MEMORY
 ) -> Measurements:
-    """Measurements of some views of a dataset, in the first `bases` of its basis functions (default all).
+    """Read some views of a dataset, and prepare their counts and spectral model.
 
-    The counts live in `store`.
+    Dark and dead time are corrected, and the variance of readout noise is added to counts and model.
+
+    Parameters
+    ----------
+    dataset : an open dataset
+    views : indices of the views
+    bases : number of basis functions, the first ones of the dataset; all by default
+    store : storage of the counts
+
+    Returns
+    -------
+    the measurements
 
     Raises
     ------
     InputError
-        When the dataset has fewer basis functions, its channels cannot tell so many apart, or their coefficients may be
+        When the dataset has fewer basis functions, its channels cannot separate so many, or their coefficients may be
         negative, as those of singular vectors.
     """
     names = dataset.spectra.basis.names
@@ -273,12 +347,22 @@ def _read_counts(
 
 
 def in_quanta(transmission: Transmission, quantum: Float[np.ndarray, " channel"]) -> Transmission:
-    """Signals in units whose open-beam variance is their mean."""
+    """Convert a spectral model to units in which the open-beam variance of each channel equals its mean.
+
+    Parameters
+    ----------
+    transmission : spectral model in the units of the detector
+    quantum : open-beam variance over mean of each channel, in units of the detector
+
+    Returns
+    -------
+    spectral model in the new units
+    """
     return replace(transmission, weights=transmission.weights / np.repeat(quantum, np.diff(transmission.starts)))
 
 
 def _check_load(dataset: Dataset, dead_time: DeadTime) -> None:
-    """Refuse counts that dead time has made ambiguous: more events may mean fewer counts."""
+    """Refuse counts that dead time makes ambiguous, as more events may give fewer counts."""
     load = dead_time.per_count * dataset.spectra.weights.sum() * dataset.exposure.max(initial=0.0)
     if load > dead_time.highest_load:
         raise InputError(
@@ -288,7 +372,7 @@ def _check_load(dataset: Dataset, dead_time: DeadTime) -> None:
 
 
 def _check_independent(transmission: Transmission, names: tuple[str, ...] | list[str]) -> None:
-    """Refuse bases that look the same in every channel that counts photons, as all do at a single energy."""
+    """Refuse bases with linearly dependent attenuation in the channels, as all have at a single energy."""
     slopes = transmission.log_projection_and_slopes(np.zeros(len(transmission.columns)))[1][transmission.open_beam > 0]
     slopes = slopes[:, : len(names)]
     scale = np.abs(slopes).max(axis=0, initial=0.0)
@@ -299,28 +383,49 @@ def _check_independent(transmission: Transmission, names: tuple[str, ...] | list
 
 
 def matching_bin(geometry: Geometry, size: float) -> int:
-    """Largest binning whose pixels, seen at the isocentre, do not exceed `size` [mm]; 1 where none does."""
+    """Find the largest binning whose pixels, as seen at the isocentre, do not exceed a size.
+
+    Parameters
+    ----------
+    geometry : poses of the views
+    size : largest size of a pixel at the isocentre [mm]
+
+    Returns
+    -------
+    pixels along each side of a block that become one, 1 where no binning fits
+    """
     distance = np.linalg.norm(geometry.panel_center - geometry.source, axis=1)
     magnification = float(np.median(distance / np.linalg.norm(geometry.source, axis=1)))
     panel = geometry.panel
     pixel = min(panel.row_pitch, panel.column_pitch) / magnification
-    fitting = [f for f in range(1, 33) if panel.rows % f == 0 and panel.columns % f == 0]
-    return max(f for f in fitting if f == 1 or f * pixel <= 1.001 * size)
+    fitting = [f for f in range(1, MOST_BINNING + 1) if panel.rows % f == 0 and panel.columns % f == 0]
+    return max(f for f in fitting if f == 1 or f * pixel <= 1.001 * size)  # 1.001 for rounding errors of poses
 
 
-def touched(
-    blocks: Bool[np.ndarray, "block_row block_column"], rows: int, columns: int
-) -> Bool[np.ndarray, "row column"]:
-    """Pixels of a panel of which a part lies in blocks of it; blocks are no smaller than pixels."""
-    for axis, size in enumerate((rows, columns)):
-        count, pixel = blocks.shape[axis], np.arange(size)
-        first, last = pixel * count // size, -(-(pixel + 1) * count // size) - 1
-        blocks = blocks.take(first, axis) | blocks.take(last, axis)
-    return blocks
+def _line_integral_box(
+    measured: Measurements,
+) -> tuple[Float[np.ndarray, " basis_and_part"], Float[np.ndarray, " basis_and_part"]]:
+    """Lowest and highest line integrals of bases and profile that the scan can have, from its counts.
+
+    The line integral of a basis cannot exceed what the least attenuated channel allows.
+    """
+    air = (measured.gains * measured.open_beam)[:, *SAMPLED] * measured.exposure[:, :, None, None]
+    counts = taken(measured.counts, np.s_[:, :, *SAMPLED])
+    projections = np.log(np.maximum(air, LEAST_COUNTS) / np.maximum(counts, LEAST_COUNTS))
+    largest = np.maximum(np.quantile(projections, LARGEST_PROJECTION, axis=(0, 2, 3)), LEAST_PROJECTION)
+    bases = len(measured.basis_names)
+    extremes = np.zeros((1, 0)) if measured.profile is None else _extremes(measured.profile)
+    beams = np.hstack([np.zeros((len(extremes), bases)), extremes])
+    slopes = measured.transmission.log_projection_and_slopes(beams)[1][:, :, :bases].min(axis=0)
+    slopes[~measured.gains.any(axis=(1, 2))] = 0.0  # a blind channel does not limit the box
+    with np.errstate(divide="ignore"):
+        high = HARDENING * (largest[:, None] / slopes).min(axis=0)
+    high = np.where(np.isfinite(high), high, 1.0)
+    return np.append(-NEGATIVE * high, extremes.min(axis=0)), np.append(high, extremes.max(axis=0))
 
 
 def _extremes(profile: Float[np.ndarray, "part row column"]) -> Float[np.ndarray, "extreme part"]:
-    """Lengths of the pixels where some part is thinnest or thickest."""
+    """Line integrals of the pixels where some part of the profile is thinnest or thickest."""
     lengths = profile.reshape(len(profile), -1).T
     return lengths[[*lengths.argmin(axis=0), *lengths.argmax(axis=0)]]
 
@@ -331,12 +436,7 @@ def _ratio(images: Float[np.ndarray, "..."], others: Float[np.ndarray, "..."]) -
 
 
 def _in_parallel(task: Callable[[int], None], counts: Float[np.ndarray, "view channel row column"]) -> None:
-    """Do something with the counts of every view."""
+    """Run a task for every view, and release the counts."""
     for _ in run_parallel(task, range(len(counts))):
         pass
     release(counts)
-
-
-def _sum_blocks(images: Float[np.ndarray, "... row column"], factor: int) -> Float[np.ndarray, "... row column"]:
-    *front, rows, columns = images.shape
-    return images.reshape(*front, rows // factor, factor, columns // factor, factor).sum(axis=(-3, -1))

@@ -1,49 +1,59 @@
-"""Partial volume: pixels and voxels average over what varies inside of them, while a model knows one value of each.
+"""Partial volume: the object varies inside pixels and voxels, while a model has one value of each.
 
-Four things follow from the counts alone, before anything is reconstructed.
+Two corrections of counts and two statistical weights follow from the counts alone, before any reconstruction.
 
-A pixel sums intensities, and the mean of exp(-L) exceeds exp(-mean L): where L changes evenly by 2h across a pixel, by
-sinh(h) / h. Neighbouring pixels tell by how much it changes in each direction, but not how evenly. Of a slope that goes
-on through a, m and b, the variance within m is (m - a)(b - m) / 12; of a sharp edge within m alone, with a and b on
-either side of it, it is (m - a)(b - m) wherever that edge lies. Which of both it is, pixels further out tell: behind an
-edge they are as their neighbours. Pixels that are summed tell all of it themselves: their geometric mean is the
-intensity of the mean L. A fit to intensities that are not corrected finds too little of what attenuates, and in the
-wrong basis, as soft energies suffer more.
+A pixel sums intensities, and the mean of exp(-L) exceeds exp(-mean L): where L changes linearly by 2h across a pixel,
+by the factor sinh(h) / h. Neighbouring pixels show by how much L changes in each direction, but not how. For a linear
+change through a, m and b, the variance within m is (m - a)(b - m) / 12; for a sharp edge within m alone, with a and b
+on either side of it, it is (m - a)(b - m) wherever the edge lies. Pixels further out separate the two cases: beyond an
+edge they equal their neighbours. Where pixels are summed they show all of it themselves: their geometric mean is the
+intensity of the mean L. A fit to uncorrected intensities finds too little attenuation, and in the wrong basis, as the
+effect is larger at low energies.
 
-Voxels do not resolve what neighbouring pixels tell apart, at the rim of metal above all, and counts are the less noisy
-the less their ray is attenuated. So the rays beside an edge would outvote those through it, and voxels end up with less
-than the mean of what they hold. Rays close to each other are therefore given the same say: that of the most attenuated.
+Voxels cannot resolve what neighbouring pixels resolve, above all at the rim of metal, and counts are less noisy where
+their ray is less attenuated. So the rays beside an edge would outweigh those through it, and voxels would end up with
+less than their mean. Rays close to each other therefore have equal statistical weight: that of the most attenuated.
 
-Corrections are not exact: a rim may lie anywhere in a pixel. Soft channels need the larger ones, so that what is wrong
-with them looks like another basis. They therefore count as known to `KNOWN_TO` of themselves, relative to that of the
-ray's channel that needs least.
+The corrections are not exact, as a rim may lie anywhere in a pixel. Low-energy channels need larger corrections, so
+that their error resembles another basis. Each correction therefore has a standard deviation of `KNOWN_TO` of itself,
+relative to that of the channel of the ray with the smallest correction.
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from scipy.ndimage import gaussian_filter, minimum_filter
 
-DARK = 0.5  # counts; none are taken for half of one
-FEWEST = 5.0  # counts per pixel, on average, from which differences between pixels are trusted
-STEEPEST = 3.0  # change of the log intensity from the middle of a pixel to its border; what is steeper counts as that
-CERTAIN = 2.0  # standard deviations of its noise that a slope must exceed
-EDGE = 0.3  # what a sharp edge adds to the 1/12 of a slope; not the whole of it, as things that are round have none
-# how fast that fades as the slope goes on; by `benchmarks/reconstruction/partial_volume_excess.py`, as the one above
-BLUNT = 40.0
-KNOWN_TO = 0.2  # of a correction; its standard deviation
-NEAR = 2  # pixels around one in which rays have the same say
-_SIGMA = (0, 0.5, 0.5)  # pixels; the least of noisy counts would be below all of them
+LEAST_COUNTS = 0.5  # counts; fewer are raised to this before a logarithm, as 0 counts have none; a convention
+# counts per pixel, on average, from which differences between pixels are used; chosen by hand, not measured
+FEWEST = 5.0
+# no unit; largest change of the log intensity from the middle of a pixel to its border; chosen by hand, not measured
+STEEPEST = 3.0
+CERTAIN = 2.0  # standard deviations of its noise that a slope must exceed; chosen by hand, not measured
+# no unit; what a sharp edge adds to the 1/12 of a slope; less than 11/12, as round objects have no sharp edge; by
+# `python -m benchmarks.reconstruction.partial_volume_excess`
+EDGE = 0.3
+BLUNT = 40.0  # no unit; how fast that term fades where the slope goes on; by the same measurement
+# no unit; standard deviation of a correction over the correction; 0.45 and 0.1 are better and worse for single scenes
+# (docs/development/decisions/0005-partial-volume.md)
+KNOWN_TO = 0.2
+NEAR = 2  # pixels in each direction, within which rays have equal statistical weight; chosen by hand, not measured
+# pixels along (channel, row, column); standard deviation of the Gaussian that reduces noise before a minimum is taken
+_SIGMA = (0, 0.5, 0.5)
 
 Image = Float[np.ndarray, "channel row column"]
 
 
 def excess_of_pixels(counts: Image, air: Image) -> Image:
-    """Logarithm of the mean intensity in each pixel over the intensity of its mean line integral.
+    """Estimate the logarithm of the mean intensity in each pixel over the intensity of its mean line integral.
 
     Parameters
     ----------
-    counts : of one view
-    air : without an object; 0 where a pixel is blind, which then tells nothing and is told nothing
+    counts : counts of one view
+    air : counts without an object; 0 where a pixel is blind, which is then neither used nor corrected
+
+    Returns
+    -------
+    excess of the log intensity [no unit], 0 where slopes are not certain
     """
     logs = np.where(air > 0, _logs(counts, air), np.nan)
     variance = 1 / np.maximum(counts, 1)
@@ -61,15 +71,20 @@ def excess_of_pixels(counts: Image, air: Image) -> Image:
 
 
 def doubtful_shares(counts: Image, air: Image, dispersion: float) -> Image:
-    """Share of its information that each count keeps if its correction for partial volume is known to `KNOWN_TO`.
+    """Compute the weights of counts whose correction for partial volume has a standard deviation of `KNOWN_TO`.
 
-    Variances of counts Y grow from Y + (dispersion Y)^2 by (x Y)^2; x is what the doubt exceeds that of the best of
-    those channels of the ray that count anything by. Where none does, nothing is known of corrections.
+    Variances of counts Y grow from Y + (dispersion Y)^2 by (x Y)^2, with x the deviation of the correction beyond that
+    of the channel of the ray with the smallest one, among channels with at least `FEWEST` counts. Where no channel has
+    so many, weights are 1.
 
     Parameters
     ----------
-    counts, air : as of `excess_of_pixels`
-    dispersion : relative model error besides
+    counts, air : as in `excess_of_pixels`
+    dispersion : relative model error [no unit]
+
+    Returns
+    -------
+    part of its information that each count keeps, from 0 to 1
     """
     doubt = KNOWN_TO * excess_of_pixels(counts, air)
     least = np.where(counts >= FEWEST, doubt, np.inf).min(axis=0)
@@ -77,10 +92,19 @@ def doubtful_shares(counts: Image, air: Image, dispersion: float) -> Image:
     return variance / (variance + np.square(np.maximum(doubt - least, 0)))
 
 
-def excess_of_blocks(counts: Image, air: Image, factor: int) -> Float[np.ndarray, "channel row column"]:
-    """The same for `factor` x `factor` pixels that become one, as they are themselves: mean over geometric mean.
+def excess_of_blocks(counts: Image, air: Image, factor: int) -> Float[np.ndarray, "channel coarse_row coarse_column"]:
+    """Compute the excess of `excess_of_pixels` where pixels are summed: logarithm of mean over geometric mean.
 
-    What noise alone does to it is taken off; where there are hardly any counts, nothing is known.
+    The expected contribution of noise is subtracted.
+
+    Parameters
+    ----------
+    counts, air : as in `excess_of_pixels`
+    factor : pixels along each side of a block that becomes one pixel
+
+    Returns
+    -------
+    excess of the log intensity of each block [no unit], 0 where there are hardly any counts
     """
     seen = _blocks(air > 0, factor)
     pixels = np.maximum(seen.sum(axis=(-3, -1)), 1)
@@ -94,14 +118,18 @@ def excess_of_blocks(counts: Image, air: Image, factor: int) -> Float[np.ndarray
 
 
 def even_shares(counts: Image, air: Image) -> Image:
-    """Share of its information that gives each ray the say of the most attenuated of those within `NEAR` pixels.
+    """Compute the weights that give rays within `NEAR` pixels the information of the most attenuated one.
 
     Parameters
     ----------
-    counts, air : as of `excess_of_pixels`
+    counts, air : as in `excess_of_pixels`
+
+    Returns
+    -------
+    part of its information that each count keeps, from 0 to 1; 0 in blind pixels
     """
     seen = air > 0
-    passed = np.where(seen, np.maximum(counts, DARK) / np.where(seen, air, 1), 0).astype(np.float32)
+    passed = np.where(seen, np.maximum(counts, LEAST_COUNTS) / np.where(seen, air, 1), 0).astype(np.float32)
     filled = gaussian_filter(seen.astype(np.float32), _SIGMA)
     smooth = np.where(seen, gaussian_filter(passed, _SIGMA) / np.where(seen, filled, 1), np.inf)
     least = minimum_filter(smooth, (1, 2 * NEAR + 1, 2 * NEAR + 1))
@@ -109,12 +137,13 @@ def even_shares(counts: Image, air: Image) -> Image:
 
 
 def _logs(counts: Image, air: Image) -> Image:
-    """Logarithms of relative intensities; of 1 in blind pixels."""
-    return np.log(np.where(air > 0, np.maximum(counts, DARK) / np.where(air > 0, air, 1), 1)).astype(np.float32)
+    """Logarithms of relative intensities; 0 in blind pixels."""
+    relative = np.where(air > 0, np.maximum(counts, LEAST_COUNTS) / np.where(air > 0, air, 1), 1)
+    return np.log(relative).astype(np.float32)
 
 
 def _differences(logs: Image, axis: int) -> list[Image]:
-    """Of the two pixels before each, it and the one before, it and the one after, the two after; NaN if not known."""
+    """Four consecutive differences around each pixel, from the two pixels before to the two after; NaN if not known."""
     width = [(0, 0)] * logs.ndim
     width[axis] = (2, 2)
     steps = np.diff(np.pad(logs, width, constant_values=np.nan), axis=axis)
@@ -122,11 +151,11 @@ def _differences(logs: Image, axis: int) -> list[Image]:
 
 
 def _beside(images: Float[np.ndarray, "..."], axis: int, step: int) -> Float[np.ndarray, "..."]:
-    """What the neighbours have; at the border, a pixel is its own."""
+    """Values of neighbours; at the border, a pixel is its own neighbour."""
     places = np.clip(np.arange(images.shape[axis]) + step, 0, images.shape[axis] - 1)
     return np.take(images, places, axis=axis)
 
 
-def _blocks(images: Image, factor: int) -> Float[np.ndarray, "channel row y column x"]:
+def _blocks(images: Shaped[np.ndarray, "channel row column"], factor: int) -> Shaped[np.ndarray, "channel r y c x"]:
     channels, rows, columns = images.shape
     return images.reshape(channels, rows // factor, factor, columns // factor, factor)

@@ -1,7 +1,7 @@
-"""Noise that frames without beam have, as photons that nothing attenuates.
+"""Readout noise, modelled as photons that nothing attenuates.
 
-Its variance s is added to counts and to what is expected of them, so that counts have again a variance that is their
-mean, and few of them are negative: shifted Poisson counts (Yavuz & Fessler 1998, Med. Image Anal. 2, 369).
+Its variance s is added to counts and to their expectation, so that the variance of counts equals their mean again, and
+few of them are negative: shifted Poisson counts (Yavuz & Fessler 1998, Med. Image Anal. 2, 369).
 """
 
 from dataclasses import replace
@@ -13,7 +13,17 @@ from spectra.transmission import Transmission
 
 
 def with_floor(transmission: Transmission, variance: Float[np.ndarray, " channel"]) -> Transmission:
-    """The same with a node in each channel that has such noise; its columns are 0."""
+    """Add an energy node without attenuation to each channel that has readout noise.
+
+    Parameters
+    ----------
+    transmission : spectral model of the photons
+    variance : variance of frames without beam in each channel [counts^2]
+
+    Returns
+    -------
+    spectral model of the shifted counts
+    """
     noisy = np.flatnonzero(variance > 0)
     ends = transmission.starts[noisy + 1]
     return replace(
@@ -25,7 +35,16 @@ def with_floor(transmission: Transmission, variance: Float[np.ndarray, " channel
 
 
 def without_floor(transmission: Transmission) -> tuple[Transmission, Float[np.ndarray, " channel"]]:
-    """The photons that are attenuated, and the variance of each channel that `with_floor` added."""
+    """Undo `with_floor`.
+
+    Parameters
+    ----------
+    transmission : spectral model of shifted counts
+
+    Returns
+    -------
+    spectral model of the photons; variance of each channel that `with_floor` added [counts^2]
+    """
     moving = np.asarray(transmission.columns.any(axis=0))
     floor = _per_channel(np.where(moving, 0.0, transmission.weights), transmission)
     left = _per_channel(np.where(moving, 1.0, 0.0), transmission)
@@ -39,6 +58,6 @@ def without_floor(transmission: Transmission) -> tuple[Transmission, Float[np.nd
 
 
 def _per_channel(values: Float[np.ndarray, " node"], transmission: Transmission) -> Float[np.ndarray, " channel"]:
-    """Sums of values over the nodes of each channel, of which a blind one has none."""
+    """Sums of values over the nodes of each channel; a blind channel has no node."""
     total = np.append(0.0, np.cumsum(values))
     return np.diff(total[transmission.starts])

@@ -1,7 +1,8 @@
-"""Some of the views, such that they stand for all of them, also where tube voltages are switched from view to view.
+"""Subsets of the views that represent all of them, also where the tube voltage switches from view to view.
 
-Views that lack channels are of several kinds. A step that is a multiple of their period would meet one kind only, and
-what no channel of that kind measures would seem to be unknown. So every kind is taken from in the same way.
+There, views lack channels. Views with the same channels are of one kind. A step that is a multiple of the period of the
+kinds would select one kind only, and what the channels of the other kinds measure would seem to be unknown. So every
+kind is sampled in the same way.
 """
 
 import numpy as np
@@ -9,22 +10,44 @@ from jaxtyping import Float, Int
 
 
 def kinds_of(exposure: Float[np.ndarray, "view channel"]) -> Int[np.ndarray, " view"]:
-    """Which views were taken with the same channels: a number per kind, 0 for all where no view lacks a channel."""
+    """Number the kinds of views by the channels that they measured.
+
+    Parameters
+    ----------
+    exposure : tube output of each view and channel, 0 where it was not measured
+
+    Returns
+    -------
+    number of the kind of each view; 0 for all where no view lacks a channel
+    """
     return np.unique(exposure > 0, axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def rounds_of(kinds: Int[np.ndarray, " view"]) -> int:
-    """Views over kinds, at least 1: that many sets of views have every kind, and so every channel."""
+    """Count the sets of views that have one view of every kind, and so every channel.
+
+    Parameters
+    ----------
+    kinds : kind of each view, see `kinds_of`
+
+    Returns
+    -------
+    number of views over number of kinds, at least 1
+    """
     return max(len(kinds) // len(_members(kinds)), 1)
 
 
 def every(kinds: Int[np.ndarray, " view"], step: float) -> Int[np.ndarray, " few"]:
-    """One view of so many of each kind, at least one of each, in order.
+    """Take every `step`-th view of each kind, at least one of each, in order.
 
     Parameters
     ----------
-    kinds : of all views, see `kinds_of`
-    step : views between two of them; it need not be a whole number
+    kinds : kind of each view, see `kinds_of`
+    step : distance of two views of a kind; it need not be a whole number
+
+    Returns
+    -------
+    indices of the views
     """
     members = _members(kinds)
     picked = []
@@ -35,7 +58,17 @@ def every(kinds: Int[np.ndarray, " view"], step: float) -> Int[np.ndarray, " few
 
 
 def spread(kinds: Int[np.ndarray, " view"], count: int) -> Int[np.ndarray, " few"]:
-    """About `count` views, evenly spread over those of each kind, at least one of each, in order."""
+    """Take about `count` views, evenly spread over those of each kind, at least one of each, in order.
+
+    Parameters
+    ----------
+    kinds : kind of each view, see `kinds_of`
+    count : number of views in all
+
+    Returns
+    -------
+    indices of the views
+    """
     picked = []
     for views in _members(kinds):
         share = max(round(min(count, len(kinds)) * len(views) / len(kinds)), 1)
@@ -44,7 +77,17 @@ def spread(kinds: Int[np.ndarray, " view"], count: int) -> Int[np.ndarray, " few
 
 
 def parts_of(kinds: Int[np.ndarray, " view"], count: int) -> list[Int[np.ndarray, " few"]]:
-    """All views in so many evenly spread parts, each with views of every kind where there are enough of them."""
+    """Divide all views into evenly spread parts, each with views of every kind where there are enough of them.
+
+    Parameters
+    ----------
+    kinds : kind of each view, see `kinds_of`
+    count : number of parts
+
+    Returns
+    -------
+    indices of the views of each part
+    """
     whole = [np.arange(first, len(kinds), count) for first in range(count)]
     members = _members(kinds)
     if all(len(np.unique(kinds[part])) == len(members) for part in whole):
@@ -56,5 +99,5 @@ def parts_of(kinds: Int[np.ndarray, " view"], count: int) -> list[Int[np.ndarray
 
 
 def _members(kinds: Int[np.ndarray, " view"]) -> list[Int[np.ndarray, " few"]]:
-    """Views of each kind."""
+    """Indices of the views of each kind."""
     return [np.flatnonzero(kinds == kind) for kind in np.unique(kinds)]

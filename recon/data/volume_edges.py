@@ -1,4 +1,4 @@
-"""Where volumes hold something, where their edges are, and how dense they are.
+"""Where volumes are occupied, where their edges lie, and how dense they are.
 
 Structure is measured in units of noise, on volumes whitened by the mean Fisher matrix, so that the choice of bases
 does not matter.
@@ -10,24 +10,30 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter, maximum_filter
 
-SMOOTHING = 0.7  # voxels; standard deviation of the Gaussian that tames noise before edges are looked for
-BACKGROUND = 0.1  # a voxel below this fraction of a large signal is empty
-LARGEST = 3.0  # times the typical signal; where metal is larger, that counts as large
-METAL = 3.0  # times the typical density; what is denser counts as metal
-EDGE = 4.0  # a gradient this many times the median, which is noise where most of an object is even, is an edge
-CONTRAST = 0.1  # of the typical signal; a gradient per voxel of as much is an edge, whatever the median
-_FAINT = 0.02  # for the typical value, see there
+SMOOTHING = 0.7  # voxels; standard deviation of the Gaussian that reduces noise before edges are found; by hand
+BACKGROUND = 0.1  # no unit, over a large signal; a voxel below is empty; chosen by hand, not measured
+# no unit, over the typical signal; a large signal is the 99th percentile, or this where metal exceeds it, so that the
+# body beside steel does not count as empty (docs/development/decisions/0009-metal.md)
+LARGEST = 3.0
+METAL = 3.0  # no unit, over the typical density; denser voxels are metal; chosen by hand, not measured
+# no unit, over the median gradient, which is noise where most of an object is homogeneous; larger gradients are edges;
+# chosen by hand, not measured
+EDGE = 4.0
+# no unit, over the typical signal; larger gradients per voxel are edges whatever the median is; 0.3 loses 0.1 to 0.4 dB
+# (docs/development/decisions/0015-where-gaussians-are-dense.md)
+CONTRAST = 0.1
+_FAINT = 0.02  # no unit; see `_typical`; chosen by hand, not measured
 
 
 @dataclass(frozen=True, eq=False)
 class VolumeEdges:
-    """Of volumes.
+    """Occupied voxels and edges of volumes.
 
     Parameters
     ----------
-    occupied : voxels that hold something
-    tensor : sum over bases of the products of gradients, in the order xx, yy, zz, xy, xz, yz
-    strength : length of the gradient over that of an edge; 1 and more is an edge
+    occupied : voxels that are not empty
+    tensor : structure tensor, the sum over bases of the products of gradients, in the order xx, yy, zz, xy, xz, yz
+    strength : length of the gradient over that of the weakest edge; 1 and more is an edge
     """
 
     occupied: Bool[np.ndarray, "z y x"]
@@ -40,8 +46,12 @@ class VolumeEdges:
 
         Parameters
         ----------
-        volumes : of each basis [1/mm]
-        fisher : mean Fisher matrix of the rays' line integrals
+        volumes : coefficients of each basis [1/mm]
+        fisher : mean Fisher matrix of the line integrals of rays
+
+        Returns
+        -------
+        occupied voxels and edges
         """
         smooth = np.einsum("nm,mzyx->nzyx", np.linalg.cholesky(fisher).T, volumes)
         smooth = np.stack([gaussian_filter(w, SMOOTHING) for w in smooth])
@@ -64,19 +74,37 @@ def _products_of_gradients(volumes: Float[np.ndarray, "basis z y x"]) -> Float[n
 
 
 def _gradient(volume: Float[np.ndarray, "z y x"]) -> list[Float[np.ndarray, "z y x"]]:
-    """Change per voxel along each axis; none along an axis of one voxel."""
+    """Change per voxel along each axis; 0 along an axis of one voxel."""
     return [np.gradient(volume, axis=i) if n > 1 else np.zeros_like(volume) for i, n in enumerate(volume.shape)]
 
 
 def relative_density(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "z y x"]:
-    """Sum of the coefficients of each voxel over that of a typical one that holds something; 1 where none does."""
+    """Compute the density of each voxel relative to a typical one.
+
+    Parameters
+    ----------
+    volumes : coefficients of each basis [1/mm]
+
+    Returns
+    -------
+    sum of the coefficients over its typical value among occupied voxels; 1 everywhere where all is empty
+    """
     density = volumes.sum(axis=0)
     typical = _typical(density)
     return density / typical if typical > 0 else np.ones_like(density)
 
 
 def over_metal(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "z y x"]:
-    """Density over that of the least dense metal, at least 1; of a voxel and its neighbours, the largest."""
+    """Compute the density relative to that of the least dense metal.
+
+    Parameters
+    ----------
+    volumes : coefficients of each basis [1/mm]
+
+    Returns
+    -------
+    largest ratio among a voxel and its neighbours, at least 1
+    """
     over = np.maximum(relative_density(volumes) / METAL, 1)
     return maximum_filter(over, size=3) if over.max(initial=1) > 1 else over
 
@@ -84,9 +112,19 @@ def over_metal(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "
 def metal_without_agents(
     volumes: Float[np.ndarray, "basis z y x"], names: tuple[str, ...]
 ) -> tuple[Bool[np.ndarray, " basis"], Float[np.ndarray, "z y x"]]:
-    """Which bases are K edges, and `over_metal` of what all others hold; of K edges alone, nothing is metal.
+    """Find the K-edge bases, and metal by the density of all other bases.
 
-    A contrast agent makes its own basis large, and metal those of all matter.
+    A contrast agent makes its own basis large, metal those that all matter has. With K-edge bases alone, nothing counts
+    as metal.
+
+    Parameters
+    ----------
+    volumes : coefficients of each basis [1/mm]
+    names : names of the bases
+
+    Returns
+    -------
+    mask of the K-edge bases; `over_metal` of the others
     """
     edges = np.array([name.startswith("kedge") for name in names])
     if not edges.any() or edges.all():
@@ -95,9 +133,9 @@ def metal_without_agents(
 
 
 def _typical(values: Float[np.ndarray, "z y x"]) -> float:
-    """Median of what is there, however much is empty and however dense a part is; 0 where all is empty.
+    """Median of the occupied voxels, whatever part is empty or very dense; 0 where all is empty.
 
-    There is what exceeds a small part of the value that half of the sum of all lies below.
+    Occupied are voxels above the part `_FAINT` of the value below which half of the sum of all values lies.
     """
     ordered = np.sort(np.maximum(values, 0), axis=None)
     below = np.cumsum(ordered, dtype=np.float64)

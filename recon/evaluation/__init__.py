@@ -1,1 +1,1 @@
-"""How good a result is: metrics, scores of a fit, noise bound of a voxel model."""
+"""Quality of a result: metrics, scores of a fit, verdict for a user, noise bound of a voxel model."""

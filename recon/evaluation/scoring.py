@@ -1,4 +1,4 @@
-"""Scores of a finished fit: against the truth where a dataset has one, against its test views always."""
+"""Scores of a finished fit: against the truth where a dataset has one, against its test views in any case."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -22,14 +22,25 @@ from recon.gaussians.model import Gaussians
 from recon.voxel.model import Voxels
 from recon.voxel.unreliable import Unreliable
 
-FULL_FRACTION = 65535  # as the truth stores a voxel that one material fills
-VIEWS_AT_ONCE = 2
+FULL_FRACTION = 65535  # value of a voxel that one material fills, in the truth of a dataset
+VIEWS_AT_ONCE = 2  # views; predicted together, which bounds the memory
 
 
 def held_out_views(
     dataset: Dataset, model: Gaussians | Voxels, unreliable: Unreliable | None = None
 ) -> Iterator[HeldOutView]:
-    """Test views of a dataset and what the model expects there, in order; rays through unreliable voxels are marked."""
+    """Predict the test views of a dataset, one after the other.
+
+    Parameters
+    ----------
+    dataset : an open dataset
+    model : Gaussians or voxels
+    unreliable : voxels whose rays are marked; None where there are none
+
+    Yields
+    ------
+    measured and expected counts of each view
+    """
     test = dataset.splits["test"]
     for first in range(0, len(test), VIEWS_AT_ONCE):
         views = test[first : first + VIEWS_AT_ONCE]
@@ -50,7 +61,7 @@ def _predict(measured: Measurements, model: Gaussians | Voxels, unreliable: Unre
 
 
 def _rays_through(unreliable: Unreliable, measured: Measurements) -> Bool[np.ndarray, "view row column"]:
-    """Rays that lie in marked voxels for more than half the edge of one."""
+    """Rays with a path in marked voxels of more than half the edge of a voxel."""
     one = Voxels(unreliable.marked[None].astype(np.float32), unreliable.grid, ("marked",))
     return one.line_integrals(measured.geometry).numpy()[:, 0] > 0.5 * min(unreliable.grid.spacing)
 
@@ -58,14 +69,35 @@ def _rays_through(unreliable: Unreliable, measured: Measurements) -> Bool[np.nda
 def score_test_views(
     dataset: Dataset, model: Gaussians | Voxels, unreliable: Unreliable | None = None
 ) -> dict[str, Any]:
-    """Per channel: PSNR of log projections and chi-square, see `recon.evaluation.metrics.score_projections`."""
+    """Score the predictions of the test views.
+
+    Parameters
+    ----------
+    dataset : an open dataset
+    model : Gaussians or voxels
+    unreliable : voxels whose rays are scored apart; None where there are none
+
+    Returns
+    -------
+    scores by channel, see `recon.evaluation.metrics.score_projections`
+    """
     return score_projections(held_out_views(dataset, model, unreliable), dataset.spectra.channels)
 
 
 def score_truth(truth: Truth, model: Gaussians | Voxels, unreliable: Unreliable | None = None) -> dict[str, Any]:
-    """Per basis and per material, on the grid and in the basis of the truth; also without unreliable voxels.
+    """Score a model against the truth, on the grid and in the basis of the truth.
 
     A basis that the model lacks is scored as a volume of zeros.
+
+    Parameters
+    ----------
+    truth : truth of the dataset
+    model : Gaussians or voxels
+    unreliable : voxels without which bases are scored as well; None where there are none
+
+    Returns
+    -------
+    ``basis``, ``materials`` and ``cross_talk``, see `recon.evaluation.metrics`
     """
     volumes = _in_basis_of(truth, model.volume(truth.grid), model.basis_names)
     materials = score_materials(
@@ -79,7 +111,17 @@ def score_truth(truth: Truth, model: Gaussians | Voxels, unreliable: Unreliable 
 
 
 def psnr_of_bases(truth: Truth, model: Gaussians | Voxels) -> dict[str, float]:
-    """PSNR of each basis [dB] as ``psnr_<name>``, of those that the model and the truth have."""
+    """Compute the PSNR of each basis that the model and the truth have.
+
+    Parameters
+    ----------
+    truth : truth of the dataset
+    model : Gaussians or voxels
+
+    Returns
+    -------
+    PSNR [dB] by ``psnr_<name>``
+    """
     scores = {}
     for name, volume in zip(model.basis_names, model.volume(truth.grid), strict=True):
         if name not in truth.basis_names:
@@ -94,7 +136,20 @@ def psnr_of_bases(truth: Truth, model: Gaussians | Voxels) -> dict[str, float]:
 def score_start(
     method: str, truth: Truth, volumes: Float[np.ndarray, "basis z y x"], names: tuple[str, ...], grid: Grid
 ) -> dict[str, Any]:
-    """Scores per basis of what `method` made a fit start from; empty on another grid than that of the truth."""
+    """Score the initial volumes of a fit.
+
+    Parameters
+    ----------
+    method : name of the method that made them
+    truth : truth of the dataset
+    volumes : the initial volumes [1/mm]
+    names : names of their bases
+    grid : grid of `volumes`
+
+    Returns
+    -------
+    scores by method and basis; empty if the grid is not that of the truth
+    """
     if grid != truth.grid:
         return {}
     return {method: score_basis_volumes(_in_basis_of(truth, volumes, names), truth.volumes, truth.basis_names)}
@@ -103,7 +158,7 @@ def score_start(
 def _in_basis_of(
     truth: Truth, volumes: Float[np.ndarray, "basis z y x"], names: tuple[str, ...]
 ) -> Float[np.ndarray, "basis z y x"]:
-    """Volumes in the order of the truth's basis functions, zeros for those that are missing."""
+    """Volumes in the order of the basis functions of the truth, zeros for those that are missing."""
     out = np.zeros((len(truth.basis_names), *truth.grid.shape), np.float32)
     for name, volume in zip(names, volumes, strict=True):
         if name in truth.basis_names:

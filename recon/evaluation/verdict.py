@@ -1,6 +1,6 @@
-"""What a user should know of a finished run, in sentences: made of what the run knows, never of the truth.
+"""Verdict on a finished run, in sentences for a user, from what the run knows and never from the truth.
 
-Each sentence has a key that stays the same, for programs. A run without any of those that fail has found no fault.
+Each sentence has a key that stays the same, for programs. A run passes if no sentence reports a failed check.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,10 +15,13 @@ from recon.data.coverage import SIDES, Coverage
 from recon.voxel.unreliable import Unreliable
 from recon.voxel.unreliable import sentence as which_unreliable
 
-CERTAIN = 5.0  # standard deviations by which chi-square must exceed what it should be
-STARVED = 0.01  # of the rays through the object
-SPARSE = 0.5  # rays over voxels of a slice of the object
-SOMETHING = 0.1  # of the mean of what is well filled; voxels with more hold something
+# standard deviations by which chi-square must exceed its expectation; chosen by hand, so that noise fails no run
+CERTAIN = 5.0
+STARVED = 0.01  # of the rays through the object; more with hardly any counts fail the check; chosen by hand
+# no unit; rays of a voxel's width over voxels in a slice of the object; fewer fail the check; chosen by hand
+SPARSE = 0.5
+# no unit, over the mean density of the denser voxels; voxels with more belong to the object; chosen by hand
+OBJECT_DENSITY = 0.1
 
 
 @dataclass(frozen=True)
@@ -29,8 +32,8 @@ class Remark:
     ----------
     key : ``misfit``, ``misfit_marked``, ``truncated``, ``outside_grid``, ``starved``, ``unreliable``, ``few_views``,
         ``note`` or ``bases_left_out``
-    sentence : for the user
-    failed : whether a check failed; otherwise it is good to know
+    sentence : the sentence for a user
+    failed : whether a check failed; otherwise the sentence is a note
     """
 
     key: str
@@ -41,46 +44,71 @@ class Remark:
 Verdict = tuple[Remark, ...]
 
 
-def verdict_of(
-    channels: Mapping[str, Mapping[str, Any]],
-    dispersion: float,
-    coverage: Coverage | None,
-    volumes: Float[np.ndarray, "basis z y x"],
-    views: int,
-    fitted: Sequence[str],
-    stated: Sequence[str],
-    notes: Sequence[str] = (),
-    unreliable: Unreliable | None = None,
-) -> Verdict:
-    """All remarks on a run.
+@dataclass(frozen=True, eq=False)
+class FitOutcome:
+    """Result of a fit, with what the verdict depends on.
 
     Parameters
     ----------
-    channels : scores on test views, as `recon.evaluation.metrics.score_projections` gives them
-    dispersion : relative model error that the recipe concedes
-    coverage : what the scan covers; None where nobody has looked
-    volumes : the result on the grid that was asked for [1/mm]
-    views : that were fitted
+    channels : scores on test views, see `recon.evaluation.metrics.score_projections`
+    dispersion : relative model error that the recipe concedes [no unit]
+    volumes : the result on the requested grid [1/mm]
+    views : number of views that were fitted
     fitted, stated : names of the bases of the result, and of the dataset
+    coverage : coverage of the object by the scan; None where it was not computed
+    unreliable : voxels whose bases the counts do not determine; None where there are none
     notes : sentences of the fit
-    unreliable : voxels whose bases the counts do not tell
     """
-    marked = None if unreliable is None else unreliable.record()
+
+    channels: Mapping[str, Mapping[str, Any]]
+    dispersion: float
+    volumes: Float[np.ndarray, "basis z y x"]
+    views: int
+    fitted: Sequence[str]
+    stated: Sequence[str]
+    coverage: Coverage | None = None
+    unreliable: Unreliable | None = None
+    notes: Sequence[str] = ()
+
+
+def verdict_of(outcome: FitOutcome) -> Verdict:
+    """Check the result of a fit.
+
+    Parameters
+    ----------
+    outcome : the result
+
+    Returns
+    -------
+    all remarks, failed checks and notes
+    """
+    channels, dispersion, coverage = outcome.channels, outcome.dispersion, outcome.coverage
     found = [misfit(channels, dispersion)]
-    if marked is not None:
+    if outcome.unreliable is not None:
+        marked = outcome.unreliable.record()
         told = Remark("unreliable", which_unreliable(marked), failed=False)
         found += [misfit_marked(channels, marked, dispersion), told]
-    found += [few_views(volumes, views), bases_left_out(fitted, stated)]
+    found += [few_views(outcome.volumes, outcome.views), bases_left_out(outcome.fitted, outcome.stated)]
     if coverage is not None:
         found = [truncated(coverage), outside_grid(coverage), starved(coverage), *found]
-    return tuple(remark for remark in (*found, *(Remark("note", note) for note in notes)) if remark is not None)
+    notes = (Remark("note", note) for note in outcome.notes)
+    return tuple(remark for remark in (*found, *notes) if remark is not None)
 
 
 def misfit(channels: Mapping[str, Mapping[str, Any]], dispersion: float) -> Remark | None:
-    """Test views are explained worse than noise and the model error that the recipe concedes would leave them.
+    """Check whether noise and the conceded model error explain the test views away from edges.
 
-    Off edges chi-square has the mean 1 + dispersion^2 Y of counts Y whose variance is Y + (dispersion Y)^2, and of n
+    There, chi-square has the mean 1 + dispersion^2 Y for counts Y whose variance is Y + (dispersion Y)^2, and for n
     rays a standard deviation of sqrt(2 / n) times that.
+
+    Parameters
+    ----------
+    channels : scores on test views
+    dispersion : relative model error that the recipe concedes [no unit]
+
+    Returns
+    -------
+    a remark where they do not
     """
     far = _unexplained(channels, "away", dispersion)
     if not far:
@@ -96,10 +124,20 @@ def misfit(channels: Mapping[str, Mapping[str, Any]], dispersion: float) -> Rema
 def misfit_marked(
     channels: Mapping[str, Mapping[str, Any]], marked: Mapping[str, Any], dispersion: float
 ) -> Remark | None:
-    """Rays through marked voxels are explained worse than noise and the conceded model error would leave them.
+    """Check whether noise and the conceded model error explain the rays through marked voxels.
 
-    The limit is that of `misfit`. These rays lie at edges, which `misfit` leaves out, as the rims of ordinary things
-    are in no pixel exactly; but metal spoils what is beside it by what it leaves unexplained.
+    The limit is that of `misfit`. These rays lie at edges, which `misfit` leaves out, as no model resolves the rims of
+    objects exactly; but what metal leaves unexplained causes errors beside it.
+
+    Parameters
+    ----------
+    channels : scores on test views
+    marked : summary of the marked voxels, `Unreliable.record`
+    dispersion : relative model error that the recipe concedes [no unit]
+
+    Returns
+    -------
+    a remark where they do not
     """
     far = _unexplained(channels, "marked", dispersion)
     if not far:
@@ -116,7 +154,7 @@ def misfit_marked(
 
 
 def _unexplained(channels: Mapping[str, Mapping[str, Any]], rays: str, dispersion: float) -> list[tuple[str, float]]:
-    """Channels, and their chi-square, where it exceeds what noise and a conceded model error leave of some rays."""
+    """Channels with their chi-square where it exceeds what noise and the conceded model error explain."""
     far = []
     for name, scores in channels.items():
         found, number, counts = (scores.get(f"{key}_{rays}") for key in ("chi_square", "rays", "counts"))
@@ -128,7 +166,16 @@ def _unexplained(channels: Mapping[str, Mapping[str, Any]], rays: str, dispersio
 
 
 def truncated(coverage: Coverage) -> Remark | None:
-    """The object leaves the panel."""
+    """Check whether the panel covers the object.
+
+    Parameters
+    ----------
+    coverage : coverage of the object by the scan
+
+    Returns
+    -------
+    a remark where it does not
+    """
     if not (coverage.lateral or coverage.axial):
         return None
     sides = [name for name, part in zip(SIDES, coverage.sides, strict=True) if part]
@@ -142,7 +189,16 @@ def truncated(coverage: Coverage) -> Remark | None:
 
 
 def outside_grid(coverage: Coverage) -> Remark | None:
-    """The object is larger than the grid."""
+    """Check whether the grid holds the object.
+
+    Parameters
+    ----------
+    coverage : coverage of the object by the scan
+
+    Returns
+    -------
+    a remark where it does not
+    """
     if not coverage.outside:
         return None
     z, y, x = ((n * s) for n, s in zip(coverage.grid.shape, coverage.grid.spacing, strict=True))
@@ -154,7 +210,16 @@ def outside_grid(coverage: Coverage) -> Remark | None:
 
 
 def starved(coverage: Coverage) -> Remark | None:
-    """Hardly a photon passed some of the object."""
+    """Check whether enough photons pass the object.
+
+    Parameters
+    ----------
+    coverage : coverage of the object by the scan
+
+    Returns
+    -------
+    a remark where more than `STARVED` of the rays have hardly any counts
+    """
     if coverage.starved <= STARVED:
         return None
     return Remark(
@@ -165,15 +230,24 @@ def starved(coverage: Coverage) -> Remark | None:
 
 
 def few_views(volumes: Float[np.ndarray, "basis z y x"], views: int) -> Remark | None:
-    """A slice of the object has many more voxels than rays of a voxel's width that cross it.
+    """Check whether views are enough for the voxels of the object.
 
-    An object of diameter D voxels has pi D^2 / 4 of them, and each view crosses it by D rays. Even pieces and
-    non-negative values make up for some of what is missing, not for most of it.
+    A slice of an object with a diameter of D voxels has pi D^2 / 4 voxels, and each view crosses it by D rays of the
+    width of a voxel. Piecewise constant and non-negative values make up for some of the missing rays, not for most.
+
+    Parameters
+    ----------
+    volumes : the result [1/mm]
+    views : number of views that were fitted
+
+    Returns
+    -------
+    a remark where a slice has fewer rays per voxel than `SPARSE`
     """
     density = volumes.sum(axis=0)
     if not (density > 0).any():
         return None
-    filled = density > SOMETHING * density[density > density.mean()].mean()
+    filled = density > OBJECT_DENSITY * density[density > density.mean()].mean()
     voxels = np.count_nonzero(filled, axis=(1, 2)).max()
     diameter = 2 * sqrt(voxels / pi)
     if views * diameter >= SPARSE * voxels:
@@ -182,12 +256,21 @@ def few_views(volumes: Float[np.ndarray, "basis z y x"], views: int) -> Remark |
         "few_views",
         f"{views} views are few for a grid this fine: a slice of the object has {voxels} voxels and is crossed by "
         f"{views * diameter:.0f} rays of their width; larger voxels or at least {SPARSE * voxels / diameter:.0f} views "
-        "would do.",
+        "would suffice.",
     )
 
 
 def bases_left_out(fitted: Sequence[str], stated: Sequence[str]) -> Remark | None:
-    """The result lacks bases that the dataset states."""
+    """Check whether the result has all bases of the dataset.
+
+    Parameters
+    ----------
+    fitted, stated : names of the bases of the result, and of the dataset
+
+    Returns
+    -------
+    a note where some are missing
+    """
     missing = [name for name in stated if name not in fitted]
     if not missing:
         return None
@@ -200,17 +283,44 @@ def bases_left_out(fitted: Sequence[str], stated: Sequence[str]) -> Remark | Non
 
 
 def record(verdict: Verdict) -> list[dict[str, Any]]:
-    """For ``metrics.json``."""
+    """Convert a verdict for ``metrics.json``.
+
+    Parameters
+    ----------
+    verdict : the remarks
+
+    Returns
+    -------
+    the remarks as plain dictionaries
+    """
     return [asdict(remark) for remark in verdict]
 
 
 def failed(metrics: Mapping[str, Any]) -> bool:
-    """Whether a check of a run has failed, by its metrics."""
+    """Tell whether a check of a run has failed.
+
+    Parameters
+    ----------
+    metrics : content of ``metrics.json``
+
+    Returns
+    -------
+    whether any check has failed
+    """
     return any(remark["failed"] for remark in metrics.get("verdict", ()))
 
 
 def lines(metrics: Mapping[str, Any]) -> list[str]:
-    """The verdict as a summary shows it."""
+    """Format the verdict for a summary.
+
+    Parameters
+    ----------
+    metrics : content of ``metrics.json``
+
+    Returns
+    -------
+    one line per remark, and a last line where no check failed; none for a run without a verdict
+    """
     if "verdict" not in metrics:
         return []
     remarks = metrics["verdict"]

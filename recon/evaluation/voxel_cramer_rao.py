@@ -1,12 +1,12 @@
 """The least noise that counts allow in averages over voxels: the Cramer-Rao bound of a voxel model.
 
-All voxels and bases are unknown, and nothing is assumed of them: neither smoothness nor that they are positive. Then
-the variance of w^T x is at least w^T F^-1 w, with the Fisher information F = sum_r a_r a_r^T (x) F_r of all voxels,
-a_r the lengths of ray r in voxels and F_r the Fisher matrix of its line integrals (Kay 1993, Fundamentals of
-Statistical Signal Processing I, theorem 3.2). A method that stays below has assumed something.
+All voxels and bases are unknown, and neither smoothness nor positivity is assumed. Then the variance of w^T x is at
+least w^T F^-1 w, with the Fisher information F = sum_r a_r a_r^T (x) F_r of all voxels, a_r the lengths of ray r in
+voxels and F_r the Fisher matrix of its line integrals (Kay 1993, Fundamentals of Statistical Signal Processing I,
+theorem 3.2). A method with less noise uses assumptions about the object.
 
 F^-1 w comes from conjugate gradients with the matched projector (Hestenes & Stiefel 1952, doi:10.6028/jres.049.044).
-From zero their w^T x only grows towards w^T F^-1 w, so that wherever they end it still is a bound.
+From zero their w^T x only grows towards w^T F^-1 w, so that it is a valid bound after any number of iterations.
 """
 
 from dataclasses import dataclass
@@ -21,22 +21,22 @@ from recon.data.measurements import Measurements
 from recon.gaussians.fisher import ray_information
 from recon.voxel.iterative.likelihood import VIEWS_AT_ONCE, forward, transpose
 
-ITERATIONS = 80
-STILL = 5e-4  # growth of all bounds in an iteration, relative, at which the iterations end
-SEEN = 1e-6  # least path of all rays in a voxel over the mean, for the voxel to count as seen
+ITERATIONS = 80  # largest number of iterations; chosen by hand, as bounds converge before
+CONVERGED = 5e-4  # no unit; relative growth of all bounds in an iteration at which the iterations end; by hand
+SEEN = 1e-6  # no unit; least path of all rays in a voxel over the mean, for the voxel to count as seen
 
 Vectors = Float[np.ndarray, "vector basis z y x"]
 
 
 @dataclass(frozen=True, eq=False)
 class VoxelInformation:
-    """Fisher information of all voxels' coefficients.
+    """Fisher information of the coefficients of all voxels.
 
     Parameters
     ----------
-    rays : Fisher matrix of every ray's line integrals
-    geometry : of the rays
-    grid : the voxels
+    rays : Fisher matrix of the line integrals of every ray
+    geometry : poses of the views
+    grid : grid of the voxels
     """
 
     rays: Float[np.ndarray, "view row column basis basis"]
@@ -47,13 +47,17 @@ class VoxelInformation:
     def of(
         cls, measurements: Measurements, volumes: Float[np.ndarray, "basis z y x"], grid: Grid
     ) -> "VoxelInformation":
-        """Information of counts as noisy as those of an object.
+        """Compute the information of counts with the noise of a given object.
 
         Parameters
         ----------
-        measurements : views that count, at any binning
-        volumes : the object [1/mm]
-        grid : its voxels
+        measurements : the views, at any binning
+        volumes : coefficients of the object [1/mm]
+        grid : grid of `volumes`
+
+        Returns
+        -------
+        the information
         """
         lengths = np.moveaxis(forward(volumes.astype(np.float32), measurements.geometry, grid), 0, 1)
         views = range(len(measurements))
@@ -61,7 +65,16 @@ class VoxelInformation:
         return cls(np.stack(rays), measurements.geometry, grid)
 
     def times(self, vectors: Vectors) -> Vectors:
-        """Information times vectors."""
+        """Multiply vectors by the information matrix.
+
+        Parameters
+        ----------
+        vectors : volumes of all bases, one set per vector
+
+        Returns
+        -------
+        the products
+        """
         count, bases = vectors.shape[:2]
         flat = vectors.reshape(-1, *self.grid.shape).astype(np.float32)
         out = np.zeros(flat.shape, np.float32)
@@ -89,16 +102,25 @@ class VoxelInformation:
 
     @cached_property
     def _ramp(self) -> Float[np.ndarray, "z y x"]:
-        """Length of each wave vector [1/mm]; half of the least for the mean."""
+        """Length of each wave vector [1/mm]; half of the least one for the zero frequency."""
         waves = [np.fft.fftfreq(n, s) for n, s in zip(self.grid.shape, self.grid.spacing, strict=True)]
         ramp = np.sqrt(sum(part**2 for part in np.meshgrid(*waves, indexing="ij")))
         ramp[0, 0, 0] = ramp[ramp > 0].min(initial=1.0) / 2
         return ramp
 
     def solve_roughly(self, vectors: Vectors) -> Vectors:
-        """A positive definite guess of the inverse, times vectors: the ramp of back-projection in whitened voxels.
+        """Multiply vectors by a positive definite approximation of the inverse, which preconditions the iterations.
 
-        As in Fessler & Booth 1999, doi:10.1109/83.760336, with matrices in place of numbers.
+        The approximation is the ramp of back-projection in whitened voxels, as in Fessler & Booth 1999,
+        doi:10.1109/83.760336, with matrices in place of numbers.
+
+        Parameters
+        ----------
+        vectors : volumes of all bases, one set per vector
+
+        Returns
+        -------
+        the products
         """
         white = np.einsum("mnzyx,knzyx->kmzyx", self._roots, vectors)
         filtered = np.fft.ifftn(np.fft.fftn(white, axes=(2, 3, 4)) * self._ramp, axes=(2, 3, 4)).real
@@ -109,20 +131,20 @@ def least_variances(
     information: VoxelInformation,
     weights: Float[np.ndarray, "weight z y x"],
     iterations: int = ITERATIONS,
-    still: float = STILL,
+    converged: float = CONVERGED,
 ) -> Float[np.ndarray, "weight basis"]:
-    """Least variance that unbiased estimates of weighted sums over voxels can have, for each basis.
+    """Compute the least variance of unbiased estimates of weighted sums over voxels, for each basis.
 
     Parameters
     ----------
-    information : of the counts
-    weights : of the voxels, for instance the indicator of a region over its size
-    iterations : at most
-    still : relative growth in an iteration at which they end; the bound is some times as much too low
+    information : information of the counts
+    weights : weights of the voxels, for instance the indicator of a region over its number of voxels
+    iterations : largest number of iterations
+    converged : relative growth in an iteration at which they end; the bound is too low by a few times this part
 
     Returns
     -------
-    variances [1/mm^2] times the square of the weights' unit
+    variances [1/mm^2], times the square of the unit of the weights
     """
     bases = information.rays.shape[-1]
     left = np.einsum("kzyx,mn->kmnzyx", weights, np.eye(bases)).reshape(-1, bases, *weights.shape[1:])
@@ -134,7 +156,7 @@ def least_variances(
         step = _ratio(energy, _inner(direction, image))
         grown = step * energy  # what w^T x grows by
         found += grown
-        if (grown <= still * found).all():
+        if (grown <= converged * found).all():
             break
         left = left - _each(step) * image
         guess = information.solve_roughly(left)
@@ -148,7 +170,7 @@ def _inner(a: Vectors, b: Vectors) -> Float[np.ndarray, " vector"]:
 
 
 def _ratio(a: Float[np.ndarray, " vector"], b: Float[np.ndarray, " vector"]) -> Float[np.ndarray, " vector"]:
-    """Quotients; 0 where there is nothing left to do."""
+    """Quotients; 0 where the residual has vanished."""
     return np.divide(a, b, out=np.zeros_like(a), where=b > 0)
 
 

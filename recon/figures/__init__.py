@@ -1,1 +1,1 @@
-"""Static figures of a run, and colours of bases."""
+"""Figures of a run, each with its numbers as CSV beside it where it has curves."""

@@ -1,4 +1,4 @@
-"""The figures that any model of a scan has: slices, profiles, spectrum, residuals of a test view."""
+"""Figures that every model of a scan has: slices, profiles, spectrum, residuals of a test view."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,11 +28,11 @@ def draw_model(
     Parameters
     ----------
     dataset : the scan
-    truth : what was scanned, None where that is not known
-    model : what was reconstructed
-    folder : where figures go
-    left_out : bases of the file that the model lacks; pictures say so
-    guard : of each figure, so that one that fails does not cost the others
+    truth : truth of the scan; None where it is not known
+    model : reconstruction
+    folder : folder for the figures
+    left_out : bases of the file that the model lacks, which the titles name
+    guard : context of each figure, so that one that fails does not prevent the others
     """
     grid = dataset.grid if truth is None else truth.grid
     names, volumes = model.basis_names, model.volume(grid)
@@ -41,19 +41,25 @@ def draw_model(
         with guard(f"drawing {plane}.png"):
             figures.basis_slices(volumes, true, names, grid, folder / f"{plane}.png", plane, left_out=left_out)
     with guard("drawing profiles.png"):
-        figures.profiles(volumes, true, names, grid, folder / "profiles.png")
-    s = dataset.spectra
+        figures.profiles({"result": volumes}, true, names, grid, folder / "profiles.png")
     with guard("drawing spectrum.png"):
-        figures.spectrum(
-            s.energy, s.edges, s.source, s.response, s.channels, s.basis.names, s.basis_values,
-            folder / "spectrum.png", s.basis.breaks,
-        )  # fmt: skip
+        figures.spectrum(dataset.spectra, folder / "spectrum.png")
     with guard("drawing residuals.png"):
         _draw_residuals(dataset, model, folder / "residuals.png")
 
 
 def truth_of(truth: Truth, names: Sequence[str]) -> Float[np.ndarray, "basis z y x"] | None:
-    """True volumes of these bases [1/mm], NaN for those that the truth lacks; None where it has none of them."""
+    """Return the true volumes of some bases.
+
+    Parameters
+    ----------
+    truth : truth of the scan
+    names : names of the bases
+
+    Returns
+    -------
+    coefficients [1/mm], NaN for bases that the truth lacks; None where it has none of them
+    """
     known = truth.basis_names
     if not set(names) & set(known):
         return None
@@ -62,7 +68,7 @@ def truth_of(truth: Truth, names: Sequence[str]) -> Float[np.ndarray, "basis z y
 
 
 def _draw_residuals(dataset: Dataset, model: Gaussians | Voxels, path: Path) -> None:
-    """Residuals of the first test view."""
+    """Draw the residuals of the first test view."""
     for view in held_out_views(dataset, model):
         taken = np.flatnonzero(view.open_beam.any(axis=(1, 2)))
         channels = [dataset.spectra.channels[c] for c in taken]

@@ -1,4 +1,4 @@
-"""Pictures of a run, each with its numbers as CSV beside it where it shows curves.
+"""Figures of a run, each with its numbers as CSV beside it where it has curves.
 
 Every function takes arrays, writes a PNG and returns its path; matplotlib is imported when the first one is drawn.
 """
@@ -32,8 +32,9 @@ from spectra.basis.basis import pretty
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["basis_slices", "convergence", "profile_line", "profiles", "residuals", "spectrum"]
+__all__ = ["basis_slices", "borders", "convergence", "profile_line", "profiles", "residuals", "spectrum"]
 
+# axis of the slice, and axes across and up in the figure
 _PLANES = {"axial": (0, "x", "y"), "coronal": (1, "x", "z"), "sagittal": (2, "y", "z")}
 
 
@@ -47,20 +48,26 @@ def basis_slices(
     width: float = WIDTH,
     left_out: Sequence[str] = (),
 ) -> Path:
-    """Middle slice of every basis: truth, result and their difference, or the result alone.
+    """Draw the middle slice of every basis: truth, result and their difference, or the result alone.
 
     Parameters
     ----------
-    volumes, truth : coefficients [1/mm]; the truth is NaN where there is none of a basis
-    names : names of the basis functions
+    volumes, truth : coefficients [1/mm]; the truth is NaN for a basis that it lacks, and None where there is none
+    names : names of the bases
+    grid : grid of the volumes
+    path : figure to write
     plane : ``axial`` (x, y), ``coronal`` (x, z) or ``sagittal`` (y, z)
-    width : of the picture where there is a truth [inch]
+    width : width of the figure where there is a truth [inch]
     left_out : bases that were not fitted, which the title names
+
+    Returns
+    -------
+    path
     """
     axis, across, up = _PLANES[plane]
     middle = grid.shape[axis] // 2
     place = f"{'zyx'[axis]} = {grid.axis('zyx'[axis])[middle]:.3g} mm"
-    extent = [*_borders(grid, across), *_borders(grid, up)]
+    extent = [*borders(grid, across), *borders(grid, up)]
     result = volumes.take(middle, axis=axis + 1)
     true = None if truth is None else truth.take(middle, axis=axis + 1)
     titles = ["result"] if true is None else ["truth", "result", "result − truth"]
@@ -85,7 +92,7 @@ def basis_slices(
 
 
 def _draw_row(figure: "Figure", axes: Any, result: np.ndarray, true: np.ndarray | None, extent: list[float]) -> None:
-    """One basis: images with one grey scale, the difference with its own."""
+    """Draw one basis: images with one grey scale, and the difference with another scale."""
     known = true is not None and bool(np.isfinite(true).all())
     pictures = [result] if true is None else [true, result]
     top = float(true.max() if known else np.quantile(result, 0.999)) or float(np.abs(result).max()) or 1.0  # type: ignore[union-attr]
@@ -110,33 +117,37 @@ def _draw_row(figure: "Figure", axes: Any, result: np.ndarray, true: np.ndarray 
 
 
 def profiles(
-    volumes: Real[np.ndarray, "basis z y x"],
+    results: Mapping[str, Real[np.ndarray, "basis z y x"]],
     truth: Real[np.ndarray, "basis z y x"] | None,
     names: Sequence[str],
     grid: Grid,
     path: Path,
     line: Float[np.ndarray, "2 3"] | None = None,
     width: float = WIDTH,
-    others: Mapping[str, Real[np.ndarray, "basis z y x"]] | None = None,
-    label: str = "result",
 ) -> Path:
-    """Every basis along one line, with a CSV.
+    """Draw every basis along one line, with a CSV.
 
     Parameters
     ----------
-    volumes, truth : coefficients [1/mm]
-    line : two points (x, y, z) [mm] that the line joins; `profile_line` of the last basis where left out
-    width : of the picture [inch]
-    others : more results to draw, by their names
-    label : name of the first one
+    results : coefficients of each result [1/mm], by the names of the results
+    truth : true coefficients [1/mm]; None where there is none
+    names : names of the bases
+    grid : grid of the volumes
+    path : figure to write
+    line : two points (x, y, z) [mm] that the line joins; None for `profile_line` of the last basis of the first result
+    width : width of the figure [inch]
+
+    Returns
+    -------
+    path
     """
-    line = profile_line(volumes[-1], grid) if line is None else np.asarray(line, dtype=np.float64)
+    first = next(iter(results.values()))
+    line = profile_line(first[-1], grid) if line is None else np.asarray(line, dtype=np.float64)
     length = float(np.linalg.norm(line[1] - line[0]))
     position = np.arange(0.0, length, min(grid.spacing) / 2)
     points = line[0] + position[:, None] / length * (line[1] - line[0])
     index = ((points[:, ::-1] - grid.origin) / grid.spacing).T
     columns = {"position_mm": position} | {f"{c}_mm": points[:, i] for i, c in enumerate("xyz")}
-    results = {label: volumes, **(others or {})}
     for who, result in results.items():
         rows = [ndimage.map_coordinates(v, index, order=1, mode="nearest") for v in result]
         columns |= {f"{name}_{who}": row for name, row in zip(names, rows, strict=True)}
@@ -165,12 +176,17 @@ def profiles(
 
 
 def profile_line(volume: Real[np.ndarray, "z y x"], grid: Grid) -> Float[np.ndarray, "2 3"]:
-    """A line inside one axial slice through the two strongest regions of a volume, or along x through the only one.
+    """Choose a line in an axial slice through the two strongest regions of a volume, or along x through the only one.
+
+    Parameters
+    ----------
+    volume : coefficients of one basis [1/mm]
+    grid : grid of the volume
 
     Returns
     -------
-    Where it enters and leaves the grid, (x, y, z) [mm]. The slice is the middle one, or that of the largest value where
-    nothing is in the middle.
+    points where the line enters and leaves the grid, (x, y, z) [mm]. The slice is the middle one, or that of the
+    largest value where the middle one is nearly empty
     """
     smooth = ndimage.uniform_filter(np.asarray(volume, dtype=np.float64), 5)
     middle = grid.shape[0] // 2
@@ -184,7 +200,7 @@ def profile_line(volume: Real[np.ndarray, "z y x"], grid: Grid) -> Float[np.ndar
     direction = points[1] - points[0] if len(points) == 2 else np.zeros(2)
     if np.linalg.norm(direction) < min(grid.spacing):
         direction = np.array([1.0, 0.0])
-    low, high = np.array([_borders(grid, c) for c in "xy"]).T
+    low, high = np.array([borders(grid, c) for c in "xy"]).T
     with np.errstate(divide="ignore", invalid="ignore"):
         steps = np.sort([(low - points[0]) / direction, (high - points[0]) / direction], axis=0)
     ends = points[0] + np.array([[np.nanmax(steps[0])], [np.nanmin(steps[1])]]) * direction
@@ -200,15 +216,23 @@ def residuals(
     away: Bool[np.ndarray, "row column"] | None = None,
     width: float = WIDTH,
 ) -> Path:
-    """(y - Y) / sqrt(Y) of one held-out view, per channel, with histograms against the unit normal and their CSV.
+    """Draw (y - Y) / sqrt(Y) of one test view per channel, and its histograms beside the unit normal, with a CSV.
 
     Parameters
     ----------
-    counts, expected : measured y and modelled Y of one view
-    away : rays away from edges, drawn as a second histogram
-    width : of the picture where there are several channels [inch]
+    counts, expected : measured counts y and expected counts Y of one view
+    channel_names : names of the channels
+    path : figure to write
+    away : True for rays away from edges, drawn as a second histogram; None for one histogram
+    width : width of the figure where there are several channels [inch]
 
-    Above each histogram stands the part of the rays that lie beyond its range, in the order of the legend.
+    Returns
+    -------
+    path
+
+    Notes
+    -----
+    Above each histogram is the part of the rays that are beyond its range, in the order of the legend.
     """
     sigmas = (counts - expected) / np.sqrt(np.maximum(expected, 1e-9))
     edges = np.linspace(-6, 6, 61)
@@ -248,12 +272,17 @@ def residuals(
 
 
 def convergence(seconds: Float[np.ndarray, " step"], deviance: Float[np.ndarray, " step"], path: Path) -> Path:
-    """Deviance over that of noise alone against time: every step, and a running mean; with a CSV.
+    """Draw deviance over that of noise alone against time: every step, and a running mean; with a CSV.
 
     Parameters
     ----------
-    seconds : since the fit began [s]
-    deviance : of the views of each step, over what noise alone would leave
+    seconds : time since the fit began [s]
+    deviance : deviance of the views of each step, over that of noise alone
+    path : figure to write
+
+    Returns
+    -------
+    path
     """
     seconds, deviance = np.asarray(seconds, dtype=np.float64), np.asarray(deviance, dtype=np.float64)
     window = max(len(deviance) // 20, 1)
@@ -272,7 +301,17 @@ def convergence(seconds: Float[np.ndarray, " step"], deviance: Float[np.ndarray,
     return path
 
 
-def _borders(grid: Grid, axis: str) -> tuple[float, float]:
-    """Outer faces of the grid along one axis [mm]."""
+def borders(grid: Grid, axis: str) -> tuple[float, float]:
+    """Return the outer faces of a grid along one axis.
+
+    Parameters
+    ----------
+    grid : grid of a volume
+    axis : ``x``, ``y`` or ``z``
+
+    Returns
+    -------
+    lower and upper face [mm]
+    """
     centres, half = grid.axis(axis), grid.spacing["zyx".index(axis)] / 2
     return float(centres[0] - half), float(centres[-1] + half)

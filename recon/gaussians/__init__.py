@@ -1,1 +1,1 @@
-"""The reconstruction by Gaussians: model, likelihood, optimization, and the numbers that steer it."""
+"""The reconstruction by Gaussians: model, objective, steps, and the settings that steer them."""

@@ -1,4 +1,4 @@
-"""Steps of Adam (Kingma and Ba, 2015), a rate for each tensor.
+"""Steps of Adam (Kingma & Ba 2015, arXiv:1412.6980), with a length for each tensor.
 
 `torch.optim.Adam` makes the same steps, bit for bit, but its first use imports torch's compiler: 1.4 s of a fit.
 """
@@ -9,16 +9,15 @@ from typing import cast
 import torch
 from torch import Tensor
 
-DECAY = 0.9, 0.99  # of the means of gradients and of their squares
-TINY = 1e-15
+TINY = 1e-15  # unit of the gradient; added to the root of the mean square, so that a gradient of 0 makes no step
 
 
 class Adam:
-    """Means of gradients and of their squares.
+    """Means of gradients and of their squares, and the steps that follow from them.
 
     Parameters
     ----------
-    tensors : that steps change in place, by their `grad`
+    tensors : unknowns, which steps change in place by their `grad`
     """
 
     def __init__(self, tensors: Sequence[Tensor]):
@@ -27,11 +26,18 @@ class Adam:
         self.squares = [torch.zeros_like(tensor) for tensor in tensors]
 
     @torch.no_grad()
-    def step(self, rates: Sequence[float], number: int) -> None:
-        """One step; `number` counts them from 1."""
-        first, second = (1 - decay**number for decay in DECAY)
-        for tensor, mean, square, rate in zip(self.tensors, self.means, self.squares, rates, strict=True):
+    def step(self, lengths: Sequence[float], number: int, decays: tuple[float, float]) -> None:
+        """Make one step.
+
+        Parameters
+        ----------
+        lengths : length of the step of each tensor, in its unit
+        number : number of this step, counted from 1
+        decays : decay per step of the mean of gradients and of the mean of their squares
+        """
+        first, second = (1 - decay**number for decay in decays)
+        for tensor, mean, square, length in zip(self.tensors, self.means, self.squares, lengths, strict=True):
             gradient = cast(Tensor, tensor.grad)
-            mean.lerp_(gradient, 1 - DECAY[0])
-            square.mul_(DECAY[1]).addcmul_(gradient, gradient, value=1 - DECAY[1])
-            tensor.addcdiv_(mean, square.sqrt().div_(second**0.5).add_(TINY), value=-rate / first)
+            mean.lerp_(gradient, 1 - decays[0])
+            square.mul_(decays[1]).addcmul_(gradient, gradient, value=1 - decays[1])
+            tensor.addcdiv_(mean, square.sqrt().div_(second**0.5).add_(TINY), value=-length / first)

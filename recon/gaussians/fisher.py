@@ -1,4 +1,4 @@
-"""How sharply the likelihood bends in each Gaussian's coefficients."""
+"""Information of the rays about the coefficients: Fisher matrices of line integrals, and the curvature from them."""
 
 import numpy as np
 import torch
@@ -9,16 +9,29 @@ from recon.data.measurements import Measurements
 from recon.gaussians.model import Gaussians
 from recon.ops.rasterize import rasterize
 
-VIEWS_AT_ONCE = 5
+VIEWS_AT_ONCE = 5  # views; images of so many are held in memory together; chosen by hand, not measured
 
 
 def coefficient_curvature(
     gaussians: Gaussians, measurements: Measurements, dispersion: float
 ) -> Float[Tensor, "gaussian basis basis"]:
-    """Separable majoriser of the negative log-likelihood in the coefficients, geometry fixed.
+    """Compute a separable majoriser of the data term's curvature in the coefficients, with the geometry held.
 
-    With a_ri the line integral of Gaussian i along ray r (coefficient 1) and F_r the Fisher matrix of the ray's line
-    integrals, block i is sum_r a_ri (sum_j a_rj) F_r; steps by its inverse descend and do not depend on the basis.
+    Parameters
+    ----------
+    gaussians : the model
+    measurements : views to sum over
+    dispersion : relative model error eta [no unit]
+
+    Returns
+    -------
+    one block H_i per Gaussian [mm^2]
+
+    Notes
+    -----
+    With a_ri the line integral of Gaussian i along ray r for coefficient 1 [mm] and F_r the Fisher matrix of the ray's
+    line integrals, H_i = sum_r a_ri (sum_j a_rj) F_r. Steps by the inverse of H_i lower the data term and do not depend
+    on the choice of basis functions.
 
     References
     ----------
@@ -37,7 +50,7 @@ def coefficient_curvature(
         some = measurements[slice(first, first + VIEWS_AT_ONCE)]
         frames = torch.from_numpy(some.geometry.ray_frames())
         images = rasterize(*parts, values, frames, panel.rows, panel.columns)
-        # what is pulled need not be what was drawn: the operator is linear in values
+        # The operator is linear in `values`, so its adjoint may be applied to images other than those it made.
         ray_gradients = torch.zeros_like(images)
         for view in range(len(some)):  # matrices of one view at a time, in float64
             line_integrals = images[[view], :bases].detach().cpu().numpy()
@@ -55,7 +68,19 @@ def coefficient_curvature(
 def ray_information(
     measurements: Measurements, line_integrals: Float[np.ndarray, "view basis row column"], dispersion: float
 ) -> Float[np.ndarray, "view row column basis basis"]:
-    """Fisher matrix of every ray's line integrals, J^T diag(1 / (Y + (dispersion Y)^2)) J, times shares if any."""
+    """Compute the Fisher matrix of every ray's line integrals.
+
+    Parameters
+    ----------
+    measurements : views with as many bases as `line_integrals`
+    line_integrals : where the matrices are evaluated, (V, M, R, K) [no unit]
+    dispersion : relative model error eta [no unit]
+
+    Returns
+    -------
+    J^T diag(s / (Y + (eta Y)^2)) J, with Y the expected counts, J their derivatives and s the statistical weights of
+    the measurements, 1 where they have none
+    """
     transmission = measurements.transmission
     gains = np.moveaxis(measurements.gains, 0, -1) * measurements.exposure[:, None, None, :]
     lengths = measurements.with_profile(np.moveaxis(line_integrals, 1, -1))

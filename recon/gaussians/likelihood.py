@@ -1,11 +1,12 @@
-"""How well a model explains views, and which way it should move.
+"""The data term F_data of the objective (`recon.gaussians.objective`): deviance, chi-square and gradients of views.
 
-Views are taken one at a time where images of all channels are held, so that memory does not grow with the views of a
-step; each ray is computed the same way in any company, so that this changes no bit of the gradients. All is computed
-on the device of the model; only sums come back.
+Images of all channels are held for one view at a time, so that memory does not grow with the views of a step. A ray is
+computed in the same way whichever others are computed with it, so that this changes no bit of the gradients. All is
+computed on the device of the model; only sums are copied to the processor.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -22,14 +23,14 @@ from spectra.differentiable import transmit
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
-    """Of a model with some views.
+    """How well a model explains some views.
 
     Parameters
     ----------
-    deviance : over what noise alone would leave, which makes it 1 (`recon.ops.deviance`); every count has the say that
-        it has in the fit
-    chi_square : of the pixels of each channel that measure, over what noise alone would leave; NaN for a channel
-        without
+    deviance : twice F_data, over its expected value for a true model, which makes 1 that of noise alone [no unit]; see
+        `recon.ops.deviance`
+    chi_square : sum over the pixels of each channel that measure, (C,), over its expected value for a true model [no
+        unit]; without statistical weights; NaN for a channel without such pixels
     """
 
     deviance: float
@@ -39,7 +40,19 @@ class Likelihood:
 def likelihood(
     model: Gaussians | Voxels, data: Measurements, dispersion: float, processes: Processes = ALONE
 ) -> Likelihood:
-    """Likelihood with all views of `data`, whose work `processes` share."""
+    """Compute the likelihood of a model with all views.
+
+    Parameters
+    ----------
+    model : Gaussians or voxels
+    data : views
+    dispersion : eta, relative model error [no unit]
+    processes : those that share the views
+
+    Returns
+    -------
+    deviance and chi-square of all views
+    """
     sums = torch.zeros(2 * data.counts.shape[1] + 2, dtype=torch.float64, device="cpu")
     with torch.no_grad():
         for view in processes.share(np.arange(len(data))):
@@ -49,7 +62,18 @@ def likelihood(
 
 
 def deviances(model: Gaussians | Voxels, data: Measurements, dispersion: float) -> Float[np.ndarray, " view"]:
-    """Deviance of each view, summed over counts by the say that they have in the fit."""
+    """Compute the deviance of each view, twice its part of F_data.
+
+    Parameters
+    ----------
+    model : Gaussians or voxels
+    data : views
+    dispersion : eta, relative model error [no unit]
+
+    Returns
+    -------
+    sums over the counts of each view with their statistical weights, (V,)
+    """
     with torch.no_grad():
         ones = [data[[view]] for view in range(len(data))]
         return np.array([float(_view_sums(model.line_integrals(o.geometry), o, dispersion)[1][0]) for o in ones])
@@ -62,14 +86,19 @@ def likelihood_and_gradients(
     dispersion: float,
     processes: Processes = ALONE,
 ) -> Likelihood:
-    """Likelihood with some views of `data`; the gradients of the mean deviance are left in the tensors of `gaussians`.
+    """Compute the likelihood with some views, and leave the gradients of the mean deviance in the arrays of a model.
 
     Parameters
     ----------
-    gaussians : model whose tensors require gradients
-    data, views : what was measured, and which views to take
-    dispersion : relative model error added to the Poisson variance
-    processes : that share the views; all are left with the gradients of all views
+    gaussians : model whose arrays require gradients
+    data : views
+    views : indices of the views to use
+    dispersion : eta, relative model error [no unit]
+    processes : those that share the views; all are left with the gradients of all views
+
+    Returns
+    -------
+    likelihood with these views; gradients are of twice F_data over the number of their counts
     """
     parts = list(gaussians.tensors().values())
     values = len(views) * int(np.prod(data.counts.shape[1:]))
@@ -96,31 +125,40 @@ def likelihood_and_gradients(
 def _view_sums(
     images: Float[Tensor, "1 basis row column"], one: Measurements, dispersion: float
 ) -> tuple[Tensor, Float[Tensor, " sum"]]:
-    """Sum of the deviance; as numbers that sum, chi-square per channel, and what noise alone would leave of both."""
-    counts, expected, measuring = _expected(images, one)
-    shares = 1.0 if one.shares is None else torch.from_numpy(one.shares).to(images.device)
-    loss = (shares * deviance(counts, expected, dispersion)).sum()
+    """Compute the sum of the deviance; and as numbers that sum, chi-square per channel, and expected values of both."""
+    counts, expected, measuring = _counts(images, one)
+    statistical_weights = 1.0 if one.shares is None else torch.from_numpy(one.shares).to(images.device)
+    loss = (statistical_weights * deviance(counts, expected, dispersion)).sum()
     with torch.no_grad():
         found = torch.where(measuring, chi_square(counts, expected, dispersion), 0.0)
         noise = torch.where(measuring, expected_chi_square(expected, dispersion), 0.0)
-        least = torch.where(measuring, shares * expected_deviance(expected, dispersion), 0.0).sum()
+        weighted_noise = statistical_weights * expected_deviance(expected, dispersion)
+        least = torch.where(measuring, weighted_noise, 0.0).sum()
         parts = [loss.reshape(1), found.sum(dim=(0, 2, 3)), least.reshape(1), noise.sum(dim=(0, 2, 3))]
         return loss, torch.cat([part.double().cpu() for part in parts])
 
 
-def _expected(images: Float[Tensor, "view basis row column"], data: Measurements) -> tuple[Tensor, Tensor, Tensor]:
-    """Measured counts, expected ones, and which pixels measure."""
+class _Counts(NamedTuple):
+    """Measured counts y, expected counts Y, and which pixels measure; (V, C, R, K) or broadcast to it."""
+
+    measured: Tensor
+    expected: Tensor
+    measuring: Tensor
+
+
+def _counts(images: Float[Tensor, "view basis row column"], data: Measurements) -> _Counts:
+    """Compute expected counts of line integrals, beside the measured ones."""
     gains = torch.from_numpy(data.gains * data.exposure[:, :, None, None].astype(np.float32)).to(images.device)
     lengths = images.movedim(1, -1).contiguous()
     if data.profile is not None:
         known = torch.from_numpy(data.profile).to(lengths).movedim(0, -1)
         lengths = torch.cat([lengths, known.expand(len(lengths), *known.shape)], dim=-1)
     expected = transmit(lengths, data.transmission).movedim(-1, 1) * gains
-    return torch.from_numpy(data.counts).to(images.device), expected, gains > 0
+    return _Counts(torch.from_numpy(data.counts).to(images.device), expected, gains > 0)
 
 
 def _summed(sums: Float[Tensor, " sum"], processes: Processes) -> Likelihood:
-    """Ratios of sums over the views of all processes."""
+    """Divide sums over the views of all processes by their expected values."""
     processes.add_up([sums])
     (total, *squares), (least, *noise) = np.array(sums.tolist()).reshape(2, -1)
     found = np.divide(squares, noise, out=np.full(len(noise), np.nan), where=np.array(noise) > 0)

@@ -1,4 +1,4 @@
-"""The model: Gaussians in space that carry one coefficient per basis function."""
+"""The model: Gaussians in space, each with one coefficient per basis function."""
 
 import json
 from dataclasses import dataclass, replace
@@ -22,17 +22,19 @@ _SCHEMA = "spectral-ct gaussians 1.0"
 
 @dataclass(frozen=True, eq=False)
 class Gaussians:
-    """Sums of Gaussians that describe the attenuation of a volume.
-
-    The model is ``mu(x, E) = sum_m B_m(E) sum_i b_im exp(-|S_i^-1 R_i^T (x - p_i)|^2 / 2)``.
+    """A sum of Gaussians that describes the attenuation of a volume.
 
     Parameters
     ----------
-    centres : p, (x, y, z) [mm]
-    log_scales : logarithm of the standard deviations along the principal axes [log mm]
-    quaternions : orientation R (w, x, y, z)
-    coefficients : b, value at the centre per basis, in the raw basis and never negative [1/mm]
-    basis_names : names of the basis functions B
+    centres : positions p_i, (N, 3) in the order x, y, z [mm]
+    log_scales : logarithms of the standard deviations along the principal axes, the diagonal of S_i, (N, 3) [log mm]
+    quaternions : orientations R_i, (N, 4) in the order w, x, y, z; their length does not matter [no unit]
+    coefficients : values b_im at the centre for each basis, (N, M), not negative [1/mm]
+    basis_names : names of the M basis functions B_m
+
+    Notes
+    -----
+    The attenuation is ``mu(x, E) = sum_m B_m(E) sum_i b_im exp(-|S_i^-1 R_i^T (x - p_i)|^2 / 2)``.
     """
 
     centres: Float[Tensor, "gaussian 3"]
@@ -48,29 +50,71 @@ class Gaussians:
         return f"Gaussians({len(self)} with {', '.join(self.basis_names)})"
 
     def volume(self, grid: Grid) -> Float[np.ndarray, "basis z y x"]:
-        """Voxel means of every basis [1/mm]."""
+        """Compute the mean coefficient of each basis in every voxel.
+
+        Parameters
+        ----------
+        grid : voxels to evaluate; any part of a grid gives the same values as the whole
+
+        Returns
+        -------
+        volumes, (M, Z, Y, X), float32 [1/mm]
+        """
         return voxelize(self.centres, self.log_scales, self.quaternions, self.coefficients, grid)
 
     def line_integrals(self, geometry: Geometry) -> Float[Tensor, "view basis row column"]:
-        """Line integrals of every basis through every pixel, averaged over the pixel [no unit]."""
+        """Compute the line integrals of each basis, averaged over every pixel.
+
+        Parameters
+        ----------
+        geometry : poses of the views, and the panel
+
+        Returns
+        -------
+        line integrals, (V, M, R, K), differentiable in all arrays of the model [no unit]
+        """
         frames = torch.from_numpy(geometry.ray_frames())
         parts = (self.centres, self.log_scales, self.quaternions, self.coefficients)
         return rasterize(*parts, frames, geometry.panel.rows, geometry.panel.columns)
 
     def to(self, device: torch.device | str) -> "Gaussians":
-        """The same values on a device, which then computes whatever is asked of them."""
+        """Copy the arrays to a device, which then computes volumes and line integrals.
+
+        Parameters
+        ----------
+        device : a device of torch, such as ``cpu`` or ``cuda``
+
+        Returns
+        -------
+        a model with the same values
+        """
         return replace(self, **{name: value.to(device) for name, value in self.tensors().items()})
 
     def tensors(self) -> dict[str, Tensor]:
-        """All arrays by name."""
+        """Collect the arrays.
+
+        Returns
+        -------
+        `PARTS` in order, by name
+        """
         return {name: getattr(self, name) for name in PARTS}
 
     def detached(self) -> "Gaussians":
-        """The same values without a graph."""
+        """Copy the model without its gradients.
+
+        Returns
+        -------
+        a model with the same values in arrays of its own
+        """
         return replace(self, **{name: value.detach().clone() for name, value in self.tensors().items()})
 
     def save(self, path: Path) -> None:
-        """Write a safetensors file; its header says axes, units and bases."""
+        """Write a safetensors file whose header names axes, units and bases.
+
+        Parameters
+        ----------
+        path : file to write
+        """
         from safetensors.torch import save_file  # noqa: PLC0415
 
         header = {
@@ -80,12 +124,20 @@ class Gaussians:
             "axes": {"centres": "x y z", "quaternions": "w x y z"},
         }
         tensors = {name: value.contiguous() for name, value in self.tensors().items()}
-        # One entry, as safetensors writes several in random order, and the same model shall give the same bytes.
+        # One entry: safetensors writes several in random order, and the same model must give the same bytes.
         save_file(tensors, path, metadata={_HEADER: json.dumps(header)})
 
     @classmethod
     def load(cls, path: Path) -> "Gaussians":
         """Read a file that `save` wrote.
+
+        Parameters
+        ----------
+        path : file to read
+
+        Returns
+        -------
+        the model
 
         Raises
         ------

@@ -1,7 +1,8 @@
-"""Several processes at one fit: each takes a share of the views of every step, and gradients are summed.
+"""What a fit computes with: processes that share its views, a device, and a place for large arrays.
 
-`torchrun` starts the processes and tells each its number by environment variables. Sums travel by gloo between
-processors and by NCCL between GPUs. All processes hold the same model and make the same steps; the first one writes.
+`torchrun` starts the processes and gives each its number in environment variables. Each takes a part of the views of
+every step, and gradients are summed, by gloo between processors and by NCCL between GPUs. All processes hold the same
+model and make the same steps; the first one writes.
 """
 
 import os
@@ -17,15 +18,16 @@ import torch.distributed.nn.functional  # now: its default arguments hold on to 
 from jaxtyping import Int
 from torch import Tensor
 
+from recon.data.array_store import IN_MEMORY, ArrayStore
 from spectra.errors import InputError
 
 T = TypeVar("T")
-PATIENCE = timedelta(hours=12)  # how long a process waits for the others, as the first one makes the start alone
+WAIT = timedelta(hours=12)  # longest wait of a process for the others; the first one makes the start alone
 
 
 @dataclass(frozen=True)
 class Processes:
-    """Which process this is, and of how many.
+    """The number of this process and how many there are.
 
     Parameters
     ----------
@@ -38,15 +40,29 @@ class Processes:
 
     @property
     def first(self) -> bool:
-        """Whether this is the one that writes."""
+        """Whether this process is the one that writes."""
         return self.rank == 0
 
     def share(self, views: Int[np.ndarray, " view"]) -> Int[np.ndarray, " view"]:
-        """Those of the views that this process takes; none where there are fewer views than processes."""
+        """Select the views that this process takes.
+
+        Parameters
+        ----------
+        views : indices of the views of a step
+
+        Returns
+        -------
+        indices; none where there are fewer views than processes
+        """
         return views[self.rank :: self.count]
 
     def add_up(self, tensors: Sequence[Tensor]) -> None:
-        """Replace tensors of one type by their sums over all processes, in one message."""
+        """Replace tensors by their sums over all processes, in one message.
+
+        Parameters
+        ----------
+        tensors : tensors of one type, changed in place
+        """
         if self.count == 1:
             return
         flat = torch.cat([tensor.reshape(-1) for tensor in tensors])
@@ -55,7 +71,16 @@ class Processes:
             tensor.copy_(total.view_as(tensor))
 
     def any(self, flag: bool) -> bool:
-        """Whether the flag is set in some process."""
+        """Tell whether a flag is set in any process.
+
+        Parameters
+        ----------
+        flag : that of this process
+
+        Returns
+        -------
+        True where one process or more has it set
+        """
         if self.count == 1:
             return flag
         total = torch.tensor([float(flag)])
@@ -63,7 +88,16 @@ class Processes:
         return bool(total.item() > 0)
 
     def from_first(self, value: T) -> T:
-        """What the first process holds; the values of the others do not matter."""
+        """Send a value of the first process to all others.
+
+        Parameters
+        ----------
+        value : anything that pickle takes; that of other processes is not read
+
+        Returns
+        -------
+        the value of the first process
+        """
         if self.count == 1:
             return value
         box = [value]
@@ -74,14 +108,37 @@ class Processes:
 ALONE = Processes()
 
 
+@dataclass(frozen=True)
+class Resources:
+    """Processes, arrays and device of a fit; its result depends on them by rounding alone.
+
+    Parameters
+    ----------
+    processes : those that share the views of each step; all are given the same arguments
+    store : where counts, line integrals and statistical weights are kept
+    device : where Gaussians are computed, ``cpu`` or ``cuda``; voxels are computed by the processor
+    """
+
+    processes: Processes = ALONE
+    store: ArrayStore = IN_MEMORY
+    device: str = "cpu"
+
+
+LOCAL = Resources()
+
+
 @contextmanager
 def joined() -> Iterator[Processes]:
-    """The processes that `torchrun` started, connected for as long as the context lasts; `ALONE` without it.
+    """Connect the processes that `torchrun` started for as long as the context lasts.
+
+    Yields
+    ------
+    this process; `ALONE` without `torchrun`
 
     Raises
     ------
     InputError
-        When what `torchrun` says makes no sense.
+        When the environment variables RANK and WORLD_SIZE contradict each other.
     """
     count = os.environ.get("WORLD_SIZE", "1")
     rank = os.environ.get("RANK", "0")
@@ -94,7 +151,7 @@ def joined() -> Iterator[Processes]:
     if torch.cuda.is_available() and torch.distributed.is_nccl_available():
         backend = "cpu:gloo,cuda:nccl"
         torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")) % torch.cuda.device_count())
-    torch.distributed.init_process_group(backend, timeout=PATIENCE)
+    torch.distributed.init_process_group(backend, timeout=WAIT)
     try:
         yield Processes(int(rank), int(count))
     finally:

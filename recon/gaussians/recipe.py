@@ -1,16 +1,23 @@
-"""Every number that steers a fit, in one place."""
+"""Every number that steers a fit of Gaussians, in one place.
 
-from dataclasses import dataclass, fields
+`docs/explanation/the_fit.md` has all of them as a table, beside the equation that they belong to. Steps that other
+folders make have their own: voxels in `recon.voxel.iterative.one_step`, edges in `recon.data.volume_edges`, partial
+volume in `recon.data.partial_volume`.
+"""
 
+from dataclasses import dataclass, field
+
+from recon.gaussians.settings import (
+    OptimizerSettings,
+    PlacementSettings,
+    PriorSettings,
+    UnseenRaysSettings,
+    VolumeFitSettings,
+    check_positive,
+)
 from spectra.errors import InputError
 
-_ANY_SIGN = (
-    "name", "stages", "seed", "warm_up", "momentum", "dispersion", "prior", "held_out"
-)  # fmt: skip
-
-
-FEW = 75  # views, up to which Gaussians are as far apart as the recipe says; of fewer, each may be used more often
-FINEST = 0.9  # voxels; what more views do not make finer
+_ANY_SIGN = ("seed", "warm_up", "momentum", "dispersion", "prior", "held_out")
 
 
 @dataclass(frozen=True)
@@ -19,8 +26,8 @@ class Stage:
 
     Parameters
     ----------
-    pixel : largest pixel to use, as seen at the isocentre, in voxels; finer pixels are summed
-    sweeps : times every training view is used; see also `Recipe.most_turns`
+    pixel : largest pixel to use, as seen at the isocentre [voxels]; finer pixels are summed
+    sweeps : number of times that every training view is used; see also `Recipe.most_turns`
     """
 
     pixel: float
@@ -29,40 +36,64 @@ class Stage:
 
 @dataclass(frozen=True)
 class Recipe:
-    """Hyper-parameters of a fit; lengths in voxels of the reconstruction grid unless said otherwise.
+    """Settings of a fit; lengths are in voxels of the reconstruction grid.
+
+    'Measured' values have their numbers in docs/explanation/the_fit.md. 'Chosen by hand' means that no measurement of
+    other values is kept.
 
     Parameters
     ----------
-    name : what ``--recipe`` calls it
-    stages : binnings and how long each lasts
-    views_per_step : views whose gradients make one step
-    most_turns : how many times as many sweeps at most, where fewer than 75 views would make fewer steps than those
-    spacing : distance between Gaussians along edges; shorter with more than 75 views, see `Recipe.distance`
-    voxel_passes : over the views at full resolution, for the voxels that a fit with a prior starts from
-    approximation : evaluations that bring the Gaussians close to voxels
-    dispersion : relative model error added to the Poisson variance, so that what is left of partial volume at edges
-        does not rule
-    node_tolerance : largest error of the log counts that compressing the energy grid may cause
-    centre_rate : first step of a coordinate
-    shape_rate : first step of a log-scale and of a quaternion's component [no unit]
-    final_rate : last step over first
-    coefficient_rate : step of the coefficients over the step that full curvature would take
-    momentum : of the coefficients
-    curvature_sweeps : sweeps between two evaluations of the coefficients' curvature
-    warm_up : sweeps over which steps of the geometry grow to their length
-    prior : information of the prior over that of the data, see `recon.gaussians.voxel_prior`; 0 starts from decomposed
-        rays instead, further off, and wants larger rates
-    steps_along_edges : weight of the prior along edges, over its weight elsewhere, times the number of steps: voxels
-        blur edges, and many steps find them better than few
+    name : value of ``--recipe`` that selects it
+    stages : binnings and how long each lasts; pixels of half a voxel were measured against whole ones, and one sweep
+        (`fast`) and four (`best`) against three
+    views_per_step : views whose gradients make one step; measured against 2
+    most_turns : largest factor of the sweeps where there are fewer than `few_views` views [no unit]; measured on 10 and
+        25 views
+    few_views : number of views below which each is used more often, and above which Gaussians are placed closer to each
+        other; chosen by hand, not measured
+    spacing : distance between Gaussians along edges [voxels], with `few_views` views or fewer; measured against 1.2
+    finest_spacing : that distance with any number of views, at least [voxels]; chosen by hand, not measured
+    voxel_passes : passes over the views at full resolution, for the voxels that a fit with a prior starts from;
+        measured with 180 and 360 views
+    approximation : evaluations of the fit to the voxel volumes; measured against 30, and 40 against 20
+    dispersion : relative model error eta, which adds (eta Y)^2 to the Poisson variance of an expected count Y [no
+        unit]; measured against 0, 0.005 and 0.01
+    node_tolerance : largest error of the log counts that a compressed energy grid may cause [no unit]; five times finer
+        nodes made no difference
+    centre_rate : length of Adam's first steps of a centre [voxels]; half of it was measured
+    shape_rate : length of Adam's first steps of a log-scale and of a quaternion's component [no unit]; half of it was
+        measured
+    final_rate : last of these lengths over the first [no unit]; 0.3 was measured
+    coefficient_rate : step of the coefficients over that of Newton's method with the separable curvature [no unit]; 1
+        is that step
+    momentum : part of the last step of the coefficients that goes into the next [no unit]; measured against 0
+    curvature_sweeps : sweeps between two computations of the coefficients' curvature; chosen by hand, not measured
+    warm_up : sweeps over which steps of the geometry grow to their full length; measured against 0 and against a
+        geometry that is held for 0.3 sweeps
+    prior : strength lambda of the voxel prior, its information over that of the data [no unit]; measured against 0 and
+        0.1; 0 starts from decomposed rays instead, further off, and wants larger rates
+    steps_along_edges : trust in the volumes along edges times the number of steps, because many steps find edges better
+        than voxels do and few do not; measured against 1.8, 54 and no limit
+    information_step : views between two whose rays give the mean information of the line integrals; chosen by hand, not
+        measured
+    margin_air : voxels of air around the object in a grid that was enlarged, where Gaussians may be placed; chosen by
+        hand, not measured
     seed : of the placement, of the order of views, and of which are held out
     held_out : training views that are not fitted; the fit ends when chi-square on them no longer falls; 0 for none
+    placement : how the first Gaussians are placed
+    volume_fit : how they are fitted to the voxel volumes
+    voxel_prior : how the voxel prior is evaluated
+    optimizer : how steps are made and when they end
+    unseen_rays : which rays no part of a fit uses, and when they decide
     """
 
     name: str = "own"
     stages: tuple[Stage, ...] = (Stage(0.5, 1.0),)
     views_per_step: int = 1
     most_turns: float = 1.0
+    few_views: int = 75
     spacing: float = 1.0
+    finest_spacing: float = 0.9
     voxel_passes: int = 8
     approximation: int = 60
     dispersion: float = 0.02
@@ -76,38 +107,87 @@ class Recipe:
     warm_up: float = 0.5
     prior: float = 0.3
     steps_along_edges: float = 18.0
+    information_step: int = 8
+    margin_air: int = 3
     seed: int = 0
     held_out: int = 0
+    placement: PlacementSettings = field(default_factory=PlacementSettings)
+    volume_fit: VolumeFitSettings = field(default_factory=VolumeFitSettings)
+    voxel_prior: PriorSettings = field(default_factory=PriorSettings)
+    optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
+    unseen_rays: UnseenRaysSettings = field(default_factory=UnseenRaysSettings)
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name not in _ANY_SIGN and value <= 0:
-                raise InputError(f"recipe {field.name} must be positive, got {value}")
+        check_positive(self, "recipe", others=_ANY_SIGN)
         if self.held_out < 0:
             raise InputError(f"recipe held_out must be a number of views, 0 or more, got {self.held_out}")
         if not self.stages:
             raise InputError("a recipe needs at least one stage")
 
     def steps(self, views: int) -> list[int]:
-        """Steps of each stage with so many training views."""
-        more = min(max(FEW / views, 1.0), self.most_turns)
+        """Count the steps of each stage.
+
+        Parameters
+        ----------
+        views : training views of each kind
+
+        Returns
+        -------
+        numbers of steps, at least 1 each
+        """
+        more = min(max(self.few_views / views, 1.0), self.most_turns)
         return [max(round(stage.sweeps * self.per_sweep(views) * more), 1) for stage in self.stages]
 
     def per_sweep(self, views: int) -> int:
-        """Steps of a sweep over so many training views."""
+        """Count the steps of one sweep over all views.
+
+        Parameters
+        ----------
+        views : training views of each kind
+
+        Returns
+        -------
+        number of steps, at least 1
+        """
         return max(views // self.views_per_step, 1)
 
     def curvature_steps(self, views: int) -> int:
-        """Steps between two evaluations of the coefficients' curvature."""
+        """Count the steps between two computations of the coefficients' curvature.
+
+        Parameters
+        ----------
+        views : training views of each kind
+
+        Returns
+        -------
+        number of steps, at least 1
+        """
         return max(round(self.curvature_sweeps * self.per_sweep(views)), 1)
 
     def distance(self, views: int) -> float:
-        """Distance between Gaussians along edges with so many training views: less noise shows finer things."""
-        return min(self.spacing, max(self.spacing * (FEW / views) ** (1 / 6), FINEST))
+        """Choose the distance between Gaussians along edges: with more views, finer structures exceed the noise.
+
+        Parameters
+        ----------
+        views : training views
+
+        Returns
+        -------
+        distance [voxels]
+        """
+        return min(self.spacing, max(self.spacing * (self.few_views / views) ** (1 / 6), self.finest_spacing))
 
     def prior_along_edges(self, views: int) -> float:
-        """Weight of the prior along edges, over its weight elsewhere, with so many training views."""
+        """Choose the trust in the volumes along edges, over that far from edges.
+
+        Parameters
+        ----------
+        views : training views of each kind
+
+        Returns
+        -------
+        trust, 0 to 1
+        """
         return min(self.steps_along_edges / sum(self.steps(views)), 1.0)
 
 

@@ -1,62 +1,56 @@
-"""From a dataset to a model: decomposition, first volumes, first Gaussians, fit. Nothing in here knows the truth."""
+"""The whole fit, from a dataset to a model, in the order of its steps; docs/explanation/the_fit.md explains them.
+
+Read the training views, reconstruct voxel volumes from them, place Gaussians, fit these to the volumes, fit them to the
+counts, and decide by rays that none of this used whether to keep the result. The truth is never read.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
 from phantomgen.dataset.reader import Dataset
-from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.stopwatch import Stopwatch
-from recon.data.array_store import IN_MEMORY, ArrayStore
 from recon.data.coverage import Coverage, inner_box
 from recon.data.devices import device_named
-from recon.data.inpainting import inpainted
 from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import every, kinds_of, rounds_of
 from recon.gaussians.fitted_grid import read_with_coverage
-from recon.gaussians.initial.fit_to_volume import evaluations_for, fit_to_volume, metric_of
-from recon.gaussians.initial.initialize import initialize
+from recon.gaussians.initial.first_guess import Scan, filled_part, first_guess, start_method
 from recon.gaussians.model import Gaussians
-from recon.gaussians.optimize import Progress, fit
-from recon.gaussians.processes import ALONE, Processes
+from recon.gaussians.optimize import OnStep, fit
+from recon.gaussians.processes import LOCAL, Processes, Resources
 from recon.gaussians.recipe import Recipe
-from recon.gaussians.state import FitState
+from recon.gaussians.state import FitState, InterruptedFit
 from recon.gaussians.unseen_rays import UnseenRays, with_rays_apart
 from recon.gaussians.voxel_prior import VoxelPrior
-from recon.voxel.initial_volumes import initial_volumes, starting_method
-from recon.voxel.iterative.multigrid import occupied
-from recon.voxel.iterative.one_step import OneStep
-from recon.voxel.method import CountsMethod, Method, OnIteration, unwatched
+from recon.voxel.initial_volumes import starting_method
+from recon.voxel.method import OnIteration, unwatched
 from recon.voxel.model import Voxels
 from recon.voxel.unreliable import Unreliable, unreliable_voxels
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
 from spectra.transmission import Transmission
 
-_FISHER_VIEWS = 8  # one of so many views of each kind tells the mean information of rays
-_AIR = 3  # voxels around a grid that has grown
-
 
 @dataclass
 class Reconstruction:
-    """What a run found out.
+    """The result of a fit.
 
     Parameters
     ----------
     gaussians : the fitted model
     start : name of the method that made the volumes to start from
-    initial_volumes : those [1/mm]
-    node_error : worst error of the log counts from compressing the energy grid
-    transmission : the spectral model of the fit
-    seconds : time per stage
-    notes : what a user should know of how the fit went, in sentences
-    coverage : what the scan covers of its object; None where nobody has looked
-    unreliable : voxels whose bases the counts do not tell; None where there are none, or nobody has looked
+    initial_volumes : these volumes, (M, Z, Y, X) [1/mm]
+    node_error : largest error of the log counts from compressing the energy grid [no unit]
+    transmission : spectral model of the fit
+    seconds : time of each stage, by name [s]
+    notes : sentences for the user about the course of the fit
+    coverage : what the scan covers of its object; None where it was not computed
+    unreliable : voxels whose bases the counts do not determine; None where there are none or they were not computed
     """
 
     gaussians: Gaussians
@@ -70,14 +64,27 @@ class Reconstruction:
     unreliable: Unreliable | None = None
 
 
+@runtime_checkable
 class CheckpointStore(Protocol):
-    """What keeps a fit that may be interrupted, as `recon.runs.unfinished_run.PartialRun` does."""
+    """Storage for fits that may be interrupted, such as `recon.runs.unfinished_run.PartialRun`."""
 
-    def found(self, measured: Measurements) -> tuple[FitState, np.ndarray, dict[str, float]] | None:
-        """Where an interrupted fit stands, what it started from, and the seconds that took."""
+    def found(self, measured: Measurements) -> InterruptedFit | None:
+        """Return an interrupted fit of these views, if there is one.
+
+        Parameters
+        ----------
+        measured : training views, unbinned
+        """
 
     def begin(self, volumes: np.ndarray, seconds: dict[str, float], state: FitState) -> None:
-        """A fit begins."""
+        """Store what a fit starts from.
+
+        Parameters
+        ----------
+        volumes : volumes of the start, (M, Z, Y, X) [1/mm]
+        seconds : time of each stage so far, by name [s]
+        state : the fit before its first step
+        """
 
 
 @without_other_pools()
@@ -86,141 +93,92 @@ def reconstruct(
     recipe: Recipe,
     bases: int | None = None,
     on_stage: Callable[[str], None] = lambda name: None,
-    on_step: Callable[[Progress], bool | None] = lambda progress: None,
+    on_step: OnStep = lambda progress: None,
     checkpoints: CheckpointStore | None = None,
-    processes: Processes = ALONE,
-    store: ArrayStore = IN_MEMORY,
     on_iteration: OnIteration = unwatched,
-    device: str = "cpu",
+    resources: Resources = LOCAL,
 ) -> Reconstruction:
     """Fit Gaussians to the training views of a dataset.
 
     Parameters
     ----------
     dataset : an open dataset; only ``/entry`` is read
-    recipe : hyper-parameters
+    recipe : settings
     bases : how many of the dataset's basis functions to use, default all
-    on_stage, on_step : called when a stage begins, and after each step of the fit, which ends where that returns True
-    checkpoints : knows where an interrupted fit stands, and is told where a new one starts
-    processes : that share the fit; the first one makes the start
-    store : where counts and line integrals live
-    on_iteration : called along the start, after every pass of voxels and every evaluation of Gaussians that follow them
-    device : where Gaussians are computed, ``cpu`` or ``cuda``; voxels are on the processor
+    on_stage : called with the name of each stage when it begins
+    on_step : called after each step of the fit, which ends where it returns True
+    checkpoints : returns an interrupted fit, and stores what a new one starts from
+    on_iteration : called after every pass over voxels, and after every evaluation of the fit to the volumes
+    resources : processes that share the fit, of which the first one makes the start; device; where arrays are kept
+
+    Returns
+    -------
+    the fitted model, and what is known of the fit
     """
-    place = device_named(device)
-    grid, voxel = dataset.grid, min(dataset.grid.spacing)
-    starting_method(dataset.geometry[dataset.splits["train"]], grid)  # refuses scans that show no depth
+    processes, device = resources.processes, device_named(resources.device)
+    starting_method(dataset.geometry[dataset.splits["train"]], dataset.grid)  # refuses views from one side alone
     stage = Stopwatch(on_stage)
     with stage("read"):
-        measured, node_error, covered = read_with_coverage(dataset, recipe, bases, store)
-        grid = covered.grid  # with a margin where the object leaves the panel or the grid; it is cut off in the end
-        if recipe.prior:
-            measured = with_rays_apart(measured, voxel, recipe.seed)
-        fitted, held_out = _set_apart(measured, recipe)
-        fisher = _mean_information(measured, voxel, recipe)
+        scan = _read(dataset, recipe, bases, resources)
+        measured, grid = scan.measured, scan.coverage.grid
+        fitted, held_out = _split(measured, recipe)
         kept = checkpoints.found(measured) if checkpoints is not None and processes.first else None
     if kept is not None:
-        state, volumes, seconds = kept
-        stage.seconds.update(seconds | {"fit": state.seconds})
+        state, volumes = kept.state, kept.volumes
+        stage.seconds.update(kept.seconds | {"fit": state.seconds})
     elif processes.first:
-        air = _AIR if grid != dataset.grid else 0
-        volumes, start = _first_guess(measured, grid, air, fisher, recipe, stage, store, on_iteration, place)
+        volumes, start = first_guess(scan, recipe, stage, on_iteration, resources)
         state = FitState.begin(start)
         if checkpoints is not None:
             checkpoints.begin(volumes, stage.seconds, state)
     else:
         state, volumes = None, np.zeros((len(measured.basis_names), *grid.shape), np.float32)
-    state, volumes = _shared(state, processes).to(place), processes.from_first(volumes)
-    anchor = None
-    if recipe.prior:
-        along = recipe.prior_along_edges(rounds_of(kinds_of(fitted.exposure)))
-        filled = _filled_part(volumes, grid, _AIR if grid != dataset.grid else 0)
-        anchor = VoxelPrior.off_edges(*filled, fisher, recipe.prior, along).holding(measured.basis_names)
+    state, volumes = _shared(state, processes).to(device), processes.from_first(volumes)
+    voxel = min(dataset.grid.spacing)
+    prior = _prior_of(volumes, scan, fitted, recipe) if recipe.prior else None
     with stage("fit"):
-        gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, processes, anchor, store)
-    name, notes = _starting(measured, grid, recipe).name, ()
+        gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, prior, resources)
+    notes = ()
     if recipe.prior:
         with stage("judge"):
-            rays = UnseenRays.of(measured, voxel, recipe)
-            gaussians, notes = rays.better_of(state.begun, gaussians, Voxels(volumes, grid, measured.basis_names))
+            rays = UnseenRays.of(measured, voxel, recipe.dispersion, recipe.unseen_rays)
+            gaussians, notes = rays.better_of(state.initial, gaussians, Voxels(volumes, grid, measured.basis_names))
     volumes = np.ascontiguousarray(volumes[:, *inner_box(dataset.grid, grid)])
     gaussians, unreliable = gaussians.to("cpu"), None
     if processes.first:
         with stage("mark"):
             unreliable = unreliable_voxels(gaussians.volume(dataset.grid), measured, dataset.grid, recipe.dispersion)
     return Reconstruction(
-        gaussians, name, volumes, node_error, measured.transmission, stage.seconds, notes, covered, unreliable
+        gaussians,
+        start_method(measured, grid, recipe).name,
+        volumes,
+        scan.node_error,
+        measured.transmission,
+        stage.seconds,
+        notes,
+        scan.coverage,
+        unreliable,
     )
 
 
-def _starting(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
-    """What makes the first volumes: the voxels that the prior wants, or decomposed rays without one."""
-    if not recipe.prior:
-        return starting_method(measured.geometry, grid)
-    coarse = OneStep().levels[:-1]
-    return OneStep(levels=(*coarse, (1, recipe.voxel_passes)))
+def _read(dataset: Dataset, recipe: Recipe, bases: int | None, resources: Resources) -> Scan:
+    """Read the training views, set rays apart, and compute the mean information of the rays."""
+    measured, node_error, covered = read_with_coverage(dataset, recipe, bases, resources.store)
+    voxel = min(dataset.grid.spacing)
+    if recipe.prior:
+        measured = with_rays_apart(measured, voxel, recipe.seed, recipe.unseen_rays)
+    air = recipe.margin_air if covered.grid != dataset.grid else 0
+    return Scan(measured, node_error, covered, _mean_information(measured, voxel, recipe), air)
 
 
 def _mean_information(measured: Measurements, voxel: float, recipe: Recipe) -> Float[np.ndarray, "basis basis"]:
-    """Fisher matrix of line integrals, averaged over rays of some views."""
-    some = measured.completed(every(kinds_of(measured.exposure), _FISHER_VIEWS))
+    """Compute the Fisher matrix of line integrals, averaged over the rays of some views."""
+    some = measured.completed(every(kinds_of(measured.exposure), recipe.information_step))
     return decompose_views(some.binned(matching_bin(measured.geometry, voxel)), recipe.dispersion)[1]
 
 
-def _first_guess(
-    measured: Measurements,
-    grid: Grid,
-    air: int,
-    fisher: Float[np.ndarray, "basis basis"],
-    recipe: Recipe,
-    stage: Stopwatch,
-    store: ArrayStore,
-    on_iteration: OnIteration,
-    place: torch.device,
-) -> tuple[Float[np.ndarray, "basis z y x"], Gaussians]:
-    """First volumes, and Gaussians that follow them."""
-    voxel, method = min(grid.spacing), _starting(measured, grid, recipe)
-    if isinstance(method, CountsMethod):
-        with stage(method.name):
-            volumes = method.reconstruct_counts(measured, grid, on_iteration)
-    else:
-        coarse = measured.completed().binned(matching_bin(measured.geometry, voxel))
-        with stage("decompose"):
-            line_integrals = decompose_views(coarse, recipe.dispersion, store)[0]
-            for image in line_integrals if coarse.unseen.any() else ():
-                image[:] = inpainted(image, coarse.unseen)
-        with stage(method.name):
-            volumes = initial_volumes(line_integrals, coarse.unseen, coarse.geometry, grid, method)
-    with stage("initialize"):
-        seen, inner = _filled_part(volumes, grid, air)
-        spacing = recipe.distance(len(measured)) * voxel
-        gaussians = initialize(seen, inner, fisher, spacing, measured.basis_names, recipe.seed)
-    if not recipe.prior:
-        return volumes, gaussians
-    metric = metric_of(seen, fisher)
-    with stage("approximate"):
-        evaluations = evaluations_for(len(gaussians), recipe.approximation)
-        gaussians = fit_to_volume(gaussians.to(place), seen, inner, metric, evaluations, on_iteration)
-    return volumes, gaussians.to("cpu")
-
-
-def _filled_part(
-    volumes: Float[np.ndarray, "basis z y x"], grid: Grid, air: int
-) -> tuple[Float[np.ndarray, "..."], Grid]:
-    """Volumes where they hold something, and the grid of that part; with so many voxels of air added around a grid.
-
-    A grid that has grown ends where its object does, and Gaussians must not reach beyond for nothing.
-    """
-    if air:
-        volumes = np.pad(volumes, ((0, 0), *[(air, air)] * 3))
-        origin = tuple(o - air * s for o, s in zip(grid.origin, grid.spacing, strict=True))
-        grid = Grid(tuple(n + 2 * air for n in grid.shape), grid.spacing, origin)  # type: ignore[arg-type]
-    box = occupied(volumes)
-    return np.ascontiguousarray(volumes[:, *box]), grid.part(box)
-
-
-def _set_apart(measured: Measurements, recipe: Recipe) -> tuple[Measurements, Measurements | None]:
-    """Views to fit, and those held out, which the seed picks; the start may use all."""
+def _split(measured: Measurements, recipe: Recipe) -> tuple[Measurements, Measurements | None]:
+    """Split the views into those to fit and those held out, which the seed selects; the start may use all."""
     if recipe.held_out == 0:
         return measured, None
     if recipe.held_out >= len(measured):
@@ -229,7 +187,17 @@ def _set_apart(measured: Measurements, recipe: Recipe) -> tuple[Measurements, Me
     return measured[np.setdiff1d(np.arange(len(measured)), picked)], measured[picked]
 
 
+def _prior_of(
+    volumes: Float[np.ndarray, "basis z y x"], scan: Scan, fitted: Measurements, recipe: Recipe
+) -> VoxelPrior:
+    """Make the voxel prior of the volumes that the fit started from."""
+    trust = recipe.prior_along_edges(rounds_of(kinds_of(fitted.exposure)))
+    filled = filled_part(volumes, scan.coverage.grid, scan.air)
+    prior = VoxelPrior.of_volumes(*filled, scan.fisher, recipe.prior, trust, recipe.voxel_prior)
+    return prior.holding_kedges(scan.measured.basis_names)
+
+
 def _shared(state: FitState | None, processes: Processes) -> FitState:
-    """The state of the first process, in all."""
+    """Send the state of the first process to all."""
     parts = processes.from_first(None if state is None else (state.tensors(), state.numbers()))
     return state if state is not None else FitState.restore(*parts)  # type: ignore[misc]

@@ -1,9 +1,10 @@
-"""Everything that steps of a fit change, so that a fit can be put down and taken up again without a trace."""
+"""Everything that the steps of a fit change, so that a fit can be interrupted between two steps and go on later."""
 
 from dataclasses import dataclass, field
 from math import inf
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -12,10 +13,9 @@ from recon.gaussians.adam import Adam
 from recon.gaussians.model import PARTS, Gaussians
 
 GEOMETRY = ("centres", "log_scales", "quaternions")
-
-
-_NUMBERS = ("done", "seconds", "unimproved", "sweep", "restraint")
-_LEAST = ("lowest", "last_sweep")  # infinite at first, which JSON does not know
+_ARRAYS = ("velocity", "inverse_curvature", "prior_metric")
+_NUMBERS = ("done", "seconds", "unimproved", "sweep_deviance", "step_factor")
+_LEAST = ("lowest", "last_sweep_deviance")  # infinite at first, which JSON cannot express
 
 
 @dataclass(eq=False)
@@ -24,71 +24,110 @@ class FitState:
 
     Parameters
     ----------
-    gaussians : the model, whose tensors require gradients
-    begun : the model before the first step
+    gaussians : the model, whose arrays require gradients
+    initial : the model before the first step
     adam : means of the gradients of `GEOMETRY` and of their squares
-    velocity : last step of the coefficients [1/mm]
-    inverse : inverse blocks of the coefficients' curvature; empty before the first step
-    weight : of the prior, see `recon.gaussians.voxel_prior`; empty before the first step
-    done : steps made
-    seconds : spent on them
-    lowest : smallest chi-square on held-out rays so far
-    unimproved : snapshots since then
-    sweep, last_sweep : sum of the deviances of this sweep over the views so far, and that of the whole last one
-    restraint : of the steps of the coefficients, 1 where they have led nowhere worse
+    velocity : last step of the coefficients, (N, M) [1/mm]
+    inverse_curvature : inverse blocks of the objective's curvature in the coefficients, (N, M, M) [1/mm^2]; empty
+        before the first step
+    prior_metric : W of the voxel prior, (M, M) [mm^2]; empty before the first step and without a prior
+    done : number of steps made
+    seconds : time spent on them [s]
+    lowest : smallest chi-square on held-out views so far
+    unimproved : number of looks at held-out views since then
+    sweep_deviance : sum of the deviances of this sweep so far
+    last_sweep_deviance : that sum of the whole last sweep
+    step_factor : factor of the steps of the coefficients; 1 as long as no sweep raised the deviance
     """
 
     gaussians: Gaussians
-    begun: Gaussians
+    initial: Gaussians
     adam: Adam
     velocity: Float[Tensor, "gaussian basis"]
-    inverse: Float[Tensor, "..."] = field(default_factory=lambda: torch.empty(0))
-    weight: Float[Tensor, "..."] = field(default_factory=lambda: torch.empty(0))
+    inverse_curvature: Float[Tensor, "..."] = field(default_factory=lambda: torch.empty(0))
+    prior_metric: Float[Tensor, "..."] = field(default_factory=lambda: torch.empty(0))
     done: int = 0
     seconds: float = 0.0
     lowest: float = inf
     unimproved: int = 0
-    sweep: float = 0.0
-    last_sweep: float = inf
-    restraint: float = 1.0
+    sweep_deviance: float = 0.0
+    last_sweep_deviance: float = inf
+    step_factor: float = 1.0
 
     @classmethod
     def begin(cls, start: Gaussians) -> "FitState":
-        """Before the first step; `start` is left as it is."""
+        """Make the state before the first step.
+
+        Parameters
+        ----------
+        start : first guess; it is not changed
+
+        Returns
+        -------
+        state with copies of the first guess
+        """
         gaussians = start.detached()
         geometry = [getattr(gaussians, name).requires_grad_() for name in GEOMETRY]
         gaussians.coefficients.requires_grad_()
         return cls(gaussians, start.detached(), Adam(geometry), torch.zeros_like(gaussians.coefficients))
 
     def to(self, device: torch.device) -> "FitState":
-        """The same on a device; this one where it is there."""
+        """Copy the state to a device.
+
+        Parameters
+        ----------
+        device : where steps are to be computed
+
+        Returns
+        -------
+        a copy there; the state itself where it is there already
+        """
         if self.velocity.device == device:
             return self
         return FitState.restore({name: value.to(device) for name, value in self.tensors().items()}, self.numbers())
 
     def tensors(self) -> dict[str, Tensor]:
-        """All arrays by name."""
+        """Collect all arrays.
+
+        Returns
+        -------
+        arrays by name, for `restore`
+        """
         found = {name: value.detach() for name, value in self.gaussians.tensors().items()}
-        found |= {f"{name}.begun": value for name, value in self.begun.tensors().items()}
-        found |= {"velocity": self.velocity, "inverse": self.inverse, "weight": self.weight}
+        found |= {f"{name}.initial": value for name, value in self.initial.tensors().items()}
+        found |= {name: getattr(self, name) for name in _ARRAYS}
         for name, mean, square in zip(GEOMETRY, self.adam.means, self.adam.squares, strict=True):
             found |= {f"{name}.mean": mean, f"{name}.square": square}
         return found
 
     def numbers(self) -> dict[str, Any]:
-        """All else, for JSON."""
+        """Collect all that is no array.
+
+        Returns
+        -------
+        values that JSON takes by name, for `restore`
+        """
         least = {name: None if getattr(self, name) == inf else getattr(self, name) for name in _LEAST}
         return {"basis": list(self.gaussians.basis_names)} | {name: getattr(self, name) for name in _NUMBERS} | least
 
     @classmethod
     def restore(cls, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> "FitState":
-        """From what `tensors` and `numbers` gave."""
+        """Make a state of its arrays and numbers.
+
+        Parameters
+        ----------
+        tensors : what `FitState.tensors` gave
+        numbers : what `FitState.numbers` gave
+
+        Returns
+        -------
+        an equal state
+        """
         names = tuple(numbers["basis"])
         state = cls.begin(Gaussians(*(tensors[name] for name in PARTS), basis_names=names))
-        state.begun = Gaussians(*(tensors[f"{name}.begun"].clone() for name in PARTS), basis_names=names)
-        state.velocity, state.inverse, state.weight = (
-            tensors[name].clone() for name in ("velocity", "inverse", "weight")
-        )
+        state.initial = Gaussians(*(tensors[f"{name}.initial"].clone() for name in PARTS), basis_names=names)
+        for name in _ARRAYS:
+            setattr(state, name, tensors[name].clone())
         for name in _NUMBERS:
             setattr(state, name, numbers[name])
         for name in _LEAST:
@@ -96,3 +135,18 @@ class FitState:
         state.adam.means = [tensors[f"{name}.mean"].clone() for name in GEOMETRY]
         state.adam.squares = [tensors[f"{name}.square"].clone() for name in GEOMETRY]
         return state
+
+
+class InterruptedFit(NamedTuple):
+    """What is kept of a fit that was interrupted.
+
+    Parameters
+    ----------
+    state : where its steps stand
+    volumes : volumes that it started from, (M, Z, Y, X) [1/mm]
+    seconds : time of the stages before the fit, by name [s]
+    """
+
+    state: FitState
+    volumes: Float[np.ndarray, "basis z y x"]
+    seconds: dict[str, float]

@@ -1,9 +1,9 @@
-"""Rays that take part neither in the start nor in the fit, and what they say of the models.
+"""Rays that are used neither by the start nor by the fit, and that decide which model is kept.
 
-A fit may end further from the object than the volumes that it started from, and the rays that both followed cannot
-tell. So blocks of pixels of some views are set apart, one ray of 64 in all, before anything is reconstructed: their
-shares of the deviance are 0 (`recon.data.measurements.Measurements.apart`). Afterwards every model predicts them, with
-the same correction for partial volume and the same model error as in the fit.
+A fit may end further from the object than the volumes that it started from, and rays that both were fitted to cannot
+show it. So blocks of pixels of some views are set apart, one ray of 64 in all, before anything is reconstructed: their
+statistical weights are 0 (`recon.data.measurements.Measurements.apart`). Afterwards every model predicts them, with the
+same correction for partial volume and the same model error as in the fit.
 """
 
 from dataclasses import dataclass, replace
@@ -15,28 +15,32 @@ from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import kinds_of, spread
 from recon.gaussians.likelihood import deviances
 from recon.gaussians.model import Gaussians
-from recon.gaussians.recipe import Recipe
+from recon.gaussians.settings import UnseenRaysSettings
 from recon.voxel.model import Voxels
 
-VIEWS = 8  # at most, evenly spread, that have rays set apart
-PART = 1 / 64  # of all rays
-BLOCK = 4.0  # voxels across a block, as seen at the isocentre; no binning of the start or the fit goes beyond
-CERTAIN = 1.5  # standard errors of a difference, over views, from which on it counts
+DEFAULT = UnseenRaysSettings()
 
 
-def with_rays_apart(measured: Measurements, voxel: float, seed: int) -> Measurements:
-    """The same scan with some rays set apart.
+def with_rays_apart(
+    measured: Measurements, voxel: float, seed: int, settings: UnseenRaysSettings = DEFAULT
+) -> Measurements:
+    """Set some rays apart.
 
     Parameters
     ----------
     measured : training views, unbinned
     voxel : edge of a voxel of the reconstruction grid [mm]
-    seed : of the places of the blocks
+    seed : seed of the positions of the blocks
+    settings : how many rays, in how many views, in blocks of which size
+
+    Returns
+    -------
+    the same scan with blocks of pixels marked in `Measurements.apart`
     """
-    panel, block = measured.geometry.panel, matching_bin(measured.geometry, BLOCK * voxel)
+    panel, block = measured.geometry.panel, matching_bin(measured.geometry, settings.block * voxel)
     apart = np.zeros((len(measured), panel.rows // block, panel.columns // block), bool)
-    views = spread(kinds_of(measured.exposure), VIEWS)
-    each = round(PART * apart.size / len(views))
+    views = spread(kinds_of(measured.exposure), settings.views)
+    each = round(settings.part * apart.size / len(views))
     rng = np.random.default_rng(seed)
     for view in views:
         apart[view].flat[rng.choice(apart[view].size, min(max(each, 1), apart[view].size - 1), replace=False)] = True
@@ -45,54 +49,88 @@ def with_rays_apart(measured: Measurements, voxel: float, seed: int) -> Measurem
 
 @dataclass(frozen=True, eq=False)
 class UnseenRays:
-    """The rays that were set apart, in pixels of the size of voxels, which is all that voxels can predict.
+    """The rays that were set apart, in pixels of the size of voxels: voxels cannot predict finer ones.
 
     Parameters
     ----------
-    data : views with some; all other rays have no share
-    dispersion : relative model error added to the Poisson variance
+    data : views with such rays; all other rays have the statistical weight 0
+    dispersion : eta, relative model error [no unit]
+    certain : difference of two models that counts [standard errors over views]
     """
 
     data: Measurements
     dispersion: float
+    certain: float = DEFAULT.certain
 
     @classmethod
-    def of(cls, measured: Measurements, voxel: float, recipe: Recipe) -> "UnseenRays":
-        """Those that `with_rays_apart` set apart."""
+    def of(
+        cls, measured: Measurements, voxel: float, dispersion: float, settings: UnseenRaysSettings = DEFAULT
+    ) -> "UnseenRays":
+        """Select the rays that `with_rays_apart` set apart.
+
+        Parameters
+        ----------
+        measured : training views, unbinned, with rays set apart
+        voxel : edge of a voxel of the reconstruction grid [mm]
+        dispersion : eta, relative model error [no unit]
+        settings : when a difference counts
+
+        Returns
+        -------
+        these rays
+        """
         assert measured.apart is not None
         views = np.flatnonzero(measured.apart.any(axis=(1, 2)))
         some = replace(measured[views], apart=~measured.apart[views])
         some = some.binned(matching_bin(some.geometry, voxel))
-        return cls(some.weighted(recipe.dispersion), recipe.dispersion)
+        return cls(some.weighted(dispersion), dispersion, settings.certain)
 
-    def better_of(self, begun: Gaussians, fitted: Gaussians, start: Voxels) -> tuple[Gaussians, tuple[str, ...]]:
-        """The fitted model, or the one it began with where that is more likely; and what a user should know.
+    def better_of(self, initial: Gaussians, fitted: Gaussians, start: Voxels) -> tuple[Gaussians, tuple[str, ...]]:
+        """Choose the fitted model, or the one before the fit where that is more likely.
 
         Parameters
         ----------
-        begun, fitted : the model before and after the fit
-        start : the volumes that both follow
+        initial : the model before the fit
+        fitted : the model after the fit
+        start : the volumes that both were fitted to
+
+        Returns
+        -------
+        one of the two models; sentences for the user
         """
-        before, after, told = (deviances(model, self.data, self.dispersion) for model in (begun, fitted, start))
+        before, after, voxels = (deviances(model, self.data, self.dispersion) for model in (initial, fitted, start))
         notes = []
-        if worse := certainly_larger(after, before):
+        if worse := certainly_larger(after, before, self.certain):
             notes.append(
                 "the fit made Gaussians less likely on rays that took no part (deviance "
                 f"{after.sum() / before.sum():.3g} times that before the fit): those from before the fit are kept"
             )
         kept = before if worse else after
-        if certainly_larger(kept, told):
+        if certainly_larger(kept, voxels, self.certain):
             notes.append(
                 "the Gaussians are less likely on rays that took no part than the voxels they started from (deviance "
-                f"{kept.sum() / told.sum():.3g} times theirs): rather use those voxels, which are in volumes.h5, or "
+                f"{kept.sum() / voxels.sum():.3g} times theirs): rather use those voxels, which are in volumes.h5, or "
                 "fit on smaller voxels"
             )
-        return begun if worse else fitted, tuple(notes)
+        return initial if worse else fitted, tuple(notes)
 
 
-def certainly_larger(one: Float[np.ndarray, " view"], other: Float[np.ndarray, " view"]) -> bool:
-    """Whether deviances exceed others by more than chance would let them; not told by one view alone."""
+def certainly_larger(
+    one: Float[np.ndarray, " view"], other: Float[np.ndarray, " view"], certain: float = DEFAULT.certain
+) -> bool:
+    """Tell whether deviances exceed others by more than chance explains.
+
+    Parameters
+    ----------
+    one : deviances of the views by one model, (V,)
+    other : those by another model, (V,)
+    certain : difference that counts [standard errors over views]
+
+    Returns
+    -------
+    True where the mean difference is larger; False for a single view, whose standard error is not known
+    """
     difference = one - other
     if len(difference) < 2:
         return False
-    return float(difference.mean()) > CERTAIN * float(difference.std(ddof=1)) / np.sqrt(len(difference))
+    return float(difference.mean()) > certain * float(difference.std(ddof=1)) / np.sqrt(len(difference))

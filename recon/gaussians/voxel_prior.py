@@ -1,11 +1,11 @@
-"""A prior that holds the Gaussians near volumes which a total variation has made smooth where they should be.
+"""The voxel prior: a term of the objective that keeps the Gaussians close to the volumes they started from.
 
-The likelihood alone lets neighbouring Gaussians trade coefficients against each other, which shows as noise, most in
-Compton, and as ripples where few rays look along a face. Voxels with a joint total variation
-(`recon.voxel.iterative.one_step`) know better there, while Gaussians know better where edges lie. So the fit minimises
-half the deviance plus half the squared distance of its volumes from those voxels, weighted by the information that the
-data have about the coefficients, averaged over all Gaussians, times a strength. Along edges, which voxels blur, only a
-part of that weight counts, and next to none at metal: voxels err in proportion to what they hold, and rays know little.
+The likelihood alone lets neighbouring Gaussians exchange their coefficients, which shows as noise, most of all in
+Compton scattering, and as ripples along faces that few rays graze. Voxels with a joint total variation
+(`recon.voxel.iterative.one_step`) are better there, while Gaussians are better where edges lie. `VoxelPrior` is the
+term F_prior of `recon.gaussians.objective`, which has its equation; it computes the trust w of the voxels, the metric W
+and the gradients. Along edges, which voxels blur, the trust is low, and next to none at metal, where voxels err in
+proportion to what they hold and rays have little information.
 """
 
 from dataclasses import dataclass, replace
@@ -19,64 +19,88 @@ from torch import Tensor
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.volume_edges import VolumeEdges, metal_without_agents, over_metal
 from recon.gaussians.model import Gaussians
+from recon.gaussians.settings import PriorSettings
 from recon.ops.voxelize import mass_within, voxelize_tensor
 
-CUTOFF = 3.5  # standard deviations
-SLABS = 8  # parts of the volume that take turns, one each step
-_STRIDE = 3  # so that slabs which follow each other do not touch
-_BESIDE = 3  # voxels across that an edge reaches
+DEFAULT = PriorSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class VoxelPrior:
-    """Volumes to stay near.
+    """Volumes that a fit stays close to.
 
     Parameters
     ----------
-    volumes : [1/mm]
-    grid : their voxels
-    strength : information of the prior over that of the data, where weights are 1
-    weights : of the voxels, 1 where the volumes are to be trusted
-    metal : density over that of the least dense metal, at least 1; None where it does not matter
+    volumes : mu0, (M, Z, Y, X) [1/mm]
+    grid : voxels of the volumes
+    strength : lambda, information of the prior over that of the data where the trust is 1 [no unit]
+    trust : w of each voxel, 0 to 1 [no unit]
+    metal : density over that of the least dense metal, at least 1 [no unit]; None where no coefficients are held
+    settings : how the term is evaluated
     """
 
     volumes: Float[np.ndarray, "basis z y x"]
     grid: Grid
     strength: float
-    weights: Float[np.ndarray, "z y x"]
+    trust: Float[np.ndarray, "z y x"]
     metal: Float[np.ndarray, "z y x"] | None = None
+    settings: PriorSettings = DEFAULT
 
     @classmethod
-    def off_edges(
+    def of_volumes(
         cls,
         volumes: Float[np.ndarray, "basis z y x"],
         grid: Grid,
         fisher: Float[np.ndarray, "basis basis"],
         strength: float,
-        along: float,
+        trust_along_edges: float,
+        settings: PriorSettings = DEFAULT,
     ) -> "VoxelPrior":
-        """Volumes to be trusted where they have no edges.
+        """Make a prior that trusts volumes far from edges, less along edges, and least at metal.
 
         Parameters
         ----------
-        volumes : [1/mm]
-        grid : their voxels
-        fisher : mean Fisher matrix of the rays' line integrals, in whose noise edges are measured
-        strength : information of the prior over that of the data
-        along : weight on an edge over that far from all of them
-        """
-        edge = maximum_filter(np.clip(VolumeEdges.of(volumes, fisher).strength, 0, 1), size=_BESIDE)
-        trusted = np.maximum(1 - edge, along / over_metal(volumes) ** 4)
-        return cls(volumes, grid, strength, trusted.astype(np.float32))
+        volumes : mu0, (M, Z, Y, X) [1/mm]
+        grid : voxels of the volumes
+        fisher : mean Fisher matrix of the rays' line integrals, which gives the noise that edges are compared with
+        strength : lambda, information of the prior over that of the data [no unit]
+        trust_along_edges : a, trust on an edge over that far from all edges [no unit]
+        settings : width of edges, and power of the density
 
-    def holding(self, names: tuple[str, ...]) -> "VoxelPrior":
-        """The same, which holds the K edges among bases of such names where there is metal (`agents_in_metal`)."""
+        Returns
+        -------
+        prior with w = max(1 - edge, a / density^power)
+        """
+        edge = maximum_filter(np.clip(VolumeEdges.of(volumes, fisher).strength, 0, 1), size=settings.edge_width)
+        trust = np.maximum(1 - edge, trust_along_edges / over_metal(volumes) ** settings.metal_power)
+        return cls(volumes, grid, strength, trust.astype(np.float32), settings=settings)
+
+    def holding_kedges(self, names: tuple[str, ...]) -> "VoxelPrior":
+        """Make a prior that also holds the coefficients of K edges in metal (`held_coefficients`).
+
+        Parameters
+        ----------
+        names : names of the bases, of which those of K edges begin with ``kedge``
+
+        Returns
+        -------
+        the same prior, which knows where there is metal
+        """
         return replace(self, metal=metal_without_agents(self.volumes, names)[1])
 
-    def agents_in_metal(self, gaussians: Gaussians) -> Bool[Tensor, "gaussian basis"] | None:
-        """Which coefficients stay as the volumes have them: those of K edges in metal; None where there are none.
+    def held_coefficients(self, gaussians: Gaussians) -> Bool[Tensor, "gaussian basis"] | None:
+        """Find the coefficients that keep the values of the volumes: those of K edges in metal.
 
-        What no mixture of bases explains in metal would become a contrast agent there, as the prior lets go of metal.
+        No mixture of basis functions attenuates as metal does. What is missing would become a contrast agent there,
+        because the trust in the volumes is low at metal.
+
+        Parameters
+        ----------
+        gaussians : the model
+
+        Returns
+        -------
+        True where a coefficient is held; None where there is no metal
         """
         if self.metal is None or self.metal.max(initial=1) <= 1:
             return None
@@ -90,52 +114,57 @@ class VoxelPrior:
     def curvature(
         self, gaussians: Gaussians, blocks: Float[Tensor, "gaussian basis basis"]
     ) -> tuple[Float[Tensor, "gaussian basis basis"], Float[Tensor, "basis basis"]]:
-        """Curvature of likelihood and prior together, and the weight of a voxel's squared distance.
+        """Compute the metric W, and the curvature of both terms in the coefficients.
 
         Parameters
         ----------
         gaussians : the model
-        blocks : curvature of the likelihood, see `recon.gaussians.fisher`; the same separable majoriser is made of the
-            prior
+        blocks : curvature H_i of the data term, see `recon.gaussians.fisher` [mm^2]
+
+        Returns
+        -------
+        blocks of the data term plus the separable majoriser of the prior's curvature [mm^2]; the metric W [mm^2]
         """
         parts = (gaussians.centres.detach(), gaussians.log_scales.detach(), gaussians.quaternions.detach())
         one = torch.ones_like(gaussians.coefficients[:, :1]).detach()
-        crowd = voxelize_tensor(*parts, one, self.grid)
-        everywhere = float(torch.sum(crowd * crowd, dtype=torch.float64))
-        weight = self.strength * blocks.sum(dim=0) / max(everywhere, 1e-30)
+        density = voxelize_tensor(*parts, one, self.grid)
+        everywhere = float(torch.sum(density * density, dtype=torch.float64))
+        metric = self.strength * blocks.sum(dim=0) / max(everywhere, 1e-30)
         one.requires_grad_()
-        voxelize_tensor(*parts, one, self.grid).backward(crowd * torch.from_numpy(self.weights).to(crowd))
+        voxelize_tensor(*parts, one, self.grid).backward(density * torch.from_numpy(self.trust).to(density))
         assert one.grad is not None
-        return blocks + one.grad[:, :, None] * weight, weight
+        return blocks + one.grad[:, :, None] * metric, metric
 
-    def add_gradients(self, gaussians: Gaussians, weight: Float[Tensor, "basis basis"], step: int) -> None:
-        """Add the gradients of half the weighted squared distance in the slab whose turn it is, times `SLABS`.
+    def add_gradients(self, gaussians: Gaussians, metric: Float[Tensor, "basis basis"], step: int) -> None:
+        """Add the gradients of the prior in one slab of the volume, times the number of slabs.
+
+        The mean over as many steps as there are slabs is the gradient of the whole term.
 
         Parameters
         ----------
-        gaussians : the model, whose tensors have gradients
-        weight : of the squared distance, in units of the loss
-        step : counts up
+        gaussians : the model, whose arrays have gradients
+        metric : W, divided by what the objective is divided by
+        step : number of the step, which selects the slab
         """
-        depth = self.grid.shape[0]
-        slabs = min(SLABS, depth)
-        k = step * _STRIDE % slabs
+        depth, cutoff = self.grid.shape[0], self.settings.cutoff
+        slabs = min(self.settings.slabs, depth)
+        k = step * self.settings.slab_stride % slabs
         first, last = k * depth // slabs, (k + 1) * depth // slabs
         slab = self.grid.slices(first, last - first)
-        near = _reaching(gaussians, slab)
+        near = _reaching(gaussians, slab, cutoff)
         centres, log_scales, quaternions, coefficients = (
             part.index_select(0, near) for part in gaussians.tensors().values()
         )
-        found = voxelize_tensor(centres, log_scales, quaternions, coefficients, slab, cutoff=CUTOFF)
-        away = found.detach() - mass_within(CUTOFF) * torch.from_numpy(self.volumes[:, first:last]).to(found)
-        away *= torch.from_numpy(self.weights[first:last]).to(found)
-        found.backward(torch.einsum("mn,nzyx->mzyx", slabs * weight, away))
+        found = voxelize_tensor(centres, log_scales, quaternions, coefficients, slab, cutoff=cutoff)
+        difference = found.detach() - mass_within(cutoff) * torch.from_numpy(self.volumes[:, first:last]).to(found)
+        difference *= torch.from_numpy(self.trust[first:last]).to(found)
+        found.backward(torch.einsum("mn,nzyx->mzyx", slabs * metric, difference))
 
 
-def _reaching(gaussians: Gaussians, slab: Grid) -> Tensor:
-    """Indices of the Gaussians that may reach into the slab, in order."""
+def _reaching(gaussians: Gaussians, slab: Grid, cutoff: float) -> Tensor:
+    """Find the indices of the Gaussians that may reach into a slab, in order."""
     across, height = slab.spacing[0], slab.spacing[0] * slab.shape[0]
     middle = slab.origin[0] + 0.5 * (height - across)
     widest = torch.exp(2 * gaussians.log_scales.detach().amax(dim=1))
-    reach = CUTOFF * torch.sqrt(widest + across**2 / 12) + across
+    reach = cutoff * torch.sqrt(widest + across**2 / 12) + across
     return torch.nonzero((gaussians.centres.detach()[:, 2] - middle).abs() < 0.5 * height + reach)[:, 0]

@@ -1,1 +1,1 @@
-"""Which basis the counts warrant, and the energies of K edges."""
+"""Choice of the basis that the counts warrant, and search for the energies of K edges."""

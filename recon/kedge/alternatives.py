@@ -1,23 +1,35 @@
-"""What a further function saves on a ray, whatever material without a K edge the ray passes.
+"""Drop in deviance of a further function, whatever material without a K edge the ray passes.
 
-Photoelectric effect and Compton scattering are no exact law of any material: water, aluminium and steel differ from
-them by more than noise. So each ray is explained by the best of several pairs of functions without an edge in the
-spectrum, and a K edge has to explain it still better.
+No material follows photoelectric absorption and Compton scattering exactly: water, aluminium and steel differ from them
+by more than noise. So each ray is explained by the best of several pairs of functions without an edge in the spectrum,
+and a K edge has to explain it better than all of them.
 """
 
 import numpy as np
 from jaxtyping import Float
 
-from recon.kedge.profile_likelihood import EdgeLikelihood, Functions
+from recon.kedge.edge_likelihood import EdgeLikelihood, Functions, PerRay
 from spectra.basis.basis import BasisFunction
 
+# Names of `spectra.elements.named_materials`; pairs of a light and a heavy one span tissues, plastics and metals;
+# chosen by hand, not measured.
 LIGHT = ("Water, Liquid", "PMMA")
 HEAVY = ("cortical bone", "Al", "Fe")
 _PLAIN = ("photoelectric", "compton", "material")
 
 
 def pairs_without_edge(functions: Functions) -> tuple[Functions, ...]:
-    """These functions; and with other materials without an edge in place of the first two, where those have none."""
+    """List alternatives to the first two functions of a basis.
+
+    Parameters
+    ----------
+    functions : a basis
+
+    Returns
+    -------
+    the basis itself, and with pairs of materials without an edge in place of its first two functions, if these have no
+    edge either
+    """
     if len(functions) < 2 or not all(f.kind in _PLAIN for f in functions[:2]):
         return (functions,)
     named = {name: BasisFunction("material", composition=name) for name in (*LIGHT, *HEAVY)}
@@ -25,29 +37,33 @@ def pairs_without_edge(functions: Functions) -> tuple[Functions, ...]:
     return functions, *((*pair, *functions[2:]) for pair in pairs if pair != functions[:2])
 
 
-def best_deviances(
-    likelihood: EdgeLikelihood, functions: Functions
-) -> tuple[Float[np.ndarray, " ray"], Float[np.ndarray, "ray pair"]]:
-    """Deviance of every ray beside the pair that explains it best, and beside each."""
-    each = np.stack([_finite(likelihood.deviances(f)[0]) for f in pairs_without_edge(functions)], axis=1)
-    return each.min(axis=1), each
+def deviance_drops(likelihood: EdgeLikelihood, functions: Functions, further: BasisFunction) -> PerRay:
+    """Compute the drop in deviance from the best pair without a further function to the best pair with it.
 
-
-def drops(likelihood: EdgeLikelihood, functions: Functions, further: BasisFunction) -> tuple[np.ndarray, np.ndarray]:
-    """What a further function saves on every ray, beside the pair that is best without it and the one best with it.
+    Parameters
+    ----------
+    likelihood : likelihood of the rays
+    functions : the basis so far
+    further : the further function
 
     Returns
     -------
-    the drop in deviance, 0 where its line integral would have to be negative, and the deviance without it
+    drop in deviance of every ray, 0 where the line integral of the further function would have to be negative
     """
-    before, each = best_deviances(likelihood, functions)
+    before, each = _best_deviances(likelihood, functions)
     after = before
     for i, others in enumerate(pairs_without_edge(functions)):
         deviance, lengths = likelihood.deviances((*others, further))
         after = np.fmin(after, np.where(lengths[:, -1] > 0, _finite(deviance), each[:, i]))
-    return before - after, before
+    return before - after
 
 
-def _finite(deviance: Float[np.ndarray, " ray"]) -> Float[np.ndarray, " ray"]:
-    """Infinite where line integrals were not found."""
+def _best_deviances(likelihood: EdgeLikelihood, functions: Functions) -> tuple[PerRay, Float[np.ndarray, "ray pair"]]:
+    """Deviance of every ray with the pair that explains it best, and with each pair."""
+    each = np.stack([_finite(likelihood.deviances(f)[0]) for f in pairs_without_edge(functions)], axis=1)
+    return each.min(axis=1), each
+
+
+def _finite(deviance: PerRay) -> PerRay:
+    """Deviances, infinite where the fit of line integrals did not converge."""
     return np.where(np.isfinite(deviance), deviance, np.inf)

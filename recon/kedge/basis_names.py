@@ -1,4 +1,4 @@
-"""Which of a file's basis functions were asked for, by number or by name, and which are left out."""
+"""Basis functions of a dataset that a user asks for, by number or by name, and those that are left out."""
 
 from collections.abc import Sequence
 from typing import TypeAlias
@@ -7,11 +7,25 @@ from phantomgen.dataset.reader import Dataset
 from spectra.basis.basis import Basis
 from spectra.errors import InputError
 
-Asked: TypeAlias = int | Sequence[str] | None  # so many, these, or those that the data warrant
+Asked: TypeAlias = int | Sequence[str] | None  # number of functions, their names, or None: those that the data warrant
 
 
 def parse_bases(text: str) -> int | tuple[str, ...] | None:
-    """``auto``, a number, or names with commas between."""
+    """Read the value of ``--bases``.
+
+    Parameters
+    ----------
+    text : ``auto``, a number, or names with commas between
+
+    Returns
+    -------
+    None for ``auto``, the number, or the names
+
+    Raises
+    ------
+    InputError
+        When the text is none of these.
+    """
     if text.strip() == "auto":
         return None
     try:
@@ -29,18 +43,22 @@ def parse_bases(text: str) -> int | tuple[str, ...] | None:
 
 
 def named_basis(stated: Basis, names: Sequence[str], where: object) -> Basis:
-    """The functions of these names, in the order of the file.
+    """Select functions by their names, in the order of the file.
 
     Parameters
     ----------
-    stated : what the file has
-    names : of the functions
-    where : the file, for a message
+    stated : basis of the file
+    names : names of the functions
+    where : name of the file, for an error
+
+    Returns
+    -------
+    the basis of these functions
 
     Raises
     ------
     InputError
-        When a name is not known, or said twice, or there is none.
+        When a name is unknown or given twice, or there is none.
     """
     for name in names:
         if name not in stated.names:
@@ -51,17 +69,46 @@ def named_basis(stated: Basis, names: Sequence[str], where: object) -> Basis:
 
 
 def with_named(dataset: Dataset, bases: Asked) -> tuple[Dataset, int | None]:
-    """The dataset in the functions that were named, and how many of its functions were asked for otherwise."""
+    """Reduce a dataset to the functions that were named.
+
+    Parameters
+    ----------
+    dataset : an open dataset
+    bases : number or names of functions
+
+    Returns
+    -------
+    the dataset with the named functions, or as it is; the number of functions where a number was asked for
+    """
     if bases is None or isinstance(bases, int):
         return dataset, bases
     return dataset.with_basis(named_basis(dataset.spectra.basis, bases, dataset.path)), None
 
 
 def left_out(stated: Sequence[str], fitted: Sequence[str]) -> tuple[str, ...]:
-    """Names that the file has and a model lacks."""
+    """List the names that the file has and a model lacks.
+
+    Parameters
+    ----------
+    stated : names of the functions of the file
+    fitted : names of the functions of the model
+
+    Returns
+    -------
+    names of the others
+    """
     return tuple(name for name in stated if name not in fitted)
 
 
 def left_out_sentence(names: Sequence[str]) -> str:
-    """That some of the file's functions are not fitted; empty without any."""
+    """Say which functions of the file are not fitted.
+
+    Parameters
+    ----------
+    names : names of these functions
+
+    Returns
+    -------
+    a sentence for a user; empty without names
+    """
     return f"Not fitted, though the file has it: {', '.join(names)}" if names else ""

@@ -1,4 +1,4 @@
-"""Which basis a fit uses: how many functions the data warrant, and where their K edges lie."""
+"""Choice of the basis of a fit: how many functions the data warrant, and where their K edges lie."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -7,29 +7,32 @@ from typing import Any
 from phantomgen.dataset.reader import Dataset
 from recon.gaussians.recipe import Recipe
 from recon.kedge.basis_names import Asked, named_basis
+from recon.kedge.edge_likelihood import EdgeLikelihood, Functions
 from recon.kedge.elements import plain_alternatives, settle_elements
+from recon.kedge.judgement import LEAST_SCORE, Judgement, judge, judge_by_neighbours
 from recon.kedge.neighbour_agreement import between_channels
-from recon.kedge.profile_likelihood import EdgeLikelihood, EdgeProfile, Functions
+from recon.kedge.profile_likelihood import EdgeProfile
 from recon.kedge.rays import rays_away_from_edges
-from recon.kedge.search import ROUNDS, WARRANTED, Judgement, judge, judge_weak, likeliest_edge, refine_together
+from recon.kedge.search import ROUNDS, likeliest_edge, refine_together
 from spectra.basis.basis import Basis, BasisFunction
 from spectra.errors import InputError
 
-DISPERSION = Recipe().dispersion  # relative model error that a fit concedes, so that a misfit of that size is no K edge
-SAME = 2.0  # an edge so close to one that the file states is that one [keV]
-THINNED = 4  # one ray of so many chooses elements anew, while edges are still missing
-SURE = 3.0  # standard deviations within which an element's edge may lie from where it was found
+# no unit; relative model error that a fit concedes, so that a misfit of that size is no K edge
+DISPERSION = Recipe().dispersion
+SAME = 2.0  # keV; a found edge closer than this to one of the file is that one; chosen by hand, not measured
+THINNED = 4  # every such ray is used to choose elements again while edges are still missing; bounds the time
+SURE = 3.0  # standard deviations by which the edge of an element of the file may differ from the found energy
 
 
 @dataclass(frozen=True, eq=False)
 class BasisChoice:
-    """What was decided, and on what grounds.
+    """The chosen basis, and the reasons.
 
     Parameters
     ----------
-    basis : what the fit uses
+    basis : basis of the fit
     judgements : one per function that was judged
-    profiles : of the K edges that were found, by the names of their functions
+    profiles : profiles of the K edges that were found, with the names of their functions
     """
 
     basis: Basis
@@ -38,7 +41,7 @@ class BasisChoice:
 
     @property
     def sentences(self) -> list[str]:
-        """What to tell a user."""
+        """Explanation for a user."""
         judged = [
             f"{j.name} is {'warranted' if j.warranted else 'not warranted'} beside {', '.join(j.before)}: {j.reason} "
             f"(deviance per ray {j.deviance_before:.3g} without it, {j.deviance_after:.3g} with it, {j.rays} rays)"
@@ -53,7 +56,12 @@ class BasisChoice:
         return judged + found
 
     def record(self) -> dict[str, Any]:
-        """For ``metrics.json``."""
+        """Summarise the choice for ``metrics.json``.
+
+        Returns
+        -------
+        names, edges and judgements
+        """
         functions = {f.name: f for f in self.basis.functions}
         return {
             "names": list(self.basis.names),
@@ -70,14 +78,19 @@ class BasisChoice:
 
 
 def choose_basis(dataset: Dataset, bases: Asked = None, edges: Sequence[float] | None = None) -> BasisChoice:
-    """The basis functions to fit a dataset with; only ``/entry`` is read.
+    """Choose the basis functions to fit a dataset with; only ``/entry`` is read.
 
     Parameters
     ----------
     dataset : an open dataset
-    bases : how many, or names of the file's functions, which are not judged; None for those that the data warrant
-    edges : None to believe the K edges that the file states; else edges are looked for, at any energy. Numbers are
-        energies to try besides [keV], and say how many edges there are; none leave that to `bases` and the data
+    bases : number of functions, or names of functions of the file, which are not judged; None for those that the data
+        warrant
+    edges : None to use the K edges that the file states; otherwise edges are searched at all energies. Numbers are
+        energies to try besides [keV] and fix the number of edges; without numbers, `bases` and the data decide
+
+    Returns
+    -------
+    the basis and the reasons
 
     Raises
     ------
@@ -112,17 +125,21 @@ def choose_basis(dataset: Dataset, bases: Asked = None, edges: Sequence[float] |
 
 
 def find_edges(dataset: Dataset, starts: Sequence[float] = ()) -> BasisChoice:
-    """All K edges that the counts show beside the functions without an edge, at least one.
+    """Find all K edges that the counts show beside the functions without an edge, at least one.
 
     Parameters
     ----------
     dataset : an open dataset
-    starts : energies to try besides [keV], one per edge; none for as many edges as there are
+    starts : energies to try besides [keV], one per edge; without any, the data decide on the number of edges
+
+    Returns
+    -------
+    the basis with these edges, and the reasons
 
     Raises
     ------
     InputError
-        When there is none, or fewer than starts.
+        When there is no edge, or there are fewer than `starts`.
     """
     choice = choose_basis(dataset, None, starts)
     if not choice.profiles:
@@ -131,7 +148,7 @@ def find_edges(dataset: Dataset, starts: Sequence[float] = ()) -> BasisChoice:
 
 
 def _wanted(dataset: Dataset, bases: int | None, starts: Sequence[float], kept: Functions) -> int | None:
-    """How many edges to find; None for those that the data warrant."""
+    """Number of edges to find; None for those that the data warrant."""
     if bases is None:
         wanted = len(starts) or None
     else:
@@ -153,7 +170,7 @@ def _wanted(dataset: Dataset, bases: int | None, starts: Sequence[float], kept: 
 
 
 def _likelihood(dataset: Dataset, plain: Functions, binned: bool = True) -> EdgeLikelihood:
-    """Of all rays that may be judged."""
+    """Likelihood of all rays that may be judged."""
     reference = dataset.spectra.basis.reference_energy
     rays = rays_away_from_edges(dataset.with_basis(Basis(plain, reference)), binned)
     floor = dataset.dark_variance / dataset.spectra.quantum**2
@@ -161,7 +178,7 @@ def _likelihood(dataset: Dataset, plain: Functions, binned: bool = True) -> Edge
 
 
 def _warranted(dataset: Dataset, plain: Functions, known: Sequence[BasisFunction]) -> BasisChoice:
-    """Those of the file's functions that the data warrant, the most needed one first."""
+    """Choose the functions of the file that the data warrant, the one with the highest score first."""
     stated = dataset.spectra.basis
     if len(dataset.spectra.channels) <= len(plain):
         return BasisChoice(stated)
@@ -174,7 +191,7 @@ def _warranted(dataset: Dataset, plain: Functions, known: Sequence[BasisFunction
         judged = [judge(likelihood, taken, f) for f in left]
         if not any(one.warranted for one in judged):
             pixels = pixels or _likelihood(dataset, plain, binned=False)
-            judged = [_weak(pixels, taken, f, one) for f, one in zip(left, judged, strict=True)]
+            judged = [_by_neighbours(pixels, taken, f, one) for f, one in zip(left, judged, strict=True)]
         best = max(range(len(left)), key=lambda i: (judged[i].warranted, judged[i].score))
         if not judged[best].warranted:
             judgements += judged
@@ -185,19 +202,20 @@ def _warranted(dataset: Dataset, plain: Functions, known: Sequence[BasisFunction
     return BasisChoice(Basis(tuple(order), stated.reference_energy), tuple(judgements))
 
 
-def _weak(pixels: EdgeLikelihood, taken: Functions, function: BasisFunction, judged: Judgement) -> Judgement:
-    """The judgement after neighbouring rays were asked, where the counts can show the jump of an edge."""
+def _by_neighbours(pixels: EdgeLikelihood, taken: Functions, function: BasisFunction, judged: Judgement) -> Judgement:
+    """Judgement by neighbouring rays where the counts can show the jump of an edge; `judged` elsewhere."""
     shown = between_channels(pixels.spectra, float(function.edge_energy or 0.0))
-    return judge_weak(pixels, taken, function, judged) if shown else judged
+    return judge_by_neighbours(pixels, taken, function, judged) if shown else judged
 
 
 def _searched(
     dataset: Dataset, kept: Functions, known: Sequence[BasisFunction], wanted: int | None, starts: Sequence[float]
 ) -> BasisChoice:
-    """Edges found one after the other, then refined together."""
+    """Find edges one after the other, then refine them together."""
     reference = dataset.spectra.basis.reference_energy
     likelihood = _likelihood(dataset, kept)
-    like = next((f for f in known if f.kind in ("step", "sigmoid")), BasisFunction("step", edge_energy=reference))
+    steps = [f for f in known if f.kind in ("step", "sigmoid")]
+    edge_shape = steps[0] if steps else BasisFunction("step", edge_energy=reference)
     choices = plain_alternatives(kept)
     found: list[BasisFunction] = []
     profiles: list[EdgeProfile] = []
@@ -206,7 +224,7 @@ def _searched(
     while wanted is None or len(found) < wanted:
         if likelihood.rays.channels < len(kept) + len(found) + 2:
             break
-        edge = likeliest_edge(likelihood, choices, found, like, starts)
+        edge = likeliest_edge(likelihood, choices, found, edge_shape, starts)
         judgements.append(edge.judgement)
         if not edge.judgement.warranted:
             break
@@ -226,14 +244,14 @@ def _searched(
 
 
 def _not_found(dataset: Dataset, judgements: Sequence[Judgement]) -> str:
-    """Why an edge that was asked for is not used, and what would help."""
+    """Sentence why an edge that was asked for is not used, and what would help."""
     if not judgements:
         return (
             f"no ray of {dataset.path} was measured in enough channels at once to find a K edge: leave --edge out, so "
             "that the energies which the file states are used"
         )
     last = judgements[-1]
-    need = "a whole channel below and above it" if last.score >= WARRANTED else "a stronger contrast"
+    need = "a whole channel below and above it" if last.score >= LEAST_SCORE else "a stronger contrast"
     return (
         f"no K edge shows in {dataset.path} beside {', '.join(last.before)}: the best one, at {last.edge:.4g} keV, is "
         f"not taken since {last.reason}; more photons or {need} would help, or use --bases {len(last.before)}"
@@ -241,9 +259,9 @@ def _not_found(dataset: Dataset, judgements: Sequence[Judgement]) -> str:
 
 
 def _settled(found: BasisFunction, profile: EdgeProfile, known: Sequence[BasisFunction]) -> BasisFunction:
-    """The function to fit with: that of the file where it names an element whose edge this is, else a moved one.
+    """Function to fit with: that of the file if it has the element with this edge, otherwise one at the found energy.
 
-    Within `SAME` of an edge that the file states the name stays, so that volumes and scores go by one name.
+    Within `SAME` of an edge that the file states, the name stays, so that volumes and scores have one name.
     """
     near = min(known, key=lambda f: abs(float(f.edge_energy or 0.0) - profile.best), default=None)
     named = found if found.kind == "element" else replace(found, name=f"kedge_{profile.best:.1f}")

@@ -1,27 +1,57 @@
-"""Which element has the K edge that counts show: total attenuation of one element after the other.
+"""The element that has the K edge in the counts: total attenuation of one element after the other.
 
-A step is 0 below its edge, while an element attenuates there, too, and not by the cube of the energy. Where a scan
-holds real compositions, a step therefore finds a wrong energy, and elements are tried beside it. Water and bone then
-say more of tissues than photoelectric effect and Compton scattering, which no material follows exactly: each is tried.
+A step is 0 below its edge, while an element attenuates there as well, and above it not by the cube of the energy. Where
+the object has real compositions, a step therefore finds a wrong energy, and elements are tried beside it. Water and
+bone then describe tissues better than photoelectric absorption and Compton scattering, which no material follows
+exactly: both pairs are tried.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from phantomgen.dataset.spectral_model import Spectra
-from recon.kedge.profile_likelihood import STEP, EdgeLikelihood, EdgeProfile, Functions, edge_bound
+from recon.kedge.edge_likelihood import EdgeLikelihood, Functions
+from recon.kedge.profile_likelihood import EdgeProfile, detected_range
 from spectra.basis.basis import BasisFunction
 from spectra.elements.attenuation import edge_energy, symbol
 
-# Sc to Bi, Th and U, without those that decay: Tc, Pm.
+# atomic numbers: Sc to Bi, Th and U, without those that decay: Tc, Pm
 NUMBERS = tuple(z for z in (*range(21, 84), 90, 92) if z not in (43, 61))
-ALIKE = 9.0  # of two elements whose deviances differ by less, either may be meant: three standard deviations
+# no unit; elements whose deviances differ by less are not distinguished; three standard deviations
+INDISTINCT = 9.0
+# names of `spectra.elements.named_materials`; the alternative to photoelectric absorption and Compton scattering;
+# docs/reference/benchmarks/kedge_search.md has the deviances of both on `multi-energy`
 TISSUES = ("Water, Liquid", "cortical bone")
 
 
+class ElementScan(NamedTuple):
+    """Result of a scan over elements.
+
+    Parameters
+    ----------
+    function : the most likely element
+    profile : profile likelihood over the edges of all elements
+    undetermined : why the element is not determined; empty where it is
+    """
+
+    function: BasisFunction
+    profile: EdgeProfile
+    undetermined: str
+
+
 def plain_alternatives(functions: Functions) -> tuple[Functions, ...]:
-    """These functions; and with water and bone where they begin with photoelectric effect and Compton scattering."""
+    """List alternatives to photoelectric absorption and Compton scattering at the beginning of a basis.
+
+    Parameters
+    ----------
+    functions : a basis
+
+    Returns
+    -------
+    the basis itself, and with water and bone in their place if it begins with them
+    """
     if tuple(f.kind for f in functions[:2]) != ("photoelectric", "compton"):
         return (functions,)
     tissues = tuple(BasisFunction("material", composition=name) for name in TISSUES)
@@ -29,52 +59,69 @@ def plain_alternatives(functions: Functions) -> tuple[Functions, ...]:
 
 
 def elements_within(spectra: Spectra) -> tuple[BasisFunction, ...]:
-    """Functions of all elements whose K edge may be seen, by atomic number."""
-    seen = np.flatnonzero(spectra.weights.any(axis=0))
-    low, high = spectra.edges[seen[0]] + STEP, spectra.edges[seen[-1] + 1] - STEP
-    return tuple(BasisFunction("element", element=symbol(z)) for z in NUMBERS if low < edge_energy(symbol(z)) < high)
-
-
-def scan_elements(
-    likelihood: EdgeLikelihood, functions: Functions, candidates: Sequence[BasisFunction]
-) -> tuple[BasisFunction, EdgeProfile, str]:
-    """The element that explains best what these functions fail to explain.
+    """List the elements whose K edge may be seen.
 
     Parameters
     ----------
-    likelihood : of the rays
+    spectra : spectral model of the scan
+
+    Returns
+    -------
+    functions of the elements, by atomic number
+    """
+    low, high = detected_range(spectra)
+    return tuple(BasisFunction("element", element=symbol(z)) for z in NUMBERS if low < edge_energy(symbol(z)) < high)
+
+
+def scan_elements(likelihood: EdgeLikelihood, functions: Functions, candidates: Sequence[BasisFunction]) -> ElementScan:
+    """Find the element that explains best what the given functions leave unexplained.
+
+    Parameters
+    ----------
+    likelihood : likelihood of the rays
     functions : the other functions of the basis
     candidates : elements to try, by atomic number; those among `functions` are left out
 
     Returns
     -------
-    the element's function, the profile over the edges of all of them, and why the element is not determined, or ""
+    the element and its profile
 
     Notes
     -----
-    An element has no edge between two others. One sigma is where the parabola through the best element and its
-    neighbour in the list has fallen by 1.
+    No element has an edge between those of two others in the list. One standard deviation is where the parabola through
+    the best element and its neighbour in the list has fallen by 1.
     """
     taken = {f.element for f in functions}
     tried = [f for f in candidates if f.element not in taken]
-    each = likelihood.saving(functions)
-    saved = np.array([_sum(*each(function)) for function in tried])
+    saved_by = likelihood.saving(functions)
+    saved = np.array([_sum(*saved_by(function)) for function in tried])
     energies = np.array([float(f.edge_energy or 0.0) for f in tried])
     best = int(saved.argmax())
     low, high = (_fallen(energies, saved, best, side) for side in (-1, 1))
-    bound = edge_bound(likelihood, (*functions, tried[best]))
+    bound = likelihood.edge_bound((*functions, tried[best]))
     profile = EdgeProfile(energies, saved, float(energies[best]), low, high, bound, len(likelihood.rays))
-    alike = [str(f.element) for f, value in zip(tried, saved, strict=True) if value > saved[best] - ALIKE]
-    vague = f"its element is not determined: {alike[0]} to {alike[-1]}" if len(alike) > 2 else ""
-    return tried[best], profile, vague
+    alike = [str(f.element) for f, value in zip(tried, saved, strict=True) if value > saved[best] - INDISTINCT]
+    undetermined = f"its element is not determined: {alike[0]} to {alike[-1]}" if len(alike) > 2 else ""
+    return ElementScan(tried[best], profile, undetermined)
 
 
 def settle_elements(
     likelihood: EdgeLikelihood, plain: Functions, found: Sequence[BasisFunction], rounds: int
 ) -> list[BasisFunction]:
-    """Choose each element anew beside all others until none changes; functions of other kinds stay.
+    """Choose each element again beside all others until none changes; functions of other kinds stay.
 
-    The first element is chosen while the others are missing, and is often one that stands for them all.
+    The first element is chosen while the others are missing, and is often one that represents them all.
+
+    Parameters
+    ----------
+    likelihood : likelihood of the rays
+    plain : functions without the edges to find
+    found : edges that were found
+    rounds : largest number of times that every element is chosen
+
+    Returns
+    -------
+    the edges with the elements that were chosen
     """
     candidates = elements_within(likelihood.spectra)
     now = list(found)
@@ -90,26 +137,37 @@ def settle_elements(
 
 
 def neighbours(element: BasisFunction, candidates: Sequence[BasisFunction], count: int) -> list[BasisFunction]:
-    """Elements so many places or fewer away in the list, and itself."""
+    """List an element and its neighbours.
+
+    Parameters
+    ----------
+    element : the element
+    candidates : all elements, by atomic number
+    count : number of neighbours on either side
+
+    Returns
+    -------
+    the element and its neighbours, by atomic number
+    """
     place = list(candidates).index(element)
     return list(candidates[max(place - count, 0) : place + count + 1])
 
 
 def _best(likelihood: EdgeLikelihood, others: Functions, candidates: Sequence[BasisFunction]) -> BasisFunction:
-    """The candidate that explains most."""
-    each = likelihood.saving(others)
+    """The candidate with the largest drop in deviance."""
+    saved_by = likelihood.saving(others)
     taken = {f.element for f in others}
-    return max((f for f in candidates if f.element not in taken), key=lambda f: _sum(*each(f)))
+    return max((f for f in candidates if f.element not in taken), key=lambda f: _sum(*saved_by(f)))
 
 
 def _sum(drops: np.ndarray, lengths: np.ndarray) -> float:
-    """Drop in deviance; nothing where the element would have to be taken away, or line integrals were not found."""
+    """Sum of the drops in deviance; 0 where line integrals sum up to less than 0, or their fit did not converge."""
     total = float(drops.sum())
     return total if np.isfinite(total) and lengths.sum() > 0 else 0.0
 
 
 def _fallen(energies: np.ndarray, saved: np.ndarray, best: int, side: int) -> float:
-    """Where a parabola through the best element and the next one has fallen by 1; the last edge where there is none."""
+    """Energy where a parabola through the best element and the next has fallen by 1; the best edge without a next."""
     beside = best + side
     if not 0 <= beside < len(energies):
         return float(energies[best])

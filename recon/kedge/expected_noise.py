@@ -1,4 +1,4 @@
-"""What noise and a conceded misfit do to the drop in deviance that a further function brings on one ray.
+"""Effect of noise and of a conceded misfit on the drop in deviance that a further function gives on one ray.
 
 Deviances weigh channels by W = 1 / (Y + (eta Y)^2), which concedes a model error of eta, while counts have the variance
 V = Y. With S = W^1/2 dY/dL of the smaller basis, s that of the further function, and t the part of s that S cannot
@@ -19,11 +19,12 @@ so that max(u - b, 0)^2 of such a misfit and noise is not larger, on average and
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from recon.kedge.profile_likelihood import EdgeLikelihood, Functions
+from recon.kedge.edge_likelihood import EdgeLikelihood, Functions
 from spectra.basis.basis import BasisFunction
 
 # Relative error of expected counts, in any channel, that is not taken for a K edge: twice the most that scans without
@@ -37,20 +38,35 @@ MISFIT = 2e-3
 
 @dataclass(frozen=True, eq=False)
 class NullLaw:
-    """How u of each ray is distributed where it does not need the further function.
+    """Distribution of u of each ray that does not need the further function.
 
     Parameters
     ----------
-    variance : of u, by noise alone
-    shift : the most by which a conceded misfit moves u
+    variance : variance q of u from noise alone [no unit]
+    shift : largest shift b of u by a conceded misfit [no unit]
     """
 
     variance: Float[np.ndarray, " ray"]
     shift: Float[np.ndarray, " ray"]
 
     def __getitem__(self, rays: Int[np.ndarray, " few"]) -> "NullLaw":
-        """That of some rays."""
+        """Take some of the rays."""
         return NullLaw(self.variance[rays], self.shift[rays])
+
+
+class Direction(NamedTuple):
+    """Direction in which a further function changes the weighted counts of rays.
+
+    Parameters
+    ----------
+    direction : t / |t|
+    root : root of the weights, W^1/2 [1/counts]
+    expected : expected counts Y
+    """
+
+    direction: Float[np.ndarray, "ray channel"]
+    root: Float[np.ndarray, "ray channel"]
+    expected: Float[np.ndarray, "ray channel"]
 
 
 def null_law(
@@ -60,15 +76,19 @@ def null_law(
     lengths: Float[np.ndarray, "ray basis"],
     misfit: float | None = None,
 ) -> NullLaw:
-    """Variance and largest shift of u on every ray.
+    """Compute variance and largest shift of u on every ray.
 
     Parameters
     ----------
-    likelihood : of the rays
+    likelihood : likelihood of the rays
     functions : the smaller basis
     further : the function that is judged
-    lengths : line integrals of the smaller basis
-    misfit : relative error of expected counts that is conceded, `MISFIT` where left out
+    lengths : line integrals of the smaller basis [no unit]
+    misfit : conceded relative error of expected counts [no unit], `MISFIT` by default
+
+    Returns
+    -------
+    variance and shift
     """
     direction, root, expected = _direction(likelihood, functions, further, lengths)
     variance = (direction**2 * root**2 * expected).sum(axis=1)
@@ -78,8 +98,8 @@ def null_law(
 
 def _direction(
     likelihood: EdgeLikelihood, functions: Functions, further: BasisFunction, lengths: Float[np.ndarray, "ray basis"]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Direction t / |t|, W^1/2 and Y of every ray and channel."""
+) -> Direction:
+    """Direction of every ray."""
     known = likelihood.rays.known
     parts = [lengths, np.zeros((len(lengths), 1)), *([] if known is None else [known])]
     expected, slopes = likelihood.transmission((*functions, further)).expected_and_jacobian(np.hstack(parts))
@@ -90,19 +110,23 @@ def _direction(
     slopes = slopes * root[..., None]
     rest = slopes[..., -1] - _within(slopes[..., :-1], slopes[..., -1])
     size = np.sqrt((rest**2).sum(axis=1, keepdims=True))
-    return np.divide(rest, size, out=np.zeros_like(rest), where=size > 0), root, expected
+    return Direction(np.divide(rest, size, out=np.zeros_like(rest), where=size > 0), root, expected)
 
 
 def excess_score(drops: Float[np.ndarray, " ray"], law: NullLaw) -> float:
-    """Standard deviations of noise by which drops exceed what noise and the conceded misfit give.
+    """Compute by how many standard deviations of noise drops exceed what noise and the conceded misfit give.
 
-    score = (sum max(u - b, 0)^2 - sum q / 2) / sqrt(5/4 sum q^2) with u^2 the drops; of noise alone its mean is 0, or
-    less where a misfit is conceded, and its standard deviation 1 at most.
+    score = (sum max(u - b, 0)^2 - sum q / 2) / sqrt(5/4 sum q^2) with u^2 the drops. For noise alone its mean is 0, or
+    less where a misfit is conceded, and its standard deviation at most 1.
 
     Parameters
     ----------
-    drops : in deviance, 0 where the line integral would have to be negative
-    law : of rays that do not need the function
+    drops : drop in deviance of each ray, 0 where the line integral would have to be negative
+    law : distribution for rays that do not need the function
+
+    Returns
+    -------
+    the score [no unit], 0 without rays
     """
     spread = np.sqrt(1.25 * (law.variance**2).sum())
     if not spread > 0:
@@ -114,7 +138,7 @@ def excess_score(drops: Float[np.ndarray, " ray"], law: NullLaw) -> float:
 def _within(
     slopes: Float[np.ndarray, "ray channel basis"], further: Float[np.ndarray, "ray channel"]
 ) -> Float[np.ndarray, "ray channel"]:
-    """The part of `further` that the other slopes can give, by least squares."""
+    """Projection of `further` on the other slopes, by least squares."""
     scale = np.sqrt((slopes**2).sum(axis=1, keepdims=True))
     slopes = np.divide(slopes, scale, out=np.zeros_like(slopes), where=scale > 0)
     fisher = np.einsum("rcm,rcn->rmn", slopes, slopes) + 1e-12 * np.eye(slopes.shape[-1])

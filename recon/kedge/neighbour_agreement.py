@@ -1,16 +1,16 @@
-"""Whether neighbouring rays agree on a weak K edge that no single ray shows.
+"""Agreement of neighbouring rays on a weak K edge that no single ray shows.
 
-The drop in deviance of single rays sees nothing below their noise. Rays that pass the same material, however, have line
-integrals of the same sign and size, and their noise is independent. So the line integrals of the edge's function are
-summed with weights that neighbours alone suggest:
+The drop in deviance of single rays shows nothing below their noise. Rays through the same material, however, have line
+integrals of the same sign and size, and their noise is independent. So the line integrals of the function of the edge
+are summed with weights from the neighbours alone:
 
     score = sum_r I_r t_r (L_r - b_r / sqrt(I_r)) / sqrt(2 sum_r q_r I_r t_r^2),
     t_r = max(0, mean of L over neighbours, weighted by I)
 
-with L_r the likeliest line integral of the function on a ray, I_r its information, all other line integrals unknown,
-q_r / I_r the variance that noise gives it, and b_r what a conceded misfit does to it (`recon.kedge.expected_noise`). Of
-noise alone the sum is a quadratic form without diagonal, sum_rs w_rs L_r L_s, and each pair counts twice: hence the 2
-(variance 2 tr(W^2), as for any Gaussian quadratic form).
+with L_r the most likely line integral of the function on a ray, I_r its information, all other line integrals unknown,
+q_r / I_r its variance by noise, and b_r its shift by a conceded misfit (`recon.kedge.expected_noise`). For noise alone
+the sum is a quadratic form without diagonal, sum_rs w_rs L_r L_s, and each pair occurs twice: hence the 2 (variance
+2 tr(W^2), as for any Gaussian quadratic form).
 """
 
 import numpy as np
@@ -19,45 +19,56 @@ from scipy.ndimage import uniform_filter
 
 from phantomgen.dataset.spectral_model import Spectra
 from recon.kedge.alternatives import pairs_without_edge
+from recon.kedge.edge_likelihood import EdgeLikelihood, Functions
 from recon.kedge.expected_noise import null_law
-from recon.kedge.profile_likelihood import EdgeLikelihood, Functions
 from spectra.basis.basis import BasisFunction
 
-SHARE = 0.1  # of a channel that may lie on the other side of an edge, which is then told all the same
-RANKED = 10_000  # rays that tell which pair of materials explains the counts best
-OUTER = 9  # pixels along each side of the square of neighbours
-INNER = 3  # of the square in the middle that is no part of them: a detector may correlate the noise of adjacent pixels
+SHARE = 0.1  # of a channel; part that may lie on the other side of an edge which the channel still shows; by hand
+RANKED = 10_000  # rays; sample that decides which pair of materials explains the counts best; chosen by hand
+OUTER = 9  # pixels along each side of the square of neighbours; chosen by hand, not measured
+# pixels along each side of the square in its middle that is left out, as a detector may correlate the noise of adjacent
+# pixels; chosen by hand, not measured
+INNER = 3
 
 
 def agreement(likelihood: EdgeLikelihood, functions: Functions, further: BasisFunction) -> float:
-    """Standard deviations of noise by which rays agree on a function.
+    """Compute by how many standard deviations of noise neighbouring rays agree on a function.
 
     Parameters
     ----------
-    likelihood : of rays that are not binned: a binned ray averages intensities, and where thickness varies within it,
-        that looks like a weak edge
-    functions : the basis so far; instead of photoelectric effect and Compton scattering, the pair of materials that
-        explains the counts best is tried, too, so that what these are is not taken for an edge
+    likelihood : likelihood of rays that are not binned: a binned ray averages intensities, and where thickness varies
+        within it, that resembles a weak edge
+    functions : the basis so far; in place of its first two functions, the pair of materials that explains the counts
+        best is tried as well, so that a real material is not taken for an edge
     further : the function that is judged
 
     Returns
     -------
-    the lower score of the two, 0 where no ray has one
+    the lower score of the two [no unit], 0 without rays
     """
     return min(_score(likelihood, others, further) for others in {functions, _best_pair(likelihood, functions)})
 
 
 def _best_pair(likelihood: EdgeLikelihood, functions: Functions) -> Functions:
-    """The pair without an edge, and what else is in the basis, that explains the counts best; some rays tell."""
+    """The basis whose pair without an edge explains the counts of a sample of the rays best."""
     some = likelihood.with_rays(likelihood.rays[:: max(len(likelihood.rays) // RANKED, 1)])
     pairs = pairs_without_edge(functions)
     return min(pairs, key=lambda pair: float(np.nan_to_num(some.deviances(pair)[0], nan=np.inf).sum()))
 
 
 def between_channels(spectra: Spectra, edge: float) -> bool:
-    """Whether channels lie below and above an edge [keV], so that counts show its jump and not only its curve.
+    """Tell whether channels lie below and above an edge, so that counts show its jump and not only its curve.
 
-    A tenth of a channel may lie beyond: a threshold at 33.2 keV tells the edge of iodine, at 33.17 keV.
+    A tenth of a channel may lie beyond: a threshold at 33.2 keV shows the edge of iodine, at 33.17 keV.
+
+    Parameters
+    ----------
+    spectra : spectral model of the scan
+    edge : energy of the edge [keV]
+
+    Returns
+    -------
+    whether both sides have a channel
     """
     lower, upper = np.array(spectra.lower, float), np.array(spectra.upper, float)
     beyond = SHARE * np.where(np.isfinite(upper), upper - lower, 0.0)
@@ -65,7 +76,7 @@ def between_channels(spectra: Spectra, edge: float) -> bool:
 
 
 def _score(likelihood: EdgeLikelihood, functions: Functions, further: BasisFunction) -> float:
-    """The same for one choice of the other functions."""
+    """Score of `agreement` for one choice of the other functions."""
     lengths, information = likelihood.last_length((*functions, further))
     template = np.maximum(_neighbours(likelihood.rays.places, lengths, information), 0.0)
     law = null_law(likelihood, functions, further, likelihood.deviances(functions)[1])
@@ -77,7 +88,7 @@ def _score(likelihood: EdgeLikelihood, functions: Functions, further: BasisFunct
 def _neighbours(
     places: np.ndarray, lengths: Float[np.ndarray, " ray"], information: Float[np.ndarray, " ray"]
 ) -> Float[np.ndarray, " ray"]:
-    """Mean line integral of the rays around each, weighted by their information; 0 where there are none."""
+    """Mean line integral of the rays around each, weighted by their information; 0 without neighbours."""
     at = tuple(places)
     sums = []
     for values in (information * lengths, information):

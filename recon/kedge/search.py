@@ -1,109 +1,37 @@
-"""K edges found one after the other, then refined together."""
+"""Search for K edges: one after the other, then all together."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import count
+from typing import NamedTuple
 
 import numpy as np
 
-from recon.kedge.alternatives import drops
+from recon.kedge.edge_likelihood import EdgeLikelihood, Functions, moved_edge
 from recon.kedge.elements import elements_within, neighbours, scan_elements
-from recon.kedge.expected_noise import excess_score, null_law
-from recon.kedge.neighbour_agreement import agreement
-from recon.kedge.profile_likelihood import (
-    EdgeLikelihood,
-    EdgeProfile,
-    Functions,
-    moved_edge,
-    scan_edge,
-    scanned_energies,
-)
+from recon.kedge.judgement import JUDGED_RAYS, Judgement, judge_rays
+from recon.kedge.profile_likelihood import EdgeProfile, scan_edge, scanned_energies
 from recon.kedge.rays import Rays
 from spectra.basis.basis import BasisFunction
 
-RAYS = 2000  # that are judged, at most
-FEWER = (1, 4, 16)  # parts of these that are judged, too, as a thin vessel fills few
-POOL = 8000  # rays of which those are chosen
-WARRANTED = 5.0  # standard deviations of noise that a further basis must save
-WIDEST = 5.0  # an edge whose energy is less certain than this is not located [keV]
-NEARBY = 2.0  # half the range in which an edge is refined while the others move [keV]
-SETTLED = 0.005  # edges that move less are refined [keV]
-ROUNDS = 10  # of refining one edge after the other
-BESIDE = 4  # elements on either side that are tried while the other edges move
-
-
-@dataclass(frozen=True)
-class Judgement:
-    """Whether one further basis function is warranted.
-
-    Parameters
-    ----------
-    name : of the function
-    edge : its K edge [keV]
-    before : names of the functions that it is added to
-    rays : how many were judged
-    deviance_before, deviance_after : mean per ray beside those, without it and with it
-    saved : mean drop in deviance per ray, beside those or other functions without an edge, whichever explain a ray best
-    noise : what noise alone saves
-    score : by how many standard deviations of noise more was saved than noise and a conceded misfit do, see
-        `recon.kedge.expected_noise`; where neighbouring rays were asked, how well they agree
-    warranted : whether it is taken
-    reason : why, in words
-    """
-
-    name: str
-    edge: float
-    before: tuple[str, ...]
-    rays: int
-    deviance_before: float
-    deviance_after: float
-    saved: float
-    noise: float
-    score: float
-    warranted: bool
-    reason: str
-
-
-def judge(likelihood: EdgeLikelihood, functions: Functions, further: BasisFunction) -> Judgement:
-    """Whether a function at a known energy is warranted, on the rays whose neighbours it saves most.
-
-    A ray's own noise has no part in the choice. Neighbours are asked twice: beside these functions on all rays, then,
-    on the rays that are left, beside other functions without an edge, too, so that metal does not displace vessels.
-    """
-    saved, lengths = likelihood.saving(functions)(further)
-    saved = np.where((lengths > 0) & (saved > 0), saved, 0.0)
-    pool = likelihood.with_rays(likelihood.rays[likelihood.rays.highest(saved, POOL)])
-    return _judged(pool, functions, further, "", choose=True)
-
-
-def judge_weak(
-    likelihood: EdgeLikelihood, functions: Functions, further: BasisFunction, before: Judgement
-) -> Judgement:
-    """Judge a function again that no single ray shows, by whether neighbouring rays agree.
-
-    Parameters
-    ----------
-    likelihood : of rays that are not binned
-    functions, further : as in `judge`
-    before : what `judge` said
-    """
-    score = agreement(likelihood, functions, further)
-    many = f"neighbours among {len(likelihood.rays)} rays agree on it by {score:.1f} standard deviations of noise"
-    if score < WARRANTED:
-        return replace(before, reason=f"{before.reason}; {many}")
-    return replace(before, score=score, warranted=True, reason=many)
+WIDEST = 5.0  # keV; an edge whose energy is less certain than this is refused; chosen by hand, not measured
+NEARBY = 2.0  # keV; half the range in which an edge is refined while the others move; chosen by hand, not measured
+NEARBY_ENERGIES = 9  # energies in that range that are tried before the best is refined; chosen by hand, not measured
+SETTLED = 0.005  # keV; edges that move by less have converged; chosen by hand, below the Cramer-Rao bounds of presets
+ROUNDS = 10  # largest number of times that every edge is refined; chosen by hand, not measured
+BESIDE = 4  # elements on either side that are tried while the other edges move; chosen by hand, not measured
 
 
 @dataclass(frozen=True, eq=False)
 class FoundEdge:
-    """The likeliest further K edge.
+    """The most likely further K edge.
 
     Parameters
     ----------
-    plain : functions without the edges that explain the counts best together with it
+    plain : functions without the edges to find, that explain the counts best together with it
     function : a step, or an element
-    rays : on which it was found
-    profile : over the energies, or over the elements
+    rays : rays on which it was found
+    profile : profile likelihood over the energies, or over the elements
     judgement : whether it is warranted
     """
 
@@ -115,59 +43,85 @@ class FoundEdge:
 
     @property
     def deviance(self) -> float:
-        """Of all the rays, with the edge."""
+        """Deviance of all the rays, with the edge."""
         return self.judgement.deviance_before * self.judgement.rays - self.profile.peak
+
+
+class FoundStep(NamedTuple):
+    """Result of a search for a step.
+
+    Parameters
+    ----------
+    likelihood : likelihood of the rays that were used
+    profile : profile likelihood over the energies
+    judgement : whether the step is warranted
+    """
+
+    likelihood: EdgeLikelihood
+    profile: EdgeProfile
+    judgement: Judgement
 
 
 def likeliest_edge(
     likelihood: EdgeLikelihood,
     choices: Sequence[Functions],
     found: Sequence[BasisFunction],
-    like: BasisFunction,
+    edge_shape: BasisFunction,
     starts: Sequence[float],
 ) -> FoundEdge:
-    """The step or the element that explains best what these functions fail to explain.
+    """Find the step or the element that explains best what the given functions leave unexplained.
 
     Parameters
     ----------
-    likelihood : of all rays
-    choices : functions without the edges that are looked for; a step is tried beside the first, elements beside each
+    likelihood : likelihood of all rays
+    choices : alternative functions without the edges to find; a step is tried beside the first alternative, elements
+        beside each
     found : edges that were found before
-    like, starts : as in `next_edge`
-    """
-    chosen, profile, judgement = next_edge(likelihood, (*choices[0], *found), like, starts)
-    tried = [FoundEdge(choices[0], moved_edge(like, profile.best), chosen.rays, profile, judgement)]
-    candidates = [f for f in elements_within(likelihood.spectra) if f not in found]
-    for plain in choices if candidates else ():
-        others = (*plain, *found)
-        function, profile, vague = scan_elements(chosen, others, candidates)
-        judgement = _judged(chosen, others, function, vague)
-        tried.append(FoundEdge(plain, function, chosen.rays, profile, judgement))
-    return min(tried, key=lambda one: one.deviance)
-
-
-def next_edge(
-    likelihood: EdgeLikelihood, functions: Functions, like: BasisFunction, starts: Sequence[float]
-) -> tuple[EdgeLikelihood, EdgeProfile, Judgement]:
-    """The edge that explains best what these functions fail to explain, and whether it is warranted.
-
-    Parameters
-    ----------
-    likelihood : of all rays
-    functions : the basis so far
-    like : kind and width of the edge
-    starts : energies that are tried besides those of the scan [keV]
+    edge_shape, starts : as in `next_step`
 
     Returns
     -------
-    the likelihood of the rays that were used, the profile, and the judgement
+    the edge with the least deviance
     """
-    chosen = likelihood.with_rays(likelihood.worst(functions, RAYS))
+    step = next_step(likelihood, (*choices[0], *found), edge_shape, starts)
+    chosen = step.likelihood
+    moved = moved_edge(edge_shape, step.profile.best)
+    tried = [FoundEdge(choices[0], moved, chosen.rays, step.profile, step.judgement)]
+    candidates = [f for f in elements_within(likelihood.spectra) if f not in found]
+    for plain in choices if candidates else ():
+        others = (*plain, *found)
+        scan = scan_elements(chosen, others, candidates)
+        judgement = judge_rays(chosen, others, scan.function, scan.undetermined)
+        tried.append(FoundEdge(plain, scan.function, chosen.rays, scan.profile, judgement))
+    return min(tried, key=lambda one: one.deviance)
+
+
+def next_step(
+    likelihood: EdgeLikelihood, functions: Functions, edge_shape: BasisFunction, starts: Sequence[float]
+) -> FoundStep:
+    """Find the step that explains best what the given functions leave unexplained, and judge it.
+
+    Rays are used whose neighbours these functions explain worst.
+
+    Parameters
+    ----------
+    likelihood : likelihood of all rays
+    functions : the basis so far
+    edge_shape : kind and width of the edge
+    starts : energies to try besides those of the scan [keV]
+
+    Returns
+    -------
+    rays, profile and judgement
+    """
+    worst = likelihood.rays.highest(likelihood.deviances(functions)[0], JUDGED_RAYS)
+    chosen = likelihood.with_rays(likelihood.rays[worst])
     energies = scanned_energies(likelihood.spectra, starts)
-    profile = scan_edge(chosen, functions, like, energies)
+    profile = scan_edge(chosen, functions, edge_shape, energies)
     flat = profile.sigma > WIDEST or profile.low <= energies[0] or profile.high >= energies[-1]
-    vague = f"its energy is not determined: {profile.low:.4g} to {profile.high:.4g} keV" if flat else ""
-    return chosen, profile, _judged(chosen, functions, moved_edge(like, profile.best), vague)
+    undetermined = f"its energy is not determined: {profile.low:.4g} to {profile.high:.4g} keV" if flat else ""
+    judgement = judge_rays(chosen, functions, moved_edge(edge_shape, profile.best), undetermined)
+    return FoundStep(chosen, profile, judgement)
 
 
 def refine_together(
@@ -177,9 +131,13 @@ def refine_together(
 
     Parameters
     ----------
-    likelihood : of the rays that any of the edges was found on
+    likelihood : likelihood of the rays on which any of the edges was found
     plain : functions whose energies are known
-    edges : where each was found
+    edges : the edges as they were found
+
+    Returns
+    -------
+    function and profile of each edge
     """
     now = list(edges)
     profiles: dict[int, EdgeProfile] = {}
@@ -198,9 +156,10 @@ def refine_together(
 def _refined(likelihood: EdgeLikelihood, others: Functions, edge: BasisFunction) -> tuple[BasisFunction, EdgeProfile]:
     """The edge at the best energy, or the best element, near where it was."""
     if edge.kind == "element":
-        near = neighbours(edge, elements_within(likelihood.spectra), BESIDE)
-        return scan_elements(likelihood, others, near)[:2]
-    profile = scan_edge(likelihood, others, edge, float(edge.edge_energy or 0.0) + np.linspace(-NEARBY, NEARBY, 9))
+        scan = scan_elements(likelihood, others, neighbours(edge, elements_within(likelihood.spectra), BESIDE))
+        return scan.function, scan.profile
+    energies = float(edge.edge_energy or 0.0) + np.linspace(-NEARBY, NEARBY, NEARBY_ENERGIES)
+    profile = scan_edge(likelihood, others, edge, energies)
     return moved_edge(edge, profile.best), profile
 
 
@@ -208,40 +167,3 @@ def _widened(profile: EdgeProfile, factor: float) -> EdgeProfile:
     """The profile with its interval stretched about the best energy."""
     low, high = (profile.best + factor * (end - profile.best) for end in (profile.low, profile.high))
     return replace(profile, low=low, high=high)
-
-
-def _judged(
-    likelihood: EdgeLikelihood, functions: Functions, further: BasisFunction, vague: str, choose: bool = False
-) -> Judgement:
-    """What the function saves with coefficients that are not negative, and whether that is more than noise.
-
-    With `choose`, rays are those whose neighbours it saves most, as many as show it best.
-    """
-    saved, _ = drops(likelihood, functions, further)
-    before, lengths = likelihood.deviances(functions)
-    law = null_law(likelihood, functions, further, lengths)
-    rays = np.arange(len(saved))
-    if choose and len(rays) > RAYS // max(FEWER):
-        ranked = likelihood.rays.highest(saved, RAYS)
-        choices = [ranked[: RAYS // part] for part in FEWER]
-        rays = max(choices, key=lambda some: excess_score(saved[some], law[some]))
-    score = excess_score(saved[rays], law[rays])
-    after = likelihood.with_rays(likelihood.rays[rays]).deviances((*functions, further))[0]
-    means = [float(values.mean()) if len(rays) else 0.0 for values in (before[rays], after, saved[rays])]
-    noise = float(law.variance[rays].mean() / 2) if len(rays) else 0.0
-    if not len(rays):
-        reason = "no ray passes through the object away from its edges"
-    elif score < WARRANTED:
-        reason = (
-            f"it saves {means[2]:.3g} per ray, where noise saves {noise:.3g}: {score:.1f} standard deviations more, "
-            f"fewer than {WARRANTED:g}"
-        )
-    else:
-        reason = vague or (
-            f"it saves {means[2]:.3g} per ray, where noise saves {noise:.3g}: {score:.1f} standard deviations more"
-        )
-    names = tuple(f.name for f in functions)
-    return Judgement(
-        further.name, float(further.edge_energy or np.nan), names, len(rays), means[0], means[1], means[2], noise,
-        score, bool(score >= WARRANTED and not vague), reason,
-    )  # fmt: skip

@@ -1,9 +1,9 @@
-"""How far measured counts are from expected ones, and how far noise alone would bring them.
+"""Deviation of measured counts from expected ones, and its mean where noise is the only cause.
 
-Counts are Poisson distributed, but a fit concedes a model error, so that its variance is Y + (dispersion Y)^2. Of
+Counts are Poisson distributed, but a fit allows for a model error, so that the variance is Y + (dispersion Y)^2. For
 counts that follow the model exactly, deviance and chi-square are then not 1 but 1 / (1 + dispersion^2 Y) on average:
-0.2 for 10,000 counts and 2 %. What is shown to users is therefore the sum over that of its expected values, and 1
-is what noise alone would leave, whatever the dispersion, the counts, and the say that each of them has.
+0.2 for 10,000 counts and 2 %. Users are therefore shown the sum divided by the sum of the expected values. It is 1
+where noise is the only cause, for any dispersion, any counts and any weights of the counts.
 """
 
 from functools import cache
@@ -14,19 +14,23 @@ from jaxtyping import Float
 from scipy.stats import poisson
 from torch import Tensor
 
-LEAST = 1e-12  # counts; squared it is still far from the smallest float32, so that gradients of starved rays are finite
+LEAST = 1e-12  # counts; its square is a normal float32, so that gradients of rays without photons are finite
 
 
 def deviance(
     counts: Float[Tensor, "..."], expected: Float[Tensor, "..."], dispersion: float = 0.0
 ) -> Float[Tensor, "..."]:
-    """Twice the log-likelihood ratio of counts whose variance is Y + (dispersion Y)^2; about 1 if it is.
+    """Compute twice the log-likelihood ratio of counts; about 1 on average if their variance is Y + (dispersion Y)^2.
 
     Parameters
     ----------
     counts : measured y, zeros included
-    expected : modelled Y; where it is below `LEAST` it counts as that, and its gradient is 0
+    expected : modelled Y; values below `LEAST` are replaced by it, and their gradient is 0
     dispersion : relative model error; 0 gives the Poisson deviance
+
+    Returns
+    -------
+    deviance of each count
 
     References
     ----------
@@ -43,25 +47,34 @@ def deviance(
 def chi_square(
     counts: Float[Tensor, "..."], expected: Float[Tensor, "..."], dispersion: float = 0.0
 ) -> Float[Tensor, "..."]:
-    """(y - Y)^2 / (Y + (dispersion Y)^2), about 1 on average if that is the variance; one below 1 counts as 1.
+    """Compute (y - Y)^2 over the variance Y + (dispersion Y)^2; about 1 on average.
 
     Parameters
     ----------
     counts, expected : measured y and modelled Y
     dispersion : relative model error
+
+    Returns
+    -------
+    chi-square of each count; variances below 1 are replaced by 1
     """
     return (counts - expected) ** 2 / (expected + (dispersion * expected) ** 2).clamp_min(1.0)
 
 
 def expected_deviance(expected: Float[Tensor, "..."], dispersion: float = 0.0) -> Float[Tensor, "..."]:
-    """Mean of `deviance` of Poisson counts whose expectation the model knows, within a hundredth.
+    """Compute the mean of `deviance` for Poisson counts with the expectation Y, within a hundredth.
 
-    That of the Poisson deviance, which is far below 1 for less than a count and a little above for a few, times
-    1 / (1 + dispersion^2 Y), as in `expected_chi_square`.
+    It is the mean of the Poisson deviance, which is far below 1 where less than one count is expected and a little
+    above 1 for a few counts, times 1 / (1 + dispersion^2 Y), as in `expected_chi_square`.
 
     Parameters
     ----------
-    expected, dispersion : as of `deviance`
+    expected : Y
+    dispersion : as in `deviance`
+
+    Returns
+    -------
+    mean deviance of each count
     """
     table = torch.from_numpy(_poisson_table()).to(expected)
     place = ((expected.clamp_min(_LOW).log() - np.log(_LOW)) / _STEP).clamp(0, len(table) - 1.001)
@@ -71,11 +84,16 @@ def expected_deviance(expected: Float[Tensor, "..."], dispersion: float = 0.0) -
 
 
 def expected_chi_square(expected: Float[Tensor, "..."], dispersion: float = 0.0) -> Float[Tensor, "..."]:
-    """Mean of `chi_square` of Poisson counts whose expectation the model knows.
+    """Compute the mean of `chi_square` for Poisson counts with the expectation Y.
 
     Parameters
     ----------
-    expected, dispersion : as of `chi_square`
+    expected : Y
+    dispersion : as in `chi_square`
+
+    Returns
+    -------
+    mean chi-square of each count
     """
     return expected / (expected + (dispersion * expected) ** 2).clamp_min(1.0)
 
@@ -85,7 +103,7 @@ _LOW, _HIGH, _STEP = 1e-3, 1e3, 0.1  # counts, and the step of their logarithm, 
 
 @cache
 def _poisson_table() -> Float[np.ndarray, " step"]:
-    """Means of the Poisson deviance, by direct summation."""
+    """Compute means of the Poisson deviance by direct summation."""
     means = _LOW * np.exp(_STEP * np.arange(round(np.log(_HIGH / _LOW) / _STEP) + 2))
     table = []
     for mean in means:

@@ -1,7 +1,8 @@
-"""Whole numbers next to a number, for kernels.
+"""Rounding down and up, for kernels.
 
-Numba makes `math.floor` and `math.ceil` a call of the C library, around which a loop saves all of its registers: rows
-of Gaussians took 1.7 times as long. Here they are LLVM's, one instruction on most processors.
+Numba compiles `math.floor` and `math.ceil` to calls of the C library, and the loop around such a call saves all of its
+registers: rows of Gaussians took 1.7 times as long. These functions use the instructions of LLVM, which are one machine
+instruction on most processors.
 """
 
 from typing import no_type_check
@@ -33,12 +34,30 @@ _floor, _ceil = _rounding("floor"), _rounding("ceil")
 @njit(inline="always")
 @no_type_check
 def round_down(x):
-    """Largest integer that is not above `x`; what fits 64 bits."""
+    """Compute the largest integer that is not above a number.
+
+    Parameters
+    ----------
+    x : float; the result must fit into 64 bits
+
+    Returns
+    -------
+    64-bit integer
+    """
     return _floor(x)
 
 
 @njit(inline="always")
 @no_type_check
 def round_up(x):
-    """Smallest integer that is not below `x`; what fits 64 bits."""
+    """Compute the smallest integer that is not below a number.
+
+    Parameters
+    ----------
+    x : float; the result must fit into 64 bits
+
+    Returns
+    -------
+    64-bit integer
+    """
     return _ceil(x)

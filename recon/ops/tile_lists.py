@@ -1,4 +1,4 @@
-"""Which boxes reach into which tiles: what lets a program of a GPU own a tile and add without atomics."""
+"""Lists of the boxes that reach into each tile, so that one GPU program adds up one tile without atomics."""
 
 import torch
 from jaxtyping import Int64
@@ -8,13 +8,17 @@ from torch import Tensor
 def tile_lists(
     bounds: Int64[Tensor, "box two_per_axis"], tile: tuple[int, ...], tiles: tuple[int, ...]
 ) -> tuple[Int64[Tensor, " member"], Int64[Tensor, " tile_plus_1"]]:
-    """Boxes of each tile in their order, one tile after the other, and where each tile's list starts.
+    """List the boxes of each tile in their order, one tile after the other.
 
     Parameters
     ----------
-    bounds : first index and one past the last along each axis; a box without any index is in no list
+    bounds : first index and one past the last along each axis; an empty box is in no list
     tile : edges of a tile
-    tiles : how many there are along each axis; the last axis counts fastest
+    tiles : number of tiles along each axis; the last axis counts fastest
+
+    Returns
+    -------
+    numbers of the boxes, and where the list of each tile starts
     """
     low, high = bounds[:, ::2], bounds[:, 1::2]
     edge = torch.tensor(tile, device=bounds.device)

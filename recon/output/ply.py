@@ -1,8 +1,8 @@
 """Gaussians as a ``.ply`` of 3-D Gaussian splatting, which SuperSplat, viser and others open.
 
-Viewers blend splats one behind the other: each lets a part of the light through. So colours are mixed from the bases
-(`recon.figures.basis_colours`), the opacity is what a Gaussian takes from X-rays of the reference energy on their way
-through its centre, and what the model says stands beside them: ``basis_<i>`` in 1/mm.
+Viewers blend splats one behind the other, and each splat transmits a part of the light. Colours are therefore mixed
+from the bases (`recon.figures.basis_colours`), and the opacity of a splat is the attenuation of X-rays of the reference
+energy along the line through its centre. The coefficients of the model are in the file as ``basis_<i>`` in 1/mm.
 
 References
 ----------
@@ -20,17 +20,21 @@ from recon.figures.basis_colours import mixed_colours
 from recon.gaussians.model import Gaussians
 from spectra.errors import NotInstalledError
 
-HARMONIC = 0.28209479177387814  # spherical harmonic of degree 0, 1 / sqrt(4 pi)
-_FAINTEST, _MOST_OPAQUE = 1e-4, 0.99  # both have a finite logarithm
+HARMONIC = 0.28209479177387814  # no unit; 1 / sqrt(4 pi), the spherical harmonic of degree 0, factor of colours
+_FAINTEST, _MOST_OPAQUE = 1e-4, 0.99  # no unit; limits of opacities, so that their logit is finite; our choice
 
 
 def check_ply() -> Any:
-    """The package that writes such files.
+    """Import the package that writes ``.ply`` files.
+
+    Returns
+    -------
+    module plyfile
 
     Raises
     ------
     NotInstalledError
-        When it is not there.
+        When plyfile is not installed.
     """
     try:
         import plyfile  # noqa: PLC0415 - an extra
@@ -40,12 +44,17 @@ def check_ply() -> Any:
 
 
 def write_ply(path: Path, gaussians: Gaussians) -> None:
-    """Write centres and scales in mm, binary, little-endian; a file that is there is replaced.
+    """Write Gaussians, binary, little-endian, with centres and scales in mm; a file that exists is replaced.
+
+    Parameters
+    ----------
+    path : file to write
+    gaussians : model
 
     Raises
     ------
     NotInstalledError
-        When plyfile is not there.
+        When plyfile is not installed.
     StorageError
         When the file system refuses; then no file is left.
     """
@@ -62,7 +71,16 @@ def write_ply(path: Path, gaussians: Gaussians) -> None:
 
 
 def splat_columns(gaussians: Gaussians) -> dict[str, Float[np.ndarray, " gaussian"]]:
-    """Properties of the file in their order."""
+    """Compute the properties of the file.
+
+    Parameters
+    ----------
+    gaussians : model
+
+    Returns
+    -------
+    values of each property, in the order of the file
+    """
     centres, scales, turns, coefficients = (
         part.detach().cpu().double().numpy()
         for part in (gaussians.centres, gaussians.log_scales, gaussians.quaternions, gaussians.coefficients)
@@ -85,9 +103,21 @@ def splat_columns(gaussians: Gaussians) -> dict[str, Float[np.ndarray, " gaussia
 def opacities(
     coefficients: Float[np.ndarray, "gaussian basis"], log_scales: Float[np.ndarray, "gaussian 3"]
 ) -> Float[np.ndarray, " gaussian"]:
-    """1 - exp(-sqrt(2 pi) s sum_m b_m), with s the geometric mean of the standard deviations.
+    """Compute the opacity 1 - exp(-sqrt(2 pi) s sum_m b_m), with s the geometric mean of the standard deviations.
 
-    The sum of the coefficients is the attenuation at the reference energy; beyond it, that of an edge just above it.
+    Parameters
+    ----------
+    coefficients : coefficients b [1/mm]
+    log_scales : logarithm of the standard deviations [log mm]
+
+    Returns
+    -------
+    opacities, at least 1e-4 and at most 0.99
+
+    Notes
+    -----
+    The sum of the coefficients is the attenuation at the reference energy, or just above the K edge where that is
+    higher.
     """
     depth = np.sqrt(2 * np.pi) * np.exp(log_scales.mean(axis=1)) * coefficients.sum(axis=1)
     return np.clip(-np.expm1(-depth), _FAINTEST, _MOST_OPAQUE)

@@ -22,16 +22,16 @@ from spectra.transmission import Transmission
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """What to render.
+    """Views to render.
 
     Parameters
     ----------
-    geometry : poses
+    geometry : poses of the views
     channels : names of the channels
-    transmission : spectral model of the pixels; columns are the model's bases and then the parts of `profile`
-    gains : counts of each pixel in the open beam over those of `transmission`, and 0 where it does not measure
-    exposure : of each view and channel
-    profile : lengths in what a bowtie and the heel effect add; None where there are none
+    transmission : spectral model of the pixels; its columns are the bases of the model, then the parts of `profile`
+    gains : counts of each pixel in the open beam over those of `transmission`; 0 for pixels that do not measure
+    exposure : relative exposure of each view and channel
+    profile : path lengths in the materials of a bowtie filter and of the heel effect [mm]; None where there are none
     """
 
     geometry: Geometry
@@ -43,7 +43,16 @@ class Views:
 
 
 def views_of_dataset(run: Run, path: Path) -> Views:
-    """All views of a dataset, with its open beam; counts are those that its frames hold beyond the dark ones.
+    """Return all views of a dataset, with its open beam.
+
+    Parameters
+    ----------
+    run : a finished fit
+    path : dataset
+
+    Returns
+    -------
+    views; their counts are those of the frames above the dark frames
 
     Raises
     ------
@@ -61,12 +70,32 @@ def views_of_dataset(run: Run, path: Path) -> Views:
 
 
 def views_of_file(run: Run, path: Path) -> Views:
-    """Views of a geometry file, and ideal pixels with as many photons as those of the scan that was fitted."""
+    """Return the views of a geometry file, with ideal pixels and as many photons as in the scan that was fitted.
+
+    Parameters
+    ----------
+    run : a finished fit
+    path : geometry file
+
+    Returns
+    -------
+    views
+    """
     return views_of_geometry(run, read_geometry_file(path))
 
 
 def views_of_geometry(run: Run, geometry: Geometry) -> Views:
-    """Any views, and ideal pixels with as many photons as those of the scan that was fitted."""
+    """Return any views, with ideal pixels and as many photons as in the scan that was fitted.
+
+    Parameters
+    ----------
+    run : a finished fit
+    geometry : poses of the views
+
+    Returns
+    -------
+    views
+    """
     transmission = run.transmission
     gains = np.ones((len(transmission), geometry.panel.rows, geometry.panel.columns), np.float32)
     exposure = np.ones((len(geometry), len(transmission)))
@@ -80,8 +109,8 @@ def write_render(path: Path, run: Run, views: Views, on_view: Callable[[int, int
     ----------
     path : file to write
     run : a finished fit
-    views : what to render
-    on_view : told how many views are done, and of how many
+    views : views to render
+    on_view : called with the number of views that are done, and of all views
     """
     names, total, panel = run.gaussians.basis_names, len(views.geometry), views.geometry.panel
     with whole_file(path) as file:
@@ -103,13 +132,24 @@ def write_render(path: Path, run: Run, views: Views, on_view: Callable[[int, int
 def rendered(
     run: Run, views: Views, view: int
 ) -> tuple[Float[np.ndarray, "basis row column"], Float[np.ndarray, "channel row column"]]:
-    """Line integrals of every basis in one view, and the counts expected there."""
+    """Compute the line integrals of every basis in one view, and the expected counts.
+
+    Parameters
+    ----------
+    run : a finished fit
+    views : views to render
+    view : index of the view
+
+    Returns
+    -------
+    line integrals [no unit], and expected counts
+    """
     with torch.no_grad():
         lengths = run.gaussians.line_integrals(views.geometry[[view]])[0].numpy()
     return lengths, _expected(views, lengths) * views.exposure[view][:, None, None]
 
 
 def _expected(views: Views, lengths: Float[np.ndarray, "basis row column"]) -> Float[np.ndarray, "channel row column"]:
-    """Counts at exposure 1."""
+    """Expected counts at exposure 1."""
     known = lengths if views.profile is None else np.concatenate([lengths, views.profile.astype(lengths.dtype)])
     return np.moveaxis(views.transmission.expected(np.moveaxis(known, 0, -1)), -1, 0) * views.gains

@@ -1,7 +1,7 @@
-"""Volumes of a fitted model in HDF5, slab by slab: memory does not grow with the grid, and no value depends on it."""
+"""Volumes of a fitted model in HDF5, slab by slab: neither memory nor values depend on the size of the grid."""
 
-import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
@@ -11,26 +11,30 @@ from phantomgen.dataset.layout import new_group, put
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.dataset.truth import write_grid
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.runtime.disk import one_sentence
+from phantomgen.runtime.disk import complete_file
 from recon.runs.run_folder import Run
 from spectra.errors import InputError
 
-SLAB_VALUES = 1 << 24  # voxels of all bases that are held at once
+SLAB_VALUES = 1 << 24  # values; voxels times bases that are in memory at once, 64 MiB in float32
 
 
 def chosen_grid(
     scan: Grid, counts: str | None, voxel: float | None, size: str | None, center: str | None, like: Path | None
 ) -> Grid:
-    """The grid that options ask for.
+    """Create the grid that options ask for.
 
     Parameters
     ----------
-    scan : grid of the scan, which is taken where nothing else is asked for
+    scan : grid of the scan, which is used where no option is given
     counts : ``"128"`` or ``"64,128,128"``: voxels along (z, y, x)
-    voxel : edge of a voxel [mm]; that of the scan where left out
+    voxel : edge of a voxel [mm]; that of the scan where it is None
     size : ``"160"`` or ``"80,160,160"``: size along (z, y, x) [mm], in place of `counts`
     center : ``"0,0,10"``: centre (z, y, x) [mm]
-    like : a dataset whose grid to take
+    like : a dataset whose grid is used
+
+    Returns
+    -------
+    grid
 
     Raises
     ------
@@ -70,9 +74,9 @@ def write_volume(path: Path, run: Run, grid: Grid, energy: float | None, on_slic
     ----------
     path : file to write
     run : a finished fit
-    grid : where to evaluate the model
-    energy : where given, the attenuation there takes the place of the bases [keV]
-    on_slice : told how many slices are done, and of how many
+    grid : grid of the volumes
+    energy : energy [keV] of the attenuation that is written in place of the bases; None for the bases
+    on_slice : called with the number of slices that are done, and of all slices
 
     Raises
     ------
@@ -104,29 +108,29 @@ def write_volume(path: Path, run: Run, grid: Grid, energy: float | None, on_slic
             on_slice(first + count, depth)
 
 
-class whole_file:  # noqa: N801 - used like a function
-    """An HDF5 file that appears under its name when it is complete."""
+@contextmanager
+def whole_file(path: Path) -> Iterator[h5py.File]:
+    """Create an HDF5 file that gets its name when it is complete; a context manager.
 
-    def __init__(self, path: Path) -> None:
-        self.path, self.beside = path, path.with_name(path.name + ".part")
+    Parameters
+    ----------
+    path : name of the file
 
-    def __enter__(self) -> h5py.File:
-        with one_sentence(self.path):
-            self.file = h5py.File(self.beside, "w")
-        return self.file
+    Yields
+    ------
+    the open file
 
-    def __exit__(self, kind: type | None, *exception: object) -> None:
-        try:
-            with one_sentence(self.path):
-                self.file.close()
-                if kind is None:
-                    os.replace(self.beside, self.path)
-        finally:
-            self.beside.unlink(missing_ok=True)
+    Raises
+    ------
+    StorageError
+        When the file cannot be written; then no file is left.
+    """
+    with complete_file(path, ".h5") as beside, h5py.File(beside, "w") as file:
+        yield file
 
 
 def _triple(option: str, text: str, several: bool = False) -> tuple[float, float, float]:
-    """One number for all axes, or three."""
+    """Numbers along (z, y, x) from one number for all axes, or from three."""
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:

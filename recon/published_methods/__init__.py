@@ -1,1 +1,1 @@
-"""Methods of others, one folder each."""
+"""Reconstruction methods of other authors, rebuilt for comparison: one folder per family."""

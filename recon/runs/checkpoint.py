@@ -1,4 +1,4 @@
-"""Files that are whole or not there: arrays and JSON in one, written beside and renamed."""
+"""Checkpoints: arrays and JSON in one file, which is written under another name and renamed when it is complete."""
 
 import json
 import os
@@ -15,11 +15,17 @@ from recon.data.array_store import release
 from recon.data.measurements import Measurements
 from spectra.errors import DatasetError
 
-_HEADER = "content"  # the one key of the metadata in a file
+_HEADER = "content"  # key of the metadata of a safetensors file that holds the JSON
 
 
 def write_checkpoint(path: Path, tensors: dict[str, Tensor], content: dict[str, Any]) -> None:
-    """Write arrays, and what JSON can hold, as a safetensors file; `kill -9` leaves the old file or the new one.
+    """Write arrays and JSON as a safetensors file; `kill -9` leaves the old file or the new one.
+
+    Parameters
+    ----------
+    path : the file
+    tensors : arrays by name
+    content : values that JSON can hold
 
     Raises
     ------
@@ -33,7 +39,18 @@ def write_checkpoint(path: Path, tensors: dict[str, Tensor], content: dict[str, 
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write beside, wait for the disk, rename."""
+    """Write a file under another name, wait for the disk, and rename it.
+
+    Parameters
+    ----------
+    path : the file
+    data : its content
+
+    Raises
+    ------
+    StorageError
+        When the disk is full or refuses.
+    """
     beside = path.with_name(path.name + ".new")
     with one_sentence(path):
         with beside.open("wb") as file:
@@ -44,7 +61,15 @@ def write_whole(path: Path, data: bytes) -> None:
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """What `write_checkpoint` wrote.
+    """Read what `write_checkpoint` wrote.
+
+    Parameters
+    ----------
+    path : the file
+
+    Returns
+    -------
+    arrays by name, and the values of the JSON
 
     Raises
     ------
@@ -62,12 +87,16 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 
 
 def identity(measured: Measurements, options: dict[str, Any]) -> dict[str, str]:
-    """What must be the same for two fits to be the same, under names that a message may show.
+    """Collect what must agree between two fits that give the same result.
 
     Parameters
     ----------
     measured : training views
     options : all else that results depend on, by name
+
+    Returns
+    -------
+    texts, by the names that a message shows; that of ``dataset`` is a SHA-256 of all arrays
     """
     found = sha256()
     model = measured.transmission

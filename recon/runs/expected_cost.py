@@ -1,4 +1,4 @@
-"""What a fit will take: it is begun, a few steps are timed, and nothing is kept."""
+"""Time and memory that a fit will take: the start and a few steps are timed, and the results are discarded."""
 
 from dataclasses import asdict, dataclass
 from math import ceil
@@ -7,23 +7,24 @@ from typing import Any
 from phantomgen.dataset.reader import Dataset
 from recon.data.view_subsets import kinds_of, rounds_of
 from recon.gaussians.optimize import Progress
+from recon.gaussians.processes import Resources
 from recon.gaussians.recipe import Recipe
 from recon.gaussians.reconstruct import reconstruct
 from recon.runs.memory_plan import MemoryPlan, plan_memory
 
-TIMED_STEPS = 3
+TIMED_STEPS = 3  # steps; the first also computes the curvature, the others give the time of a plain step
 
 
 @dataclass(frozen=True)
 class ExpectedCost:
-    """Of a fit.
+    """Expected time and memory of a fit.
 
     Parameters
     ----------
-    gaussians : that it starts with
-    voxels : along z, y and x of the grid that is fitted, with the margin of a truncated scan
-    steps : that it makes
-    start_seconds, fit_seconds : of the start, and of all steps; without scores and figures
+    gaussians : number at the start
+    voxels : number along z, y and x of the grid that is fitted, with the margin of a truncated scan
+    steps : number of steps of the fit
+    start_seconds, fit_seconds : time of the start, and of all steps [s]; scores and figures come on top
     memory : expected peak
     """
 
@@ -35,7 +36,12 @@ class ExpectedCost:
     memory: MemoryPlan
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the values for JSON.
+
+        Returns
+        -------
+        values by name
+        """
         return asdict(self) | {"memory": {"peak_gib": self.memory.peak, **asdict(self.memory)}}
 
     def __str__(self) -> str:
@@ -50,15 +56,24 @@ class ExpectedCost:
 def expected_cost(
     dataset: Dataset, recipe: Recipe, bases: int | None, limit: float | None, device: str = "cpu"
 ) -> ExpectedCost:
-    """Make the start and a few steps, and say what all of them will take.
+    """Time the start and a few steps, and extrapolate to the whole fit.
 
     Parameters
     ----------
-    dataset : an open dataset
+    dataset : open dataset
     recipe : hyper-parameters
-    bases : how many basis functions to fit, default all
-    limit : largest memory to take [GiB], None for no limit
-    device : where Gaussians are computed
+    bases : number of basis functions to fit; None for all
+    limit : largest memory to take [GiB]; None for no limit
+    device : where Gaussians are computed, ``cpu`` or ``cuda``
+
+    Returns
+    -------
+    expected time and memory
+
+    Raises
+    ------
+    InputError
+        When the limit of memory cannot be kept.
     """
     plan_memory(dataset, recipe, bases, limit)
     timed: list[Progress] = []
@@ -67,7 +82,7 @@ def expected_cost(
         timed.append(progress)
         return len(timed) == TIMED_STEPS
 
-    result = reconstruct(dataset, recipe, bases, on_step=on_step, device=device)
+    result = reconstruct(dataset, recipe, bases, on_step=on_step, resources=Resources(device=device))
     count, grid = len(result.gaussians), result.coverage.grid if result.coverage else dataset.grid
     rounds = rounds_of(kinds_of(dataset.exposure[dataset.splits["train"][recipe.held_out :]]))
     start = sum(seconds for name, seconds in result.seconds.items() if name != "fit")
@@ -82,7 +97,18 @@ def expected_cost(
 
 
 def seconds_of_steps(timed: list[Progress], recipe: Recipe, views: int) -> float:
-    """Seconds of all steps over so many views of each kind, from the first, which finds curvature, too, and more."""
+    """Extrapolate the time of all steps from that of the first ones.
+
+    Parameters
+    ----------
+    timed : first steps; the very first also computes the curvature
+    recipe : hyper-parameters
+    views : number of views of each kind that are fitted
+
+    Returns
+    -------
+    time of all steps [s]
+    """
     first, last = timed[0].seconds, timed[-1].seconds
     plain = (last - first) / (len(timed) - 1) if len(timed) > 1 else first
     renewals = sum(ceil(steps / recipe.curvature_steps(views)) for steps in recipe.steps(views))

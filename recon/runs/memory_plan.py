@@ -1,8 +1,8 @@
-"""What the memory of a fit is made of, and how to stay within a bound.
+"""Memory that a fit will take, by its parts, and how to keep a limit.
 
 The counts of all views with their shares, and the line integrals that the start decomposes them into, are the arrays
-that grow with the scan. Where all would not fit, they live in files beside the run, and a few views are in memory at a
-time. All else is per view, per voxel or per Gaussian. No number depends on where arrays live.
+that grow with the scan. Where they would exceed the limit, they are kept in files in the run folder, and a few views
+are in memory at a time. All else is per view, per voxel or per Gaussian. No result depends on where arrays are kept.
 """
 
 from dataclasses import dataclass
@@ -14,23 +14,25 @@ from recon.data.measurements import matching_bin
 from recon.gaussians.recipe import Recipe
 from spectra.errors import InputError
 
-GIB = 2**30
-PROGRAM = 0.55  # GiB: torch, numba, h5py and compiled kernels; a scan of 9 views of 32 x 32 pixels takes as much
-GAUSSIANS_PER_VOXEL = 0.07  # at a spacing of 1, where nobody has counted yet; the preset kedge-small has 0.066
-_BYTES_PER_GAUSSIAN = 1600  # parameters, moments, gradients in float64, curvature, two footprint tables
-_CURVATURE_VIEWS = 5  # as many are rasterized at once
-_FDK_VIEWS = 16
-_ONE_STEP_VOLUMES = 14  # of each basis
+GIB = 2**30  # bytes
+PROGRAM = (
+    0.55  # GiB; torch, numba, h5py and compiled kernels; measured as the peak of a scan of 9 views of 32 x 32 pixels
+)
+GAUSSIANS_PER_VOXEL = 0.07  # at a spacing of 1 voxel, before they are placed; kedge-small has 0.066
+_BYTES_PER_GAUSSIAN = 1600  # bytes; parameters, moments, gradients in float64, curvature, two footprint tables
+_CURVATURE_VIEWS = 5  # views that are rasterized at once for the curvature, see recon.gaussians.fisher
+_FDK_VIEWS = 16  # views that filtered back-projection holds at once, see recon.voxel.filtered.fdk
+_ONE_STEP_VOLUMES = 14  # volumes of each basis that recon.voxel.iterative.one_step holds at its peak
 
 
 @dataclass(frozen=True)
 class MemoryPlan:
-    """Expected peak of a fit [GiB], by what it consists of.
+    """Expected peak memory of a fit, by its parts.
 
     Parameters
     ----------
-    parts : sizes by name; ``counts`` and ``line integrals`` are what can live on disk
-    on_disk : whether those do
+    parts : sizes by name [GiB]; ``counts`` and ``line integrals`` can be kept on disk
+    on_disk : whether those are
     """
 
     parts: dict[str, float]
@@ -38,7 +40,7 @@ class MemoryPlan:
 
     @property
     def peak(self) -> float:
-        """Sum of what is in memory."""
+        """Sum of the parts that are in memory [GiB]."""
         return sum(size for name, size in self.parts.items() if not (self.on_disk and name in MOVABLE))
 
     def __str__(self) -> str:
@@ -47,7 +49,7 @@ class MemoryPlan:
         return f"{self.peak:.2f} GiB ({parts}{where})"
 
 
-MOVABLE = ("counts", "line integrals")
+MOVABLE = ("counts", "line integrals")  # parts that can be kept on disk
 
 
 def plan_memory(
@@ -58,16 +60,21 @@ def plan_memory(
     gaussians: int | None = None,
     grid: Grid | None = None,
 ) -> MemoryPlan:
-    """Expected peak, with large arrays on disk where it would exceed `limit` [GiB] otherwise.
+    """Estimate the peak memory, with large arrays on disk where it would exceed a limit otherwise.
 
     Parameters
     ----------
-    dataset : an open dataset
+    dataset : open dataset
     recipe : hyper-parameters
-    bases : how many basis functions are fitted, default all
+    bases : number of basis functions to fit; None for all
     limit : largest memory to take [GiB]; None for no limit
-    gaussians : how many there are, where somebody knows
-    grid : that is fitted, see `recon.gaussians.fitted_grid`; default that of the dataset, which a margin makes larger
+    gaussians : number of Gaussians; None for an estimate
+    grid : that is fitted, with the margin of a truncated scan, see `recon.gaussians.fitted_grid`; None for that of the
+        dataset
+
+    Returns
+    -------
+    the estimate, and whether arrays are on disk
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Classical reconstructions, one method per file, and the table that ``recon fit --method`` chooses from.
+"""Table of the voxel and view methods that ``recon fit --method`` offers.
 
 A new method is a file with a frozen dataclass that is a `recon.voxel.method.LinearMethod`, `CountsMethod` or
 `ViewMethod`, and a line in `METHODS`. Modules are imported when their method is asked for.
@@ -13,7 +13,7 @@ from spectra.errors import InputError
 if TYPE_CHECKING:
     from recon.voxel.method import Method, ViewMethod
 
-METHODS = {  # name -> module and class
+METHODS = {  # name -> module below recon, and class
     "fdk": ("voxel.filtered.fdk", "Fdk"),
     "sirt": ("voxel.iterative.sirt", "Sirt"),
     "sart": ("voxel.iterative.sart", "Sart"),
@@ -29,7 +29,17 @@ METHODS = {  # name -> module and class
 
 
 def method_named(name: str, iterations: int | None = None, seed: int | None = None) -> "Method | ViewMethod":
-    """A method with its defaults, or with a number of iterations of its own; methods without chance ignore a seed.
+    """Return a method with its default settings, but for the number of iterations and the seed.
+
+    Parameters
+    ----------
+    name : one of `METHODS`
+    iterations : number of iterations; None for that of the method
+    seed : of random numbers, None for that of the method; without effect where there are none
+
+    Returns
+    -------
+    the method
 
     Raises
     ------

@@ -1,8 +1,9 @@
-"""What a run folder holds to be looked at and exported, whichever method wrote it: volumes, and Gaussians if any."""
+"""Reading a run folder of any method: volumes, and Gaussians where the method has them."""
 
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import h5py
 import numpy as np
@@ -11,24 +12,22 @@ from jaxtyping import Float32
 from phantomgen.dataset.layout import array_at, group_at
 from phantomgen.geometry.voxel_grid import Grid
 from recon.gaussians.model import Gaussians
-from recon.runs.run_folder import MODEL, open_run
+from recon.runs.run_folder import MODEL, VOLUMES, open_run
 from recon.voxel.model import Voxels
 from spectra.errors import DatasetError
-
-VOLUMES = "volumes.h5"
 
 
 @dataclass(frozen=True, eq=False)
 class StoredRun:
-    """A run.
+    """Result of a run, as read from its folder.
 
     Parameters
     ----------
-    folder : where it is
+    folder : run folder
     grid, basis_names : of the volumes
-    volumes : coefficients [1/mm]
-    gaussians : the model, None where the method has none
-    dataset : name of the file that was reconstructed, empty where the folder does not say
+    volumes : basis coefficients [1/mm]
+    gaussians : the fitted Gaussians; None where the method has none
+    dataset : name of the file that was reconstructed; empty where the folder does not state it
     """
 
     folder: Path
@@ -44,15 +43,43 @@ class StoredRun:
         return self.folder.resolve().name
 
     def on(self, grid: Grid) -> Float32[np.ndarray, "basis z y x"]:
-        """Volumes on another grid: of the Gaussians exactly, of voxels by linear interpolation [1/mm]."""
+        """Compute the volumes on another grid.
+
+        Parameters
+        ----------
+        grid : any grid
+
+        Returns
+        -------
+        basis coefficients [1/mm]: means over the voxels where the run has Gaussians, else interpolated linearly
+        """
         if grid == self.grid:
             return self.volumes
         model = self.gaussians or Voxels(self.volumes, self.grid, self.basis_names)
         return model.volume(grid).astype(np.float32)
 
 
+class StoredVolumes(NamedTuple):
+    """Content of ``volumes.h5``.
+
+    Parameters
+    ----------
+    grid : grid of the volumes
+    basis_names : names of the basis functions
+    values : coefficients [1/mm]
+    """
+
+    grid: Grid
+    basis_names: tuple[str, ...]
+    values: Float32[np.ndarray, "basis z y x"]
+
+
 def check_run_folder(folder: Path) -> None:
-    """Refuse what is no run folder at a glance, before anything is read.
+    """Refuse a folder without the files of a run, before anything is read.
+
+    Parameters
+    ----------
+    folder : run folder
 
     Raises
     ------
@@ -66,7 +93,15 @@ def check_run_folder(folder: Path) -> None:
 
 
 def read_run(folder: Path) -> StoredRun:
-    """Read a run folder; that of a fit that was interrupted has a model, whose volumes are computed here.
+    """Read a run folder; volumes of an interrupted fit, which are not in its folder, are computed.
+
+    Parameters
+    ----------
+    folder : run folder
+
+    Returns
+    -------
+    the result
 
     Raises
     ------
@@ -77,7 +112,7 @@ def read_run(folder: Path) -> StoredRun:
     volumes, model = folder / VOLUMES, folder / MODEL
     gaussians = Gaussians.load(model) if model.is_file() else None
     if volumes.is_file():
-        grid, names, values = _read_volumes(volumes)
+        grid, names, values = read_volumes(volumes)
     else:
         run = open_run(folder)
         grid, names, values = run.grid, run.gaussians.basis_names, run.gaussians.volume(run.grid)
@@ -86,10 +121,25 @@ def read_run(folder: Path) -> StoredRun:
             f"{folder}: {MODEL} has the bases {', '.join(gaussians.basis_names)}, {VOLUMES} has {', '.join(names)}: "
             "they are not of one run"
         )
-    return StoredRun(folder, grid, names, values, gaussians, _dataset_name(folder))
+    return StoredRun(folder, grid, names, values, gaussians, dataset_name(folder))
 
 
-def _read_volumes(path: Path) -> tuple[Grid, tuple[str, ...], np.ndarray]:
+def read_volumes(path: Path) -> StoredVolumes:
+    """Read the volumes of a run.
+
+    Parameters
+    ----------
+    path : ``volumes.h5`` of a run folder
+
+    Returns
+    -------
+    grid, names of the basis functions, and coefficients
+
+    Raises
+    ------
+    DatasetError
+        When the file was damaged, or is not what ``recon fit`` writes.
+    """
     try:
         with h5py.File(path, "r") as file:
             group, place = group_at(file, "basis"), group_at(file, "grid")
@@ -101,11 +151,20 @@ def _read_volumes(path: Path) -> tuple[Grid, tuple[str, ...], np.ndarray]:
         raise DatasetError(f"{path} cannot be read as what recon fit writes there ({error})") from None
     if values.shape != (len(names), *grid.shape):
         raise DatasetError(f"{path}: /basis/data has shape {values.shape}, expected {(len(names), *grid.shape)}")
-    return grid, names, values
+    return StoredVolumes(grid, names, values)
 
 
-def _dataset_name(folder: Path) -> str:
-    """Without its folder, which is nobody's business."""
+def dataset_name(folder: Path) -> str:
+    """Return the file name, without its folder, of the dataset that a run was made from.
+
+    Parameters
+    ----------
+    folder : run folder
+
+    Returns
+    -------
+    file name; empty where the folder does not state it
+    """
     try:
         content = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
         return Path(content["dataset"]).name

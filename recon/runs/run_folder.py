@@ -1,4 +1,4 @@
-"""What a run folder tells later commands: the model, and ``scan.json``, which says what the model was fitted to."""
+"""Files of a run folder that later commands read: the model, and ``scan.json``, the record of the scan."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -15,15 +15,16 @@ from spectra.errors import DatasetError
 from spectra.transmission import Transmission
 
 MODEL, SCAN = "model.safetensors", "scan.json"
+VOLUMES, VIEWS = "volumes.h5", "views.h5"  # the second in place of the first for methods without volumes
 
 
 @dataclass(frozen=True, eq=False)
 class ScanRecord:
-    """What a run folder knows of the scan.
+    """Record of the scan in a run folder.
 
     Parameters
     ----------
-    grid : the volume that the scan asked for
+    grid : of the dataset
     basis : functions of energy; those of a model are the first
     transmission : spectral model of a pixel at the panel's centre, at exposure 1
     """
@@ -35,12 +36,12 @@ class ScanRecord:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A finished fit.
+    """Fitted Gaussians with the record of their scan.
 
     Parameters
     ----------
     gaussians : the model
-    grid : the volume that the scan asked for
+    grid : of the dataset
     basis : functions of energy; those of the model are the first
     transmission : spectral model of a pixel at the panel's centre, at exposure 1; `columns` are those of the model
     """
@@ -52,7 +53,16 @@ class Run:
 
 
 def write_scan(folder: Path, grid: Grid, basis: Basis, transmission: Transmission, channels: tuple[str, ...]) -> None:
-    """Write what is known of a scan into a run folder."""
+    """Write the record of a scan into a run folder.
+
+    Parameters
+    ----------
+    folder : run folder
+    grid : of the dataset
+    basis : functions of energy; those of the model are the first
+    transmission : spectral model of a pixel at the panel's centre, at exposure 1
+    channels : their names
+    """
     table = basis.to_dict()
     nodes = {name: getattr(transmission, name).tolist() for name in ("columns", "weights", "starts")}
     content = {"grid": asdict(grid), "basis": table, "channels": list(channels), "transmission": nodes}
@@ -60,15 +70,23 @@ def write_scan(folder: Path, grid: Grid, basis: Basis, transmission: Transmissio
 
 
 def open_run(folder: Path) -> Run:
-    """Read a run folder.
+    """Read the Gaussians of a run folder, and the record of their scan.
+
+    Parameters
+    ----------
+    folder : run folder
+
+    Returns
+    -------
+    Gaussians and scan
 
     Raises
     ------
     DatasetError
-        When it is not one, or a file in it is damaged.
+        When it is no run folder, has no Gaussians, or a file in it is damaged.
     """
     if not (folder / MODEL).is_file():
-        if (folder / "volumes.h5").is_file():
+        if (folder / VOLUMES).is_file():
             raise DatasetError(
                 f"{folder} is a run in voxels, but Gaussians are needed: `recon export` writes its volumes"
             )
@@ -79,12 +97,16 @@ def open_run(folder: Path) -> Run:
 
 
 def open_scan(folder: Path, bases: int | None = None) -> ScanRecord:
-    """Read what `write_scan` wrote into a run folder.
+    """Read the record of a scan, as `write_scan` wrote it.
 
     Parameters
     ----------
-    folder : a run folder
-    bases : columns of `transmission` to keep, default all
+    folder : run folder
+    bases : number of columns of `transmission` to keep; None for all
+
+    Returns
+    -------
+    the record
 
     Raises
     ------
@@ -104,6 +126,6 @@ def open_scan(folder: Path, bases: int | None = None) -> ScanRecord:
 
 
 def _back(name: str, value: Any) -> Any:
-    """What was written, with NaN for null."""
+    """Arrays of numbers with NaN for null, other values as they are."""
     numbers = name in ("edge_energy", "edge_width", "normalisation_energy")
     return np.array([np.nan if number is None else number for number in value]) if numbers else value

@@ -1,27 +1,31 @@
-"""The run folder: model, volumes, metrics, log and figures of one fit."""
+"""Writing a run folder: how it gets its name, its volumes, and its scores as text."""
 
 import os
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.dataset.layout import new_group, put
+from phantomgen.dataset.layout import array_at, new_group, put
 from phantomgen.dataset.truth import write_grid
 from phantomgen.geometry.voxel_grid import Grid
-from recon.runs.run_folder import MODEL
+from phantomgen.runtime.outputs import check_output_folder, refuse_interrupted
+from recon.runs.run_folder import MODEL, VIEWS, VOLUMES
 from recon.runs.unfinished_run import clear, is_partial
 from recon.voxel.unreliable import Unreliable
 from spectra.errors import InputError
 
+if TYPE_CHECKING:
+    import h5py
+
 
 class RunFolder:
-    """A folder that appears under its name when it is complete; use it in a ``with`` statement.
+    """Run folder that gets its name when it is complete; use it in a ``with`` statement.
 
-    Until then it is ``<path>.part``. An interruption or a fault leaves that there with a checkpoint, if the fit had
-    begun; a fit that stopped cleanly at Ctrl-C gets its name, unless another run has it.
+    Until then it is ``<path>.part``. After an interruption or an error it stays there with a checkpoint, if the fit had
+    begun; a fit that Ctrl-C ended after a step gets its name, unless another run has it.
 
     Parameters
     ----------
@@ -39,20 +43,14 @@ class RunFolder:
     def __init__(self, path: Path, overwrite: bool, resume: bool = False) -> None:
         self.path, self.resume = path, resume
         self.part = path.absolute().with_name(path.absolute().name + ".part")
-        taken = path.exists() or path.is_symlink()
-        interrupted = taken and not path.is_symlink() and is_partial(path)
-        if interrupted and not (resume or overwrite):
-            raise InputError(f"the output {path} is a run that was interrupted: go on by --resume, or add --overwrite")
-        if taken and not (overwrite or interrupted):
-            raise InputError(f"the output {path} exists: choose another name by --out, or add --overwrite")
-        if taken and (path.is_symlink() or not _is_run(path)):
-            raise InputError(f"the output {path} is not a folder that recon wrote; it will not be replaced")
-        if not path.absolute().parent.is_dir():
-            raise InputError(f"the folder {path.parent} for the output {path.name} does not exist")
+        interrupted = is_partial(path) and not path.is_symlink()
+        if interrupted:
+            refuse_interrupted(path, resume, overwrite)
+        check_output_folder(path, overwrite or interrupted, "recon", _is_run)
         if self.part.exists() and not (self.part / "figures").is_dir():
             raise InputError(f"{self.part} is in the way and was not written by recon: move it, or choose another name")
-        if is_partial(self.part) and not (resume or overwrite):
-            raise InputError(f"{self.part} is a run that was interrupted: go on by --resume, or anew by --overwrite")
+        if is_partial(self.part):
+            refuse_interrupted(self.part, resume, overwrite)
 
     def __enter__(self) -> Path:
         try:
@@ -85,12 +83,12 @@ class RunFolder:
 
 
 def _is_run(path: Path) -> bool:
-    """Whether a folder was written by a run; stopped ones lack volumes, voxel methods a model, some have views only."""
-    return (path / "metrics.json").is_file() and any((path / n).is_file() for n in (MODEL, "volumes.h5", "views.h5"))
+    """Whether a run wrote a folder: stopped runs have no volumes, voxel methods no Gaussians, some only views."""
+    return (path / "metrics.json").is_file() and any((path / n).is_file() for n in (MODEL, VOLUMES, VIEWS))
 
 
 class Stopped(KeyboardInterrupt):
-    """A fit stopped after a step, as it was asked to, and left its model."""
+    """Signal that Ctrl-C ended a fit after a step, and that its model is written."""
 
 
 def write_volumes(
@@ -101,40 +99,57 @@ def write_volumes(
     others: dict[str, Float[np.ndarray, "basis z y x"]],
     unreliable: Unreliable | None = None,
 ) -> None:
-    """Write ``/basis/data`` [1/mm] as a NeXus plot with axes in mm, and `others` beside it, by their name.
+    """Write volumes as NeXus plots with axes in mm.
 
-    Flags of `unreliable` voxels are ``/unreliable/data``, which is left out where there are none.
+    Parameters
+    ----------
+    path : HDF5 file
+    volumes : basis coefficients [1/mm], written as ``/basis/data``
+    names : of the bases
+    grid : of all volumes
+    others : further volumes [1/mm], by the name of their group
+    unreliable : voxels whose bases the counts do not determine, written as flags ``/unreliable/data``; None for no such
+        group
     """
     import h5py  # noqa: PLC0415
 
     with h5py.File(path, "w") as file:
         file.attrs.update({"NX_class": "NXroot", "default": "basis", "creator": "recon"})
-        for group_name, values in (("basis", volumes), *others.items()):
-            group = new_group(file, group_name, "NXdata", signal="data", axes=("basis_name", "z", "y", "x"))
-            data = group.create_dataset(
-                "data", data=values.astype(np.float32), chunks=(1, 1, *values.shape[2:]), compression="gzip",
-                compression_opts=1, shuffle=True,
-            )  # fmt: skip
-            data.attrs["units"] = "1/mm"
+        for name, values in (("basis", volumes), *others.items()):
+            group = _plot(file, name, values.astype(np.float32), ("basis_name", "z", "y", "x"), grid)
+            array_at(group, "data").attrs["units"] = "1/mm"
             put(group, "basis_name", np.array(names, dtype=object))
-            for axis in "zyx":
-                put(group, axis, grid.axis(axis), "mm")
         if unreliable is not None:
-            group = new_group(file, "unreliable", "NXdata", signal="data", axes=("z", "y", "x"))
-            chunks = (1, *unreliable.flags.shape[1:])
-            group.create_dataset("data", data=unreliable.flags, chunks=chunks, compression="gzip", compression_opts=1)
-            for axis in "zyx":
-                put(group, axis, grid.axis(axis), "mm")
+            _plot(file, "unreliable", unreliable.flags, ("z", "y", "x"), grid)
         write_grid(new_group(file, "grid", "NXcollection"), grid)
 
 
+def _plot(file: "h5py.File", name: str, values: np.ndarray, axes: tuple[str, ...], grid: Grid) -> "h5py.Group":
+    """Write an array of voxels as a NeXus plot, compressed slice by slice."""
+    group = new_group(file, name, "NXdata", signal="data", axes=axes)
+    chunks = (*[1] * (values.ndim - 2), *values.shape[-2:])
+    group.create_dataset("data", data=values, chunks=chunks, compression="gzip", compression_opts=1, shuffle=True)
+    for axis in "zyx":
+        put(group, axis, grid.axis(axis), "mm")
+    return group
+
+
 def score_table(metrics: dict[str, Any]) -> str:
-    """The scores as text: one row per basis, one per channel."""
+    """Format the scores as text.
+
+    Parameters
+    ----------
+    metrics : content of ``metrics.json``
+
+    Returns
+    -------
+    tables with a row per basis and a row per channel; empty without scores
+    """
     return "\n\n".join(part for part in (_basis_table(metrics), _channel_table(metrics)) if part)
 
 
 def _basis_table(metrics: dict[str, Any]) -> str:
-    """Scores against the truth, beside those of the volumes that the fit started from and of a volume of zeros."""
+    """Scores against the truth, of the start of the fit and of a volume of zeros beside them."""
     if "basis" not in metrics:
         return ""
     method = metrics.get("start", "")

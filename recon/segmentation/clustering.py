@@ -1,8 +1,13 @@
-"""Modes of features by mean shift (Comaniciu & Meer 2002, doi:10.1109/34.1000236), as many as there are.
+"""Modes of features by mean shift; their number follows from the samples.
 
-Each feature is measured in its noise, or in a small part of its range where the noise is less: then one bandwidth does
-for all scenes. Modes come from at most 10000 samples on seeds that are binned; everything else is assigned to them.
-So the time hardly grows with the model (`benchmarks/reconstruction/clustering.py`).
+Each feature is divided by its noise, or by a small part of its range where the noise is less, so that one bandwidth is
+right for all scenes. Modes are found from at most 10 000 samples, with seeds on a grid of bins; all other samples are
+assigned to the nearest mode. The time therefore hardly depends on the size of the model
+(`benchmarks/reconstruction/clustering.py`).
+
+References
+----------
+Comaniciu, Meer 2002, Mean shift: a robust approach toward feature space analysis, doi:10.1109/34.1000236.
 """
 
 import numpy as np
@@ -11,18 +16,28 @@ from threadpoolctl import threadpool_limits
 
 from spectra.errors import InputError
 
-BANDWIDTH = 3.0  # units of `unit_of`
-FLOOR = 0.005  # least unit, of the range of a feature
-SAMPLES = 10_000
-RAREST = 0.001  # modes with a smaller part of the samples are left out
-VALLEY = 0.5  # of the samples at a mode: one that has no valley before it is the tail of another
-_TAIL = 0.005  # quantile where the range of a feature ends
+BANDWIDTH = 3.0  # units of `unit_of`; radius of the flat kernel; our choice
+FLOOR = 0.005  # part of the range of a feature; least unit; our choice
+SAMPLES = 10_000  # samples; largest number in a mean shift; agreement in benchmarks/reconstruction/clustering.py
+RAREST = 0.001  # part of the samples; modes with fewer are left out; our choice
+VALLEY = 0.5  # part of the samples at a mode; with more between it and another it is the tail of the other; our choice
+_TAIL = 0.005  # quantile at which the range of a feature begins and ends; our choice
 
 
 def unit_of(
     samples: Float[np.ndarray, "sample feature"], noise: Float[np.ndarray, " feature"]
 ) -> Float[np.ndarray, " feature"]:
-    """What each feature is measured in: its noise, but no less than a part of its range."""
+    """Compute the unit of each feature: its noise, but not less than a part of its range.
+
+    Parameters
+    ----------
+    samples : features
+    noise : standard deviation of the noise of each feature
+
+    Returns
+    -------
+    unit of each feature
+    """
     low, high = np.quantile(samples, [_TAIL, 1 - _TAIL], axis=0)
     return np.maximum(np.maximum(noise, FLOOR * (high - low)), 1e-6 * np.maximum(np.abs(high), 1e-6))
 
@@ -34,15 +49,19 @@ def find_modes(
     seed: int = 0,
     most: int | None = SAMPLES,
 ) -> Float[np.ndarray, "mode feature"]:
-    """Centres of the clusters, those with most samples first.
+    """Find the centres of the clusters by mean shift.
 
     Parameters
     ----------
     samples : features
-    unit : what each is measured in
+    unit : unit of each feature
     bandwidth : radius of the flat kernel [units]
-    seed : of the choice of samples
-    most : samples to take; None for all
+    seed : seed of the choice of samples
+    most : largest number of samples; None for all
+
+    Returns
+    -------
+    modes, those with most samples first; modes of less than `RAREST` of the samples are left out
 
     Raises
     ------
@@ -69,7 +88,18 @@ def nearest_mode(
     modes: Float[np.ndarray, "mode feature"],
     unit: Float[np.ndarray, " feature"],
 ) -> Int[np.ndarray, " sample"]:
-    """Index of the nearest mode of each sample."""
+    """Find the nearest mode of each sample.
+
+    Parameters
+    ----------
+    samples : features
+    modes : features of the modes
+    unit : unit of each feature
+
+    Returns
+    -------
+    indices of the modes
+    """
     nearest = np.zeros(len(samples), np.intp)
     least = np.full(len(samples), np.inf)
     for index, mode in enumerate(modes):
@@ -84,11 +114,16 @@ def is_tail(
     mode: Float[np.ndarray, " feature"],
     other: Float[np.ndarray, " feature"],
 ) -> bool:
-    """Whether no valley lies between a mode and a lower one, among the samples around the line from one to the other.
+    """Report whether there is no valley of density between a mode and a lower one.
 
     Parameters
     ----------
-    samples, mode, other : features [units of their noise]
+    samples : features in units of their noise
+    mode, other : features of the two modes, in the same units; `other` is the lower one
+
+    Returns
+    -------
+    True when the samples around the line between the modes show no valley
     """
     length = float(np.linalg.norm(other - mode))
     way = (other - mode) / length

@@ -1,8 +1,8 @@
-"""Names and colours of clusters: what they look like says what they are.
+"""Names and colours of clusters, which show the kind of material.
 
-Hues are those of Okabe and Ito (2008), which the colour-blind tell apart: greens for tissue and water, yellow for bone,
-purple for metal as in SpectralCTGaussians, and one hue per K edge. Of several clusters of a kind the denser, or more
-concentrated, ones are stronger. Air is black.
+Hues are those of Okabe and Ito (2008), which colour-blind readers can distinguish: green for tissue and water, yellow
+for bone, purple for metal as in SpectralCTGaussians, and one hue per K edge. Of several clusters of a kind, those of
+higher density or concentration have stronger colours. Air is black.
 """
 
 from collections import Counter
@@ -14,21 +14,21 @@ from jaxtyping import Float
 from recon.segmentation.features import SIGNIFICANT
 from spectra.basis.basis import pretty
 
-BONE, METAL = 9.5, 21.0  # effective atomic numbers from which on: fat 6, water 7.5, muscle 7.6, bone 11 to 14, iron 26
-_FALLBACK = (0.25, 0.8)  # kappa from which on, where there is no atomic number
+BONE, METAL = 9.5, 21.0  # least effective atomic numbers: fat 6, water 7.5, muscle 7.6, bone 11 to 14, iron 26
+_FALLBACK = (0.25, 0.8)  # no unit; least kappa of bone and metal, where there is no atomic number; our choice
 _HUES = {"soft tissue": "#009E73", "bone-like": "#F0E442", "metal": "#CC79A7"}
 _EDGE_HUES = ("#D55E00", "#56B4E9", "#E69F00", "#0072B2", "#999999")
-_WHITE = 0.55  # how far the palest is on the way to white
+_WHITE = 0.55  # part of white in the palest colour of a kind; our choice
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What a cluster looks like.
+    """Kind of material of a cluster.
 
     Parameters
     ----------
     group : ``soft tissue``, ``bone-like``, ``metal``, or the name of a K edge
-    hue : its colour
+    hue : its colour as ``#RRGGBB``
     """
 
     group: str
@@ -36,7 +36,18 @@ class Kind:
 
 
 def kind_of(features: Float[np.ndarray, " feature"], atomic_number: float, edge_names: tuple[str, ...]) -> Kind:
-    """By the largest K-edge part where that is significant, else by the effective atomic number."""
+    """Determine the kind of a material: by its largest K-edge part where it is significant, else by its atomic number.
+
+    Parameters
+    ----------
+    features : rho, kappa, f_K of each K edge
+    atomic_number : effective atomic number; NaN where unknown, then kappa is used
+    edge_names : names of the K-edge functions
+
+    Returns
+    -------
+    kind of material
+    """
     parts = features[2:]
     if parts.size and parts.max() > SIGNIFICANT:
         column = int(parts.argmax())
@@ -48,7 +59,16 @@ def kind_of(features: Float[np.ndarray, " feature"], atomic_number: float, edge_
 
 
 def names_of(kinds: list[Kind]) -> list[str]:
-    """Group names, numbered where a group has several clusters; clusters are in order."""
+    """Create names of clusters: that of the group, with a number where a group has several clusters.
+
+    Parameters
+    ----------
+    kinds : kinds of the clusters, in order
+
+    Returns
+    -------
+    names
+    """
     sizes = Counter(kind.group for kind in kinds)
     seen: Counter[str] = Counter()
     names = []
@@ -59,7 +79,16 @@ def names_of(kinds: list[Kind]) -> list[str]:
 
 
 def colours_of(kinds: list[Kind]) -> Float[np.ndarray, "cluster 3"]:
-    """RGB between 0 and 1; clusters are in order, the palest of a kind first."""
+    """Create colours of clusters: the hue of the group, mixed with white for all but its last cluster.
+
+    Parameters
+    ----------
+    kinds : kinds of the clusters, in order
+
+    Returns
+    -------
+    RGB, 0 to 1
+    """
     sizes = Counter(kind.group for kind in kinds)
     seen: Counter[str] = Counter()
     colours = np.zeros((len(kinds), 3))
@@ -72,4 +101,5 @@ def colours_of(kinds: list[Kind]) -> Float[np.ndarray, "cluster 3"]:
 
 
 def _rgb(text: str) -> np.ndarray:
+    """RGB, 0 to 1, of ``#RRGGBB``."""
     return np.array([int(text[i : i + 2], 16) for i in (1, 3, 5)]) / 255

@@ -1,10 +1,10 @@
-"""What materials are told apart by.
+"""Features by which materials are distinguished.
 
-The features of SpectralCTGaussians (section on basis material decomposition): the density rho = sum_m b_m, the ratio
-kappa = log(1 + b_PE / (b_C + eps)), and the part f_K = b_K / rho of each K-edge column. Gaussians overlap, and those at
-edges are flat: what one of them carries is no density of the material there (`kedge`: soft tissue of 20.3e-3 per mm
-consists of Gaussians of 2.4e-3 to 7.0e-3). So by default b are the local values, those of the whole model at the
-centre of each Gaussian or voxel; its own coefficients are the paper's choice.
+The features are those of SpectralCTGaussians (section on basis material decomposition): the density rho = sum_m b_m,
+the ratio kappa = log(1 + b_PE / (b_C + eps)), and the part f_K = b_K / rho of each K-edge column. Gaussians overlap,
+and those at edges are flat: the coefficients of one Gaussian are not the density of the material there (`kedge`: soft
+tissue of 20.3e-3 per mm consists of Gaussians of 2.4e-3 to 7.0e-3). By default, therefore, b are local values: those of
+the whole model at the centre of each Gaussian or voxel. A Gaussian's own coefficients are the paper's choice.
 """
 
 from dataclasses import dataclass
@@ -18,21 +18,21 @@ from spectra.basis.basis import Basis, BasisFunction
 from spectra.materials.material import Material
 
 MECHANISMS = Basis((BasisFunction("photoelectric"), BasisFunction("compton")))
-EPSILON = 0.005  # of the Compton coefficient of water, so that kappa stays finite where there is none
-AIR = 0.2  # of the density of water: what is less dense is empty; lungs have 0.26 and more
-FLAT = 0.12  # of a high density: more than values in the inside of a material differ from a voxel to the next
-SIGNIFICANT = 0.02  # part of the density from which on a K edge is one
-_HIGH = 0.9  # quantile of the density that is called high
-_APART = 3  # voxels between two values whose difference is noise
+EPSILON = 0.005  # Compton coefficient of water; keeps kappa finite where there is no Compton; our choice
+AIR = 0.2  # density of water; voxels below it are air; lungs have 0.26 and more
+FLAT = 0.12  # quantile `_HIGH` of the density; largest range among the neighbours of a voxel inside of a material
+SIGNIFICANT = 0.02  # part of the density; least f_K of a material with a K edge; our choice
+_HIGH = 0.9  # quantile of the density in voxels that are not air; our choice
+_APART = 3  # voxels; distance of the two values whose difference is noise; our choice
 
 
 @dataclass(frozen=True, eq=False)
 class Mechanisms:
-    """How coefficients become a photoelectric, a Compton and K-edge coefficients, whatever the basis is.
+    """Conversion of coefficients in any basis to photoelectric, Compton and K-edge coefficients.
 
     Parameters
     ----------
-    matrix : what the functions without K edge hold of photoelectric and Compton
+    matrix : photoelectric and Compton coefficient of each function without K edge
     plain, edges : indices of the functions without and with a K edge
     water : photoelectric and Compton coefficient of water [1/mm]
     """
@@ -44,7 +44,18 @@ class Mechanisms:
 
     @classmethod
     def of(cls, basis: Basis, energy: Float[np.ndarray, " node"], weights: Float[np.ndarray, " node"]) -> "Mechanisms":
-        """By least squares over the detected spectrum; exact where the basis has both functions itself."""
+        """Create the conversion for a basis, by least squares over the detected spectrum.
+
+        Parameters
+        ----------
+        basis : basis functions
+        energy : energies of the spectrum [keV]
+        weights : detected photons
+
+        Returns
+        -------
+        conversion, exact where the basis has both functions itself
+        """
         edges = tuple(i for i, f in enumerate(basis.functions) if f.edge_energy is not None)
         plain = tuple(i for i in range(len(basis)) if i not in edges)
         goal, values = MECHANISMS.evaluate(energy), basis.evaluate(energy)[list(plain)]
@@ -54,12 +65,22 @@ class Mechanisms:
         return cls(np.where(np.abs(matrix) < 1e-9, 0.0, matrix), plain, edges, water)
 
     def __call__(self, values: Float[np.ndarray, "basis ..."]) -> Float[np.ndarray, "mechanism ..."]:
-        """Photoelectric, Compton, then each K edge [1/mm]."""
+        """Convert coefficients: photoelectric, Compton, then each K edge [1/mm]."""
         parts = np.tensordot(self.matrix, values[list(self.plain)], axes=1)
         return np.concatenate([parts, values[list(self.edges)]])
 
     def features(self, parts: Float[np.ndarray, "mechanism ..."]) -> Float[np.ndarray, "feature ..."]:
-        """Density rho [1/mm], kappa, and f_K of each K edge; values below 0, which some methods give, count as 0."""
+        """Compute the features.
+
+        Parameters
+        ----------
+        parts : photoelectric, Compton and K-edge coefficients [1/mm]; negative values, which some methods give, are
+            taken as 0
+
+        Returns
+        -------
+        density rho [1/mm], kappa, and f_K of each K edge
+        """
         parts = np.maximum(parts, 0.0)
         density = parts.sum(axis=0)
         ratio = np.log1p(parts[0] / (parts[1] + EPSILON * self.water[1]))
@@ -67,14 +88,21 @@ class Mechanisms:
 
     @property
     def air(self) -> float:
-        """Densities below are air [1/mm]."""
+        """Density below which a voxel is air [1/mm]."""
         return AIR * float(self.water.sum())
 
 
 def flat_inside(parts: Float[np.ndarray, "mechanism z y x"], air: float) -> Bool[np.ndarray, "z y x"]:
-    """Voxels inside of a material: not air, and hardly different from their 26 neighbours.
+    """Find voxels inside of a material: not air, and hardly different from their 26 neighbours.
 
-    In noisy volumes half of all voxels that are not air, the flattest ones.
+    Parameters
+    ----------
+    parts : coefficients of mechanisms [1/mm]
+    air : density below which a voxel is air [1/mm]
+
+    Returns
+    -------
+    True inside of materials; in noisy volumes for the flattest half of the voxels that are not air
     """
     density = parts.sum(axis=0)
     filled = density > air
@@ -87,9 +115,17 @@ def flat_inside(parts: Float[np.ndarray, "mechanism z y x"], air: float) -> Bool
 
 
 def noise_of(features: Float[np.ndarray, "feature z y x"], inside: Bool[np.ndarray, "z y x"]) -> np.ndarray:
-    """Robust standard deviation of each feature, from voxels three apart that both lie inside.
+    """Estimate the standard deviation of the noise of each feature.
 
-    That of f_K where there is some of it: where there is none, coefficients that are held at 0 show no noise.
+    Parameters
+    ----------
+    features : features of all voxels
+    inside : True inside of materials
+
+    Returns
+    -------
+    robust standard deviation of each feature. For f_K only voxels above `SIGNIFICANT` count: coefficients that are held
+    at 0 show no noise
     """
     return np.array([noise_in(f, inside & (f > SIGNIFICANT) if k >= 2 else inside) for k, f in enumerate(features)])
 
@@ -97,19 +133,50 @@ def noise_of(features: Float[np.ndarray, "feature z y x"], inside: Bool[np.ndarr
 def at_points(
     volumes: Float[np.ndarray, "basis z y x"], grid: Grid, points: Float[np.ndarray, "point 3"]
 ) -> Float[np.ndarray, "basis point"]:
-    """Values at points (x, y, z) [mm], linear between voxels."""
+    """Interpolate volumes linearly at points.
+
+    Parameters
+    ----------
+    volumes : volumes
+    grid : grid of the volumes
+    points : points (x, y, z) [mm]
+
+    Returns
+    -------
+    values at the points; outside of the grid those of the nearest voxel
+    """
     places = voxel_places(grid, points)
     return np.stack([ndimage.map_coordinates(v, places, order=1, mode="nearest") for v in volumes])
 
 
 def voxel_places(grid: Grid, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "3 point"]:
-    """Points (x, y, z) [mm] in voxels along (z, y, x)."""
+    """Convert points from mm to voxels.
+
+    Parameters
+    ----------
+    grid : grid of the volume
+    points : points (x, y, z) [mm]
+
+    Returns
+    -------
+    positions along (z, y, x) [voxel]
+    """
     origin, spacing = np.array(grid.origin), np.array(grid.spacing)
     return ((points[:, ::-1] - origin) / spacing).T
 
 
 def noise_in(feature: Float[np.ndarray, "z y x"], inside: Bool[np.ndarray, "z y x"]) -> float:
-    """Robust standard deviation of the differences of voxels inside, over the root of 2."""
+    """Estimate the noise of one feature from differences of voxels that are three voxels apart.
+
+    Parameters
+    ----------
+    feature : feature of all voxels
+    inside : True inside of materials, where both voxels of a pair lie
+
+    Returns
+    -------
+    robust standard deviation of the differences, over the root of 2
+    """
     found = []
     for axis in range(3):
         (head, first), (tail, second) = (
@@ -126,4 +193,5 @@ def _ends(length: int) -> tuple[tuple[int, int], tuple[int, int]]:
 
 
 def _spread(differences: np.ndarray) -> float:
+    """Standard deviation of one of two values from their differences, by the median absolute difference."""
     return 1.4826 / np.sqrt(2) * float(np.median(np.abs(differences))) if len(differences) else 0.0

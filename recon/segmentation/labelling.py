@@ -1,32 +1,37 @@
-"""Which cluster each place belongs to, at edges too.
+"""Labels of voxels and points, at edges too.
 
 A voxel at an edge holds a mixture, and mixtures of two materials may look like a third one: half contrast agent and
-half tissue is a weaker contrast agent. So the inside of materials is labelled by features; a place at an edge belongs
-to one of the materials inside of which its neighbours lie, the one whose coefficients are nearest, since mixtures lie
-on straight lines there. A place that no mixture of two of them explains belongs to the nearest material of all, so
-that thin walls are kept; but thin structures that look like a mixture are taken for their surroundings.
+half tissue is a weaker contrast agent. Therefore only the inside of materials is labelled by features. A voxel at an
+edge gets the label of one of the materials whose inside is near: the one whose coefficients are nearest, as mixtures
+lie on straight lines between coefficients. A voxel that no mixture of two of them explains gets the label of the
+nearest material of all, so that thin walls are kept; thin structures that look like a mixture get the label of their
+surroundings.
 """
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Integer
 from scipy import ndimage
 
 from recon.segmentation.features import SIGNIFICANT
 
-REACH = 3  # voxels from a place to neighbours that it may belong to
+REACH = 3  # voxels; distance from a voxel to materials whose label it may get; our choice
 NOTHING = 0  # label of air; cluster i has the label i + 1
-UNMIXED = 0.1  # distance to all mixtures of neighbours, in largest coefficients, from which on a place is none of them
-DENSER = 1.5  # times the density of its label from which on a point is something else
-RIM = 0.9  # part of a cluster's voxels that touch other clusters from which on it is a rim between them
+UNMIXED = 0.1  # parts of the largest coefficients; least distance to all mixtures of near materials to be none of them
+DENSER = 1.5  # no unit; density over that of its label above which a point is another material; our choice
+RIM = 0.9  # part of a cluster's voxels that touch other clusters above which it is a rim between them; our choice
 
 
 def rims(inner: Int[np.ndarray, "z y x"], count: int) -> Bool[np.ndarray, " cluster"]:
-    """Clusters that are no material: soft edges between two that differ little, all of whose voxels touch others.
+    """Find clusters that are soft edges between two materials of nearly equal coefficients, and no material.
 
     Parameters
     ----------
     inner : labels inside of materials, 0 elsewhere
     count : number of clusters
+
+    Returns
+    -------
+    True for clusters of which more than `RIM` of the voxels touch other clusters; never for the largest cluster
     """
     lowest = np.where(inner == NOTHING, np.iinfo(inner.dtype).max, inner)
     touching = (ndimage.maximum_filter(inner, 3) != inner) | (ndimage.minimum_filter(lowest, 3) != inner)
@@ -38,19 +43,23 @@ def rims(inner: Int[np.ndarray, "z y x"], count: int) -> Bool[np.ndarray, " clus
 
 
 def label_edges(
-    inner: Int[np.ndarray, "z y x"],
+    inner: Integer[np.ndarray, "z y x"],
     parts: Float[np.ndarray, "mechanism z y x"],
     air: Bool[np.ndarray, "z y x"],
     centres: Float[np.ndarray, "cluster mechanism"],
 ) -> Int[np.ndarray, "z y x"]:
-    """Labels of all voxels.
+    """Label the voxels at edges.
 
     Parameters
     ----------
     inner : labels inside of materials, 0 elsewhere
     parts : coefficients of mechanisms [1/mm]
-    air : voxels of air
-    centres : coefficients of the clusters
+    air : True for voxels of air
+    centres : coefficients of mechanisms of the clusters [1/mm]
+
+    Returns
+    -------
+    labels of all voxels
     """
     labels = inner.copy()
     open_voxels = (inner == NOTHING) & _near(~air)
@@ -88,19 +97,42 @@ def off_mixtures(
     first: Float[np.ndarray, " mechanism"],
     second: Float[np.ndarray, " mechanism"],
 ) -> Float[np.ndarray, " point"]:
-    """Distance of each point to the mixtures of two materials, which lie on the line between them."""
+    """Compute the distance of points to the mixtures of two materials, which lie on the line segment between them.
+
+    Parameters
+    ----------
+    values : coefficients of the points
+    first, second : coefficients of the two materials
+
+    Returns
+    -------
+    distances, in the unit of the coefficients
+    """
     along = second - first
     part = np.clip((values - first) @ along / max(along @ along, 1e-24), 0.0, 1.0)
     return np.linalg.norm(values - first - part[:, None] * along, axis=1)
 
 
 def label_at(
-    labels: Int[np.ndarray, "z y x"],
+    labels: Integer[np.ndarray, "z y x"],
     places: Float[np.ndarray, "3 point"],
     values: Float[np.ndarray, "point mechanism"],
     centres: Float[np.ndarray, "cluster mechanism"],
 ) -> Int[np.ndarray, " point"]:
-    """Labels of points: that of their voxel, or the nearest in coefficients where it is air or far less dense."""
+    """Label points by their voxels, or by their coefficients where the voxel is air or far less dense than the point.
+
+    Parameters
+    ----------
+    labels : labels of all voxels
+    places : positions of the points in voxels (z, y, x)
+    values : coefficients of mechanisms at the points [1/mm]
+    centres : coefficients of mechanisms of the clusters [1/mm]
+
+    Returns
+    -------
+    labels of the points: those of the nearest clusters where the sum of coefficients is above `DENSER` times the
+    density of the voxel's label, which is 0 for air
+    """
     found = labels[nearest_voxels(places, labels.shape)]
     density = np.concatenate([[0.0], centres.sum(axis=1)])
     lost = values.sum(axis=1) > DENSER * density[found]
@@ -112,16 +144,30 @@ def label_at(
 def nearest_voxels(
     places: Float[np.ndarray, "3 point"], shape: tuple[int, ...]
 ) -> tuple[Int[np.ndarray, " point"], ...]:
-    """Index of the voxel of each point, or of the nearest one for points outside; `places` count voxels (z, y, x)."""
+    """Find the voxel of each point, or the nearest one for points outside of the grid.
+
+    Parameters
+    ----------
+    places : positions of the points in voxels (z, y, x)
+    shape : number of voxels (z, y, x)
+
+    Returns
+    -------
+    indices of the voxels along z, y and x
+    """
     return tuple(np.clip(np.rint(p).astype(np.intp), 0, n - 1) for p, n in zip(places, shape, strict=True))
 
 
 def ordered(features: Float[np.ndarray, "cluster feature"]) -> Int[np.ndarray, " cluster"]:
-    """Order of clusters: those without K edge by kappa and density, then those of each K edge by its part.
+    """Sort clusters: those without K edge by kappa and density, then those of each K edge by its part.
 
     Parameters
     ----------
     features : rho, kappa, f_K of each K edge
+
+    Returns
+    -------
+    indices of the clusters in this order
     """
     parts = features[:, 2:]
     column = np.where((parts > SIGNIFICANT).any(axis=1), parts.argmax(axis=1) if parts.shape[1] else 0, -1)
@@ -134,7 +180,7 @@ def _nearest(
     centres: Float[np.ndarray, "cluster mechanism"],
     scale: Float[np.ndarray, " mechanism"],
 ) -> Int[np.ndarray, " point"]:
-    """Index of the nearest centre of each point."""
+    """Index of the nearest centre of each point, each mechanism relative to its scale."""
     distances = np.stack([np.square((values - centre) / scale).sum(axis=1) for centre in centres])
     return distances.argmin(axis=0)
 

@@ -1,10 +1,10 @@
-"""Materials by the values of the volumes: at the centres of Gaussians, or in voxels."""
+"""Materials from the values of the volumes: at the centres of Gaussians, or in voxels."""
 
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Integer
 from scipy.sparse.csgraph import connected_components
 
 from recon.segmentation.clustering import find_modes, is_tail, nearest_mode, unit_of
@@ -22,12 +22,12 @@ class Found:
 
     Parameters
     ----------
-    labels : of all voxels, 0 air and i + 1 material i
-    centres : medians of the mechanisms inside of each [1/mm]
-    coefficients : the same of the basis functions [1/mm]
+    labels : labels of all voxels: 0 air, i + 1 material i
+    centres : medians of the mechanisms inside of each material [1/mm]
+    coefficients : medians of the basis functions inside of each material [1/mm]
     """
 
-    labels: Int[np.ndarray, "z y x"]
+    labels: Integer[np.ndarray, "z y x"]
     centres: Float[np.ndarray, "cluster mechanism"]
     coefficients: Float[np.ndarray, "cluster basis"]
 
@@ -43,8 +43,15 @@ def find_materials(
 
     Parameters
     ----------
+    mechanisms : conversion of coefficients to mechanisms and features
     parts : volumes as mechanisms, not negative [1/mm]
-    points : where to take samples, (x, y, z) [mm]; None for all voxels
+    subject : volumes and grid
+    options : bandwidth and seed
+    points : points at which samples are taken, (x, y, z) [mm]; None for all voxels
+
+    Returns
+    -------
+    materials and labels
 
     Raises
     ------
@@ -72,16 +79,26 @@ def find_materials(
 
 
 def medians(
-    volumes: Float[np.ndarray, "component ..."], labels: Int[np.ndarray, "..."]
+    volumes: Float[np.ndarray, "component ..."], labels: Integer[np.ndarray, "..."]
 ) -> Float[np.ndarray, "label component"]:
-    """Median under each label but 0."""
+    """Compute the median under each label except 0.
+
+    Parameters
+    ----------
+    volumes : coefficients [1/mm]
+    labels : labels of the voxels
+
+    Returns
+    -------
+    medians of labels 1, 2, ... [1/mm]
+    """
     return np.array([np.median(volumes[:, labels == i], axis=1) for i in range(1, int(labels.max()) + 1)])
 
 
 def _samples_at(
     points: Float[np.ndarray, "point 3"], features: np.ndarray, inside: Bool[np.ndarray, "z y x"], subject: Subject
 ) -> Float[np.ndarray, "sample feature"]:
-    """Features at those points that lie inside of a material."""
+    """Features at the points that lie inside of a material."""
     index = nearest_voxels(voxel_places(subject.grid, points), inside.shape)
     return at_points(features, subject.grid, points[inside[index]]).T
 
@@ -93,11 +110,11 @@ def _groups(
     inside: Bool[np.ndarray, "z y x"],
     bandwidth: float,
 ) -> Int[np.ndarray, " mode"]:
-    """Label of each mode: modes that noise could have parted have the same one, and tails of others have 0.
+    """Label of each mode: modes that noise can have separated share one, and modes that are tails of others have 0.
 
-    Ratios are noisier the less dense a material is, so that one noise for all finds several modes in a lung. Here that
-    of either mode counts, from places of its density. A few samples of a long tail show modes, too; of what all voxels
-    show to be one, the edges around it decide.
+    The noise of ratios is larger the less dense a material is, so that one noise for all gives several modes in a lung.
+    Here the noise is that of either mode, from voxels of its density. A few samples of a long tail can be a mode, too:
+    all voxels decide whether a mode is a tail, and voxels of a tail are labelled as edges are.
     """
     near = [inside & (np.abs(features[0] - mode[0]) < bandwidth * unit[0]) for mode in modes]
     noise = np.maximum([[unit[0], *noise_of(features, here)[1:]] for here in near], unit)
@@ -112,11 +129,12 @@ def _groups(
 
 
 def _present(inner: Int[np.ndarray, "z y x"], count: int) -> Bool[np.ndarray, " cluster"]:
+    """True for clusters that have a voxel."""
     return np.bincount(inner.ravel(), minlength=count + 1)[1:] > 0
 
 
 def _renumbered(inner: Int[np.ndarray, "z y x"], kept: Int[np.ndarray, " cluster"]) -> Int[np.ndarray, "z y x"]:
-    """Labels after clusters were left out or ordered: cluster ``kept[i]`` becomes i; others become 0."""
+    """Labels after clusters were removed or sorted: cluster ``kept[i]`` becomes cluster i; others become 0."""
     table = np.zeros(int(max(inner.max(), kept.max() + 1)) + 1, np.uint16)
     table[1 + kept] = np.arange(1, len(kept) + 1)
     return table[inner]

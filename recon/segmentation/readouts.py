@@ -1,8 +1,8 @@
-"""What coefficients mean: effective atomic number, electron density, concentrations, Hounsfield units.
+"""Physical numbers from coefficients: effective atomic number, electron density, concentrations, Hounsfield units.
 
-Everything is linear in the coefficients but the effective atomic number. That comes from the ratio of photoelectric
-absorption to Compton scattering, by the elements' own coefficients in the same basis over the same spectrum, so that
-no exponent of Z is assumed and what the basis cannot describe cancels. Contrast agents are taken away before.
+All are linear in the coefficients except the effective atomic number. It follows from the ratio of photoelectric
+absorption to Compton scattering, by comparison with the coefficients of the elements in the same basis over the same
+spectrum, so that no exponent of Z is assumed and errors of the basis cancel. Contrast agents are subtracted first.
 """
 
 from collections.abc import Sequence
@@ -17,10 +17,10 @@ from spectra.elements.attenuation import electrons_per_gram, symbol
 from spectra.errors import InputError
 from spectra.materials.material import Material
 
-HEAVIEST = 40  # K edges of heavier elements begin to lie within spectra
+HEAVIEST = 40  # atomic number; largest that is reported, as K edges of heavier elements lie within spectra
 WATER = Material("water", composition="Water, Liquid")
-_MILLIGRAM = 1e-3  # 1 mg/ml in g/cm^3
-_LEAST_MATTER = 0.02  # of water: less has no atomic number
+_MILLIGRAM = 1e-3  # g/cm^3; 1 mg/ml
+_LEAST_MATTER = 0.02  # electron density of water; voxels below it get no atomic number; our choice
 
 Volume = Float[np.ndarray, "..."]
 Coefficients = Float[np.ndarray, "basis ..."]
@@ -28,17 +28,17 @@ Coefficients = Float[np.ndarray, "basis ..."]
 
 @dataclass(frozen=True, eq=False)
 class Readouts:
-    """Turns coefficients into physical numbers.
+    """Conversion of coefficients to physical numbers.
 
     Parameters
     ----------
-    basis : functions of the coefficients
-    mechanisms : see there
-    water : its coefficients [1/mm]
-    agents : by element of a K-edge function, what 1 mg/ml of it adds to the coefficients [1/mm]
-    nameless : indices of K-edge functions of no element
-    angles : of photoelectric over Compton of each atomic number from 1 on, ascending [rad]
-    per_electron : length of the two coefficients per electron density of water
+    basis : basis functions of the coefficients
+    mechanisms : conversion to photoelectric, Compton and K-edge coefficients
+    water : coefficients of water [1/mm]
+    agents : by element of a K-edge function, the coefficients of 1 mg/ml of the element [1/mm]
+    nameless : indices of K-edge functions without an element
+    angles : arc tangent of photoelectric over Compton for each atomic number from 1 on, ascending [rad]
+    per_electron : norm of the photoelectric and Compton coefficients at the electron density of water [1/mm]
     """
 
     basis: Basis
@@ -51,7 +51,18 @@ class Readouts:
 
     @classmethod
     def of(cls, basis: Basis, energy: Float[np.ndarray, " node"], weights: Float[np.ndarray, " node"]) -> "Readouts":
-        """For a basis and a detected spectrum, energies [keV] and photons."""
+        """Create the conversion for a basis and a detected spectrum.
+
+        Parameters
+        ----------
+        basis : basis functions
+        energy : energies of the spectrum [keV]
+        weights : detected photons
+
+        Returns
+        -------
+        conversion
+        """
         spectrum = energy, weights
         mechanisms = Mechanisms.of(basis, *spectrum)
         agents, nameless = {}, []
@@ -68,12 +79,32 @@ class Readouts:
         return cls(basis, mechanisms, water, agents, tuple(nameless), angles, np.linalg.norm(table, axis=1))
 
     def concentration(self, values: Coefficients, element: str) -> Volume:
-        """Concentration of a contrast agent [mg/ml]."""
+        """Compute the concentration of a contrast agent.
+
+        Parameters
+        ----------
+        values : coefficients [1/mm]
+        element : symbol of the element of a K-edge function
+
+        Returns
+        -------
+        concentration [mg/ml]
+        """
         index = next(i for i, f in enumerate(self.basis.functions) if f.element == element)
         return values[index] / self.agents[element][index]
 
     def without_contrast(self, values: Coefficients) -> Coefficients:
-        """Coefficients without contrast agents [1/mm]: all that their elements add; of a nameless edge its function."""
+        """Subtract contrast agents from coefficients.
+
+        Parameters
+        ----------
+        values : coefficients [1/mm]
+
+        Returns
+        -------
+        coefficients without all that the elements of K-edge functions add, or without the function alone where it has
+        no element [1/mm]
+        """
         left = np.array(values, dtype=np.float64)
         for element, added in self.agents.items():
             amount = self.concentration(values, element)
@@ -82,18 +113,45 @@ class Readouts:
         return left
 
     def attenuation(self, values: Coefficients, energy: float) -> Volume:
-        """Attenuation at an energy [1/mm]."""
-        return np.tensordot(self.basis.evaluate(np.array([energy]))[:, 0], values, axes=1)
+        """Compute the attenuation at an energy.
+
+        Parameters
+        ----------
+        values : coefficients [1/mm]
+        energy : energy [keV]
+
+        Returns
+        -------
+        attenuation [1/mm]
+        """
+        return np.tensordot(self.basis.evaluate(np.array([energy], dtype=np.float64))[:, 0], values, axes=1)
 
     def hounsfield(self, values: Coefficients, energy: float) -> Volume:
-        """Virtual monoenergetic image [HU]; water, as the basis describes it, is 0 at every energy."""
+        """Compute a virtual monoenergetic image.
+
+        Parameters
+        ----------
+        values : coefficients [1/mm]
+        energy : energy [keV]
+
+        Returns
+        -------
+        CT number [HU]; that of water, as the basis describes it, is 0 at every energy
+        """
         water = float(self.attenuation(self.water, energy))
         return 1000.0 * (self.attenuation(values, energy) / water - 1.0)
 
     def electrons(self, values: Coefficients) -> tuple[Volume, Volume]:
-        """Effective atomic number, and electron density relative to water, both without contrast agents.
+        """Compute effective atomic number and electron density, both without contrast agents.
 
-        The number is NaN where there is hardly any matter, for a single basis function, and beyond `HEAVIEST`.
+        Parameters
+        ----------
+        values : coefficients [1/mm]
+
+        Returns
+        -------
+        effective atomic number, and electron density relative to water. The number is NaN below 2 % of the electron
+        density of water, for a single basis function, and beyond `HEAVIEST`
         """
         photo, compton = self.mechanisms(self.without_contrast(values))[:2]
         if len(self.mechanisms.plain) < 2:
@@ -106,12 +164,20 @@ class Readouts:
 
 
 def check_energies(energies: Sequence[float]) -> tuple[float, ...]:
-    """Energies of virtual monoenergetic images.
+    """Check the energies of virtual monoenergetic images.
+
+    Parameters
+    ----------
+    energies : energies [keV]
+
+    Returns
+    -------
+    the energies
 
     Raises
     ------
     InputError
-        For one where attenuation is not known.
+        When an energy is outside of 10 to 500 keV.
     """
     for energy in energies:
         if not 10 <= energy <= 500:

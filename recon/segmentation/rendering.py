@@ -1,7 +1,7 @@
-"""Material maps as pictures: seen from any side, and in slices.
+"""RGB images of material maps: views from any direction, and slices.
 
-Seen from a side, a pixel has the mean colour of what its ray passes, and 1 - exp(-t) of full brightness, where t is
-the line integral of the density: so nothing depends on the scene's largest value, and air is black.
+In a view, a pixel has the mean colour of the materials along its ray, and 1 - exp(-t) of full brightness, where t is
+the line integral of the density. Brightness does not depend on the largest value of the volume, and air is black.
 """
 
 from collections.abc import Sequence
@@ -20,13 +20,23 @@ from recon.ops.rasterize import rasterize
 from recon.ops.voxelize import voxelize
 from spectra.errors import InputError
 
-PIXELS = 320  # along a side of a picture
+PIXELS = 320  # pixels; along the longer side of a picture
 
 
 def picture(
     lengths: Float[np.ndarray, "material row column"], colours: Float[np.ndarray, "material 3"]
 ) -> Float[np.ndarray, "row column 3"]:
-    """RGB between 0 and 1 of the line integrals of each material's density."""
+    """Compute the RGB image of a view.
+
+    Parameters
+    ----------
+    lengths : line integrals of the density of each material [no unit]
+    colours : RGB of each material, 0 to 1
+
+    Returns
+    -------
+    RGB, 0 to 1
+    """
     lengths = np.maximum(lengths, 0.0).astype(np.float64)
     total = lengths.sum(axis=0)
     mean = np.tensordot(lengths, colours, axes=(0, 0)) / np.maximum(total, 1e-12)[..., None]
@@ -39,15 +49,18 @@ def slices_rgb(
     colours: Float[np.ndarray, "material 3"],
     filled: Bool[np.ndarray, "z y x"],
 ) -> Float[np.ndarray, "z y x 3"]:
-    """RGB between 0 and 1: the colours of the materials, each by the part of the voxel that it fills.
-
-    Voxels whose 26 neighbours all hold more material than air are full, whatever the densities say.
+    """Compute RGB of all voxels: the colours of the materials, each weighted by the part of the voxel that it fills.
 
     Parameters
     ----------
     materials : density of each material, averaged over voxels [1/mm]
-    densities : of voxels that a material fills [1/mm]
-    filled : voxels that are not air
+    densities : density of voxels that a material fills [1/mm]
+    colours : RGB of each material, 0 to 1
+    filled : True for voxels that are not air
+
+    Returns
+    -------
+    RGB, 0 to 1; a voxel whose 26 neighbours are not air is taken for full, whatever the sum of its densities
     """
     parts = np.maximum(materials, 0.0) / np.maximum(densities, 1e-12)[:, None, None, None]
     total = parts.sum(axis=0)
@@ -59,7 +72,18 @@ def slices_rgb(
 def voxel_lengths(
     materials: Float[np.ndarray, "material z y x"], grid: Grid, geometry: Geometry
 ) -> Float[np.ndarray, "view material row column"]:
-    """Line integrals of voxels."""
+    """Compute line integrals of volumes.
+
+    Parameters
+    ----------
+    materials : density of each material [1/mm]
+    grid : grid of the volumes
+    geometry : poses of the views
+
+    Returns
+    -------
+    line integrals [no unit]
+    """
     panel = geometry.panel
     images = project(materials.astype(np.float32), grid, geometry.ray_frames(), panel.rows, panel.columns)
     return np.moveaxis(np.asarray(images), 0, 1)
@@ -68,7 +92,18 @@ def voxel_lengths(
 def gaussian_lengths(
     gaussians: Gaussians, amounts: Float[np.ndarray, "gaussian material"], geometry: Geometry
 ) -> Float[np.ndarray, "view material row column"]:
-    """Line integrals of Gaussians that carry some density of each material."""
+    """Compute line integrals of Gaussians.
+
+    Parameters
+    ----------
+    gaussians : centres, scales and orientations
+    amounts : density of each material at the centre of each Gaussian [1/mm]
+    geometry : poses of the views
+
+    Returns
+    -------
+    line integrals [no unit]
+    """
     panel, frames = geometry.panel, torch.from_numpy(geometry.ray_frames())
     shapes = (gaussians.centres, gaussians.log_scales, gaussians.quaternions)
     with torch.no_grad():
@@ -78,7 +113,19 @@ def gaussian_lengths(
 def gaussian_materials(
     gaussians: Gaussians, labels: Int[np.ndarray, " gaussian"], count: int, grid: Grid
 ) -> tuple[Float[np.ndarray, "gaussian material"], Float[np.ndarray, "material z y x"]]:
-    """Density that each Gaussian gives to its material, and the volumes of the materials [1/mm]."""
+    """Compute the volume of each material from labelled Gaussians.
+
+    Parameters
+    ----------
+    gaussians : model
+    labels : material of each Gaussian
+    count : number of materials
+    grid : grid of the volumes
+
+    Returns
+    -------
+    density of each material at the centre of each Gaussian [1/mm], and volumes of the materials [1/mm]
+    """
     density = gaussians.coefficients.numpy().sum(axis=1)
     amounts = np.zeros((len(labels), count), np.float32)
     amounts[np.arange(len(labels)), labels] = density
@@ -89,13 +136,17 @@ def gaussian_materials(
 def views_around(
     grid: Grid, angles: Sequence[tuple[float, float]], filled: Bool[np.ndarray, "z y x"] | None = None
 ) -> Geometry:
-    """Parallel views of a whole grid, or of the box around what is filled.
+    """Create parallel views of a whole grid, or of the box around what is filled.
 
     Parameters
     ----------
-    grid : what is seen
+    grid : grid of the volume
     angles : azimuth, 0 from +x, and elevation above the plane z = 0 [degree]
-    filled : voxels that are not air
+    filled : True for voxels that are not air; None for the whole grid
+
+    Returns
+    -------
+    poses of the views, with a panel on which the whole box is visible
     """
     low, high_end = _box(grid, filled)
     middle, size = ((low + high_end) / 2)[::-1], high_end - low
@@ -122,7 +173,15 @@ def _box(grid: Grid, filled: Bool[np.ndarray, "z y x"] | None) -> tuple[Float[np
 
 
 def parse_views(texts: Sequence[str]) -> tuple[tuple[float, float], ...]:
-    """``"30"`` or ``"30,20"`` as azimuth and elevation [degree].
+    """Read ``"30"`` or ``"30,20"`` as azimuth and elevation.
+
+    Parameters
+    ----------
+    texts : one text per view
+
+    Returns
+    -------
+    azimuth and elevation of each view [degree]
 
     Raises
     ------

@@ -1,10 +1,10 @@
-"""What a segmentation is: its options, the clusters with their physical numbers, and the maps."""
+"""Results of a segmentation: its options, the clusters with their physical numbers, and the maps."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Integer
 
 from recon.segmentation.clustering import BANDWIDTH
 from recon.segmentation.colours import colours_of, kind_of, names_of
@@ -16,20 +16,21 @@ from spectra.errors import InputError
 
 DOMAINS = ("gaussians", "voxels")
 FEATURES = ("local", "own")
-ENERGY = 70.0  # of virtual monoenergetic images where none is asked for [keV]
+ENERGY = 70.0  # keV; energy of virtual monoenergetic images by default; reference energy of the bases
 
 
 @dataclass(frozen=True)
 class Options:
-    """What steers a segmentation.
+    """Options of a segmentation.
 
     Parameters
     ----------
     domain : ``gaussians`` or ``voxels``; None for Gaussians where a run has them
-    features : of the values at each Gaussian (``local``), or of its own coefficients (``own``), as in the paper
-    bandwidth : of the mean shift, in units of `recon.segmentation.clustering.unit_of`
-    energies : of virtual monoenergetic images [keV]
-    seed : of the choice of samples
+    features : features of the values at each Gaussian (``local``), or of its own coefficients (``own``), as in the
+        paper
+    bandwidth : bandwidth of the mean shift, in units of `recon.segmentation.clustering.unit_of`
+    energies : energies of virtual monoenergetic images [keV]
+    seed : seed of the choice of samples
     """
 
     domain: str | None = None
@@ -54,15 +55,15 @@ class Cluster:
 
     Parameters
     ----------
-    name : what it looks like
-    colour : RGB between 0 and 1
-    coefficients : medians inside of it, of each basis function [1/mm]
+    name : name of the kind of material, such as ``soft tissue 1``
+    colour : RGB, 0 to 1
+    coefficients : medians inside of the material, of each basis function [1/mm]
     features : rho [1/mm], kappa, f_K of each K edge
-    volume_ml : of its voxels
-    atomic_number, electron_density : without contrast agents; relative to water; NaN where unknown
-    hounsfield : at each energy of the options [HU]
-    without_contrast : the same without contrast agents [HU]
-    concentrations : of each contrast agent [mg/ml]
+    volume_ml : volume of its voxels [ml]
+    atomic_number, electron_density : values without contrast agents; the density relative to water; NaN where unknown
+    hounsfield : CT number at each energy of the options [HU]
+    without_contrast : CT number at each energy without contrast agents [HU]
+    concentrations : concentration of each contrast agent [mg/ml]
     """
 
     name: str
@@ -83,37 +84,46 @@ class Segmentation:
 
     Parameters
     ----------
-    subject : what was segmented
-    readouts : what its coefficients mean
-    options : what steered it; `domain` says which one was taken
-    clusters : those without K edge by kappa and density, then those of each K edge by their part
-    labels : of voxels, 0 air and i + 1 cluster i
+    subject : volumes that were segmented
+    readouts : conversion of coefficients to physical numbers
+    options : options, with the `domain` that was used
+    clusters : clusters without K edge by kappa and density, then those of each K edge by its part
+    labels : labels of voxels: 0 air, i + 1 cluster i
     materials : density of each cluster [1/mm]
     gaussian_labels : cluster of each Gaussian; None in the domain of voxels
-    gaussian_densities : density that each Gaussian gives to each cluster [1/mm]; None there
+    gaussian_densities : density of each cluster at the centre of each Gaussian [1/mm]; None in the domain of voxels
     """
 
     subject: Subject
     readouts: Readouts
     options: Options
     clusters: tuple[Cluster, ...]
-    labels: Int[np.ndarray, "z y x"]
+    labels: Integer[np.ndarray, "z y x"]
     materials: Float[np.ndarray, "material z y x"]
     gaussian_labels: Int[np.ndarray, " gaussian"] | None = None
     gaussian_densities: Float[np.ndarray, "gaussian material"] | None = None
 
     @property
     def colours(self) -> Float[np.ndarray, "material 3"]:
-        """RGB of each cluster."""
+        """RGB of each cluster, 0 to 1."""
         return np.array([c.colour for c in self.clusters])
 
     @property
     def densities(self) -> Float[np.ndarray, " material"]:
-        """Density of each cluster [1/mm]."""
+        """Density rho of each cluster [1/mm]."""
         return np.array([c.features[0] for c in self.clusters])
 
     def rgb(self, colours: Float[np.ndarray, "material 3"] | None = None) -> Float[np.ndarray, "z y x 3"]:
-        """The volume in colours between 0 and 1."""
+        """Compute RGB of all voxels.
+
+        Parameters
+        ----------
+        colours : RGB of each cluster, 0 to 1; those of the clusters where it is None
+
+        Returns
+        -------
+        RGB, 0 to 1
+        """
         chosen = self.colours if colours is None else colours
         return slices_rgb(self.materials, self.densities, chosen, self.labels > NOTHING)
 
@@ -124,7 +134,19 @@ def describe(
     energies: Sequence[float],
     volumes_ml: Float[np.ndarray, " cluster"],
 ) -> tuple[Cluster, ...]:
-    """What materials are, by their coefficients; they are in order."""
+    """Compute names, colours and physical numbers of materials from their coefficients.
+
+    Parameters
+    ----------
+    readouts : conversion of coefficients to physical numbers
+    coefficients : coefficients of the materials, in the order of `recon.segmentation.labelling.ordered` [1/mm]
+    energies : energies of virtual monoenergetic images [keV]
+    volumes_ml : volumes of the materials [ml]
+
+    Returns
+    -------
+    clusters in the same order
+    """
     columns = np.asarray(coefficients, dtype=np.float64).T
     features = readouts.mechanisms.features(readouts.mechanisms(columns)).T
     plain = readouts.without_contrast(columns)

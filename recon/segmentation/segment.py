@@ -1,9 +1,9 @@
-"""From a run to its material maps; the truth plays no part."""
+"""Segmentation of a run into material maps; the truth is not read."""
 
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Integer
 from scipy.ndimage import minimum_filter
 
 from recon.gaussians.model import Gaussians
@@ -18,13 +18,22 @@ from recon.segmentation.subject import Subject
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
 
-_HALF = 0.5  # of a voxel that materials must fill
-_CARRYING = 1e-3  # of the densest Gaussian: what has less says nothing
+_HALF = 0.5  # part of a voxel; voxels that materials fill less are not labelled by Gaussians
+_CARRYING = 1e-3  # density of the densest Gaussian; Gaussians below it do not enter the mean shift; our choice
 
 
 @without_other_pools()
 def segment_subject(subject: Subject, options: Options) -> Segmentation:
-    """Find the materials of what is in memory.
+    """Find the materials of a run.
+
+    Parameters
+    ----------
+    subject : volumes, and Gaussians where there are any
+    options : options of the segmentation
+
+    Returns
+    -------
+    material maps
 
     Raises
     ------
@@ -56,7 +65,7 @@ def segment_subject(subject: Subject, options: Options) -> Segmentation:
 def _by_own_coefficients(
     model: Gaussians, readouts: Readouts, options: Options
 ) -> tuple[Float[np.ndarray, "cluster basis"], Int[np.ndarray, " gaussian"]]:
-    """The paper's way: every Gaussian by its own coefficients, features divided by their standard deviation."""
+    """Coefficients and labels as in the paper: by the coefficients of each Gaussian, over their standard deviation."""
     values, mechanisms = model.coefficients.numpy().astype(np.float64), readouts.mechanisms
     features = mechanisms.features(mechanisms(values.T)).T
     carrying = features[:, 0] > _CARRYING * features[:, 0].max()
@@ -76,10 +85,10 @@ def _of_gaussians(
     coefficients: Float[np.ndarray, "cluster basis"],
     own: Int[np.ndarray, " gaussian"],
 ) -> Segmentation:
-    """Labelled Gaussians make volumes of the materials; a voxel belongs to the one that fills most of it.
+    """Segmentation from labelled Gaussians: a voxel gets the label of the material that fills most of it.
 
-    One that none fills, amidst others that are no air, belongs to the nearest in coefficients, as at edges: so what
-    little it holds of a dense material does not make it look empty.
+    A voxel that no material fills, whose 26 neighbours are not air, gets the label of the nearest coefficients, as at
+    edges: a voxel with a little of a dense material is not air.
     """
     amounts, materials = gaussian_materials(model, own, len(coefficients), subject.grid)
     if options.features == FEATURES[1]:
@@ -102,7 +111,7 @@ def _inside_of(
     readouts: Readouts,
     own: Float[np.ndarray, "cluster basis"],
 ) -> Float[np.ndarray, "cluster basis"]:
-    """Medians of the volumes where a material is the densest: coefficients of single Gaussians are none of volumes."""
+    """Medians of the volumes where a material is the densest, in place of the coefficients of single Gaussians."""
     groups = np.where(materials.sum(axis=0) > readouts.mechanisms.air, materials.argmax(axis=0), len(own))
     present = [groups == i for i in range(len(own))]
     rows = [np.median(subject.volumes[:, m], axis=1) if m.any() else row for m, row in zip(present, own, strict=True)]
@@ -114,7 +123,7 @@ def _described(
     readouts: Readouts,
     options: Options,
     coefficients: Float[np.ndarray, "cluster basis"],
-    labels: Int[np.ndarray, "z y x"],
+    labels: Integer[np.ndarray, "z y x"],
     materials: Float[np.ndarray, "material z y x"],
 ) -> Segmentation:
     """Clusters with names, colours and physical numbers."""

@@ -1,1 +1,1 @@
-"""Voxel volumes as a model of a scan, what a voxel method is, and volumes that fits start from."""
+"""Voxel reconstruction: the interface of a method, filtered and iterative methods, and initial volumes of a fit."""

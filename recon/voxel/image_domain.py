@@ -1,8 +1,8 @@
-"""Decomposition after reconstruction: each channel by itself, then a linear fit of the bases in every voxel.
+"""Image-domain decomposition: each channel is reconstructed by itself, then bases are fitted linearly in every voxel.
 
-The attenuation that a channel sees is taken for a sum over bases, mu_c = sum_m Q_cm alpha_m, with Q the mean of each
-basis over the open beam of the channel. That is right for little attenuation only; the rest is beam hardening. Kept for
-comparison, as what is usually compared with methods that know the spectrum.
+The attenuation in a channel is modelled as mu_c = sum_m Q_cm alpha_m, with Q the mean of each basis over the open beam
+of the channel. This holds for small attenuation only; the error is beam hardening. It is here for comparison with
+methods that know the spectrum.
 """
 
 from dataclasses import replace
@@ -13,21 +13,38 @@ from jaxtyping import Float
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.inpainting import inpainted
 from recon.data.measurements import Measurements
+from recon.data.partial_volume import LEAST_COUNTS
 from recon.voxel.method import Iteration, LinearMethod, OnIteration, Volumes, Weights, unwatched
-
-FEWEST = 0.5  # counts below are raised to this before a logarithm
 
 
 def log_projections(measured: Measurements) -> Float[np.ndarray, "channel view row column"]:
-    """Logarithm of open beam over counts; blind pixels take what their neighbours suggest."""
+    """Compute the logarithm of open beam over counts.
+
+    Parameters
+    ----------
+    measured : counts with all channels in all views
+
+    Returns
+    -------
+    log projections; those of blind pixels are interpolated from their neighbours
+    """
     open_beam = measured.exposure[:, :, None, None] * (measured.gains * measured.open_beam)
-    logs = np.log(np.maximum(open_beam, FEWEST) / np.maximum(measured.counts, FEWEST))
+    logs = np.log(np.maximum(open_beam, LEAST_COUNTS) / np.maximum(measured.counts, LEAST_COUNTS))
     channels = zip(np.moveaxis(logs, 1, 0), measured.gains, strict=True)
     return np.stack([inpainted(images, gains <= 0) for images, gains in channels]).astype(np.float32)
 
 
 def linear_response(measured: Measurements) -> Float[np.ndarray, "channel basis"]:
-    """Mean of each basis over the open beam of each channel, behind the mean of a bowtie filter."""
+    """Compute the mean of each basis over the open beam of each channel, behind the mean bowtie filter.
+
+    Parameters
+    ----------
+    measured : counts with their spectral model
+
+    Returns
+    -------
+    Q, the slopes of log projections in the line integrals at zero [no unit]
+    """
     bases = len(measured.basis_names)
     fixed = np.zeros(0) if measured.profile is None else measured.profile.mean(axis=(1, 2))
     beam = np.concatenate([np.zeros(bases), fixed])
@@ -41,15 +58,19 @@ def reconstruct_channels(
     grid: Grid,
     on_iteration: OnIteration = unwatched,
 ) -> Volumes:
-    """Volumes of the bases [1/mm] from one volume per channel, least squares in each voxel.
+    """Reconstruct one volume per channel and fit the bases in each voxel by least squares.
 
     Parameters
     ----------
     measured : counts with all channels in all views
-    weights : of each ray
-    method : reconstructs the channels
-    grid : the volume
-    on_iteration : is told of the channels' volumes as they become those of the bases
+    weights : statistical weight of each ray; None if all rays have the same
+    method : reconstruction of the channels
+    grid : the volume to reconstruct
+    on_iteration : called after every iteration of `method`, with volumes of the bases
+
+    Returns
+    -------
+    volumes of the bases [1/mm]
     """
     solve = np.linalg.pinv(linear_response(measured)).astype(np.float32)
 

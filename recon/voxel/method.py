@@ -1,4 +1,4 @@
-"""What a classical method is: a value with hyper-parameters that turns data into volumes."""
+"""Interfaces of reconstruction methods: values with hyper-parameters that turn data into volumes or views."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,21 +14,22 @@ from recon.data.measurements import Measurements
 Volumes: TypeAlias = Float[np.ndarray, "basis z y x"]
 Images: TypeAlias = Float[np.ndarray, "basis view row column"]
 Weights: TypeAlias = Float[np.ndarray, "view row column"]
-ViewModel: TypeAlias = Callable[[Geometry], Float[np.ndarray, "channel view row column"]]  # log projections from there
+ViewModel: TypeAlias = Callable[[Geometry], Float[np.ndarray, "channel view row column"]]  # log projections at poses
 
 
 @dataclass(frozen=True, eq=False)
 class Iteration:
-    """What a callback is told after every iteration.
+    """State of a method after an iteration, for a callback.
 
     Parameters
     ----------
-    done, total : iterations so far and in all
-    residual : what is left of the data, as a method measures it: norm of residuals, deviance per count, or duality gap
-        over the objective; None where it was not looked at
-    volumes : the state [1/mm]; it changes in place, so copy what is to be kept; empty for a method without volumes
-    grid : of the volumes where it is another one than was asked for, as in coarse passes
-    views : the state of a method without volumes; it changes in place
+    done, total : number of iterations so far and in all
+    residual : disagreement with the data in the measure of the method: relative norm of residuals, deviance per count,
+        or duality gap over the objective; None where the method has not computed it
+    volumes : current volumes [1/mm]; they change in place, so copy what shall be kept; empty for a method without
+        volumes
+    grid : grid of the volumes where it differs from the requested one, as in coarse passes
+    views : current model of a method without volumes; it changes in place
     """
 
     done: int
@@ -43,28 +44,39 @@ OnIteration: TypeAlias = Callable[[Iteration], None]
 
 
 def unwatched(_: Iteration) -> None:
-    """A callback that does nothing."""
+    """Do nothing after an iteration.
+
+    Parameters
+    ----------
+    _ : the iteration
+    """
 
 
 class Report:
-    """Counts iterations, and tells a callback."""
+    """Counter of iterations that calls a callback.
+
+    Parameters
+    ----------
+    on_iteration : callback to call
+    total : number of iterations in all
+    """
 
     def __init__(self, on_iteration: OnIteration, total: int) -> None:
         self._tell, self._total, self._done = on_iteration, total, 0
 
     def __call__(self, volumes: Volumes, residual: float | None, grid: Grid | None = None) -> None:
-        """One more is done."""
+        """Count one more iteration and call the callback."""
         self._done += 1
         self._tell(Iteration(self._done, self._total, residual, volumes, grid))
 
 
 @runtime_checkable
 class LinearMethod(Protocol):
-    """Volumes from line integrals; bases or channels do not know of each other."""
+    """A method that reconstructs volumes from line integrals, each basis or channel by itself."""
 
     @property
     def name(self) -> str:
-        """What ``--method`` calls it."""
+        """Name of the method, as in ``--method``."""
         ...
 
     def reconstruct(
@@ -75,42 +87,57 @@ class LinearMethod(Protocol):
         grid: Grid,
         on_iteration: OnIteration = unwatched,
     ) -> Volumes:
-        """Volumes [1/mm] of line integrals [no unit].
+        """Reconstruct volumes from line integrals.
 
         Parameters
         ----------
-        line_integrals : one image per basis and view
-        weights : how much each ray counts, 0 for those that were not measured; all alike if None
+        line_integrals : one image per basis and view [no unit]
+        weights : statistical weight of each ray, 0 for rays that were not measured; None if all rays have the same
         geometry : poses of the views
         grid : the volume to reconstruct
         on_iteration : called after every iteration
+
+        Returns
+        -------
+        volumes of the bases [1/mm]
         """
         ...
 
 
 @runtime_checkable
 class CountsMethod(Protocol):
-    """Volumes of all bases at once, from counts."""
+    """A method that reconstructs the volumes of all bases together, from counts."""
 
     @property
     def name(self) -> str:
-        """What ``--method`` calls it."""
+        """Name of the method, as in ``--method``."""
         ...
 
     def reconstruct_counts(
         self, measurements: Measurements, grid: Grid, on_iteration: OnIteration = unwatched
     ) -> Volumes:
-        """Volumes [1/mm] of the bases of `measurements`."""
+        """Reconstruct volumes from counts.
+
+        Parameters
+        ----------
+        measurements : views to use, unbinned
+        grid : the volume to reconstruct
+        on_iteration : called after every iteration
+
+        Returns
+        -------
+        volumes of the bases of `measurements` [1/mm]
+        """
         ...
 
 
 @runtime_checkable
 class ViewMethod(Protocol):
-    """Log projections in views that were not taken; there is no volume."""
+    """A method that predicts log projections in views that were not measured, without a volume."""
 
     @property
     def name(self) -> str:
-        """What ``--method`` calls it."""
+        """Name of the method, as in ``--method``."""
         ...
 
     def learn_views(
@@ -121,15 +148,19 @@ class ViewMethod(Protocol):
         grid: Grid,
         on_iteration: OnIteration = unwatched,
     ) -> ViewModel:
-        """What predicts log projections of all channels, from those of the given views.
+        """Train a model of the log projections of all channels on the given views.
 
         Parameters
         ----------
         log_projections : one image per channel and view
-        weights : how much each ray counts, 0 for those that were not measured; all alike if None
+        weights : statistical weight of each ray, 0 for rays that were not measured; None if all rays have the same
         geometry : poses of the views
-        grid : where the object is
+        grid : the box that holds the object
         on_iteration : called after every iteration
+
+        Returns
+        -------
+        a function from poses to log projections
         """
         ...
 

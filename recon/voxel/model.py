@@ -1,4 +1,4 @@
-"""Volumes as a model of a scan: what voxels predict, so that they are scored as Gaussians are."""
+"""Volumes as a model of a scan, with the interface of Gaussians, so that both are scored in the same way."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ class Voxels:
     Parameters
     ----------
     values : coefficients [1/mm]
-    grid : their voxels
+    grid : grid of the values
     basis_names : names of the bases
     """
 
@@ -29,13 +29,31 @@ class Voxels:
     basis_names: tuple[str, ...]
 
     def line_integrals(self, geometry: Geometry) -> Float[Tensor, "view basis row column"]:
-        """Line integrals of each basis [no unit]."""
+        """Compute the line integrals of each basis.
+
+        Parameters
+        ----------
+        geometry : poses of the views
+
+        Returns
+        -------
+        one image per view and basis [no unit]
+        """
         panel = geometry.panel
         images = project(self.values, self.grid, geometry.ray_frames(), panel.rows, panel.columns)
         return torch.from_numpy(np.moveaxis(images, 0, 1))
 
     def volume(self, grid: Grid) -> Float[np.ndarray, "basis z y x"]:
-        """Coefficients [1/mm] on any grid, by linear interpolation; 0 outside of the own one."""
+        """Interpolate the coefficients linearly on any grid.
+
+        Parameters
+        ----------
+        grid : grid of the result
+
+        Returns
+        -------
+        coefficients [1/mm], 0 outside of the model's own grid
+        """
         if grid == self.grid:
             return self.values
         places = [

@@ -1,4 +1,4 @@
-"""The projector pair of one scan: line integrals of volumes, and the transpose, for some of the views."""
+"""The matched projector pair of one scan: line integrals of volumes, and the transpose, for some of the views."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,12 +13,19 @@ from recon.voxel.method import Images, Volumes, Weights
 from spectra.errors import GeometryError
 
 _EVERY = slice(None)
+_LEAST_PATH = 0.01  # part of the longest path; rays with a shorter one are left out; chosen by hand, not measured
+_LEAST_SUM = 1e-3  # part of the largest sum; divisors below give 0; chosen by hand, not measured
 Views = slice | np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
-    """Matched projector pair between a grid and the views of a geometry, any flat panel in any pose.
+class ProjectorPair:
+    """Matched projector pair between a grid and the views of a geometry, for any flat panel in any pose.
+
+    Parameters
+    ----------
+    geometry : poses of the views
+    grid : grid of the volumes
 
     Raises
     ------
@@ -38,7 +45,7 @@ class Pair:
 
     @cached_property
     def frames(self) -> Float[np.ndarray, "view 4 3"]:
-        """Rays of all views."""
+        """Source, first pixel and pixel steps of every view [mm]."""
         return self.geometry.ray_frames()
 
     @cached_property
@@ -47,22 +54,60 @@ class Pair:
         return self.project(np.ones((1, *self.grid.shape), np.float32))[0]
 
     def project(self, volumes: Volumes, views: Views = _EVERY) -> Images:
-        """Line integrals of volumes [1/mm] in some of the views."""
+        """Compute line integrals of volumes in some of the views.
+
+        Parameters
+        ----------
+        volumes : one volume per basis [1/mm]
+        views : indices of the views, all by default
+
+        Returns
+        -------
+        one image per basis and view [no unit]
+        """
         panel = self.geometry.panel
         return project(volumes, self.grid, self.frames[views], panel.rows, panel.columns)
 
     def transpose(self, images: Images, views: Views = _EVERY) -> Volumes:
-        """Transpose of `project`."""
+        """Apply the transpose of `project`.
+
+        Parameters
+        ----------
+        images : one image per basis and view
+        views : indices of the views of the images, all by default
+
+        Returns
+        -------
+        one volume per basis, in units of the images times mm
+        """
         return project_transpose(images, self.grid, self.frames[views])
 
     def row_scales(self, weights: Weights | None) -> Weights:
-        """One over the path length of each ray, times its weight; 0 for rays that hardly touch the grid."""
+        """Compute the weight of each ray over its path length in the grid.
+
+        Parameters
+        ----------
+        weights : statistical weight of each ray; None if all rays have the weight 1
+
+        Returns
+        -------
+        weight over path length [1/mm], 0 for rays that hardly touch the grid
+        """
         longest = float(self.lengths.max())
-        met = self.lengths > 0.01 * longest
+        met = self.lengths > _LEAST_PATH * longest
         scales = np.divide(1.0, self.lengths, out=np.zeros_like(self.lengths), where=met)
         return scales if weights is None else (scales * weights).astype(np.float32)
 
 
 def inverse_or_zero(sums: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """One over sums of weights that cannot be negative; 0 where they are next to nothing."""
-    return np.divide(1.0, sums, out=np.zeros_like(sums), where=sums > 1e-3 * sums.max(initial=0.0))
+    """Invert sums of non-negative weights.
+
+    Parameters
+    ----------
+    sums : sums of weights
+
+    Returns
+    -------
+    one over the sums, 0 where they are below a thousandth of the largest
+    """
+    return np.divide(1.0, sums, out=np.zeros_like(sums), where=sums > _LEAST_SUM * sums.max(initial=0.0))

@@ -1,8 +1,9 @@
-"""Voxels whose bases the counts do not tell: metal, and what hardly a photon came through. The truth takes no part.
+"""Voxels whose bases the counts do not determine: metal, and photon starvation. The truth is not used.
 
-No mixture of basis functions attenuates as metal does, and K edges are held at 0 in it (`recon.data.volume_edges`).
-Where rays are starved, channels no longer tell bases apart; how well they do follows from the Fisher information of the
-rays through a voxel. Marked voxels keep their values; scores are given over all voxels, and without these.
+No combination of basis functions attenuates as metal does, and K edges are held at 0 in it (`recon.data.volume_edges`).
+Where rays are starved of photons, the channels cannot separate the bases; how well they can follows from the Fisher
+information of the rays through a voxel. Marked voxels keep their values; scores are given over all voxels, and over the
+others alone.
 """
 
 from dataclasses import dataclass
@@ -16,18 +17,20 @@ from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import kinds_of, spread
 from recon.data.volume_edges import over_metal, relative_density
-from recon.ops.likelihood import likelihood
+from recon.ops.likelihood import MeasuredCounts, likelihood
 from recon.ops.nonnegative_newton import as_matrices
 from recon.voxel.iterative.likelihood import forward, transpose
 from spectra.cramer_rao import least_deviations
 
 METAL, STARVED = 1, 2  # flags of a voxel
-LESS_SURE = (
-    5.0  # times the typical standard deviation of a basis, from which on a voxel is starved; see `docs/howto/fit.md`
-)
-SOMETHING = 0.1  # of the typical density; voxels with more hold something
-VIEWS = 16  # at most, evenly spread, whose information is computed; that of the others is alike
-SLAB_VALUES = 1 << 26  # numbers of a slab of voxels that are held at once
+# no unit; standard deviation of a basis over the typical one, from which on a voxel is starved; it marks none in
+# kedge-small and some 3200 voxels of the implant in development_implant.yaml, as measured when it was chosen
+STARVED_DEVIATION = 5.0
+# no unit, over the typical density; denser voxels belong to the object; chosen by hand, not measured
+OBJECT_DENSITY = 0.1
+# views, evenly spread, whose information is computed, as that of the others is similar; chosen by hand, not measured
+MOST_VIEWS = 16
+SLAB_VALUES = 1 << 26  # float32 numbers of a slab of voxels in memory at once: 256 MiB
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +39,9 @@ class Unreliable:
 
     Parameters
     ----------
-    flags : sum of `METAL` and `STARVED` in every voxel, 0 elsewhere
-    grid : their voxels
-    held : how many voxels hold something
+    flags : sum of `METAL` and `STARVED` in every marked voxel, 0 elsewhere
+    grid : grid of the flags
+    held : number of voxels of the object
     """
 
     flags: UInt8[np.ndarray, "z y x"]
@@ -47,11 +50,16 @@ class Unreliable:
 
     @property
     def marked(self) -> Bool[np.ndarray, "z y x"]:
-        """Which voxels are marked."""
+        """Mask of the marked voxels."""
         return self.flags > 0
 
     def record(self) -> dict[str, Any]:
-        """How many, where and why, for ``metrics.json``."""
+        """Summarise number, place and reason of the marked voxels, for ``metrics.json``.
+
+        Returns
+        -------
+        the values that `docs/reference/file_format.md` lists under ``unreliable``
+        """
         pieces, places = label(self.marked)  # type: ignore[misc]
         largest = pieces == 1 + np.argmax(np.bincount(pieces.ravel())[1:])
         axes = [self.grid.axis(name) for name in "zyx"]
@@ -74,22 +82,26 @@ _OTHERS = ((1, 2), (0, 2), (0, 1))
 def unreliable_voxels(
     volumes: Float[np.ndarray, "basis z y x"], measured: Measurements, grid: Grid, dispersion: float
 ) -> Unreliable | None:
-    """Voxels of a result whose bases the counts do not tell; None where there are none.
+    """Mark the voxels of a result whose bases the counts do not determine.
 
     Parameters
     ----------
     volumes : the result [1/mm]
     measured : the views that were fitted
-    grid : of `volumes`
-    dispersion : relative model error added to the Poisson variance
+    grid : grid of `volumes`
+    dispersion : relative model error added to the Poisson variance [no unit]
+
+    Returns
+    -------
+    the marked voxels; None where there are none
     """
     values = np.maximum(volumes, 0)
     edges = np.array([name.startswith("kedge") for name in measured.basis_names])
     if not values.any():
         return None
-    held = relative_density(values) > SOMETHING
+    held = relative_density(values) > OBJECT_DENSITY
     metal = np.zeros(held.shape, bool) if edges.all() else over_metal(values[~edges]) > 1
-    starved = held & (relative_deviations(volumes, held, measured, grid, dispersion) > LESS_SURE)
+    starved = held & (relative_deviations(volumes, held, measured, grid, dispersion) > STARVED_DEVIATION)
     flags = (METAL * metal + STARVED * starved).astype(np.uint8)
     return Unreliable(flags, grid, int(np.count_nonzero(held))) if flags.any() else None
 
@@ -101,21 +113,30 @@ def relative_deviations(
     grid: Grid,
     dispersion: float,
 ) -> Float[np.ndarray, "z y x"]:
-    """Predicted standard deviation of the basis that is told worst, over the typical one of that basis; 0 outside.
+    """Predict the standard deviation of the least certain basis in each voxel, relative to the typical one.
 
     With a_ri the length of ray r in voxel i and F_r the Fisher matrix of its line integrals, the information of a voxel
-    is taken as sum_r a_ri F_r times a length that is the same for all; bases are correlated, voxels are not.
+    is taken as sum_r a_ri F_r times a length that is the same for all voxels: correlations between bases count, those
+    between voxels do not. The typical deviation of a basis is the median over the voxels of `held` whose bases are
+    determined at all.
 
     Parameters
     ----------
-    held : voxels that are looked at; typical is the median over those of them where bases are told at all
+    volumes : the result [1/mm]
+    held : voxels to predict
+    measured : the views that were fitted
+    grid : grid of `volumes`
+    dispersion : relative model error added to the Poisson variance [no unit]
+
+    Returns
+    -------
+    largest relative standard deviation over the bases [no unit], 0 outside of `held`
     """
-    some = measured[spread(kinds_of(measured.exposure), VIEWS)]
+    some = measured[spread(kinds_of(measured.exposure), MOST_VIEWS)]
     some = some.binned(matching_bin(some.geometry, min(grid.spacing)))
     lengths = forward(volumes.astype(np.float32), some.geometry, grid)
-    fisher = likelihood(
-        lengths, some.counts, some.gains, some.exposure, some.transmission, dispersion, some.profile, True
-    )[2]
+    counts = MeasuredCounts(some.counts, some.gains, some.exposure, some.profile)
+    fisher = likelihood(lengths, counts, some.transmission, dispersion, information=True).curvatures
     assert fisher is not None
     found = np.zeros((len(volumes), *grid.shape), np.float32)
     slab = max(1, SLAB_VALUES // (len(volumes) ** 2 * grid.shape[1] * grid.shape[2]))
@@ -131,7 +152,16 @@ def relative_deviations(
 
 
 def sentence(found: dict[str, Any]) -> str:
-    """How many, where and why, for a user, from `Unreliable.record`."""
+    """Say number, place and reason of the marked voxels in a sentence for a user.
+
+    Parameters
+    ----------
+    found : what `Unreliable.record` gives
+
+    Returns
+    -------
+    the sentence
+    """
     where = ", ".join("{} {:.1f} to {:.1f}".format(name, *ends) for name, ends in found["largest_mm"].items())
     place = "at" if found["places"] == 1 else f"in {found['places']} places, the largest at"
     why = []
@@ -143,7 +173,7 @@ def sentence(found: dict[str, Any]) -> str:
         )
     count = "1 voxel" if found["voxels"] == 1 else f"{found['voxels']} voxels"
     return (
-        f"The counts do not tell the bases in {count} ({100 * found['part']:.2g} % of what the object fills) {place} "
-        f"{where} mm: {', and '.join(why)}; do not read values there. "
+        f"The counts do not determine the bases in {count} ({100 * found['part']:.2g} % of what the object fills) "
+        f"{place} {where} mm: {', and '.join(why)}; do not read values there. "
         "Scores against a truth are given over all voxels, and without these as 'elsewhere'."
     )

@@ -29,9 +29,13 @@ from spectra.elements.attenuation import Composition, edge_energy, mass_attenuat
 from spectra.elements.element_sums import Amounts, amounts_of, curve, edges_of, from_text, to_text
 from spectra.errors import InputError
 
+# Energy [keV] at which basis functions are 1 unless their edge lies above it: in the middle of diagnostic spectra.
 REFERENCE_ENERGY = 70.0
+# m_e c^2 [keV] (CODATA 2018, doi:10.1103/RevModPhys.93.025010).
 _ELECTRON_REST_ENERGY = 510.99895
+# An element's curve is normalised this far above its edge [keV]: beyond the jump of xraylib's tables, 4 eV wide.
 _ABOVE_EDGE = 0.010
+# Kinds of functions with a K edge, and kinds that are curves of materials.
 _EDGE_KINDS = ("sigmoid", "step", "element")
 _CURVE_KINDS = ("material", "svd")
 KINDS = ("photoelectric", "compton", *_EDGE_KINDS, *_CURVE_KINDS)
@@ -314,6 +318,6 @@ def pretty(name: str) -> str:
     return "Compton" if name == "compton" else name
 
 
-def _texts(values: Sequence[Any]) -> list[str]:
+def _texts(values: Sequence[Any] | np.ndarray) -> list[str]:
     """Text, also from the bytes that HDF5 gives."""
     return [v.decode() if isinstance(v, bytes) else str(v) for v in values]

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from spectra.errors import InputError
 
+# No unit; functions with a larger condition number cannot be separated in float64, whose digits are 1e-16.
 _HIGHEST_CONDITION = 1e12
 
 

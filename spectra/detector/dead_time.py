@@ -15,7 +15,7 @@ from scipy.special import lambertw
 
 from spectra.errors import InputError
 
-# Above this load, events per dead time, a recorded rate says nothing about the true one any more.
+# Above this load, events per dead time, a recorded rate no longer determines the true one.
 _SATURATED = 20.0
 
 # Recorded counts per dead time of a paralyzable counter at the load 1, less rounding.

@@ -27,6 +27,7 @@ from spectra.threads import run_parallel
 EnergyArray = Float[np.ndarray, " energy"]
 PerChannel = Float[np.ndarray, "channel energy"]
 
+# Full width at half maximum of a Gaussian over its standard deviation, no unit.
 _FWHM = 2 * np.sqrt(2 * np.log(2))
 # Below so many standard deviations of the electronics a threshold counts noise.
 _NOISE_FREE = 4.0
@@ -34,7 +35,10 @@ _NOISE_FREE = 4.0
 _REACH = 5.0
 # Sharpest resolution that pixels are tabulated for [keV], and how finely.
 _SHARPEST = 1.0
+# Energies that are tabulated per standard deviation of the resolution, for charge clouds and for fluorescence; between
+# them values are cubic splines.
 _CLOUD_STEPS, _EVENT_STEPS = 8, 2
+# Part of Compton scattering in the attenuation of the sensor, no unit; a larger one is warned of.
 _POOR_COMPTON = 0.2
 _NEGLIGIBLE = 1e-9  # counts per absorbed photon
 

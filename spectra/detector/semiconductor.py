@@ -14,7 +14,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expn, ndtr
 
+# Gauss nodes over the depth of the sensor.
 _DEPTHS = 16
+# Fractions of a cloud that are tabulated; places across a pixel, for the inverse and for sums; reach of a cloud
+# [standard deviation], beyond which 1e-9 of a Gaussian lies.
 _FRACTIONS, _FINE, _COARSE, _CLOUD_REACH = 2000, 4001, 1000, 6.0
 # 2^13 events leave 0.15 % rms in the counts per photon above a threshold, at most 0.5 %.
 _EVENTS = 8192
@@ -42,7 +45,7 @@ def escape(mu: Float[np.ndarray, " energy"], mu_line: float, thickness: float) -
 
     Parameters
     ----------
-    mu : attenuation of the photons that excite it [1/mm]; it says how deep they are absorbed
+    mu : attenuation of the photons that excite it [1/mm], which determines how deep they are absorbed
     mu_line : attenuation of the fluorescence [1/mm]
     thickness : of the sensor [mm]
 

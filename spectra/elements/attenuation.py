@@ -20,9 +20,11 @@ from spectra.errors import InputError
 Composition = str | Mapping[str, float]
 MassFractions = tuple[tuple[int, float], ...]
 
+# Range of the tables of attenuation that are used [keV].
 LOWEST_ENERGY, HIGHEST_ENERGY = 1.0, 800.0
 # xraylib's tables jump up to 4 eV beside the edge energies that it reports.
 _EDGE_UNCERTAINTY = 0.005
+# Atomic number of the heaviest element of xraylib's tables, californium.
 _HEAVIEST = 98
 
 

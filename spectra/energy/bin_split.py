@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-# A cut closer to a bin's end than this part of its width leaves the bin whole: nobody can see the difference.
+# A cut closer to a bin's end than this part of its width leaves the bin whole, no unit: the difference is rounding.
 _CLOSE = 1e-9
 
 

@@ -20,6 +20,7 @@ _LINE_HALF_WIDTH = 0.01
 _SAME = 1e-6
 
 EdgeArray = Float[np.ndarray, " energy_plus_1"]
+FinerEdges = Float[np.ndarray, " finer_plus_1"]
 EnergyArray = Float[np.ndarray, " energy"]
 
 
@@ -154,7 +155,7 @@ class Energies:
         -------
         the grid
         """
-        return cls(np.array([energy, energy + _SAME]), np.array([energy]))
+        return cls(np.array([energy, energy + _SAME]), np.array([energy], dtype=np.float64))
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -201,7 +202,7 @@ def _line_bins(
     return bins
 
 
-def _with_line_bins(edges: EdgeArray, cuts: Float[np.ndarray, " cut"], lines: Iterable[float]) -> EdgeArray:
+def _with_line_bins(edges: EdgeArray, cuts: Float[np.ndarray, " cut"], lines: Iterable[float]) -> FinerEdges:
     """Edges with a narrow bin around every line; ordinary edges inside such a bin give way."""
     bins = _line_bins(edges[0], edges[-1], cuts, lines)
     for _, lower, upper in bins:

@@ -1,5 +1,7 @@
 """Few functions of energy that many are combinations of."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import qr, solve_triangular
@@ -8,9 +10,24 @@ from scipy.linalg import qr, solve_triangular
 _GLANCE = 50
 
 
+class Combinations(NamedTuple):
+    """Columns as combinations of some of them.
+
+    Parameters
+    ----------
+    picked : indices of the columns that are kept
+    mixture : coefficients of every column in these
+    error : largest error of the sum over columns of length x column that was found, no unit
+    """
+
+    picked: Int[np.ndarray, " few"]
+    mixture: Float[np.ndarray, "column few"]
+    error: float
+
+
 def interpolative_decomposition(
     columns: Float[np.ndarray, "column node"], lengths: Float[np.ndarray, "ray column"], tolerance: float
-) -> tuple[Int[np.ndarray, " few"], Float[np.ndarray, "column few"], float]:
+) -> Combinations:
     """Select the columns that the others are combinations of, to a tolerance on all rays.
 
     Attenuation curves of tissues and solutions differ by little more than photoelectric effect, scattering and the
@@ -24,7 +41,7 @@ def interpolative_decomposition(
 
     Returns
     -------
-    indices of the columns that are kept, the coefficients of every column in them, and the error that was found
+    the columns that are kept, and the others in them
 
     Notes
     -----
@@ -44,5 +61,5 @@ def interpolative_decomposition(
             continue
         error = float(np.abs(lengths @ missing).max(initial=0.0))
         if error <= tolerance:
-            return picked, mixture, error
-    return np.arange(len(columns)), np.eye(len(columns)), 0.0
+            return Combinations(picked, mixture, error)
+    return Combinations(np.arange(len(columns)), np.eye(len(columns)), 0.0)

@@ -14,13 +14,18 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import nnls
 
+# Rays that nodes are fitted to, and other rays that they are judged by.
 _SAMPLES, _FRESH = 400, 2000
+# Most Levenberg-Marquardt steps of one fit.
 _STEPS = 60
 # Most steps of the non-negative fit per node; wide ranges of attenuation take more than the 3 of SciPy.
 _NNLS_TURNS = 30
+# Most sets of nodes that are refined, and most nodes of a set from which nodes are taken away: bounds of time.
 _MOST_REFINED, _MOST_ELIMINATED = 16, 44
 # Times the tolerance by which nodes may err on the way to fewer that are better.
 _HOPELESS = 100.0
+# Levenberg-Marquardt: damping of the first step, and that at which a fit ends, relative to the diagonal; what is added
+# to the diagonal, so that it is never singular. No unit.
 _DAMPING, _HIGHEST_DAMPING, _TINY = 1e-3, 1e8, 1e-14
 # Products (rows x columns x columns) up to which OpenBLAS stays on one thread.
 _ONE_THREAD = 262144
@@ -39,6 +44,21 @@ class Nodes(NamedTuple):
     columns: Float[np.ndarray, "node basis"]
 
 
+class FewNodes(NamedTuple):
+    """Nodes that replace those of one channel.
+
+    Parameters
+    ----------
+    weights : of the nodes
+    columns : functions at the nodes
+    error : worst log error on rays that were not fitted, no unit
+    """
+
+    weights: Float[np.ndarray, " few"]
+    columns: Float[np.ndarray, "basis few"]
+    error: float
+
+
 def compress_channel(
     weights: Float[np.ndarray, " node"],
     columns: Float[np.ndarray, "basis node"],
@@ -47,7 +67,7 @@ def compress_channel(
     rng: np.random.Generator,
     refine: bool = True,
     thorough: bool = False,
-) -> tuple[Float[np.ndarray, " few"], Float[np.ndarray, "basis few"], float]:
+) -> FewNodes:
     """Find the fewest nodes whose log counts err by at most `tolerance` in the box.
 
     Parameters
@@ -62,22 +82,21 @@ def compress_channel(
 
     Returns
     -------
-    weights and columns of the new nodes, and their worst log error on rays that were not fitted; the nodes handed in,
-    and error 0, where no fewer would do
+    the new nodes; those handed in, and error 0, where no fewer would do
     """
     scale = np.maximum(np.abs(box).max(axis=0), np.finfo(float).tiny)
     full = Nodes(weights, columns.T * scale)
     if len(weights) < 2:
-        return weights, columns, 0.0
+        return FewNodes(weights, columns, 0.0)
     samples = _SAMPLES * len(columns) if thorough else _SAMPLES
     fitted, fresh = (sample_box(box / scale, count, rng) for count in (samples, _FRESH))
     wanted = log_counts(full, fitted), log_counts(full, fresh)
     goal = tolerance / 2 if refine else None
-    found = weights, columns, 0.0
+    found = FewNodes(weights, columns, 0.0)
     for nodes in (_ever_fewer if thorough else _ever_more)(full, fitted, wanted[0], goal):
         error = float(np.abs(log_counts(nodes, fresh) - wanted[1]).max())
         if error <= tolerance and len(nodes.weights) < len(weights):
-            found = nodes.weights, (nodes.columns / scale).T, error
+            found = FewNodes(nodes.weights, (nodes.columns / scale).T, error)
             if not thorough:
                 break
         elif thorough and error > _HOPELESS * tolerance:
@@ -90,7 +109,7 @@ def choose_nodes(
     columns: Float[np.ndarray, "basis node"],
     rays: Float[np.ndarray, "ray basis"],
     tolerance: float,
-) -> tuple[Float[np.ndarray, " few"], Float[np.ndarray, "basis few"], float]:
+) -> FewNodes:
     """Select some of the given nodes, with new weights, whose log counts err by at most `tolerance` on given rays.
 
     Parameters
@@ -101,18 +120,17 @@ def choose_nodes(
 
     Returns
     -------
-    weights and columns of the nodes, and their worst log error on rays that were not fitted; the nodes handed in, and
-    error 0, where no fewer would do
+    the nodes; those handed in, and error 0, where no fewer would do
     """
     full = Nodes(weights, columns.T)
     if len(weights) < 2:
-        return weights, columns, 0.0
+        return FewNodes(weights, columns, 0.0)
     fitted, fresh = np.concatenate([np.zeros((1, len(columns))), rays[::2]]), rays[1::2]
     few = _sparse(full, fitted, log_counts(full, fitted))
     error = float(np.abs(log_counts(few, fresh) - log_counts(full, fresh)).max(initial=0.0))
     if error > tolerance or len(few.weights) == len(weights):
-        return weights, columns, 0.0
-    return few.weights, few.columns.T, error
+        return FewNodes(weights, columns, 0.0)
+    return FewNodes(few.weights, few.columns.T, error)
 
 
 def sample_box(
@@ -203,7 +221,7 @@ def _ever_fewer(
 def _sparse(full: Nodes, rays: Float[np.ndarray, "ray basis"], wanted: Float[np.ndarray, " ray"]) -> Nodes:
     """Few of the given nodes with new weights, by non-negative least squares on the relative counts.
 
-    All of them where the fit goes round in circles, as it may when nodes are all but the same.
+    All of them where the fit goes round in circles, as it may when nodes are almost equal.
     """
     relative = np.exp(-_attenuation(full, rays) - wanted[:, None]) * full.weights.max()
     try:

@@ -13,6 +13,7 @@ from spectra.elements.attenuation import Composition, mass_fractions, natural_de
 from spectra.errors import InputError
 from spectra.materials.material import Material
 
+# Fractions must sum to 1 within this, no unit: rounding of numbers that are typed.
 _SUM_TOLERANCE = 1e-3
 _MG_PER_ML = 1e-3  # in g/cm^3
 

@@ -29,11 +29,14 @@ _AIR_ABOVE_EDGE = {
     **{40: 0.06833, 50: 0.04098, 60: 0.03041, 80: 0.02407, 100: 0.02325, 150: 0.02496, 200: 0.02672, 300: 0.02872},
     **{400: 0.02949, 500: 0.02966, 600: 0.02953, 800: 0.02882},
 }
+# Energy [keV] between the two tables, just above the last one of the first.
 _ARGON_EDGE = 3.20290001
+# Exact in the SI since 2019.
 _JOULE_PER_KEV = 1.602176634e-16
 # 1 cm^2/g is 0.1 m^2/kg, and 1 m^2 is 10^6 mm^2.
 _GRAY_MM2 = _JOULE_PER_KEV * 0.1 * 1e6
 _WIDEST, _NODES = 0.5, 3  # keV between nodes of the rules, and nodes in each interval
+# Most steps of the search for a thickness, which converges in a few.
 _MOST_STEPS = 200
 
 

@@ -18,6 +18,7 @@ from spectra.source.source import Source
 
 # Weighted rms error of a spectrum's logarithm, over any direction of the panel, down to which curves are added.
 TOLERANCE = 3e-3
+# Most curves, also where the tolerance is missed.
 _MOST_CURVES = 3
 # SpekPy computes so many directions; between them amplitudes are splines.
 _ANGLES = 17

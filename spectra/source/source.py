@@ -23,6 +23,7 @@ _LEAST_TRANSMISSION = 1e-12
 _FINE = 0.1
 # A Gaussian band ends so many full widths at half maximum from its centre: 2.5e-6 of it lie beyond.
 _BAND_END = 2.0
+# Corners of the density of a Gaussian band: 100 per full width at half maximum.
 _BAND_CORNERS = 401
 
 

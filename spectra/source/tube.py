@@ -17,6 +17,7 @@ from spectra.elements.attenuation import LOWEST_ENERGY, edge_energy
 from spectra.errors import InputError
 from spectra.source.source import Source
 
+# Spacing of SpekPy's energies [keV].
 _STEP = 0.1
 _ANODES = {
     "tungsten": ("W", 500.0),

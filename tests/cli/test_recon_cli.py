@@ -394,7 +394,7 @@ def test_a_figure_that_fails_is_a_warning(dataset, tmp_path, monkeypatch, method
 )
 def test_a_score_that_fails_leaves_a_run_that_can_be_read(dataset, tmp_path, monkeypatch, score, method):
     with monkeypatch.context() as patch:
-        patch.setattr(f"recon.runs.run_{'gaussians' if method == 'gaussian' else 'voxels'}.{score}", failing)
+        patch.setattr(f"recon.runs.{'run' if score == 'read_truth' else 'outcomes.volume_outcome'}.{score}", failing)
         options = ("--sweeps", "1", "--no-figures", "--method", method)
         result = fit(dataset, "-o", tmp_path / "run", "-q", *options)
     assert result.exit_code == 1

@@ -87,7 +87,10 @@ def test_methods_and_study_exclude_each_other(scan):
 
 def test_a_folder_that_exists_is_kept(scan, made, tmp_path):
     folder, _, options = made
-    assert "add --resume to run what is missing, or --overwrite" in one_sentence(compare(scan, *options, "-o", folder))
+    assert (
+        "exists: add --resume to run what is missing, choose another name by --out, or add --overwrite"
+        in one_sentence(compare(scan, *options, "-o", folder))
+    )
     changed = (*options[:-1], "2")
     assert "was begun with another threads" in one_sentence(compare(scan, *changed, "-o", folder, "--resume"))
     (tmp_path / "mine").mkdir()

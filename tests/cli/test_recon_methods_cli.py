@@ -1,6 +1,7 @@
 """``recon fit --method``: voxels by classical methods, in the same run folder as Gaussians."""
 
 import json
+from contextlib import contextmanager
 
 import h5py
 import numpy as np
@@ -9,6 +10,7 @@ from click.testing import CliRunner
 from support.tiny_scans import make as tiny
 
 from recon.cli.main import main as recon
+from recon.gaussians.processes import Processes
 from spectra.threads import set_threads
 
 FAST = ("--no-figures", "--quiet")
@@ -88,6 +90,17 @@ def test_a_method_without_a_volume_scores_views_and_shows_dashes(circle, tmp_pat
     assert not (tmp_path / "run" / "volumes.h5").exists()
     again = fit(circle, "-o", tmp_path / "run", "--overwrite", "--no-figures", *options)
     assert again.exit_code == 0, again.output
+
+
+def test_of_several_processes_the_first_one_runs_a_voxel_method(circle, tmp_path, monkeypatch):
+    @contextmanager
+    def second():
+        yield Processes(1, 2)
+
+    monkeypatch.setattr("recon.gaussians.processes.joined", second)
+    result = fit(circle, "-o", tmp_path / "run", "--method", "fdk", *FAST)
+    assert (result.exit_code, result.output) == (0, "")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_decomposition_by_rays_is_better_than_by_voxels(circle, tmp_path):

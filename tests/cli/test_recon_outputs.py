@@ -25,7 +25,7 @@ from recon.evaluation.scoring import held_out_views
 from recon.output.volume_file import chosen_grid
 from recon.runs.run_folder import MODEL, open_run, write_scan
 from spectra.basis.basis import Basis, BasisFunction
-from spectra.errors import InputError
+from spectra.errors import GeometryError, InputError
 from spectra.threads import set_threads
 from spectra.transmission import Transmission
 
@@ -166,7 +166,7 @@ def test_a_scene_file_says_from_where_to_render(run, tmp_path):
 
 
 @pytest.mark.parametrize("orbit", ORBITS)
-@pytest.mark.parametrize("mount", ["", ", offset: {columns: 3}, tilt: {in_plane: 5, rows: 2}"])
+@pytest.mark.parametrize("mount", ["", ", sub_rays: 2, offset: {columns: 3}, tilt: {in_plane: 5, rows: 2}"])
 def test_geometry_files_give_the_views_of_the_simulator(orbit, mount, tmp_path):
     from phantomgen.scene.file.scene_file import SceneFile
     from phantomgen.scene.geometry import scene_geometry
@@ -182,21 +182,28 @@ def test_geometry_files_give_the_views_of_the_simulator(orbit, mount, tmp_path):
     [
         ("[", "is not YAML text"),
         ("3", "the file must be a mapping"),
-        ("geometry: {type: circular}", "panel must be a mapping"),
-        ("geometry: {type: spiral}\npanel: {rows: 2, columns: 2, pitch: 1}", "geometry.type must be one of circular"),
-        ("geometry: {type: circular, sdo: 3}\npanel: {rows: 2, columns: 2, pitch: 1}", "geometry.sdo is no key here"),
+        ("geometry: {type: circular, sod: 3, sdd: 5, views: 3}", "panel is missing"),
+        ("geometry: {type: spiral}\npanel: {rows: 2, columns: 2, pitch: 1}", "geometry - .*'spiral'.*'circular'"),
         (
-            "geometry: {type: circular, views: 3}\npanel: {rows: 2, columns: 2, pitch: 1}",
-            "geometry.sod must be a number",
+            "geometry: {type: circular, sdo: 3}\npanel: {rows: 2, columns: 2, pitch: 1}",
+            "geometry.sdo is an unknown key",
         ),
-        ("geometry: {type: circular}\npanel: {rows: 2, columns: 2, pitch: 1}", "either views"),
-        ("geometry: {type: poses}\npanel: {rows: 2, columns: 2, pitch: 1}", "incomplete"),
-        ("geometry: {type: circular}\npanel: {rows: 2.5, columns: 2, pitch: 1}", "panel.rows must be a whole number"),
+        ("geometry: {type: circular, views: 3}\npanel: {rows: 2, columns: 2, pitch: 1}", "geometry.sod is missing"),
+        ("geometry: {type: circular, sod: 3, sdd: 5}\npanel: {rows: 2, columns: 2, pitch: 1}", "either views"),
+        (
+            "geometry: {type: circular, sod: 3, sdd: 5, angles: [1], arc: 90}\npanel: {rows: 2, columns: 2, pitch: 1}",
+            "leave arc and start out",
+        ),
+        ("geometry: {type: poses}\npanel: {rows: 2, columns: 2, pitch: 1}", "geometry.file is missing"),
+        (
+            "geometry: {type: parallel, distance: 3, views: 2}\npanel: {rows: 2.5, columns: 2, pitch: 1}",
+            "panel.rows - input should be a valid integer",
+        ),
     ],
 )
 def test_a_wrong_geometry_file_is_one_sentence(text, words, tmp_path):
     (tmp_path / "scene.yaml").write_text(text)
-    with pytest.raises(InputError, match=words):
+    with pytest.raises((GeometryError, InputError), match=words):
         read_geometry_file(tmp_path / "scene.yaml")
 
 

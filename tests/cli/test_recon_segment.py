@@ -167,7 +167,7 @@ def test_one_material_is_said_to_be_one(voxels, dataset, tmp_path):
     [
         (lambda run: (run / SCAN).unlink(), "older versions did not write"),
         (lambda run: (run / "volumes.h5").unlink(), "not a run folder"),
-        (lambda run: (run / "volumes.h5").write_bytes(b"?"), "cannot be read as volumes"),
+        (lambda run: (run / "volumes.h5").write_bytes(b"?"), "cannot be read as what recon fit writes there"),
         (lambda run: (run / SCAN).write_text("{}"), "cannot be read as what recon fit writes"),
     ],
 )

@@ -76,4 +76,4 @@ def test_half_value_layers_are_those_of_measured_beams(row, monkeypatch):
 def test_klein_nishina_is_the_cross_section_of_a_free_electron(energy, barn):
     # In barn per electron, to the last digit; formula: Evans 1955, The Atomic Nucleus, section 23.3.
     unit = 2 * np.pi * 2.8179403205e-13**2 * 1e24
-    assert klein_nishina(np.array([energy]))[0] * unit == pytest.approx(barn, abs=5e-7)
+    assert klein_nishina(np.array([float(energy)]))[0] * unit == pytest.approx(barn, abs=5e-7)

@@ -8,7 +8,7 @@ import pytest
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.ops.expected_counts import CROSSED, INTERSECTED, expected_counts, expected_counts_by_grid
+from phantomgen.ops.expected_counts import CROSSED, INTERSECTED, Spectrum, expected_counts, expected_counts_by_grid
 from phantomgen.ops.trace import trace
 from phantomgen.ops.voxelize_shapes import fractions
 from phantomgen.shapes import (
@@ -27,7 +27,7 @@ from phantomgen.shapes import (
 
 ATTENUATION = np.array([[0.05, 0.02], [0.2, 0.1]])
 WEIGHTS = np.array([1.0, 2.0])
-STARTS = np.array([0, 1, 2])
+SPECTRUM = Spectrum(ATTENUATION, WEIGHTS, np.array([0, 1, 2]))
 
 
 def path(objects: list[tuple[Shape, int]], origin: tuple, end: tuple) -> list[float]:
@@ -41,9 +41,9 @@ def exposed(objects: list[tuple[Shape, int]], rows: int = 24, pitch: float = 4.0
     """One view of objects, and the same by 128 x 128 rays, pixel by pixel."""
     solids = solids_of(objects)
     frame = Geometry.circular(500.0, 800.0, np.array([0.3]), Panel(rows, rows, pitch)).ray_frames()[0]
-    found = expected_counts(frame, rows, rows, solids, ATTENUATION, WEIGHTS, STARTS)
+    found = expected_counts(frame, rows, rows, solids, SPECTRUM)
     pixels = np.argwhere(np.ones((rows, rows)))
-    brute = expected_counts_by_grid(frame, pixels, solids, ATTENUATION, WEIGHTS, STARTS, n=128)
+    brute = expected_counts_by_grid(frame, pixels, solids, SPECTRUM, n=128)
     return found, np.abs(np.log(found.counts.reshape(2, -1).T / brute)).max(axis=1).reshape(rows, rows)
 
 
@@ -173,14 +173,14 @@ def test_intersecting_surfaces_are_noticed() -> None:
 def test_one_pixel_and_no_object() -> None:
     solids = solids_of([(Sphere((0, 0, 0), 5.0), 0)])
     frame = Geometry.circular(500.0, 800.0, np.zeros(1), Panel(1, 1, 40.0)).ray_frames()[0]
-    counts = expected_counts(frame, 1, 1, solids, ATTENUATION, WEIGHTS, STARTS).counts[:, 0, 0]
+    counts = expected_counts(frame, 1, 1, solids, SPECTRUM).counts[:, 0, 0]
     np.testing.assert_allclose(
         counts,
-        expected_counts_by_grid(frame, np.zeros((1, 2), int), solids, ATTENUATION, WEIGHTS, STARTS, n=512)[0],
+        expected_counts_by_grid(frame, np.zeros((1, 2), int), solids, SPECTRUM, n=512)[0],
         rtol=1e-4,
     )
     empty = solids_of([])
-    found = expected_counts(frame, 1, 1, empty, ATTENUATION, WEIGHTS, STARTS)
+    found = expected_counts(frame, 1, 1, empty, SPECTRUM)
     assert found.counts[:, 0, 0].tolist() == [1, 2]
     assert found.rays.sum() == 0
 

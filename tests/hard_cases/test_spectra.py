@@ -32,6 +32,7 @@ def test_an_energy_out_of_range_is_refused_with_range_and_value(energy):
         mass_attenuation("H2O", np.array([60.0, energy]))
 
 
+@pytest.mark.wrong_types
 @pytest.mark.parametrize("energy", [60, 60.0, np.float32(60), np.array(60), np.array([60], np.int64), [60]])
 def test_an_energy_of_any_type_of_number_is_taken(energy):
     np.testing.assert_allclose(mass_attenuation("Water, Liquid", energy), [0.2059], rtol=1e-3)
@@ -61,6 +62,7 @@ def test_the_table_below_jumps_beside_its_own_edges():
     assert branch(74) > 0.9
 
 
+@pytest.mark.wrong_types
 @pytest.mark.parametrize("element", ["Es", "Fm", "Og", "Xx", "", " ", "h", "Lutetium", "1", 0, 1, 99])
 def test_what_is_no_element_of_the_table_is_named(element):
     with pytest.raises(InputError, match=r"element|attenuation data"):

@@ -76,7 +76,7 @@ def test_a_saved_fit_is_a_run_folder(fit, tmp_path):
 
 
 def test_a_fit_is_saved_when_its_scores_fail(fit, tmp_path, monkeypatch):
-    monkeypatch.setattr("recon.runs.run_gaussians.score_truth", lambda *_: 1 / 0)
+    monkeypatch.setattr("recon.runs.outcomes.volume_outcome.score_truth", lambda *_: 1 / 0)
     with pytest.warns(RuntimeWarning, match="scoring against the truth failed.*the model and its volumes are written"):
         folder = fit.save(tmp_path / "run")
     assert set(json.loads((folder / "metrics.json").read_text(encoding="utf-8"))["failed"]) == {

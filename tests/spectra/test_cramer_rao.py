@@ -34,7 +34,7 @@ def test_maximum_likelihood_reaches_the_bound(transmission_on):
 
 
 @pytest.mark.parametrize(
-    "information", [np.zeros((2, 2)), np.ones((2, 2)), np.diag([1.0, 0.0]), np.outer([1, 2, 3], [1, 2, 3])]
+    "information", [np.zeros((2, 2)), np.ones((2, 2)), np.diag([1.0, 0.0]), np.outer([1.0, 2.0, 3.0], [1.0, 2.0, 3.0])]
 )
 def test_what_cannot_be_told_apart_is_unbounded(information):
     assert np.isinf(least_deviations(information)).all()

@@ -87,14 +87,14 @@ def test_the_promise_holds_on_rays_that_nobody_saw(tube_120, rules):
 
 def test_more_rules_never_cost_more_nodes(tube_120):
     two = Integrand(tube_120, scintillator(), MATERIALS[:2], 20.0)
-    few, many = (cheapest(two, [0, 0], HIGH[:2], 1e-3, rules) for rules in (RULES, ("snapped", "gauss")))
+    few, many = (cheapest(two, np.zeros(2), HIGH[:2], 1e-3, rules) for rules in (RULES, ("snapped", "gauss")))
     assert len(few) < len(many)
 
 
 @pytest.mark.parametrize("rule", RULES)
 def test_one_energy_is_beer_lambert_by_every_rule(rule):
     integrand = Integrand(Source.monochromatic(60, 1e4), scintillator(), (WATER, BONE), 20.0)
-    found = cheapest(integrand, [0, 0], [400, 50], 1e-9, (rule,))
+    found = cheapest(integrand, np.zeros(2), np.array([400.0, 50.0]), 1e-9, (rule,))
     assert len(found) == 1
     lengths = np.array([[100.0, 20.0]])
     expected = lengths @ integrand.at(np.array([60.0]))
@@ -106,10 +106,10 @@ def test_k_edge_inside_a_channel(tube_120, rule):
     """The edge of iodine in a channel of 20..34 keV: up to 0.3 in the log projection where bins ignore it."""
     integrand = Integrand(tube_120, Detector.photon_counting([20, 34], 120), (WATER, IODINE), 20.0)
     assert 33.1694 in np.round(integrand.breaks, 4)
-    found = cheapest(integrand, [0, 0], HIGH[:2], 1e-3, (rule,))
+    found = cheapest(integrand, np.zeros(2), HIGH[:2], 1e-3, (rule,))
     rays = np.random.default_rng(1).random((20, 2)) * HIGH[:2]
     np.testing.assert_allclose(found.transmission.log_projection(rays)[:, 0], truth_of(integrand, rays), atol=1.1e-3)
-    assert log_error(midpoint(integrand, 64, 140.0), fine(integrand), [0, 0], HIGH[:2]) > 0.1
+    assert log_error(midpoint(integrand, 64, 140.0), fine(integrand), np.zeros(2), HIGH[:2]) > 0.1
 
 
 @pytest.mark.parametrize("element", ["I", "Gd", "W"])
@@ -118,7 +118,7 @@ def test_a_threshold_on_an_edge_and_a_node_on_it_are_harmless(tube_120, element)
     edge = Material(element, composition=element).k_edges(10, 120)[0]
     integrand = Integrand(tube_120, Detector.photon_counting([20, edge], 120), (WATER,), 20.0)
     model = gauss(integrand, 12)
-    assert log_error(model, fine(integrand), [0.0], [400.0]) < 1e-4
+    assert log_error(model, fine(integrand), np.zeros(1), np.array([400.0])) < 1e-4
     low = edge - 0.5 * (120 - edge) / 10
     on_edge = Energies.midpoint(low, low + (120 - edge) / 10 * 9, 9).nodes
     assert np.abs(on_edge - edge).min() < 1e-9
@@ -129,13 +129,13 @@ def test_a_filter_with_an_edge_joins_the_breaks():
     source = Source.tube(120, 1e5, 12, [Filter(Material("Sn", composition="Sn"), 0.3)])
     integrand = Integrand(source, scintillator(), (WATER,), 20.0)
     assert 29.2001 in np.round(integrand.breaks, 4)
-    assert len(cheapest(integrand, [0.0], [400.0], 1e-4, ("gauss",))) < 60
+    assert len(cheapest(integrand, np.zeros(1), np.array([400.0]), 1e-4, ("gauss",))) < 60
 
 
 def test_a_tube_below_the_lines_of_its_anode():
     source = Source.tube(60, 1e5, 12, [Filter(Material("Al", composition="Al"), 2.5)])
     integrand = Integrand(source, Detector.photon_counting([20, 40], 60), (WATER,), 20.0)
-    assert cheapest(integrand, [0.0], [300.0], 1e-4).error <= 1e-4
+    assert cheapest(integrand, np.zeros(1), np.array([300.0]), 1e-4).error <= 1e-4
 
 
 def test_bins_below_a_kilovolt_and_finer_than_the_table(four):
@@ -165,6 +165,7 @@ def test_rebinning_conserves_photons_and_energy(four, count):
         ({"rules": ("midpoint",), "tolerance": 1e-9}, "at best"),
     ],
 )
+@pytest.mark.wrong_types
 def test_impossible_requests_are_refused(four, arguments, words):
     wanted = {"box_low": np.zeros(4), "box_high": HIGH, "tolerance": 1e-3} | arguments
     with pytest.raises(InputError, match=words):

@@ -129,11 +129,13 @@ def test_counts_of_the_shared_scan_are_plausible(transmission_on):
         ((np.ones((2, 3)), np.ones(3), [0, 3], ("a", "b")), "2 channel names"),
     ],
 )
+@pytest.mark.wrong_types
 def test_arrays_that_do_not_fit_are_refused(arguments, words):
     with pytest.raises(InputError, match=words):
         Transmission(*arguments)
 
 
+@pytest.mark.wrong_types
 def test_line_integrals_must_have_one_entry_per_column(transmission_on):
     with pytest.raises(InputError, match="do not end in 3 columns"):
         transmission_on(64).expected(np.zeros(2))
@@ -162,7 +164,7 @@ def test_counts_and_gradients_are_finite_from_minus_one_to_sixty(transmission_on
 
 def test_a_channel_limited_to_one_energy_is_beer_lambert_on_any_grid(transmission_on):
     model = transmission_on(64)
-    one = Transmission(model.columns[:, :1], model.weights[:1], [0, 1])
+    one = Transmission(model.columns[:, :1], model.weights[:1], np.array([0, 1]))
     lengths = np.random.default_rng(8).uniform(0, 2, (5, 3))
     np.testing.assert_allclose(one.log_projection(lengths)[:, 0], lengths @ model.columns[:, 0], rtol=1e-12)
 
@@ -178,10 +180,10 @@ def test_the_cramer_rao_bound_is_the_inverse_of_the_information(transmission_on,
 
 def test_the_cramer_rao_bound_is_reached_by_maximum_likelihood():
     """One energy, one column: log(N0 / N) of many photons has the variance exp(L) / N0."""
-    model = Transmission(np.array([[1.0]]), np.array([1e6]), [0, 1])
-    assert model.cramer_rao([2.0])[0, 0] == pytest.approx(np.exp(2) / 1e6, rel=1e-9)
+    model = Transmission(np.array([[1.0]]), np.array([1e6]), np.array([0, 1]))
+    assert model.cramer_rao(np.array([2.0]))[0, 0] == pytest.approx(np.exp(2) / 1e6, rel=1e-9)
     counts = np.random.default_rng(0).poisson(1e6 * np.exp(-2), 20000)
-    assert np.var(-np.log(counts / 1e6)) == pytest.approx(model.cramer_rao([2.0])[0, 0], rel=0.04)
+    assert np.var(-np.log(counts / 1e6)) == pytest.approx(model.cramer_rao(np.array([2.0]))[0, 0], rel=0.04)
 
 
 def test_the_bound_is_infinite_where_nothing_can_be_known(transmission_on):
@@ -190,8 +192,8 @@ def test_the_bound_is_infinite_where_nothing_can_be_known(transmission_on):
     assert np.isinf(model.cramer_rao(np.full(3, 1e4))).all()  # no photon is left
     fewer = Transmission.from_spectrum(np.ones((2, 5)) * [[1], [2]], np.random.default_rng(1).random((3, 5)))
     assert np.isinf(fewer.cramer_rao(np.zeros((2, 3)))).all()  # fewer channels than columns
-    blind = Transmission(np.array([[0.0, 0.0], [0.1, 0.4]]), np.ones(2), [0, 1, 2])
-    assert np.isinf(blind.cramer_rao([0.0, 0.0])).all()  # a column that nothing attenuates
+    blind = Transmission(np.array([[0.0, 0.0], [0.1, 0.4]]), np.ones(2), np.array([0, 1, 2]))
+    assert np.isinf(blind.cramer_rao(np.zeros(2))).all()  # a column that nothing attenuates
 
 
 def test_no_rays_have_empty_results_with_all_axes(transmission_on):

@@ -16,12 +16,14 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from phantomgen.runtime.disk import one_sentence
+from phantomgen.runtime.outputs import refuse_interrupted
 from spectra.errors import Error, InputError, StorageError
 
 SUFFIX = ".frames"
 Packed = list[list[bytes]]
 Frame = dict[str, Packed]
 _CHECK = 4  # bytes of a checksum
+# Most bytes of a line that begins a frame; a longer one is damaged.
 _LONGEST_HEAD = 1 << 20
 
 
@@ -54,8 +56,8 @@ def check_journal(out: Path, resume: bool, overwrite: bool) -> None:
         When frames exist and neither option is given.
     """
     path = journal_path(out)
-    if path.exists() and not (resume or overwrite):
-        raise InputError(f"{path} holds what an interrupted run finished: go on by --resume, or anew by --overwrite")
+    if path.exists():
+        refuse_interrupted(path, resume, overwrite)
 
 
 class FrameJournal:

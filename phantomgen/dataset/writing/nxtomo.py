@@ -12,6 +12,7 @@ from phantomgen.dataset.layout import array_at, new_group, put
 from phantomgen.dataset.pixel_mask import mask_of
 from phantomgen.dataset.spectral_model import Spectra
 
+# Values of image_key in the NeXus definition NXtomo; version of the format, as ESRF's package nxtomo counts it.
 _PROJECTION, _FLAT, _DARK = 0, 1, 2
 _NXTOMO_VERSION = 1.4
 

@@ -26,12 +26,13 @@ from phantomgen.dataset.writing.nxtomo import write_aliases
 from phantomgen.geometry.poses import Geometry, distances
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.disk import is_full, one_sentence, reserve
+from phantomgen.runtime.outputs import check_output
 from phantomgen.runtime.versions import environment, program_version
 from spectra.errors import InputError
 from spectra.materials.material import Material
 
 SUFFIXES = (".h5", ".hdf5", ".nxs")  # of datasets
-Splits = dict[str, Int[np.ndarray, " view"]]
+Splits = dict[str, Int[np.ndarray, " _view"]]
 
 
 class DatasetWriter:
@@ -284,30 +285,6 @@ def check_dataset_name(path: Path) -> None:
     right = path.with_name(f"{path.name[: len(path.name) - len(volume)]}.h5")
     hint = f"{right}, from which `phantomgen export {right} -o {path}` writes volumes" if volume else f"{right}"
     raise InputError(f"the output {path} is an HDF5 file, whose name ends in {', '.join(SUFFIXES)}: write {hint}")
-
-
-def check_output(path: Path, overwrite: bool, option: str = "--out") -> None:
-    """Refuse an output that exists or has no folder, before any work is done.
-
-    Parameters
-    ----------
-    path : name of the output
-    overwrite : whether an existing file may be replaced
-    option : option that names the output, for the message
-
-    Raises
-    ------
-    InputError
-        When the output cannot be written.
-    """
-    if path.is_dir():
-        raise InputError(f"the output {path} is a folder: name a file in it, such as {path / 'scan.h5'}")
-    if path.exists() and not overwrite:
-        raise InputError(f"the output {path} exists: choose another name by {option}, or add --overwrite")
-    if not path.parent.is_dir():
-        raise InputError(f"the folder {path.parent} for the output {path.name} does not exist")
-    if not os.access(path.parent, os.W_OK | os.X_OK):
-        raise InputError(f"the folder {path.parent} for the output {path.name} is not writable: choose another")
 
 
 def _write_root(file: h5py.File) -> None:

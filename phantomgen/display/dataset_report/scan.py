@@ -50,10 +50,7 @@ def energy_parts(dataset: Dataset, folder: Path) -> list[Part]:
     parts of the page
     """
     s, path = dataset.spectra, folder / "spectrum.svg"
-    spectrum(
-        s.energy, s.edges, s.source, s.response, s.channels, s.basis.names, s.basis_values, path, s.basis.breaks,
-        PAGE_WIDTH,
-    )  # fmt: skip
+    spectrum(s, path, PAGE_WIDTH)
     rows = tuple(
         (name, f"{low:g} – {high:g}", f"{mean:.1f}", f"{counts:,.0f}")
         for name, low, high, mean, counts in zip(

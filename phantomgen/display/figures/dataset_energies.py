@@ -1,55 +1,39 @@
 """Figure of the energies of a dataset: source, counts of the channels, and basis functions."""
 
-from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
+from phantomgen.dataset.spectral_model import Spectra
 from phantomgen.display.figures.style import BASIS_LINES, WIDTH, channel_colours, figure_file, write_csv
 from spectra.basis.basis import pretty
 
 
-def spectrum(
-    energy: Float[np.ndarray, " energy"],
-    edges: Float[np.ndarray, " energy_plus_1"],
-    source: Float[np.ndarray, " energy"],
-    response: Float[np.ndarray, "channel energy"],
-    channel_names: Sequence[str],
-    basis_names: Sequence[str],
-    basis_values: Float[np.ndarray, "basis energy"],
-    path: Path,
-    k_edges: Sequence[float] = (),
-    width: float = WIDTH,
-) -> Path:
+def spectrum(spectra: Spectra, path: Path, width: float = WIDTH) -> Path:
     """Draw source and counts of each channel, per keV, above the basis functions; with a CSV of all bins.
 
     Parameters
     ----------
-    energy, edges : mean energy and limits of the bins [keV]
-    source : incident photons per bin
-    response : counts per photon
-    channel_names, basis_names : names for the legends
-    basis_values : basis functions at `energy` [no unit]
+    spectra : energies of the dataset
     path : the picture
-    k_edges : energies to mark [keV], `Basis.breaks`
     width : of the picture [inch]
 
     Returns
     -------
     path of the picture
     """
-    counted = source * response
+    energy, edges, source = spectra.energy, spectra.edges, spectra.source
+    basis_names, basis_values, counted = spectra.basis.names, spectra.basis_values, spectra.weights
     columns = {"energy_keV": energy, "bin_low_keV": edges[:-1], "bin_high_keV": edges[1:], "source": source}
-    columns |= {f"{name}_counts": row for name, row in zip(channel_names, counted, strict=True)}
+    columns |= {f"{name}_counts": row for name, row in zip(spectra.channels, counted, strict=True)}
     columns |= {f"basis_{name}": row for name, row in zip(basis_names, basis_values, strict=True)}
     write_csv(path, columns)
     with figure_file(path, (width, 4.6)) as figure:
         top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[1.25, 1])
-        display = _display_bins(edges, response)
-        colours = channel_colours(len(channel_names))
-        for name, row, colour in zip(channel_names, counted, colours, strict=True):
+        display = _display_bins(edges, spectra.response)
+        colours = channel_colours(len(spectra.channels))
+        for name, row, colour in zip(spectra.channels, counted, colours, strict=True):
             top.stairs(
                 _per_keV(row, edges, display), display, fill=True, color=colour, alpha=0.75, linewidth=0, label=name
             )
@@ -65,7 +49,7 @@ def spectrum(
         scale = "log" if len(energy) > 1 else "linear"
         bottom.set(yscale=scale, ylim=(lowest / 1.5, basis_values.max() * 1.5), xlabel="energy [keV]")
         bottom.set_ylabel("basis functions [no unit]")
-        for edge in k_edges:
+        for edge in spectra.basis.breaks:
             for ax in (top, bottom):
                 ax.axvline(edge, color="0.35", linewidth=0.7, linestyle=(0, (2, 2)), zorder=0)
             top.annotate(

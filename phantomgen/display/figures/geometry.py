@@ -219,7 +219,7 @@ def _box(grid: Grid) -> Points:
     return np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def _hull(points: Flat) -> Flat:
+def _hull(points: Flat) -> Float[np.ndarray, "corner 2"]:
     """Corners of the convex hull, in order; the points themselves where they lie on a line."""
     from scipy.spatial import ConvexHull, QhullError  # noqa: PLC0415 - only where something is drawn
 

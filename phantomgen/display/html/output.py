@@ -5,6 +5,7 @@ from pathlib import Path
 
 from phantomgen.display.html.content import Page
 from phantomgen.display.html.render import render
+from phantomgen.runtime.outputs import check_output
 from spectra.errors import InputError
 
 
@@ -23,12 +24,7 @@ def check_page(path: Path, overwrite: bool) -> None:
     """
     if path.suffix.lower() not in {".html", ".htm"}:
         raise InputError(f"a report ends in .html, got {path.name!r}")
-    if path.is_dir():
-        raise InputError(f"the output {path} is a folder: name a file that ends in .html")
-    if path.exists() and not overwrite:
-        raise InputError(f"the output {path} exists: choose another name by --out, or add --overwrite")
-    if not path.absolute().parent.is_dir():
-        raise InputError(f"the folder {path.parent} for the output {path.name} does not exist")
+    check_output(path, overwrite, example="report.html")
 
 
 def write_page(page: Page, path: Path) -> int:

@@ -141,7 +141,7 @@ def limits(grid: Grid) -> Limits:
     return _triple(low[::-1]), _triple(high[::-1])
 
 
-def planes(volume: Float[np.ndarray, "z y x"], grid: Grid, at: Triple) -> Iterator[Plane]:
+def planes(volume: Shaped[np.ndarray, "z y x"], grid: Grid, at: Triple) -> Iterator[Plane]:
     """Yield the layers of voxels that contain a point: across x, across y and across z.
 
     Parameters
@@ -381,7 +381,7 @@ def _cut(truth: Truth, index: int, box: Box) -> Float[np.ndarray, "z y x"]:
     return np.pad(truth.fractions[index][inside].astype(np.float32) / FRACTION_SCALE, 1)
 
 
-def _binned(volume: Float[np.ndarray, "z y x"], factor: int) -> Float[np.ndarray, "z y x"]:
+def _binned(volume: Float[np.ndarray, "z y x"], factor: int) -> Float[np.ndarray, "large_z large_y large_x"]:
     """Means over cubes of voxels; the first cube lies before the volume, so that those around it are empty."""
     padded = np.pad(volume, [(factor, 2 * factor - n % factor) for n in volume.shape])
     z, y, x = (n // factor for n in padded.shape)

@@ -3,11 +3,11 @@
 from pathlib import Path
 
 from phantomgen.dataset.reader import open_dataset
-from phantomgen.dataset.writing.writer import check_output
 from phantomgen.display.figures.style import check_picture
 from phantomgen.display.viewer.load import is_dataset, scene_of
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.runtime.outputs import check_output
 from spectra.errors import InputError
 
 

@@ -7,8 +7,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from phantomgen.dataset.writing.writer import check_output
 from phantomgen.display.viewer.content import Content
+from phantomgen.runtime.outputs import check_output
 from spectra.errors import InputError
 
 if TYPE_CHECKING:

@@ -81,7 +81,7 @@ class Pane:
     @property
     def index(self) -> int:
         """Its number in the window."""
-        return cast("int", self.plotter.renderers.loc_to_index(self.place))
+        return int(self.plotter.renderers.loc_to_index(self.place))
 
     @property
     def renderer(self) -> pyvista.Renderer:

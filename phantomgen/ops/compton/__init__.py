@@ -24,7 +24,7 @@ def scattered_to(
     lengths: Float[np.ndarray, "point material"],
     energies: Energies,
 ) -> Float[np.ndarray, " group"]:
-    """Signal that all points scatter to a pixel.
+    """Compute the signal that all points scatter to a pixel.
 
     Parameters
     ----------
@@ -33,9 +33,13 @@ def scattered_to(
     points : where they are scattered
     lengths : path lengths in each material from each point to the pixel [mm]
     energies : of photons
+
+    Returns
+    -------
+    signal of each group
     """
     from phantomgen.ops.compton.cpu import add_scattered  # noqa: PLC0415 - numba only where it computes
 
     out = np.zeros(energies.measured.shape[1])
-    add_scattered(pixel, area, source, *points, lengths, *energies, out)
+    add_scattered(pixel, area, source, points, lengths, energies, out)
     return out

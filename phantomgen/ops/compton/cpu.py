@@ -28,8 +28,16 @@ def _between(table, position, column):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def add_scattered(pixel, area, source, place, strength, photons, lengths, edges, step, attenuation, measured, out):
-    """Add the signal of each group; arguments are those of `scattered_to`."""
+def add_scattered(pixel, area, source, points, lengths, energies, out):
+    """Add the signal that all points scatter to a pixel.
+
+    Parameters
+    ----------
+    pixel, area, source, points, lengths, energies : as in `phantomgen.ops.compton.scattered_to`
+    out : signal of each group, added to
+    """
+    place, strength, photons = points
+    edges, step, attenuation, measured = energies
     for j in range(strength.size):
         ix, iy, iz = place[j, 0] - source[0], place[j, 1] - source[1], place[j, 2] - source[2]
         ox, oy, oz = pixel[0] - place[j, 0], pixel[1] - place[j, 1], pixel[2] - place[j, 2]

@@ -14,7 +14,16 @@ def scattered_to(
     lengths: Float[np.ndarray, "point material"],
     energies: Energies,
 ) -> Float[np.ndarray, " group"]:
-    """See `phantomgen.ops.compton.scattered_to`."""
+    """Compute the signal that all points scatter to a pixel.
+
+    Parameters
+    ----------
+    pixel, area, source, points, lengths, energies : as in `phantomgen.ops.compton.scattered_to`
+
+    Returns
+    -------
+    signal of each group
+    """
     table = energies.step * np.arange(len(energies.attenuation))
     inward, outward = points.place - source, pixel - points.place
     near, far = np.linalg.norm(inward, axis=1), np.linalg.norm(outward, axis=1)

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from phantomgen.ops.expected_counts.pixel_classes import CROSSED, EMPTY, INTERSECTED, NEAR, SMOOTH, VOXELS
-from phantomgen.ops.expected_counts.rectangles import begin_pixel, estimate, halve, measure, worst_of
+from phantomgen.ops.expected_counts.rectangles import RayList, begin_pixel, estimate, halve, measure, worst_of
 from phantomgen.ops.kernel_decorators import called, inlined
 from phantomgen.ops.mesh.cpu import list_pieces
 from phantomgen.ops.silhouette.quadrature import CONICS, grid_nodes, lattice_nodes, may_vanish, shift_form, square_nodes
@@ -18,11 +18,14 @@ from phantomgen.ops.trace.cpu import ORDER, add_pieces, owned_pieces
 from phantomgen.ops.trace.table import set_origin
 from spectra.ops.transmit.cpu import expected_ray
 
-# Ratios of counts in neighbouring pixels from which on the next stronger rule is taken; differences over neighbours
-# serve below the first one only.
+# Ratios of counts in neighbouring pixels, no unit: above each of them, the next stronger rule is used; differences over
+# neighbours are used below the first one only. Accuracy in `phantomgen.ops.expected_counts`.
 _CONTRASTS = (1.4, 2.2, 5.0, 25.0)
-# Second difference of the open beam's logarithm: a tenth of it at most is beam hardening, and of that 1/24 an error.
+# Second difference of the open beam's logarithm, no unit: a tenth of it at most is beam hardening, and of that 1/24 is
+# an error, 4e-6 of log counts.
 _BEND = 1e-3
+# Counts are taken to be at least this part of those without objects, no unit; smaller ones have no relative error.
+_LEAST = 1e-30
 
 
 @inlined
@@ -65,40 +68,24 @@ def _narrow_nodes(nodes, first, last, aperture):
 
 @called
 @no_type_check
-def _send_rays(
-    frame,
-    table,
-    tubes,
-    mesh,
-    maps,
-    tiles,
-    background,
-    profile,
-    spectrum,
-    jobs,
-    count,
-    nodes,
-    first,
-    ray,
-    target,
-    seen,
-):
+def _send_rays(view, mesh, profile, rays, count, first, one, target):
     """Write the average counts of pixels, or of parts of them.
 
     Parameters
     ----------
-    tiles : fields of `phantomgen.ops.silhouette.tiles.Tiles`
-    mesh : argument of `list_pieces`, or None
-    maps : fields of `VoxelMaps`, or None
-    profile : lengths that rays to each pixel have in the last materials beforehand (part, row, column), or None
-    jobs, count : row and column of each pixel, index after its last node, place in `target`; how many of these
-    nodes, first : offset from the centre in column and row, and weight, of each ray; index of the first one
-    ray : scratch: indices of shapes, events, path lengths, counts of one ray
+    view : `View`
+    mesh, profile : of the view; arguments of their own, as numba leaves out a branch for None only where an argument
+        is None
+    rays, count, first : `RayList`, number of its jobs, and index of the first node
+    one : `RayCounts`
     target : counts (channel, place, place), written
-    seen : signature of each ray, written
     """
-    attenuation, weights, starts, air = spectrum
-    active, events, lengths, counts = ray
+    frame, solids, _, tiles, beam = view
+    table, tubes, maps, background = solids
+    attenuation, weights, starts, air, _ = beam
+    jobs, nodes, seen = rays
+    scratch, lengths, counts = one
+    active, events = scratch
     shapes = np.int64(0)
     for job in range(count):
         row, column, last, at, place = jobs[job, 0], jobs[job, 1], jobs[job, 2], jobs[job, 3], jobs[job, 4]
@@ -111,12 +98,13 @@ def _send_rays(
             dx = frame[1, 0] + u * frame[2, 0] + v * frame[3, 0]
             dy = frame[1, 1] + u * frame[2, 1] + v * frame[3, 1]
             dz = frame[1, 2] + u * frame[2, 2] + v * frame[3, 2]
+            direction = (dx, dy, dz)
             if mesh is None:
-                pieces = owned_pieces(table, tubes, None, dx, dy, dz, active, shapes, events)
+                pieces = owned_pieces(table, tubes, None, direction, active, shapes, events)
             else:
                 list_pieces(mesh, row * air.shape[2] + column, u, v)
-                pieces = owned_pieces(table, tubes, mesh[5:], dx, dy, dz, active, shapes, events)
-            signature = add_pieces(table, maps, background, dx, dy, dz, pieces, events, lengths)
+                pieces = owned_pieces(table, tubes, mesh.pieces, direction, active, shapes, events)
+            signature = add_pieces(table, maps, background, direction, pieces, events, lengths)
             if profile is None and signature == 0 and background < 0:
                 for c in range(counts.size):
                     target[c, at, place] += weight * air[c, row, column]
@@ -133,43 +121,43 @@ def _send_rays(
 
 @called
 @no_type_check
-def _adapt(view, ray, pixel, squares, target):
-    """Write the average counts of one pixel, halved into rectangles until their errors sum to less than `tolerance`.
+def _adapt(view, rules, one, rectangles, pixel, target):
+    """Write the average counts of one pixel, halved into rectangles until their errors sum to less than the tolerance.
 
     Errors are those of the worst channel, relative to its counts. Returns the number of rays.
 
     Parameters
     ----------
-    view : first arguments of `_send_rays`
+    view, rules : `View` and `PixelRules`
+    one, rectangles : `RayCounts` and `RectangleScratch`
     pixel : row and column
-    squares : tolerance, sensitive width and height, and what `phantomgen.ops.expected_counts.rectangles.scratch` gives
-    target : counts (channel, row, column)
+    target : counts (channel, row, column), written
     """
-    tolerance, aperture, rectangles, counts, averages, jobs, nodes, seen = squares
-    air, (row, column) = view[8][3], pixel
+    table, counts, averages, rays = rectangles
+    air, (row, column) = view.beam.air, pixel
     begin = worst = sent = np.int64(0)
     known = np.int64(1)
-    asked = begin_pixel(rectangles, pixel, jobs, nodes)
-    _narrow_nodes(nodes, begin, asked, aperture)
+    asked = begin_pixel(table, pixel, rays)
+    _narrow_nodes(rays.nodes, begin, asked, rules.aperture)
     for c in range(air.shape[0]):
         target[c, row, column] = averages[c, 0] = 0.0
     while True:
-        _send_rays(*view, jobs, asked, nodes, begin, ray, counts, seen)
+        _send_rays(view, view.mesh, view.beam.profile, rays, asked, begin, one, counts)
         sent += asked
         for i in range(2 if known > 1 else 1):
             at = known - 1 if i else worst
-            measure(rectangles, counts, averages, at)
+            measure(table, counts, averages, at)
             for c in range(air.shape[0]):
                 target[c, row, column] += averages[c, at]
         for i in range(2 if known > 1 else 1):
-            estimate(rectangles, counts, target, air, 1e-30, row, column, known - 1 if i else worst)
-        worst, total = worst_of(rectangles, known)
-        if total <= tolerance or known == rectangles.shape[0]:
+            estimate(table, counts, target, air, _LEAST, pixel, known - 1 if i else worst)
+        worst, total = worst_of(table, known)
+        if total <= rules.tolerance or known == table.shape[0]:
             return sent
         for c in range(air.shape[0]):
             target[c, row, column] -= averages[c, worst]
-        asked = halve(rectangles, counts, worst, known, pixel, jobs, nodes)
-        _narrow_nodes(nodes, begin, asked, aperture)
+        asked = halve(table, counts, worst, known, pixel, rays)
+        _narrow_nodes(rays.nodes, begin, asked, rules.aperture)
         known += 1
 
 
@@ -188,63 +176,65 @@ def _is_intersected(nodes, seen, first, last):
 
 @called
 @no_type_check
-def _settle(view, ray, outline, reach, rules, room, filled, pixel, squares, target):
-    """Mend the counts of one pixel that silhouettes cross and where surfaces intersect; return the number of rays.
+def _settle(view, outline, rules, scratch, filled, pixel, target):
+    """Correct the counts of one pixel that silhouettes cross and where surfaces intersect; return the number of rays.
 
-    The strongest Gauss rule does if it changes little; else the pixel is cut into rectangles. Parameters are those of
-    `_adapt` and of `expected_counts_of_view`; nodes from index `filled` on are free.
+    The strongest Gauss rule is enough if it changes little; else the pixel is cut into rectangles. Parameters are those
+    of `_adapt` and of `expected_counts_of_view`; nodes from index `filled` on are free.
     """
-    forms, roots = outline[0], outline[2]
-    local, lines, nodes, seen = room
-    tolerance, aperture, _, counts, _, jobs, _, _ = squares
-    (row, column), one, sent = pixel, np.int64(1), np.int64(0)
-    conics = _gather(forms, roots, view[5], reach, aperture, row, column, ray[0], local)
+    one, room, rays, rectangles, _, _, _ = scratch
+    local, lines, nodes = room
+    gauss, counts = rules.gauss, rectangles.counts
+    (row, column), single, sent = pixel, np.int64(1), np.int64(0)
+    conics = _gather(outline, view.tiles, rules, row, column, one.ray.active, local)
     if conics <= CONICS:
-        strongest = rules[0].shape[0] - 1
-        last = square_nodes(local, conics, rules[0][strongest], rules[1][strongest], lines, nodes, filled)
-        _narrow_nodes(nodes, filled, last, aperture)
+        strongest = gauss.nodes.shape[0] - 1
+        last = square_nodes(local, conics, gauss.nodes[strongest], gauss.sizes[strongest], lines, nodes, filled)
+        _narrow_nodes(nodes, filled, last, rules.aperture)
         sent = last - filled
+        jobs = rectangles.rays.jobs
         jobs[0, 0], jobs[0, 1], jobs[0, 2], jobs[0, 3], jobs[0, 4] = row, column, last, 0, 0
-        _send_rays(*view, jobs, one, nodes, filled, ray, counts, seen)
+        more = RayList(jobs, nodes, rays.seen)
+        _send_rays(view, view.mesh, view.beam.profile, more, single, filled, one, counts)
         change = 0.0
         for c in range(target.shape[0]):
-            low = max(counts[c, 0, 0], 1e-30 * view[8][3][c, row, column])
+            low = max(counts[c, 0, 0], _LEAST * view.beam.air[c, row, column])
             change = max(change, abs(counts[c, 0, 0] - target[c, row, column]) / low)
             target[c, row, column] = counts[c, 0, 0]
-        if change <= tolerance:
+        if change <= rules.tolerance:
             return sent
-    return sent + _adapt(view, ray, pixel, squares, target)
+    return sent + _adapt(view, rules, one, rectangles, pixel, target)
 
 
 @called
 @no_type_check
-def _flush(view, jobs, count, ray, outline, reach, rules, room, completing, classes, signatures, squares, target, rays):
+def _flush(view, outline, rules, scratch, count, completing, target, out):
     """Send the rays of pixels; then keep the signatures of centres, or look for intersections between silhouettes.
 
     Parameters are those of `_send_rays` and of `expected_counts_of_view`.
     """
-    nodes, seen = room[2], room[3]
+    jobs, nodes, seen = scratch.rays
+    signatures, classes, rays = scratch.signatures, out.classes, out.rays
     first = np.int64(0)
-    _send_rays(*view, jobs, count, nodes, first, ray, target, seen)
+    _send_rays(view, view.mesh, view.beam.profile, scratch.rays, count, first, scratch.one, target)
     filled = jobs[count - 1, 2] if count > 0 else first
     for job in range(count):
         row, column, last = jobs[job, 0], jobs[job, 1], jobs[job, 2]
         kind = classes[row, column]
         if not completing:
             signatures[row, column] = seen[last - 1]
-        elif squares[0] > 0.0 and kind in (CROSSED, NEAR) and _is_intersected(nodes, seen, first, last):
-            pixel = (row, column)
-            rays[kind] += _settle(view, ray, outline, reach, rules, room, filled, pixel, squares, target)
+        elif rules.tolerance > 0.0 and kind in (CROSSED, NEAR) and _is_intersected(nodes, seen, first, last):
+            rays[kind] += _settle(view, outline, rules, scratch, filled, (row, column), target)
         first = last
 
 
 @inlined
 @no_type_check
-def _fill_open_beam(profile, spectrum, ray):
+def _fill_open_beam(profile, beam, one):
     """Write the counts of a ray to each pixel that meets no object, where there is a profile."""
     if profile is not None:
-        attenuation, weights, starts, air = spectrum
-        lengths, counts = ray[2], ray[3]
+        attenuation, weights, starts, air, _ = beam
+        _, lengths, counts = one
         for m in range(lengths.size):
             lengths[m] = 0.0
         for row in range(air.shape[1]):
@@ -258,8 +248,10 @@ def _fill_open_beam(profile, spectrum, ray):
 
 @inlined
 @no_type_check
-def _classify(forms, shapes, roots, bounds, background, reach, aperture, local, classes):
+def _classify(outline, background, rules, local, classes):
     """Raise the class of each pixel as far as bounds and silhouettes decide it."""
+    forms, shapes, roots, bounds, _ = outline
+    reach, aperture = rules.reach, rules.aperture
     rows, columns = classes.shape
     if background >= 0:
         for row in range(rows):
@@ -319,7 +311,14 @@ def _mark(creases, maps, bounds, classes):
     if creases is not None:
         _mark_creases(creases, classes)
     if maps is not None:
-        _mark_maps(maps[0], bounds, classes)
+        _mark_maps(maps.numbers, bounds, classes)
+
+
+@inlined
+@no_type_check
+def _map_nodes(maps, nodes, begun, count):
+    """Write the nodes of a pixel that a voxel map projects to; no code is compiled without maps."""
+    return begun if maps is None else lattice_nodes(nodes, begun, count)
 
 
 @inlined
@@ -328,17 +327,18 @@ def _crossed_level(level, conics, strongest, maps, bounds, u, v):
     """Level of Gauss rules in a pixel (u, v) that silhouettes cross: the strongest where there are voxels, too."""
     level = max(level, min(conics, 2))
     if maps is not None:
-        for s in range(maps[0].size):
-            if maps[0][s] >= 0 and touches(bounds, s, u, v):
+        for s in range(maps.numbers.size):
+            if maps.numbers[s] >= 0 and touches(bounds, s, u, v):
                 level = strongest
     return level
 
 
 @inlined
 @no_type_check
-def _gather(forms, roots, tiles, reach, aperture, row, column, active, local):
+def _gather(outline, tiles, rules, row, column, active, local):
     """Collect the conics that cross a pixel, and the tangents that pass near it; return how many."""
-    firsts, u, v = tiles[3], float(column), float(row)
+    forms, roots, reach, aperture = outline.forms, outline.roots, rules.reach, rules.aperture
+    firsts, u, v = tiles.firsts, float(column), float(row)
     found = np.int64(0)
     for i in range(list_active(tiles, row, column, active)):
         for f in range(firsts[active[i]], firsts[active[i] + 1]):
@@ -448,138 +448,91 @@ def _average_of_centres(centres, air, profile, aperture, kind, row, column, targ
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def expected_counts_of_view(  # noqa: PLR0912 - the choice of a rule per pixel
-    frame,
-    table,
-    tubes,
-    mesh,
-    creases,
-    maps,
-    map_grid,
-    tiles,
-    background,
-    profile,
-    outline,
-    reach,
-    aperture,
-    sub_rays,
-    spectrum,
-    rules,
-    room,
-    ray,
-    pixels,
-    squares,
-    centres,
-    out,
-    rays,
-):
+def expected_counts_of_view(view, outline, rules, scratch, out):  # noqa: PLR0912 - the choice of a rule per pixel
     """Average expected counts over all pixels of one view.
 
     Parameters
     ----------
-    table, tubes, background : the shapes; table gets the source as origin
-    profile : lengths that rays to each pixel have in the last materials beforehand (part, row, column), or None
-    tiles : fields of `phantomgen.ops.silhouette.tiles.Tiles`
-    mesh, creases : argument of `list_pieces`, and which pixels a silhouette or a crease of a mesh passes; or None
-    maps, map_grid : fields of `VoxelMaps` or None; rays per pixel and axis that meet one
-    outline : forms, shapes and roots of the silhouettes
-    reach : width [pixel] of the band inside a tangent where pixels are near
-    aperture : width and height of the sensitive part of a pixel, 1 for all of it
-    sub_rays : 0, or send so many rays squared where more than the centre is needed; 1 for centres and nothing else
-    spectrum : attenuation per material and node, weights, starts, open-beam counts (channel, row, column), which
-        are written where there is a profile
-    rules, room : levels of Gauss rules; scratch for conics, splits, nodes and their signatures
-    ray : scratch of `_send_rays`
-    pixels : per pixel its class (written), a first guess of that (zero on entry), signature (zero on entry), and jobs
-    squares : how large an error is left where there are kinks, 0 with `sub_rays`; scratch of `_adapt`
-    centres : scratch: counts of the rays through centres (channel, row, column)
-    out : counts (channel, row, column), written
-    rays : number of rays traced per class, (class,), added to
+    view : `View`
+    outline : `Outline`
+    rules : `PixelRules`
+    scratch : `ViewScratch`
+    out : `ExpectedCounts`: counts and classes are written, numbers of rays are added to
     """
-    forms, shapes, roots = outline
-    rule_nodes, rule_sizes = rules
-    local, lines, nodes, _ = room
-    classes, guess, signatures, jobs = pixels
-    air = spectrum[3]
-    view = (frame, table, tubes, mesh, maps, tiles, background, profile, spectrum)
-    _fill_open_beam(profile, spectrum, ray)
+    frame, solids, _, tiles, beam = view
+    one, room, rays, rectangles, centres, guess, signatures = scratch
+    local, lines, nodes = room
+    table, jobs, active = solids.table, rays.jobs, one.ray.active
+    gauss, aperture, sub_rays = rules.gauss, rules.aperture, rules.sub_rays
+    air, classes = beam.air, out.classes
+    _fill_open_beam(beam.profile, beam, one)
     rows, columns = classes.shape
     for s in range(table.shape[0]):
         set_origin(table, s, frame[0, 0], frame[0, 1], frame[0, 2])
-    _classify(forms, shapes, roots, tiles[2], background, reach, aperture, local, guess)
-    _mark(creases, maps, tiles[2], guess)
+    _classify(outline, solids.background, rules, local, guess)
+    _mark(outline.creases, solids.maps, tiles.bounds, guess)
     # The first round sends rays through centres, the second one completes the pixels that need more.
     for completing in range(1 if sub_rays == 1 else 2):
-        target = out if completing or sub_rays == 1 else centres
+        target = out.counts if completing or sub_rays == 1 else centres
         count = filled = np.int64(0)
         for row in range(rows):
             for column in range(columns):
                 kind = guess[row, column]
                 if completing and kind != EMPTY:
                     level = _contrast_level(centres, air, row, column)
-                    level = max(level, _bend_level(profile, air, row, column))
+                    level = max(level, _bend_level(beam.profile, air, row, column))
                     kind = _settled(guess, signatures, level, row, column)
                 classes[row, column] = kind
                 if kind == EMPTY or (completing and kind == SMOOTH):
-                    _average_of_centres(centres, air, profile, aperture, kind, row, column, target)
+                    _average_of_centres(centres, air, beam.profile, aperture, kind, row, column, target)
                     continue
                 begun = filled
                 conics = np.int64(0)
                 if completing and sub_rays == 0 and kind in (CROSSED, NEAR):
-                    conics = _gather(forms, roots, tiles, reach, aperture, row, column, ray[0], local)
+                    conics = _gather(outline, tiles, rules, row, column, active, local)
                 if completing and sub_rays == 0 and (kind == INTERSECTED or conics > CONICS):
-                    pixel = (row, column)
-                    rays[kind] += _adapt(view, ray, pixel, squares, out)
+                    out.rays[kind] += _adapt(view, rules, one, rectangles, (row, column), out.counts)
                     continue
                 if not completing or sub_rays > 0:
                     filled = grid_nodes(nodes, begun, sub_rays if completing else np.int64(1))
-                elif maps is not None and kind == VOXELS:  # in this order, so that no code is compiled without maps
-                    filled = lattice_nodes(nodes, begun, map_grid * map_grid)
+                elif kind == VOXELS:
+                    filled = _map_nodes(solids.maps, nodes, begun, rules.map_rays)
                 else:
                     if kind == CROSSED:
-                        strongest = np.int64(rule_nodes.shape[0] - 1)
-                        level = _crossed_level(level, conics, strongest, maps, tiles[2], float(column), float(row))
-                    filled = square_nodes(local, conics, rule_nodes[level], rule_sizes[level], lines, nodes, begun)
+                        strongest = np.int64(gauss.nodes.shape[0] - 1)
+                        u, v = float(column), float(row)
+                        level = _crossed_level(level, conics, strongest, solids.maps, tiles.bounds, u, v)
+                    filled = square_nodes(local, conics, gauss.nodes[level], gauss.sizes[level], lines, nodes, begun)
                 _narrow_nodes(nodes, begun, filled, aperture)
-                rays[kind] += filled - begun
+                out.rays[kind] += filled - begun
                 jobs[count, 0], jobs[count, 1], jobs[count, 2] = row, column, filled
                 jobs[count, 3], jobs[count, 4] = row, column
                 count += 1
                 if filled > nodes.shape[0] // 3:
-                    _flush(
-                        view,
-                        jobs,
-                        count,
-                        ray,
-                        outline,
-                        reach,
-                        rules,
-                        room,
-                        completing,
-                        classes,
-                        signatures,
-                        squares,
-                        target,
-                        rays,
-                    )
+                    _flush(view, outline, rules, scratch, count, completing, target, out)
                     count = filled = np.int64(0)
-        _flush(
-            view, jobs, count, ray, outline, reach, rules, room, completing, classes, signatures, squares, target, rays
-        )
+        _flush(view, outline, rules, scratch, count, completing, target, out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def expected_counts_of_pixels(
-    frame, table, tubes, mesh, maps, tiles, background, profile, spectrum, nodes, ray, pixels, scratch, out
-):
-    """Average over the same nodes in each of some pixels (row, column), written to ``out[:, row, column]``."""
-    job, seen = scratch
-    view = (frame, table, tubes, mesh, maps, tiles, background, profile, spectrum)
-    first, one = np.int64(0), np.int64(1)  # typed, as literals would compile `_send_rays` a second time
+def expected_counts_of_pixels(view, rays, pixels, one, out):
+    """Average expected counts over the same nodes in each of some pixels.
+
+    Parameters
+    ----------
+    view : `View`
+    rays : `RayList` of one job, with the nodes
+    pixels : row and column of each pixel (pixel, 2)
+    one : `RayCounts`
+    out : counts (channel, row, column); those of the pixels are written
+    """
+    job, nodes, _ = rays
+    frame, table = view.frame, view.solids.table
+    first, count = np.int64(0), np.int64(1)  # typed, as literals would compile `_send_rays` a second time
     for s in range(table.shape[0]):
         set_origin(table, s, frame[0, 0], frame[0, 1], frame[0, 2])
     for i in range(pixels.shape[0]):
         job[0, 0], job[0, 1], job[0, 2] = pixels[i, 0], pixels[i, 1], nodes.shape[0]
         job[0, 3], job[0, 4] = pixels[i, 0], pixels[i, 1]
-        _send_rays(*view, job, one, nodes, first, ray, out, seen)
+        _send_rays(view, view.mesh, view.beam.profile, rays, count, first, one, out)

@@ -12,25 +12,116 @@ it, so each edge counts in two triangles or in none and every line crosses a clo
 whatever rounding did to f and g: there is no tolerance, and vertices, edges and faces seen edge on are no exceptions.
 """
 
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
+from jaxtyping import Bool, Float, Int32, Int64
 from numba import njit
 
 from phantomgen.ops.kernel_decorators import called, inlined
 
 # Columns of a table of corners: the homogeneous coordinates of a vertex.
 A, B, W, T = 0, 1, 2, 3
-# How far beyond its cell a triangle is still listed, in cells and relative to the coordinates it was computed from.
+# How far beyond its cell a triangle is still listed: cells; no unit, relative to the coordinates that the place was
+# computed from. Both far above the rounding of a float64, 1e-16, and too small to list many triangles more.
 MARGIN, _RELATIVE = 1e-6, 1e-12
-# Part of the way from source to panel below which a vertex is not divided by its w.
+# Part of the way from source to panel, no unit; a vertex nearer to the source is not divided by its w, which may be 0.
 NEAR = 1e-9
+
+
+class CellLists(NamedTuple):
+    """One mesh in a view, with the triangles that rays through each cell may meet.
+
+    Parameters
+    ----------
+    corners : homogeneous coordinates of each vertex
+    triangles : indices of vertices
+    starts : rays in a cell may meet the triangles ``candidates[starts[cell] : starts[cell + 1]]``
+    candidates : indices of triangles
+    """
+
+    corners: Float[np.ndarray, "vertex 4"]
+    triangles: Int32[np.ndarray, "triangle 3"]
+    starts: Int64[np.ndarray, " boundary"]
+    candidates: Int32[np.ndarray, " entry"]
+
+
+class ListedPieces(NamedTuple):
+    """Pieces of a ray that lie in meshes.
+
+    Parameters
+    ----------
+    first, last : mesh m has the pieces ``first[m]`` to ``last[m]``
+    ends : t where each piece begins and ends
+    """
+
+    first: Int64[np.ndarray, " mesh"]
+    last: Int64[np.ndarray, " mesh"]
+    ends: Float[np.ndarray, "piece 2"]
+
+
+class TracedMeshes(NamedTuple):
+    """All meshes in a view, with scratch memory for one ray.
+
+    Parameters
+    ----------
+    corners, triangles, starts, candidates : as in `phantomgen.ops.mesh.views.MeshView`
+    found : scratch of `intervals`
+    pieces : written by `list_pieces`
+    """
+
+    corners: Float[np.ndarray, "vertex 4"]
+    triangles: Int32[np.ndarray, "triangle 3"]
+    starts: Int64[np.ndarray, "mesh boundary"]
+    candidates: Int32[np.ndarray, " entry"]
+    found: Float[np.ndarray, " crossing"]
+    pieces: ListedPieces
+
+
+class ProjectedMesh(NamedTuple):
+    """Vertices of a mesh in a view, and its triangles.
+
+    Parameters
+    ----------
+    corners, places : vertices as `project` writes them
+    triangles : indices of vertices
+    """
+
+    corners: Float[np.ndarray, "vertex 4"]
+    places: Float[np.ndarray, "vertex 2"]
+    triangles: Int32[np.ndarray, "triangle 3"]
+
+
+class OverlapScratch(NamedTuple):
+    """Scratch memory of `mark_overlaps`, as long as the longest list of a cell.
+
+    Parameters
+    ----------
+    places : t where the line crosses triangles
+    faces : these triangles
+    turns : whether the line enters there
+    """
+
+    places: Float[np.ndarray, " crossing"]
+    faces: Int64[np.ndarray, " crossing"]
+    turns: Bool[np.ndarray, " crossing"]
 
 
 @inlined
 @no_type_check
 def meet(corners, triangles, k, u, v):
-    """Whether the line of the ray (u, v) crosses triangle k, where (t), and whether corners run from b to a there."""
+    """Test whether the line of a ray crosses a triangle.
+
+    Parameters
+    ----------
+    corners, triangles : homogeneous coordinates of vertices (vertex, 4); indices of vertices (triangle, 3)
+    k : number of the triangle
+    u, v : the ray
+
+    Returns
+    -------
+    whether it crosses, t where it does, and whether corners run from b to a there
+    """
     p, q, r = triangles[k, 0], triangles[k, 1], triangles[k, 2]
     fp = corners[p, B] - v * corners[p, W]
     fq = corners[q, B] - v * corners[q, W]
@@ -62,19 +153,21 @@ def meet(corners, triangles, k, u, v):
 
 @inlined
 @no_type_check
-def crossings(corners, triangles, candidates, first, last, u, v, found):
-    """Write the places t > 0 where the ray (u, v) crosses the listed triangles to `found`, ascending.
+def crossings(lists, first, last, u, v, found):
+    """Write the places t > 0 where a ray crosses the listed triangles, ascending.
 
     Parameters
     ----------
-    corners, triangles : homogeneous coordinates (vertex, 4) of one view; vertices (triangle, 3)
-    candidates, first, last : the triangles ``candidates[first:last]`` may be met
-    found : room for ``last - first + 1`` numbers
+    lists : corners (vertex, 4), triangles (triangle, 3) and candidates (entry,) as in `CellLists`
+    first, last : the triangles ``candidates[first:last]`` may be met
+    u, v : the ray
+    found : room for ``last - first + 1`` numbers, written
 
     Returns
     -------
-    Their number; odd when the ray begins inside.
+    number of places, odd when the ray begins inside
     """
+    corners, triangles, candidates = lists
     count = 0
     for i in range(first, last):
         met, t, _ = meet(corners, triangles, candidates[i], u, v)
@@ -90,12 +183,20 @@ def crossings(corners, triangles, candidates, first, last, u, v, found):
 
 @inlined
 @no_type_check
-def intervals(corners, triangles, candidates, first, last, u, v, reach, found):
-    """Write where the ray (u, v), 0 <= t <= reach, is inside: from ``found[2 i]`` to ``found[2 i + 1]``, ascending.
+def intervals(lists, first, last, u, v, reach, found):
+    """Write where a ray is inside: from ``found[2 i]`` to ``found[2 i + 1]``, ascending.
 
-    Other parameters are those of `crossings`. Returns the number of intervals; none is empty.
+    Parameters
+    ----------
+    lists, first, last, u, v : as in `crossings`
+    reach : the ray ends at this t
+    found : as in `crossings`
+
+    Returns
+    -------
+    number of intervals, none of them empty
     """
-    count = crossings(corners, triangles, candidates, first, last, u, v, found)
+    count = crossings(lists, first, last, u, v, found)
     if count % 2 == 1:
         for i in range(count, 0, -1):
             found[i] = found[i - 1]
@@ -113,17 +214,22 @@ def intervals(corners, triangles, candidates, first, last, u, v, reach, found):
 @called
 @no_type_check
 def list_pieces(mesh, cell, u, v):
-    """Write where the ray (u, v), 0 <= t <= 1, through a cell is inside of each mesh.
+    """Write where a ray, 0 <= t <= 1, is inside of each mesh.
 
-    `mesh` holds the first four fields of a `MeshView`, scratch for `intervals`, and what is written: the first and the
-    last piece of each mesh, and the ends of all pieces (piece, 2).
+    Parameters
+    ----------
+    mesh : `TracedMeshes`, whose pieces are written
+    cell : cell that the ray passes, ``row * columns + column``
+    u, v : the ray
     """
-    corners, triangles, starts, candidates, found, first, last, ends = mesh
+    corners, triangles, starts, candidates, found, pieces = mesh
+    first, last, ends = pieces
+    lists = (corners, triangles, candidates)
     filled = np.int64(0)
     for m in range(starts.shape[0]):
         first[m] = filled
         begin, end = starts[m, cell], starts[m, cell + 1]
-        for i in range(intervals(corners, triangles, candidates, begin, end, u, v, 1.0, found)):
+        for i in range(intervals(lists, begin, end, u, v, 1.0, found)):
             ends[filled, 0], ends[filled, 1] = found[2 * i], found[2 * i + 1]
             filled += 1
         last[m] = filled
@@ -156,7 +262,17 @@ def project(vertices, matrix, offset, parallel, cells, corners, places):
 @inlined
 @no_type_check
 def span(low, high, count):
-    """Cells between two places, with the margin, as a half-open range."""
+    """Compute the cells between two places, with the margin.
+
+    Parameters
+    ----------
+    low, high : places [cell]
+    count : number of cells
+
+    Returns
+    -------
+    first cell, and the one after the last
+    """
     low, high = low - (MARGIN + _RELATIVE * abs(low)), high + (MARGIN + _RELATIVE * abs(high))
     return int(max(0.0, min(count, np.floor(low)))), int(max(0.0, min(count, np.floor(high) + 1.0)))
 
@@ -164,7 +280,18 @@ def span(low, high, count):
 @inlined
 @no_type_check
 def clip(x, y, end_x, end_y, low, high, left, right):
-    """Widen the range left .. right by the columns of the line from (x, y) to its end in the rows low .. high."""
+    """Widen a range of columns by those of a line, as far as it lies in some rows.
+
+    Parameters
+    ----------
+    x, y, end_x, end_y : where the line begins and ends [cell]
+    low, high : rows
+    left, right : the range before
+
+    Returns
+    -------
+    the range, with slack for rounding
+    """
     dx, dy = end_x - x, end_y - y
     begin, end = 0.0, 1.0
     if dy != 0.0:
@@ -205,8 +332,9 @@ def _enter(starts, candidates, cell, k, listing):
 
 @called
 @no_type_check
-def _enter_near(corners, p, q, r, cells, columns, starts, candidates, k, listing):
+def _enter_near(corners, triangles, k, cells, columns, starts, candidates, listing):
     """Enter triangle k, which reaches next to the source or behind it, where a row and a column do not exclude it."""
+    p, q, r = triangles[k, 0], triangles[k, 1], triangles[k, 2]
     for row in range(starts.size // columns):
         if _spans_axis(corners, p, q, r, B, cells[1], cells[3], row):
             for column in range(columns):
@@ -216,23 +344,25 @@ def _enter_near(corners, p, q, r, cells, columns, starts, candidates, k, listing
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def bin_triangles(corners, places, triangles, begin, end, cells, columns, starts, candidates, listing):
-    """Count the triangles begin .. end that may be met in each cell, or list them.
+def bin_triangles(mesh, begin, end, cells, columns, starts, candidates, listing):
+    """Count the triangles that may be met in each cell, or list them.
 
     Parameters
     ----------
-    corners, places : vertices as `project` writes them
+    mesh : `ProjectedMesh`
+    begin, end : range of the triangles
     cells, columns : u and v where the grid begins, size of a cell; number of columns
     starts : per cell, added to: the count, or the place of its next entry in `candidates`
     candidates, listing : indices of triangles, written if `listing`
     """
+    corners, places, triangles = mesh
     rows = starts.size // columns
     for k in range(begin, end):
         p, q, r = triangles[k, 0], triangles[k, 1], triangles[k, 2]
         if max(corners[p, W], corners[q, W], corners[r, W]) <= 0.0:
             continue
         if min(corners[p, W], corners[q, W], corners[r, W]) < NEAR:
-            _enter_near(corners, p, q, r, cells, columns, starts, candidates, k, listing)
+            _enter_near(corners, triangles, k, cells, columns, starts, candidates, listing)
             continue
         xp, xq, xr = places[p, 0], places[q, 0], places[r, 0]
         yp, yq, yr = places[p, 1], places[q, 1], places[r, 1]
@@ -257,23 +387,45 @@ def bin_triangles(corners, places, triangles, begin, end, cells, columns, starts
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def ray_lengths(corners, triangles, starts, candidates, uv, norms, at, found, out):
-    """Length inside of each ray (u, v); `at` is the cell of each, `norms` its length [mm]."""
+def ray_lengths(lists, uv, at, norms, found, out):
+    """Write the length inside of a mesh of each ray.
+
+    Parameters
+    ----------
+    lists : `CellLists` of the mesh
+    uv, at : u and v of each ray (ray, 2), and the cell that it passes
+    norms : length of each ray [mm]
+    found : scratch of `intervals`
+    out : lengths [mm], (ray,), written
+    """
+    corners, triangles, starts, candidates = lists
+    mesh = (corners, triangles, candidates)
     for ray in range(uv.shape[0]):
         first, last = starts[at[ray]], starts[at[ray] + 1]
         out[ray] = 0.0
-        for i in range(intervals(corners, triangles, candidates, first, last, uv[ray, 0], uv[ray, 1], 1.0, found)):
+        for i in range(intervals(mesh, first, last, uv[ray, 0], uv[ray, 1], 1.0, found)):
             out[ray] += (found[2 * i + 1] - found[2 * i]) * norms[ray]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def ray_intervals(corners, triangles, starts, candidates, uv, reach, at, found, counts, out, writing):
-    """Number of intervals 0 <= t <= reach of each ray, and if `writing` their ends, divided by reach."""
+def ray_intervals(lists, uv, at, reach, found, counts, out, writing):
+    """Count the intervals of each ray inside of a mesh, and write their ends.
+
+    Parameters
+    ----------
+    lists, uv, at : as in `ray_lengths`
+    reach : t where each ray ends
+    found : scratch of `intervals`
+    counts : number of intervals of each ray, written
+    out, writing : ends of all intervals (interval, 2) divided by `reach`, written if `writing`
+    """
+    corners, triangles, starts, candidates = lists
+    mesh = (corners, triangles, candidates)
     filled = 0
     for ray in range(uv.shape[0]):
         first, last = starts[at[ray]], starts[at[ray] + 1]
-        count = intervals(corners, triangles, candidates, first, last, uv[ray, 0], uv[ray, 1], reach[ray], found)
+        count = intervals(mesh, first, last, uv[ray, 0], uv[ray, 1], reach[ray], found)
         counts[ray] = count
         if writing:
             for i in range(count):
@@ -283,12 +435,21 @@ def ray_intervals(corners, triangles, starts, candidates, uv, reach, at, found, 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def ray_crossings(corners, triangles, starts, candidates, uv, at, found, counts, out, writing):
-    """Number of places t > 0 where each ray crosses, and these places one ray after the other if `writing`."""
+def ray_crossings(lists, uv, at, found, counts, out, writing):
+    """Count the places t > 0 where each ray crosses a mesh, and write them.
+
+    Parameters
+    ----------
+    lists, uv, at, found : as in `ray_lengths`
+    counts : number of places of each ray, written
+    out, writing : places t, one ray after the other, written if `writing`
+    """
+    corners, triangles, starts, candidates = lists
+    mesh = (corners, triangles, candidates)
     filled = 0
     for ray in range(uv.shape[0]):
         first, last = starts[at[ray]], starts[at[ray] + 1]
-        count = crossings(corners, triangles, candidates, first, last, uv[ray, 0], uv[ray, 1], found)
+        count = crossings(mesh, first, last, uv[ray, 0], uv[ray, 1], found)
         counts[ray] = count
         if writing:
             for i in range(count):
@@ -298,8 +459,17 @@ def ray_crossings(corners, triangles, starts, candidates, uv, at, found, counts,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def count_beyond(corners, triangles, starts, candidates, uv, at, depths, labels, own, out):
-    """Number of crossings t > depth of each line (u, v), without those of triangles that bear the label `own`."""
+def count_beyond(lists, uv, at, depths, labels, own, out):
+    """Count the crossings t > depth of each line, without those of triangles that have its own label.
+
+    Parameters
+    ----------
+    lists, uv, at : as in `ray_lengths`
+    depths : t of each line beyond which crossings count
+    labels, own : label of each triangle, and of each line
+    out : numbers of crossings (line,), written
+    """
+    corners, triangles, starts, candidates = lists
     for ray in range(uv.shape[0]):
         out[ray] = 0
         for i in range(starts[at[ray]], starts[at[ray] + 1]):
@@ -311,15 +481,19 @@ def count_beyond(corners, triangles, starts, candidates, uv, at, depths, labels,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def mark_overlaps(corners, triangles, starts, candidates, uv, at, found, faces, turns, least, out):
-    """Mark where the parallel line (u, v) enters twice, or leaves twice, and goes on so for more than `least` in t.
+def mark_overlaps(lists, uv, at, scratch, least, out):
+    """Mark where a parallel line enters twice, or leaves twice.
 
     Parameters
     ----------
-    corners : of a view whose column step, row step and direction are right-handed
-    found, faces, turns : scratch, as long as the longest list: places, triangles, and whether the line enters
-    out : (triangle,), set for the second of the two
+    lists : `CellLists` of a mesh in a view whose column step, row step and direction are right-handed
+    uv, at : as in `ray_lengths`
+    scratch : `OverlapScratch`
+    least : shorter overlaps are not marked [t]
+    out : (triangle,), set for the second of the two triangles
     """
+    corners, triangles, starts, candidates = lists
+    found, faces, turns = scratch
     for ray in range(uv.shape[0]):
         count = 0
         for i in range(starts[at[ray]], starts[at[ray] + 1]):

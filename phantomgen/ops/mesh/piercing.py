@@ -5,7 +5,7 @@ grid are tested; signs of volumes count only when rounding cannot have made them
 not so. Contact without piercing, and overlap within a plane, are not reported.
 """
 
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
 from jaxtyping import Bool, Float, Int64
@@ -13,16 +13,42 @@ from numba import njit
 
 from phantomgen.ops.kernel_decorators import called, inlined
 
-# Bound on the rounding of a determinant, relative to the sum of its terms' sizes.
+# No unit; bound on the rounding of a determinant, relative to the sum of its terms' sizes: some times 1e-16.
 _ROUNDING = 1e-15
-# Most cells per axis, and entries per triangle, of the grid.
+# Most cells along an axis of the grid, and most entries per triangle: bounds of memory and time, no change of results.
 _FINEST, _ENTRIES = 128, 30
+
+
+class TriangleGrid(NamedTuple):
+    """Triangles in the cells of a grid.
+
+    Parameters
+    ----------
+    first : first cell of each triangle along every axis
+    shape : number of cells along every axis
+    ends : cell c lists ``entries[ends[c] : ends[c + 1]]``
+    entries : triangles
+    """
+
+    first: Int64[np.ndarray, "triangle 3"]
+    shape: Int64[np.ndarray, " 3"]
+    ends: Int64[np.ndarray, " boundary"]
+    entries: Int64[np.ndarray, " entry"]
 
 
 def piercing_faces(
     vertices: Float[np.ndarray, "vertex 3"], triangles: Int64[np.ndarray, "triangle 3"]
 ) -> Bool[np.ndarray, " triangle"]:
-    """Which triangles pierce, or are pierced by, another one."""
+    """Find the triangles that pierce, or are pierced by, another one.
+
+    Parameters
+    ----------
+    vertices, triangles : the mesh [mm]
+
+    Returns
+    -------
+    True for these triangles
+    """
     corners = vertices[triangles]
     lows, highs = corners.min(axis=1), corners.max(axis=1)
     low, reach = lows.min(axis=0), np.maximum(np.ptp(vertices[triangles.ravel()], axis=0), np.finfo(np.float64).tiny)
@@ -40,7 +66,7 @@ def piercing_faces(
     entries = np.empty(ends[-1], dtype=np.int64)
     _list_cells(first, last, shape, ends[:-1].copy(), entries, True)
     found = np.zeros(len(triangles), dtype=np.bool_)
-    _test_pairs(vertices, triangles, lows, highs, first, shape, ends, entries, found)
+    _test_pairs(vertices, triangles, lows, highs, TriangleGrid(first, shape, ends, entries), found)
     return found
 
 
@@ -114,8 +140,9 @@ def _apart(triangles, lows, highs, k, m):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _test_pairs(x, triangles, lows, highs, first, shape, ends, entries, found):
+def _test_pairs(x, triangles, lows, highs, grid, found):
     """Mark the triangles that cross another one; a pair is tested in the first cell that both are in."""
+    first, shape, ends, entries = grid
     for cell in range(ends.size - 1):
         i, j, n = cell // (shape[1] * shape[2]), cell // shape[2] % shape[1], cell % shape[2]
         for one in range(ends[cell], ends[cell + 1]):

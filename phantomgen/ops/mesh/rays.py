@@ -1,10 +1,15 @@
 """Any rays through meshes, also those that belong to no panel."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Bool, Float, Int64
 
 from phantomgen.ops.mesh.views import MeshView, Surfaces, mesh_view, open_surface
 from spectra.errors import InputError
+
+# No unit, relative to the diagonal of the mesh; shorter overlaps of bodies may be rounding.
+_SHORTEST_OVERLAP = 1e-9
 
 
 def mesh_lengths(
@@ -18,9 +23,14 @@ def mesh_lengths(
 
     Parameters
     ----------
-    frame, parallel : the rays, as in `mesh_view`
+    frame : of the view, as in `mesh_view` [mm]
     uv : column and row where each ray meets the panel, not necessarily on it [pixel]
     vertices, triangles : the mesh [mm]
+    parallel : whether the rays are parallel
+
+    Returns
+    -------
+    lengths [mm], (ray,)
     """
     from phantomgen.ops.mesh.cpu import ray_lengths  # noqa: PLC0415
 
@@ -28,7 +38,7 @@ def mesh_lengths(
     directions = frame[0] if parallel else frame[1] + uv @ frame[2:]
     norms = np.linalg.norm(directions, axis=-1) + np.zeros(len(uv))
     out = np.empty(len(uv))
-    ray_lengths(*view[:2], view.starts[0], view.candidates, uv, norms, at, np.empty(view.room), out)
+    ray_lengths(view.lists(0), uv, at, norms, np.empty(view.room), out)
     return out
 
 
@@ -39,22 +49,26 @@ def mesh_crossings(
     triangles: Int64[np.ndarray, "triangle 3"],
     parallel: bool = False,
 ) -> tuple[Int64[np.ndarray, " boundary"], Float[np.ndarray, " crossing"]]:
-    """All places t > 0, ascending, where each ray (u, v) crosses a closed mesh, also beyond the panel (t > 1).
+    """Find all places t > 0 where each ray (u, v) crosses a closed mesh, also beyond the panel (t > 1).
+
+    Parameters
+    ----------
+    frame, uv, vertices, triangles, parallel : as in `mesh_lengths`
 
     Returns
     -------
-    starts, places : ray i crosses at ``places[starts[i] : starts[i + 1]]``: an even number of times, an odd number if
-        it begins inside. Parameters are those of `mesh_lengths`.
+    starts, places : ray i crosses at ``places[starts[i] : starts[i + 1]]``, ascending: an even number of times, an odd
+        number if it begins inside
     """
     from phantomgen.ops.mesh.cpu import ray_crossings  # noqa: PLC0415
 
     uv, view, at = _cells_of_rays(frame, uv, open_surface(vertices, triangles), parallel)
     counts, found = np.empty(len(uv), dtype=np.int64), np.empty(view.room)
-    lists = (*view[:2], view.starts[0], view.candidates)
-    ray_crossings(*lists, uv, at, found, counts, found, False)
+    lists = view.lists(0)
+    ray_crossings(lists, uv, at, found, counts, found, False)
     starts = np.concatenate([[0], np.cumsum(counts)])
     places = np.empty(starts[-1])
-    ray_crossings(*lists, uv, at, found, counts, places, True)
+    ray_crossings(lists, uv, at, found, counts, places, True)
     return starts, places
 
 
@@ -91,10 +105,10 @@ def mesh_intervals(
         uv, view, at = _cells_of_rays(frame, directions[chosen] @ across.T / reach[:, None], surfaces, False)
         counts, found = np.empty(len(uv), np.int64), np.empty(view.room)
         for m in range(meshes):
-            lists = (view.corners, view.triangles, view.starts[m], view.candidates)
-            ray_intervals(*lists, uv, reach, at, found, counts, np.empty((0, 2)), False)
+            lists = view.lists(m)
+            ray_intervals(lists, uv, at, reach, found, counts, np.empty((0, 2)), False)
             ends.append(np.empty((counts.sum(), 2)))
-            ray_intervals(*lists, uv, reach, at, found, counts, ends[-1], True)
+            ray_intervals(lists, uv, at, reach, found, counts, ends[-1], True)
             rays.append(np.repeat(chosen, counts))
             owners.append(np.full(counts.sum(), m))
     place = np.concatenate(owners) * len(origins) + np.concatenate(rays)
@@ -111,12 +125,17 @@ def enclosures(
     labels: Int64[np.ndarray, " triangle"] | None = None,
     own: Int64[np.ndarray, " point"] | None = None,
 ) -> Int64[np.ndarray, " point"]:
-    """Number of crossings above each point (x, y, z) [mm], on a line along z: odd for points inside.
+    """Count the crossings above each point on a line along z: an odd number for points inside.
 
     Parameters
     ----------
-    points, vertices, triangles : what is asked for; the mesh [mm]
-    labels, own : each point does not see the triangles whose label is its own
+    points : (x, y, z) [mm]
+    vertices, triangles : the mesh [mm]
+    labels, own : label of each triangle, and of each point; crossings of triangles with the point's label do not count
+
+    Returns
+    -------
+    numbers of crossings, (point,)
     """
     from phantomgen.ops.mesh.cpu import count_beyond  # noqa: PLC0415
 
@@ -126,21 +145,25 @@ def enclosures(
     points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     uv, view, at = _cells_of_rays(np.stack([z, 0 * z, x, y]), points[:, :2], open_surface(vertices, triangles), True)
     depths, out = np.ascontiguousarray(points[:, 2]), np.empty(len(points), np.int64)
-    count_beyond(*view[:2], view.starts[0], view.candidates, uv, at, depths, labels, own, out)
+    count_beyond(view.lists(0), uv, at, depths, labels, own, out)
     return out
 
 
 def overlaps(
     vertices: Float[np.ndarray, "vertex 3"], triangles: Int64[np.ndarray, "triangle 3"], lines: int = 128
 ) -> Bool[np.ndarray, " triangle"]:
-    """Which faces begin or end a piece of a line that is inside of a body and inside or outside of another one, too.
+    """Find the faces where bodies overlap: a line enters one body twice, or leaves it twice, there.
 
     Parameters
     ----------
-    vertices, triangles : a closed mesh whose neighbours agree about which side is outside [mm]
-    lines : across the mesh in both directions, all in a direction that faces seldom have
+    vertices, triangles : a closed mesh whose neighbouring triangles agree about which side is outside [mm]
+    lines : number of lines across the mesh in both directions, all along a direction that faces seldom have
+
+    Returns
+    -------
+    True for these faces
     """
-    from phantomgen.ops.mesh.cpu import mark_overlaps  # noqa: PLC0415
+    from phantomgen.ops.mesh.cpu import OverlapScratch, mark_overlaps  # noqa: PLC0415
 
     axes = np.linalg.qr([[0.3, 0.5, 0.81], [0.47, -0.8, 0.33], [0.7, 0.2, -0.6]])[0]
     axes[2] *= np.linalg.det(axes)
@@ -151,17 +174,22 @@ def overlaps(
     uv = np.stack(np.meshgrid(*(low[:2] + part[:, None] * (high - low)[:2]).T), axis=-1).reshape(-1, 2)
     frame = np.stack([axes[2], middle, axes[0], axes[1]])
     uv, view, at = _cells_of_rays(frame, uv, open_surface(vertices, triangles), True)
-    scratch = np.empty(view.room), np.empty(view.room, np.int64), np.empty(view.room, np.bool_)
+    scratch = OverlapScratch(np.empty(view.room), np.empty(view.room, np.int64), np.empty(view.room, np.bool_))
     out = np.zeros(len(triangles), np.bool_)
-    least = 1e-9 * float(np.linalg.norm(high - low))
-    mark_overlaps(*view[:2], view.starts[0], view.candidates, uv, at, *scratch, least, out)
+    mark_overlaps(view.lists(0), uv, at, scratch, _SHORTEST_OVERLAP * float(np.linalg.norm(high - low)), out)
     return out
 
 
-def _cells_of_rays(
-    frame: np.ndarray, uv: np.ndarray, surfaces: Surfaces, parallel: bool
-) -> tuple[np.ndarray, MeshView, np.ndarray]:
+class _CellRays(NamedTuple):
     """Rays as an array, a view of cells that hold them all, and the cell of each."""
+
+    uv: Float[np.ndarray, "ray 2"]
+    view: MeshView
+    at: Int64[np.ndarray, " ray"]
+
+
+def _cells_of_rays(frame: np.ndarray, uv: np.ndarray, surfaces: Surfaces, parallel: bool) -> _CellRays:
+    """Sort rays into the cells of a view."""
     uv = np.ascontiguousarray(uv, dtype=np.float64)
     if uv.ndim != 2 or uv.shape[1] != 2 or not np.isfinite(uv).all():
         raise InputError(f"rays must be finite pairs (ray, 2), got {uv.shape}")
@@ -171,4 +199,4 @@ def _cells_of_rays(
     cells = (float(low[0]), float(low[1]), float(size[0]), float(size[1]))
     view = mesh_view(frame, side, side, surfaces, parallel, cells, with_outline=False)
     column, row = np.clip(np.floor((uv - low) / size), 0, side - 1).astype(np.int64).T
-    return uv, view, row * side + column
+    return _CellRays(uv, view, row * side + column)

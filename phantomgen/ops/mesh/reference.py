@@ -10,10 +10,19 @@ def length_one(
     vertices: Float[np.ndarray, "vertex 3"],
     triangles: Int64[np.ndarray, "triangle 3"],
 ) -> float:
-    """Length [mm] of ``origin + t direction``, 0 <= t <= 1, inside: ``|d| sum sign(d.n_k) min(max(t_k, 0), 1)``.
+    """Compute the length of a ray inside a mesh, ``|d| sum sign(d.n_k) min(max(t_k, 0), 1)``.
 
-    The sum runs over the triangles k that the ray's line meets in t_k, with normals n_k to the outside: leaving counts
-    as much as entering takes away. Rays through vertices and edges count twice or not at all; none must be asked for.
+    The sum runs over the triangles k that the ray's line meets in t_k, with normals n_k to the outside. Rays through
+    vertices and edges count twice or not at all: the caller must leave them out.
+
+    Parameters
+    ----------
+    origin, direction : the ray ``origin + t direction``, 0 <= t <= 1 [mm]
+    vertices, triangles : the mesh [mm]
+
+    Returns
+    -------
+    length [mm]
     """
     p, q, r = vertices[triangles.T]
     normals = np.cross(q - p, r - p)

@@ -2,13 +2,16 @@
 
 from collections.abc import Iterable
 from itertools import pairwise
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int32, Int64, UInt8
 
 from phantomgen.ops.mesh.edges import closed_edges, sharp_edges
 from spectra.errors import InputError
+
+if TYPE_CHECKING:
+    from phantomgen.ops.mesh.cpu import CellLists, TracedMeshes
 
 
 class Surfaces(NamedTuple):
@@ -31,7 +34,16 @@ class Surfaces(NamedTuple):
 
     @classmethod
     def of(cls, meshes: Iterable[tuple[np.ndarray, np.ndarray]]) -> "Surfaces":
-        """Surfaces of (vertices, triangles) pairs that are closed: two triangles meet at every edge."""
+        """Create surfaces of closed meshes: two triangles meet at every edge.
+
+        Parameters
+        ----------
+        meshes : vertices [mm] and triangles of each
+
+        Returns
+        -------
+        the surfaces
+        """
         pairs = [_ordered(*checked_mesh(vertices, triangles)) for vertices, triangles in meshes]
         edges = [closed_edges(triangles) for _, triangles in pairs]
         sharp = [sharp_edges(*pair, found) for pair, found in zip(pairs, edges, strict=True)]
@@ -52,7 +64,7 @@ class Surfaces(NamedTuple):
 
 
 class MeshView(NamedTuple):
-    """What the rays of one view need to know about meshes; arguments of `phantomgen.ops.mesh.cpu.intervals`.
+    """Meshes in one view, with the triangles that the rays through each cell may meet.
 
     Parameters
     ----------
@@ -77,14 +89,46 @@ class MeshView(NamedTuple):
         """Most pieces of a ray that lie in meshes."""
         return len(self.starts) * (self.room // 2 + 1)
 
-    def with_room(self) -> tuple[np.ndarray, ...]:
-        """The argument of `phantomgen.ops.mesh.cpu.list_pieces`, with scratch of its own."""
+    def lists(self, mesh: int) -> "CellLists":
+        """Return one mesh with the lists of its cells.
+
+        Parameters
+        ----------
+        mesh : number of the mesh
+
+        Returns
+        -------
+        argument of the kernels for many rays
+        """
+        from phantomgen.ops.mesh.cpu import CellLists  # noqa: PLC0415 - numba only where there are meshes
+
+        return CellLists(self.corners, self.triangles, self.starts[mesh], self.candidates)
+
+    def traced(self) -> "TracedMeshes":
+        """Return the meshes with scratch memory of their own.
+
+        Returns
+        -------
+        argument of `phantomgen.ops.mesh.cpu.list_pieces`
+        """
+        from phantomgen.ops.mesh.cpu import ListedPieces, TracedMeshes  # noqa: PLC0415
+
         first, last = np.empty((2, len(self.starts)), dtype=np.int64)
-        return *self[:4], np.empty(self.room), first, last, np.empty((self.pieces, 2))
+        pieces = ListedPieces(first, last, np.empty((self.pieces, 2)))
+        return TracedMeshes(*self[:4], np.empty(self.room), pieces)
 
 
 def open_surface(vertices: np.ndarray, triangles: np.ndarray) -> Surfaces:
-    """One mesh as surfaces that know none of their edges."""
+    """Create the surfaces of one mesh, without edges.
+
+    Parameters
+    ----------
+    vertices, triangles : the mesh [mm]
+
+    Returns
+    -------
+    the surfaces
+    """
     pair = checked_mesh(vertices, triangles)
     return Surfaces(*pair, np.array([0, len(pair[1])]), np.empty((0, 4), np.int32), np.empty(0, np.bool_))
 
@@ -109,6 +153,15 @@ def mesh_view(
     parallel : which of the two
     cells : u and v where the first cell begins, and its width and height in u and v; pixels unless given
     with_outline : whether to look for creases and silhouettes, too
+
+    Returns
+    -------
+    the view
+
+    Raises
+    ------
+    InputError
+        When the rays lie in one plane.
     """
     from phantomgen.ops.mesh import cpu  # noqa: PLC0415 - numba is only worth its import when there are meshes
 
@@ -119,15 +172,16 @@ def mesh_view(
     cpu.project(vertices, matrix, offset, bool(parallel), grid, corners, places)
     starts = np.zeros((len(parts) - 1, rows * columns + 1), dtype=np.int64)
     none = np.empty(0, dtype=np.int32)
+    mesh = cpu.ProjectedMesh(corners, places, triangles)
     for m, (begin, end) in enumerate(pairwise(parts)):
-        cpu.bin_triangles(corners, places, triangles, begin, end, grid, columns, starts[m, 1:], none, False)
+        cpu.bin_triangles(mesh, begin, end, grid, columns, starts[m, 1:], none, False)
     room = int(starts.max(initial=0)) + 1
     flat = starts.reshape(-1)
     np.cumsum(flat, out=flat)
     candidates = np.empty(flat[-1] if flat.size else 0, dtype=np.int32)
     for m, (begin, end) in enumerate(pairwise(parts)):
         next_entry = starts[m, :-1].copy()
-        cpu.bin_triangles(corners, places, triangles, begin, end, grid, columns, next_entry, candidates, True)
+        cpu.bin_triangles(mesh, begin, end, grid, columns, next_entry, candidates, True)
     outline = np.zeros((rows, columns), dtype=np.uint8)
     if with_outline:
         from phantomgen.ops.mesh.outline import mark_outline  # noqa: PLC0415
@@ -137,7 +191,21 @@ def mesh_view(
 
 
 def checked_mesh(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Arrays of a mesh as kernels want them; refuses what would make a kernel read outside its arrays."""
+    """Check a mesh, and convert its arrays to the types of the kernels.
+
+    Parameters
+    ----------
+    vertices, triangles : the mesh [mm]
+
+    Returns
+    -------
+    the two arrays
+
+    Raises
+    ------
+    InputError
+        When the arrays would make a kernel read outside of them, or are not finite.
+    """
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     triangles = np.ascontiguousarray(triangles, dtype=np.int32)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
@@ -154,7 +222,7 @@ def checked_mesh(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarra
 
 
 def _ordered(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same mesh with vertices and triangles along a Z-order curve; a shuffled one takes five times as long."""
+    """Sort vertices and triangles along a Z-order curve; a mesh in random order takes five times as long to trace."""
     low = vertices.min(axis=0, initial=np.inf)
     reach = (vertices - low).max(initial=0) or 1.0
     cells = ((vertices - low) * (1023 / reach)).astype(np.int64)

@@ -1,11 +1,27 @@
 """One round of random sequential addition in numba, with a hash table of cells."""
 
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
+from jaxtyping import Int
 from numba import njit
 
 from phantomgen.ops.kernel_decorators import inlined
+
+
+class BallCells(NamedTuple):
+    """Hash table of the cells that hold balls.
+
+    Parameters
+    ----------
+    width : of a cell [mm]
+    heads : first ball of each slot, -1 for none
+    following : next ball of the same slot, -1 for none
+    """
+
+    width: float
+    heads: Int[np.ndarray, " slot"]
+    following: Int[np.ndarray, " ball"]
 
 
 @inlined
@@ -17,17 +33,18 @@ def _slot(i, j, k, size):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def fill_round(points, radii, gap, width, waiting, heads, following, centers, placed):
+def fill_round(points, radii, gap, waiting, cells, centers, placed):
     """Put each waiting ball at its point if no ball that has a place is near.
 
     Parameters
     ----------
-    points, radii : where the waiting balls try, and how large all are [mm]
-    gap, width : least distance of two surfaces, width of a cell [mm]
+    points, radii : centres that the waiting balls try, and radii of all balls [mm]
+    gap : least distance of two surfaces [mm]
     waiting : balls without a place, in the order in which they try
-    heads, following : first ball of each slot, next ball of the same slot; -1 for none
+    cells : `BallCells`, written
     centers, placed : written for balls that find a place
     """
+    width, heads, following = cells
     for w in range(waiting.size):
         b = waiting[w]
         x, y, z = points[w, 0], points[w, 1], points[w, 2]

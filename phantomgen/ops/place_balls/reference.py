@@ -13,7 +13,17 @@ def place_one_by_one(
     rounds: int,
     groups: int,
 ) -> dict[int, Float[np.ndarray, " 3"]]:
-    """Centres of the balls that find a place within some rounds, the groups of larger ones first."""
+    """Place balls within some rounds, the groups of larger ones first.
+
+    Parameters
+    ----------
+    radii, candidates, gap : as in `phantomgen.ops.place_balls.place_balls`
+    rounds, groups : number of rounds, and of groups
+
+    Returns
+    -------
+    centres [mm] of the balls that find a place, by their numbers
+    """
     found: dict[int, np.ndarray] = {}
     for group in np.array_split(np.argsort(-radii, kind="stable"), groups):
         for attempt in range(rounds):

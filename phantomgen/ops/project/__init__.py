@@ -28,17 +28,26 @@ def project(
     columns: int,
     parallel: bool = False,
 ) -> "Float32[Array, 'component view row column']":
-    """Line integrals of several volumes at once; [1/mm] gives numbers without unit.
+    """Compute line integrals of several volumes at once.
 
     Parameters
     ----------
-    volume : values of the voxels; there is nothing outside of the grid
+    volume : values of the voxels, such as [1/mm]; there is nothing outside of the grid
     grid : the voxels
     frames : per view, as `Geometry.ray_frames` gives them, of rays ``frame[0] + t (frame[1] + u frame[2] + v
         frame[3])`` through column u and row v [mm]; if `parallel`, of rays ``frame[1] + u frame[2] + v frame[3] + t
         frame[0]``. Rays begin at t = 0, the source, and end at t = 1, the panel.
     rows, columns : size of the panel
-    parallel : which of the two
+    parallel : whether rays are parallel
+
+    Returns
+    -------
+    line integrals; without unit for values in 1/mm
+
+    Raises
+    ------
+    InputError
+        When the volume does not fit the grid, or frames are not four finite vectors per view.
     """
     if volume.shape[1:] != grid.shape:
         shape = tuple(volume.shape)
@@ -53,7 +62,22 @@ def project_transpose(
     frames: Float[np.ndarray, "view 4 3"],
     parallel: bool = False,
 ) -> "Float32[Array, 'component z y x']":
-    """Sum of all pixels, each times the weight that `project` gives to a voxel [mm]; parameters as there."""
+    """Sum all pixels, each times the weight that `project` gives to a voxel.
+
+    Parameters
+    ----------
+    images : values of the pixels
+    grid, frames, parallel : as in `project`
+
+    Returns
+    -------
+    volumes; weights have the unit mm
+
+    Raises
+    ------
+    InputError
+        When the images do not fit the views, or frames are not four finite vectors per view.
+    """
     if images.ndim != 4 or images.shape[1] != len(frames):
         shape = tuple(images.shape)
         raise InputError(f"images of {len(frames)} views must be (component, view, row, column), got {shape}")
@@ -62,12 +86,20 @@ def project_transpose(
 
 
 def values_of_averages(volume: Float[np.ndarray, "... z y x"]) -> Float[np.ndarray, "... z y x"]:
-    """Values at the centres of voxels between which linear interpolation has these averages over voxels.
+    """Compute values at the centres of voxels between which linear interpolation has given averages over voxels.
 
     Interpolated as they are, averages are blurred by the voxel twice: when they were taken, and between voxels. The
     average of a linear interpolant over voxel i is v_i + (v_(i-1) - 2 v_i + v_(i+1)) / 8 along each axis; this is its
     inverse to first order. `project` errs less of what was averaged (`benchmarks/peers/simulators.py`), but at edges
     values overshoot, also below 0.
+
+    Parameters
+    ----------
+    volume : averages over voxels
+
+    Returns
+    -------
+    values at the centres
     """
     bends = np.zeros_like(volume)
     for axis in (-3, -2, -1):
@@ -80,7 +112,7 @@ def values_of_averages(volume: Float[np.ndarray, "... z y x"]) -> Float[np.ndarr
 
 
 def _home(values: object) -> Any:
-    """Module that computes with such values. Who has a tensor has imported torch; others need not wait for it."""
+    """Module that computes with such values; torch is not imported here, as it is where there are tensors."""
     torch = sys.modules.get("torch")
     if torch is not None and isinstance(values, torch.Tensor):
         from phantomgen.ops.project import torch_pair as home  # noqa: PLC0415

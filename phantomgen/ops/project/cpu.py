@@ -8,12 +8,62 @@ is Joseph's linear interpolation (doi:10.1109/TMI.1982.4307572), and with wide p
 a view, backward some layers of z.
 """
 
+from collections.abc import Sequence
 from math import floor, sqrt
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
+import numpy as np
+from jaxtyping import Float, Int64
 from numba import njit
 
 from phantomgen.ops.kernel_decorators import inlined
+
+
+class VoxelView(NamedTuple):
+    """One view of a grid, in voxel indices and in the order (z, y, x).
+
+    Parameters
+    ----------
+    frame : four vectors of the rays, as in `phantomgen.ops.project.project` [voxel]
+    parallel : whether rays are parallel
+    spacing : size of a voxel [mm]
+    strides : number of voxels along each axis, and how far apart they are in memory
+    """
+
+    frame: Float[np.ndarray, "4 3"]
+    parallel: bool
+    spacing: Float[np.ndarray, " 3"]
+    strides: Int64[np.ndarray, "2 3"]
+
+
+class BeamScratch(NamedTuple):
+    """Scratch memory for one beam.
+
+    Parameters
+    ----------
+    ray : origin, direction [voxel], and length [mm]
+    weights : of the voxels across, along either axis
+    sums : one for each component
+    """
+
+    ray: Float[np.ndarray, " 7"]
+    weights: Float[np.ndarray, "2 voxel"]
+    sums: Float[np.ndarray, " component"]
+
+    @classmethod
+    def of(cls, shape: Sequence[int], components: int) -> "BeamScratch":
+        """Allocate the memory.
+
+        Parameters
+        ----------
+        shape : number of voxels along each axis
+        components : number of components
+
+        Returns
+        -------
+        arrays without values
+        """
+        return cls(np.empty(7), np.empty((2, max(shape))), np.empty(components))
 
 
 @inlined
@@ -79,18 +129,18 @@ def _spread(centre, width, first, last, weights):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def forward(volume, frame, parallel, spacing, strides, room, out):
-    """Line integrals of one view.
+def forward(volume, view, scratch, out):
+    """Write the line integrals of one view.
 
     Parameters
     ----------
     volume : values (component, voxel)
-    frame, spacing : (4, 3) in voxels, voxel sizes [mm], in the order (z, y, x)
-    strides : how many voxels along z, y and x, and how far apart in memory, (2, 3)
-    room : scratch: ray (7,), weights across (2, most voxels), sums (component,)
-    out : written, (component, row, column)
+    view : `VoxelView`
+    scratch : `BeamScratch`
+    out : line integrals (component, row, column), written
     """
-    ray, weights, sums = room
+    frame, parallel, spacing, strides = view
+    ray, weights, sums = scratch
     low, high = 0, strides[0, 0] - 1
     for row in range(out.shape[1]):
         for column in range(out.shape[2]):
@@ -124,12 +174,19 @@ def forward(volume, frame, parallel, spacing, strides, room, out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def backward(images, frame, parallel, spacing, strides, low, high, room, volume):
-    """Add what one view (component, row, column) gives to the layers ``low <= z <= high`` of a volume.
+def backward(images, view, low, high, scratch, volume):
+    """Add the pixels of one view, times their weights, to some layers of a volume.
 
-    `volume` is (component, voxel), all of it; the rest is as in `forward`.
+    Parameters
+    ----------
+    images : pixels (component, row, column)
+    view : `VoxelView`
+    low, high : first and last layer of z
+    scratch : `BeamScratch`
+    volume : values (component, voxel) of all layers, added to
     """
-    ray, weights, sums = room
+    frame, parallel, spacing, strides = view
+    ray, weights, sums = scratch
     for row in range(images.shape[1]):
         for column in range(images.shape[2]):
             axis = _aim(frame, parallel, spacing, float(column), float(row), ray)

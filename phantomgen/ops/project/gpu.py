@@ -18,10 +18,12 @@ from torch import Tensor
 
 from phantomgen.ops.project.ray_table import RayTable, ray_table
 
-_RAYS = 2**20  # in a table at a time: 50 MB
-_VIEWS = 2**15  # likewise; a launch takes no more
-_BLOCK = 128  # pixels or voxels per program
-_COMPONENTS = 4  # per program, at most
+# Most rays in a table at a time: 12 numbers of 4 bytes each, 50 MB.
+_RAYS = 2**20
+# Most views of a launch, which CUDA limits to 65535 along its second axis.
+_VIEWS = 2**15
+# Pixels or voxels per program, and most components; change time, not results.
+_BLOCK, _COMPONENTS = 128, 4
 
 
 @triton.jit
@@ -206,7 +208,20 @@ def forward(
     rows: int,
     columns: int,
 ) -> Float32[Tensor, "component view row column"]:
-    """Line integrals of contiguous volumes; frames in voxels and sizes of voxels [mm] in the order (z, y, x)."""
+    """Compute line integrals of contiguous volumes.
+
+    Parameters
+    ----------
+    volume : values of the voxels
+    views : frames in voxels and in the order (z, y, x), as in `phantomgen.ops.project.project`
+    parallel : whether rays are parallel
+    spacing : size of a voxel (z, y, x) [mm]
+    rows, columns : size of the panel
+
+    Returns
+    -------
+    line integrals
+    """
     components, depth, height, width = volume.shape
     out = volume.new_empty((components, len(views), rows, columns))
     for begin, table in _tables(views, parallel, spacing, (depth, height, width), rows, columns, volume.device):
@@ -228,7 +243,18 @@ def backward(
     spacing: Float[np.ndarray, " 3"],
     shape: tuple[int, int, int],
 ) -> Float32[Tensor, "component z y x"]:
-    """Transpose of `forward`, of contiguous images."""
+    """Apply the transpose of `forward` to contiguous images.
+
+    Parameters
+    ----------
+    images : values of the pixels
+    views, parallel, spacing : as in `forward`
+    shape : number of voxels along (z, y, x)
+
+    Returns
+    -------
+    volumes
+    """
     components, _, rows, columns = images.shape
     out = images.new_zeros((components, *shape))
     for begin, table in _tables(views, parallel, spacing, shape, rows, columns, images.device):

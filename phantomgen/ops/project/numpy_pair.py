@@ -9,8 +9,10 @@ from jaxtyping import Bool, Float, Float32
 from phantomgen.ops.project import cpu, z_aligned
 from spectra.threads import run_parallel
 
-_LAYERS = 32  # of z per piece of work of the transpose
-_MOST_LANES = 4  # components that are computed together; each number is compiled of its own
+# Layers of z per piece of work of the transpose; changes time, not results.
+_LAYERS = 32
+# Most components that are computed together; kernels are compiled once for each number of them.
+_MOST_LANES = 4
 
 
 def forward(
@@ -21,7 +23,20 @@ def forward(
     rows: int,
     columns: int,
 ) -> Float32[np.ndarray, "component view row column"]:
-    """Line integrals; frames in voxels and sizes of voxels [mm] in the order (z, y, x)."""
+    """Compute line integrals of volumes.
+
+    Parameters
+    ----------
+    volume : values of the voxels
+    views : frames in voxels and in the order (z, y, x), as in `phantomgen.ops.project.project`
+    parallel : whether rays are parallel
+    spacing : size of a voxel (z, y, x) [mm]
+    rows, columns : size of the panel
+
+    Returns
+    -------
+    line integrals
+    """
     stacked = _are_z_aligned(views, rows, columns, parallel)
     volume = np.asarray(volume, dtype=np.float32)
     components, *shape = volume.shape
@@ -31,13 +46,14 @@ def forward(
     out = np.zeros((len(views), components, rows, columns), dtype=np.float32)
 
     def view(i: int) -> None:
+        seen = cpu.VoxelView(views[i], parallel, spacing, strides)
         if not stacked[i]:
-            cpu.forward(flat, views[i], parallel, spacing, strides, _room(shape, components), out[i])
+            cpu.forward(flat, seen, cpu.BeamScratch.of(shape, components), out[i])
             return
         for group, lanes, lines in groups:
             image = np.zeros((columns, rows * len(lanes)), dtype=np.float32)
-            room, drawing = _room_for_lines(shape, rows, len(lanes), shape[0]), _room_for_pictures(shape, len(lanes))
-            z_aligned.forward(lanes, lines, views[i], parallel, spacing, strides[0], room, drawing, image)
+            scratch = z_aligned.ColumnScratch.of(shape, rows, len(lanes), shape[0])
+            z_aligned.forward(lanes, lines, seen, scratch, z_aligned.PictureScratch.of(shape, len(lanes)), image)
             out[i, group] = image.reshape(columns, rows, len(lanes)).T
 
     for _ in run_parallel(view, range(len(views))):
@@ -52,20 +68,33 @@ def backward(
     spacing: Float[np.ndarray, " 3"],
     shape: tuple[int, int, int],
 ) -> Float32[np.ndarray, "component z y x"]:
-    """Transpose of `forward`."""
+    """Apply the transpose of `forward`.
+
+    Parameters
+    ----------
+    images : values of the pixels
+    views, parallel, spacing : as in `forward`
+    shape : number of voxels along (z, y, x)
+
+    Returns
+    -------
+    volumes
+    """
     components, _, rows, columns = images.shape
     images = np.ascontiguousarray(np.moveaxis(images, 1, 0), dtype=np.float32)
     stacked = _are_z_aligned(views, rows, columns, parallel)
     out = np.zeros((components, *shape), dtype=np.float32)
     flat, strides = out.reshape(components, -1), _strides(shape)
-    upright_views, groups = views[stacked], _columns_side_by_side(images[stacked]) if stacked.any() else []
+    upright_views = [cpu.VoxelView(view, parallel, spacing, strides) for view in views[stacked]]
+    groups = _columns_side_by_side(images[stacked]) if stacked.any() else []
 
     def piece(first: int) -> None:
         last = min(first + _LAYERS, shape[0]) - 1
         for image, view in zip(images[~stacked], views[~stacked], strict=True):
-            cpu.backward(image, view, parallel, spacing, strides, first, last, _room(shape, components), flat)
+            seen = cpu.VoxelView(view, parallel, spacing, strides)
+            cpu.backward(image, seen, first, last, cpu.BeamScratch.of(shape, components), flat)
         for group, lanes, beside in groups:
-            layers = _upright_layers(lanes, beside, upright_views, parallel, spacing, shape, first, last)
+            layers = _upright_layers(lanes, beside, upright_views, (first, last))
             out[group, first : last + 1] += layers
 
     for _ in run_parallel(piece, range(0, shape[0], _LAYERS)):
@@ -82,7 +111,7 @@ def _groups(components: int) -> list[tuple[slice, tuple[np.float32, ...]]]:
 
 def _lines_side_by_side(
     volume: Float32[np.ndarray, "component z y x"],
-) -> list[tuple[slice, tuple[np.float32, ...], Float32[np.ndarray, "y x number"]]]:
+) -> list[tuple[slice, tuple[np.float32, ...], Float32[np.ndarray, "y x_and_one number"]]]:
     """Groups of components, their lanes, and their lines along z.
 
     One x more than there are keeps lines of different y from the same sets of the cache.
@@ -111,20 +140,18 @@ def _columns_side_by_side(
 def _upright_layers(
     lanes: tuple[np.float32, ...],
     images: Float32[np.ndarray, "view column number"],
-    views: Float[np.ndarray, "view 4 3"],
-    parallel: bool,
-    spacing: Float[np.ndarray, " 3"],
-    shape: tuple[int, int, int],
-    first: int,
-    last: int,
+    views: list[cpu.VoxelView],
+    ends: tuple[int, int],
 ) -> Float32[np.ndarray, "lane layer y x"]:
-    """What views whose rows are stacked give to some layers."""
-    (_, height, width), layers, rows = shape, last - first + 1, images.shape[2] // len(lanes)
+    """Sum over views whose rows are stacked, in the layers from the first to the last one of `ends`."""
+    first, last = ends
+    shape, layers, rows = views[0].strides[0].tolist(), last - first + 1, images.shape[2] // len(lanes)
+    _, height, width = shape
     volume = np.zeros((height, width + 1, layers * len(lanes)), dtype=np.float32)  # as in `_lines_side_by_side`
-    room, narrow = _room_for_lines(shape, rows, len(lanes), layers), _room_for_beams(rows, len(lanes), layers)
-    numbers = _strides(shape)[0]
+    scratch = z_aligned.ColumnScratch.of(shape, rows, len(lanes), layers)
+    narrow = z_aligned.LineScratch.of(rows, len(lanes), layers)
     for image, view in zip(images, views, strict=True):
-        z_aligned.backward(lanes, image, view, parallel, spacing, numbers, first, last, room, narrow, volume)
+        z_aligned.backward(lanes, image, view, first, last, scratch, narrow, volume)
     return np.moveaxis(volume.reshape(height, width + 1, layers, len(lanes))[:, :width], (3, 2), (0, 1))
 
 
@@ -132,30 +159,6 @@ def _strides(shape: Sequence[int]) -> np.ndarray:
     """How many voxels along (z, y, x), and how far apart in memory."""
     z, y, x = shape
     return np.array([[z, y, x], [y * x, x, 1]])
-
-
-def _room(shape: Sequence[int], components: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Scratch of a kernel."""
-    return np.empty(7), np.empty((2, max(shape))), np.empty(components)
-
-
-def _room_for_lines(shape: Sequence[int], rows: int, lanes: int, layers: int) -> tuple[np.ndarray, ...]:
-    """Scratch of a kernel that works on lines along z."""
-    lines = np.empty((2, layers + 1, lanes))
-    return np.empty(7), np.empty(max(shape)), np.empty((4, rows)), lines[0], lines[1]
-
-
-def _room_for_beams(rows: int, lanes: int, layers: int) -> tuple[np.ndarray, np.ndarray]:
-    """Scratch of `z_aligned.backward` for beams up to two voxels wide."""
-    return np.empty((4, rows)), np.empty((layers + z_aligned.PADDING) * lanes, dtype=np.float32)
-
-
-def _room_for_pictures(shape: Sequence[int], lanes: int) -> tuple[np.ndarray, ...]:
-    """Scratch of `z_aligned.forward` for lines that are summed together."""
-    most = max(shape[1:])
-    pictures = np.zeros((most, (shape[0] + z_aligned.PADDING) * lanes), dtype=np.float32)
-    steps, sizes = np.empty((2, most), dtype=np.float32)
-    return pictures, steps, sizes, np.empty((3, most + 1), dtype=np.float32), np.empty(most + 1, dtype=np.int32)
 
 
 def _are_z_aligned(

@@ -1,4 +1,4 @@
-"""What the Triton kernels know of rays and views, computed once in float64 with torch, on the device of the tensors.
+"""Rays and views for the Triton kernels, computed once in float64 with torch, on the device of the tensors.
 
 Everything that cancels is done here: kernels then count layers from the middle of the grid, where float32 places a ray
 to 1e-4 of a voxel in grids of 2000^3 voxels. As both directions read the same table, both give a voxel the same weight.
@@ -11,8 +11,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-_SLACK = 0.01  # voxels added to a reach; float32 misplaces a voxel on the panel by far less
-_FLAT = 1e-9  # volume spanned by a view's vectors over the product of their lengths, below which none is inverted
+# Added to a reach [voxel]; float32 misplaces a voxel on the panel by far less.
+_SLACK = 0.01
+# Volume spanned by a view's vectors over the product of their lengths, no unit; matrices below are not inverted.
+_FLAT = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +52,20 @@ def ray_table(
     columns: int,
     device: torch.device,
 ) -> RayTable:
-    """Table of all rays of some views; frames in voxels, sizes [mm] and numbers of voxels, in the order (z, y, x)."""
+    """Compute the table of all rays of some views.
+
+    Parameters
+    ----------
+    views : frames in voxels and in the order (z, y, x), as in `phantomgen.ops.project.project`
+    parallel : whether rays are parallel
+    spacing, shape : size of a voxel [mm] and number of voxels (z, y, x)
+    rows, columns : size of the panel
+    device : device of the table
+
+    Returns
+    -------
+    the table
+    """
     frames, sizes = torch.tensor(views, device=device), torch.tensor(spacing, device=device)
     u = torch.arange(columns, dtype=torch.float64, device=device)[:, None]
     v = torch.arange(rows, dtype=torch.float64, device=device)[:, None, None]
@@ -90,7 +105,7 @@ def ray_table(
 
 
 def _inverses(views: Float[np.ndarray, "view 4 3"], parallel: bool) -> Float[np.ndarray, "view 3 4"]:
-    """From voxel index to homogeneous column and row of the panel, as `RayTable` says."""
+    """Matrices from voxel index to homogeneous column and row of the panel, see `RayTable`."""
     fixed, corner, column, row = np.moveaxis(views, 1, 0)
     start, way = (corner, fixed) if parallel else (fixed, corner)
     normals = np.stack([np.cross(column, row), np.cross(row, way), np.cross(way, column)], axis=1)

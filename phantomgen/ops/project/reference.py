@@ -1,4 +1,4 @@
-"""The voxel projector as its definition says: the whole matrix of one view, in float64, one ray after the other."""
+"""Voxel projector by its definition: the whole matrix of one view, in float64, one ray after the other."""
 
 from itertools import product
 
@@ -11,10 +11,18 @@ from phantomgen.geometry.voxel_grid import Grid
 def matrix_of_view(
     frame: Float[np.ndarray, "4 3"], rows: int, columns: int, grid: Grid, parallel: bool = False
 ) -> Float[np.ndarray, "ray voxel"]:
-    """Weights [mm] of all voxels in each line integral.
+    """Compute the weights of all voxels in each line integral.
 
     A ray is cut by layers of voxels across its main axis. There a pixel's beam is a rectangle, at least a voxel wide; a
     voxel's weight is its part of the rectangle times the length of the ray in the layer.
+
+    Parameters
+    ----------
+    frame, rows, columns, grid, parallel : as in `phantomgen.ops.project.project`, of one view
+
+    Returns
+    -------
+    weights [mm], (ray, voxel)
     """
     spacing, origin = np.array(grid.spacing), np.array(grid.origin)
     matrix = np.zeros((rows, columns, *grid.shape))

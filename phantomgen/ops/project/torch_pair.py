@@ -18,7 +18,20 @@ def forward(
     rows: int,
     columns: int,
 ) -> Float32[Tensor, "component view row column"]:
-    """Line integrals; frames in voxels and sizes of voxels [mm] in the order (z, y, x)."""
+    """Compute line integrals of volumes.
+
+    Parameters
+    ----------
+    volume : values of the voxels
+    views : frames in voxels and in the order (z, y, x), as in `phantomgen.ops.project.project`
+    parallel : whether rays are parallel
+    spacing : size of a voxel (z, y, x) [mm]
+    rows, columns : size of the panel
+
+    Returns
+    -------
+    line integrals
+    """
     return _Forward.apply(volume.float(), views, parallel, spacing, rows, columns)  # type: ignore[return-value]
 
 
@@ -29,7 +42,18 @@ def backward(
     spacing: Float[np.ndarray, " 3"],
     shape: tuple[int, int, int],
 ) -> Float32[Tensor, "component z y x"]:
-    """Transpose of `forward`."""
+    """Apply the transpose of `forward`.
+
+    Parameters
+    ----------
+    images : values of the pixels
+    views, parallel, spacing : as in `forward`
+    shape : number of voxels along (z, y, x)
+
+    Returns
+    -------
+    volumes
+    """
     return _Backward.apply(images.float(), views, parallel, spacing, shape)  # type: ignore[return-value]
 
 

@@ -1,28 +1,134 @@
-"""The same projector for views whose rows are stacked along z, as those of circular and helical orbits are.
+"""Voxel projector for views whose rows are stacked along z, as those of circular and helical orbits are.
 
 All rays of a panel's column then cross the layers at the same places, seen along z. So each layer is interpolated
 across once for all rows, whole lines of voxels along z at a time. Lines along z are contiguous in memory. Where beams
 are up to two voxels wide, these lines are a picture in the plane of a column's rays, and a row is the sum of what its
 beam covers over all layers. Elsewhere a row takes its part from each line's running sum. Components lie side by side,
 as lanes of vectors, so that places and weights are computed once for all of them; the tuple `lanes` is as long as there
-are components, and its values do not count. This is many times as fast as `phantomgen.ops.project.cpu`, with the same
+are components, and its values are not used. This is many times as fast as `phantomgen.ops.project.cpu`, with the same
 weights.
 """
 
+from collections.abc import Sequence
 from math import ceil, floor
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
+from jaxtyping import Float, Float32, Int32
 from numba import njit
 
 from phantomgen.ops.kernel_decorators import inlined
 from phantomgen.ops.project.cpu import _aim, _spread, _width
 from phantomgen.ops.simd import load_as, splat_as, store
 
-# What is known of each row of a column: place and slope of its ray along z, its width there, and its length.
+# Fields of the ray of each row of a column: place and slope along z [voxel], width there [voxel], and length [mm].
 _PLACE, _RISE, _WIDE, _LONG = 0, 1, 2, 3
-# Voxels of nothing before a line, where a beam may begin, and in all: at the end it may begin and cover two more.
+# Empty voxels before a line, where a beam may begin, and in all: at the end, a beam may begin and cover two more.
 _BEFORE, PADDING = 2, 5
+# Change of place per row below which rows are parallel [voxel], far above rounding, 1e-16.
+_LEVEL = 1e-12
+
+
+class ColumnScratch(NamedTuple):
+    """Scratch memory for the rays of one column of the panel.
+
+    Parameters
+    ----------
+    ray : as in `phantomgen.ops.project.cpu.BeamScratch`
+    weights : of the voxels across
+    rows : fields of the ray of each row
+    lines, sums : a layer's lines of voxels along z, and their running sums
+    """
+
+    ray: Float[np.ndarray, " 7"]
+    weights: Float[np.ndarray, " voxel"]
+    rows: Float[np.ndarray, "4 row"]
+    lines: Float[np.ndarray, "edge component"]
+    sums: Float[np.ndarray, "edge component"]
+
+    @classmethod
+    def of(cls, shape: Sequence[int], rows: int, lanes: int, layers: int) -> "ColumnScratch":
+        """Allocate the memory.
+
+        Parameters
+        ----------
+        shape : number of voxels along (z, y, x)
+        rows : number of rows
+        lanes : number of components
+        layers : number of voxels along a line
+
+        Returns
+        -------
+        arrays without values
+        """
+        lines = np.empty((2, layers + 1, lanes))
+        return cls(np.empty(7), np.empty(max(shape)), np.empty((4, rows)), lines[0], lines[1])
+
+
+class PictureScratch(NamedTuple):
+    """Scratch memory for layers whose beams are up to two voxels wide, which are summed together.
+
+    Parameters
+    ----------
+    pictures : a line along z for each layer, with `PADDING`; empty voxels are zero on entry
+    steps, sizes : t of each layer less that of the first; width of a beam there over that at the panel
+    shares, places : parts of voxels that a beam covers in each layer, and where these begin
+    """
+
+    pictures: Float32[np.ndarray, "layer number"]
+    steps: Float32[np.ndarray, " layer"]
+    sizes: Float32[np.ndarray, " layer"]
+    shares: Float32[np.ndarray, "3 end"]
+    places: Int32[np.ndarray, " end"]
+
+    @classmethod
+    def of(cls, shape: Sequence[int], lanes: int) -> "PictureScratch":
+        """Allocate the memory.
+
+        Parameters
+        ----------
+        shape : number of voxels along (z, y, x)
+        lanes : number of components
+
+        Returns
+        -------
+        pictures of zeros, and arrays without values
+        """
+        most = max(shape[1:])
+        pictures = np.zeros((most, (shape[0] + PADDING) * lanes), dtype=np.float32)
+        steps, sizes = np.empty((2, most), dtype=np.float32)
+        return cls(
+            pictures, steps, sizes, np.empty((3, most + 1), dtype=np.float32), np.empty(most + 1, dtype=np.int32)
+        )
+
+
+class LineScratch(NamedTuple):
+    """Scratch memory for one layer whose beams are up to two voxels wide.
+
+    Parameters
+    ----------
+    shares : where each row's beam begins, and which parts of three voxels it covers
+    line : of voxels along z, with `PADDING`
+    """
+
+    shares: Float[np.ndarray, "4 row"]
+    line: Float32[np.ndarray, " number"]
+
+    @classmethod
+    def of(cls, rows: int, lanes: int, layers: int) -> "LineScratch":
+        """Allocate the memory.
+
+        Parameters
+        ----------
+        rows : number of rows
+        lanes : number of components
+        layers : number of voxels along a line
+
+        Returns
+        -------
+        arrays without values
+        """
+        return cls(np.empty((4, rows)), np.empty((layers + PADDING) * lanes, dtype=np.float32))
 
 
 @inlined
@@ -47,7 +153,7 @@ def _near(rows, t, low, high, reach):
     if count == 1:
         return 0, 1
     step = (rows[_PLACE, count - 1] + t * rows[_RISE, count - 1] - begin) / (count - 1)
-    if abs(step) < 1e-12:
+    if abs(step) < _LEVEL:
         return 0, count
     one, other = (low - reach - begin) / step, (high + reach - begin) / step
     first = max(0.0, min(floor(min(one, other)), float(count)))
@@ -65,8 +171,12 @@ def _edge(place, low, high):
 
 @inlined
 @no_type_check
-def _draw(volume, axis, k, place, count, weights, length, before, line):
-    """Write a layer's line, interpolated across and times `length`, behind `before` numbers of nothing."""
+def _draw(volume, layer, across, length, before, line):
+    """Write a layer's line, interpolated across and times `length`, behind `before` empty numbers.
+
+    A layer is its axis and number; the voxels across are the first one, their number and their weights.
+    """
+    (axis, k), (place, count, weights) = layer, across
     y, x = (k, place) if axis == 1 else (place, k)
     part = np.float32(length * weights[0])
     if count == 1:
@@ -85,8 +195,9 @@ def _draw(volume, axis, k, place, count, weights, length, before, line):
 
 @inlined
 @no_type_check
-def _sum_up(volume, axis, k, place, count, weights, lines, sums):
-    """Write a layer's lines, interpolated across, and their running sums."""
+def _sum_up(volume, layer, across, lines, sums):
+    """Write a layer's lines, interpolated across, and their running sums; arguments are those of `_draw`."""
+    (axis, k), (place, count, weights) = layer, across
     depth, together = lines.shape[0] - 1, lines.shape[1]
     for c in range(together):
         sums[0, c] = 0.0
@@ -100,23 +211,25 @@ def _sum_up(volume, axis, k, place, count, weights, lines, sums):
 
 @inlined
 @no_type_check
-def _cover(width, together, first, rise, wide, steps, sizes, count, places, shares):
+def _cover(width, together, beam, drawing, count):
     """Write where in each line of a picture a beam up to two voxels wide begins, and which parts of voxels it covers.
 
     Places are counted from a voxel below all of the beam, which keeps 32 bits exact to 1e-6 voxels.
 
     Parameters
     ----------
-    width, together : voxels of a line, with nothing at its ends; numbers of each
-    first, rise : place in the first line, where 0 is the middle of the first voxel, and change of it per unit of t
-    wide : width at the panel [voxel]; if 0, a voxel everywhere, which is linear interpolation
-    steps, sizes, count : t of each line less that of the first; width there over that at the panel; how many lines
-    places, shares : written, (line,) and (3, line), and nothing behind the last; the third share is not if `wide` is 0
+    width, together : voxels of a line, with empty ones at its ends; numbers of each
+    beam : place in the first line, where 0 is the middle of the first voxel; change of it per unit of t; width at the
+        panel [voxel], or 0 for that of a voxel everywhere, which is linear interpolation
+    drawing, count : `PictureScratch`, whose places and shares are written, and zeros behind the last; the third share
+        is not written if the width is 0; number of lines
 
     Returns
     -------
     whether it meets any
     """
+    first, rise, wide = beam
+    _, steps, sizes, shares, places = drawing
     last, one, two = first + rise * steps[count - 1], np.float32(1.0), np.float32(2.0)
     places[count], shares[:, count] = 0, np.float32(0.0)
     lowest = min(first, last)
@@ -142,13 +255,18 @@ def _cover(width, together, first, rise, wide, steps, sizes, count, places, shar
 
 @inlined
 @no_type_check
-def _add_drawn(lanes, picture, width, start, steps, sizes, drawn, rows, is_wide, places, shares, first, out):
-    """Add what the beams of all rows of a column cover of the layers that were drawn; to `out`, flat, from `first`."""
-    together = len(lanes)
+def _add_drawn(lanes, drawing, layers, rows, is_wide, first, out):
+    """Add the parts of the drawn layers that the beams of a column's rows cover; to `out`, flat, from `first`.
+
+    `layers` are t of the first one and their number.
+    """
+    (start, drawn), shares, places = layers, drawing.shares, drawing.places
+    together, picture = len(lanes), drawing.pictures.reshape(-1)
+    width = drawing.pictures.shape[1] // together
     for row in range(rows.shape[1]):
         rise, wide = rows[_RISE, row], (rows[_WIDE, row] if is_wide else 0.0)
         place = rows[_PLACE, row] + start * rise
-        if not _cover(width, together, place, rise, wide, steps, sizes, drawn, places, shares):
+        if not _cover(width, together, (place, rise, wide), drawing, drawn):
             continue
         even = odd = further_even = further_odd = splat_as(lanes, np.float32(0.0))
         for k in range(0, drawn, 2):  # four sums, none of which waits for another
@@ -167,22 +285,22 @@ def _add_drawn(lanes, picture, width, start, steps, sizes, drawn, rows, is_wide,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def forward(lanes, volume, frame, parallel, spacing, counts, room, drawing, out):
-    """Line integrals of one view.
+def forward(lanes, volume, view, scratch, drawing, out):
+    """Write the line integrals of one view.
 
     Parameters
     ----------
     lanes : a tuple, as long as there are components
     volume : values (y, x, z and component); there may be more x than voxels
-    frame, spacing, counts : (4, 3) in voxels, voxel sizes [mm], numbers of voxels, in the order (z, y, x)
-    room : scratch: ray (7,), weights across (most voxels,), rows (4, row), lines and sums (z + 1, component)
-    drawing : scratch, 32 bits: lines one after the other (most voxels, z + PADDING and component), zero on entry;
-        steps and sizes of `_cover`, its shares (3, most voxels + 1), and whole numbers, its places
-    out : (column, row and component), zero on entry
+    view : `phantomgen.ops.project.cpu.VoxelView`
+    scratch, drawing : `ColumnScratch` and `PictureScratch`
+    out : line integrals (column, row and component), zero on entry
     """
-    ray, weights, rows, lines, sums = room
-    pictures, steps, sizes, shares, places = drawing
-    last_z, together, picture, flat = counts[0] - 1, len(lanes), pictures.reshape(-1), out.reshape(-1)
+    frame, parallel, spacing, strides = view
+    ray, weights, rows, lines, sums = scratch
+    pictures, steps, sizes, _, _ = drawing
+    counts, flat = strides[0], out.reshape(-1)
+    last_z, together = counts[0] - 1, len(lanes)
     for column in range(out.shape[0]):
         axis, widest = _aim_rows(frame, parallel, spacing, float(column), ray, rows)
         across = 3 - axis
@@ -202,11 +320,11 @@ def forward(lanes, volume, frame, parallel, spacing, counts, room, drawing, out)
             if size * widest <= 2.0:
                 start = t if drawn == 0 else start
                 widest_drawn = max(widest_drawn, size * widest)
-                _draw(volume, axis, k, place, count, weights, t1 - t0, _BEFORE * together, pictures[drawn])
+                _draw(volume, (axis, k), (place, count, weights), t1 - t0, _BEFORE * together, pictures[drawn])
                 steps[drawn], sizes[drawn] = t - start, size
                 drawn += 1
                 continue
-            _sum_up(volume, axis, k, place, count, weights, lines, sums)
+            _sum_up(volume, (axis, k), (place, count, weights), lines, sums)
             for row in range(top, bottom):
                 middle, width = rows[_PLACE, row] + t * rows[_RISE, row], max(1.0, size * rows[_WIDE, row])
                 low, past_low = _edge(middle - 0.5 * width, 0, last_z)
@@ -216,19 +334,18 @@ def forward(lanes, volume, frame, parallel, spacing, counts, room, drawing, out)
                     within = sums[high, c] - sums[low, c] + past_high * lines[high, c] - past_low * lines[low, c]
                     out[column, row * together + c] += scale * within
         if drawn > 0:
-            at = column * out.shape[1]
-            width, is_wide = pictures.shape[1] // together, widest_drawn > 1.0
-            _add_drawn(lanes, picture, width, start, steps, sizes, drawn, rows, is_wide, places, shares, at, flat)
+            _add_drawn(lanes, drawing, (start, drawn), rows, widest_drawn > 1.0, column * out.shape[1], flat)
 
 
 @inlined
 @no_type_check
-def _share_out(rows, top, bottom, t, size, length, low_z, last, shares):
-    """Write where beams up to two voxels wide, of some rows of a column, begin in a layer's line, and what they give.
+def _share_out(rows, top, bottom, layer, low_z, last, shares):
+    """Write where beams up to two voxels wide, of some rows of a column, begin in a layer's line, and their weights.
 
-    Lines begin `_BEFORE` voxels below `low_z`, and end as many as a beam may reach behind the last; a beam beside all
-    of that gives nothing.
+    A layer is its t, the width of a beam there over that at the panel, and its part of the ray. Lines begin `_BEFORE`
+    voxels below `low_z`, and end as many as a beam may reach behind the last; a beam beside all of that has no weight.
     """
+    t, size, length = layer
     beyond, shift = last + 1.0 + _BEFORE, _BEFORE + 0.5 - low_z
     places, rises = rows[_PLACE, top:bottom], rows[_RISE, top:bottom]
     widths, lengths = rows[_WIDE, top:bottom], rows[_LONG, top:bottom]
@@ -247,7 +364,7 @@ def _share_out(rows, top, bottom, t, size, length, low_z, last, shares):
 @inlined
 @no_type_check
 def _scatter(lanes, values, first, count, shares, lines):
-    """Write what beams of `count` rows give to a layer's line: values (row, lane) from `first` on, lines (z, lane)."""
+    """Write the sum of `count` rows' values (row, lane) from `first` on, times their weights, to a line (z, lane)."""
     for i in range(lines.size):
         lines[i] = np.float32(0.0)
     together = len(lanes)
@@ -262,8 +379,9 @@ def _scatter(lanes, values, first, count, shares, lines):
 
 @inlined
 @no_type_check
-def _add_lines(lines, before, axis, k, place, count, weights, volume):
-    """Add a layer's lines, flat, from entry `before` on, to the voxels that the beam crosses."""
+def _add_lines(lines, before, layer, across, volume):
+    """Add a layer's lines, flat, from entry `before` on, to the voxels that the beam crosses; see `_draw`."""
+    (axis, k), (place, count, weights) = layer, across
     length = volume.shape[2]
     for i in range(count):
         y, x = (k, place + i) if axis == 1 else (place + i, k)
@@ -274,19 +392,22 @@ def _add_lines(lines, before, axis, k, place, count, weights, volume):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def backward(lanes, images, frame, parallel, spacing, counts, low_z, high_z, room, narrow, volume):
-    """Add what one view gives to the layers ``low_z <= z <= high_z`` of a volume.
+def backward(lanes, images, view, low_z, high_z, scratch, narrow, volume):
+    """Add the pixels of one view, times their weights, to some layers of a volume.
 
     Parameters
     ----------
-    images : (column, row and component)
-    low_z, high_z : first and last layer
-    narrow : scratch for beams up to two voxels wide: shares (4, row); 32 bits: a line (z + PADDING and component,)
-    volume : (y, x, z and component), these layers only
-    lanes, frame, spacing, counts, room : as in `forward`
+    lanes : a tuple, as long as there are components
+    images : pixels (column, row and component)
+    view : `phantomgen.ops.project.cpu.VoxelView`
+    low_z, high_z : first and last layer of z
+    scratch, narrow : `ColumnScratch` and `LineScratch`
+    volume : values (y, x, z and component) of these layers, added to
     """
-    ray, weights, rows, lines, sums = room
+    frame, parallel, spacing, strides = view
+    ray, weights, rows, lines, sums = scratch
     shares, drawn = narrow
+    counts = strides[0]
     last, together = high_z - low_z, len(lanes)
     values = images.reshape(-1)
     for column in range(images.shape[0]):
@@ -305,9 +426,9 @@ def backward(lanes, images, frame, parallel, spacing, counts, low_z, high_z, roo
             if t1 <= t0 or count == 0 or top == bottom:
                 continue
             if size * widest <= 2.0:
-                _share_out(rows, top, bottom, t, size, t1 - t0, low_z, last, shares)
+                _share_out(rows, top, bottom, (t, size, t1 - t0), low_z, last, shares)
                 _scatter(lanes, values, column * images.shape[1] + top * together, bottom - top, shares, drawn)
-                _add_lines(drawn, _BEFORE * together, axis, k, place, count, weights, volume)
+                _add_lines(drawn, _BEFORE * together, (axis, k), (place, count, weights), volume)
                 continue
             lines[:], sums[:] = 0.0, 0.0
             for row in range(top, bottom):
@@ -327,4 +448,4 @@ def backward(lanes, images, frame, parallel, spacing, counts, low_z, high_z, roo
                 for z in range(last, -1, -1):
                     lines[z, c] += total
                     total += sums[z, c]
-            _add_lines(lines.reshape(-1), 0, axis, k, place, count, weights, volume)
+            _add_lines(lines.reshape(-1), 0, (axis, k), (place, count, weights), volume)

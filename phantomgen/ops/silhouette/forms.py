@@ -28,7 +28,8 @@ from jaxtyping import Bool, Float, Int64
 from phantomgen.ops.primitives import BALL, BOX, CONE, CYLINDER, HALFSPACE
 from phantomgen.ops.solids import half_axes
 
-# Relative size below which a form is rounding noise: every ray, or none, is singular (a mantle seen along its axis).
+# No unit, relative to squares of directions and moments; a smaller form is rounding, (1e-13)^2: every ray, or none, is
+# singular (a mantle seen along its axis).
 _ZERO_FORM = 1e-26
 
 
@@ -52,7 +53,17 @@ class Silhouettes(NamedTuple):
 def cone_silhouettes(
     frame: Float[np.ndarray, "4 3"], kinds: Int64[np.ndarray, " shape"], locals_: Float[np.ndarray, "shape 3 4"]
 ) -> Silhouettes:
-    """Silhouettes for rays ``frame[0] + t (frame[1] + u frame[2] + v frame[3])``."""
+    """Compute the silhouettes for rays ``frame[0] + t (frame[1] + u frame[2] + v frame[3])``.
+
+    Parameters
+    ----------
+    frame : source, vector from there to the centre of pixel (0, 0), column step, row step (x, y, z) [mm]
+    kinds, locals_ : code of each primitive, and its map from world [mm] to local coordinates
+
+    Returns
+    -------
+    silhouettes and bounds
+    """
     origin = np.zeros((3, 3))
     origin[:, 0] = frame[0]
     return _silhouettes(origin, frame[1:].T, kinds, locals_, cone_bounds(frame, kinds, locals_))
@@ -61,14 +72,33 @@ def cone_silhouettes(
 def parallel_silhouettes(
     frame: Float[np.ndarray, "4 3"], kinds: Int64[np.ndarray, " shape"], locals_: Float[np.ndarray, "shape 3 4"]
 ) -> Silhouettes:
-    """Silhouettes for parallel rays ``frame[1] + u frame[2] + v frame[3] + t frame[0]``."""
+    """Compute the silhouettes for parallel rays ``frame[1] + u frame[2] + v frame[3] + t frame[0]``.
+
+    Parameters
+    ----------
+    frame : direction, position of the ray (0, 0), column step, row step (x, y, z) [mm]
+    kinds, locals_ : as in `cone_silhouettes`
+
+    Returns
+    -------
+    silhouettes and bounds
+    """
     direction = np.zeros((3, 3))
     direction[:, 0] = frame[0]
     return _silhouettes(frame[1:].T, direction, kinds, locals_, _parallel_bounds(frame, kinds, locals_))
 
 
 def no_silhouettes(bounds: Float[np.ndarray, "shape 4"]) -> Silhouettes:
-    """Bounds alone."""
+    """Create silhouettes without forms.
+
+    Parameters
+    ----------
+    bounds : as in `Silhouettes`
+
+    Returns
+    -------
+    the bounds alone
+    """
     return Silhouettes(np.empty((0, 6)), np.empty(0, np.int64), np.empty(0), bounds)
 
 
@@ -131,7 +161,16 @@ def _primitive_forms(
 def cone_bounds(
     frame: Float[np.ndarray, "4 3"], kinds: Int64[np.ndarray, " shape"], locals_: Float[np.ndarray, "shape 3 4"]
 ) -> Float[np.ndarray, "shape 4"]:
-    """Panel rectangle around the shadow; that of the enclosing cube but for balls, cylinders and cones."""
+    """Compute the rectangle on the panel around each shadow; that of the enclosing cube but for round primitives.
+
+    Parameters
+    ----------
+    frame, kinds, locals_ : as in `cone_silhouettes`
+
+    Returns
+    -------
+    lowest u, highest u, lowest v, highest v [pixel]; infinite for one that reaches behind the source
+    """
     center, axes = _projected(np.linalg.inv(frame[1:].T), frame[0], locals_)
     along = axes[:, 0]
     reach = np.where(kinds == BALL, np.sqrt((along**2).sum(axis=1)), np.abs(along).sum(axis=1))
@@ -177,7 +216,7 @@ def _ellipsoid_bounds(
 def _parallel_bounds(
     frame: Float[np.ndarray, "4 3"], kinds: Int64[np.ndarray, " shape"], locals_: Float[np.ndarray, "shape 3 4"]
 ) -> Float[np.ndarray, "shape 4"]:
-    """The same for parallel rays."""
+    """Rectangles around the shadows for parallel rays."""
     center, axes = _projected(np.linalg.inv(frame[[0, 2, 3]].T), frame[1], locals_)
     x, y, z = np.abs(np.moveaxis(axes[:, 1:], 2, 0))
     ball, round_ = (kinds == BALL)[:, None], np.isin(kinds, (CYLINDER, CONE))[:, None]
@@ -189,6 +228,6 @@ def _parallel_bounds(
 def _projected(
     matrix: Float[np.ndarray, "3 3"], origin: Float[np.ndarray, " 3"], locals_: Float[np.ndarray, "shape 3 4"]
 ) -> tuple[Float[np.ndarray, "shape 3"], Float[np.ndarray, "shape 3 3"]]:
-    """Depth, u and v (homogeneous) of the centre and of the half axes of the cubes that enclose primitives."""
+    """Project the centres and half axes of the cubes that enclose primitives to depth, u and v (homogeneous)."""
     center, axes = half_axes(locals_)
     return (center - origin) @ matrix.T, matrix @ axes

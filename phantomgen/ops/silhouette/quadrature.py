@@ -16,13 +16,23 @@ from numba import njit
 
 from phantomgen.ops.kernel_decorators import called, inlined
 
-# Conics per square that are split exactly; a square with more is sampled on a regular grid.
+# Most conics per square that are split exactly, which bounds memory; a square with more is sampled on a regular grid of
+# `GRID` x `GRID` rays.
 CONICS = 8
 GRID = 16
+# Kinds of pieces in `Rules`.
 INNER, ARC, OUTER, ENDED, BOTH = 0, 1, 2, 3, 4
+# Rows of the lines in `Room`.
 _SPLITS, _CUTS, _TANGENTS = 0, 1, 2
-# Tangents farther away than this many squares do not deserve a substitution.
+# Side of the square; a tangent farther away than this needs no substitution, as a Gauss rule of two nodes integrates a
+# square root there to 1e-6.
 _FAR = 4.0
+# Side of the square; pieces narrower than these are rounding, their parts of an average are below it.
+_NARROWEST_PIECE, _NARROWEST_LINE = 1e-9, 1e-12
+# Golden ratio less 1, no unit.
+_GOLDEN_RATIO = 0.6180339887498949
+# Bound on the rounding of a form's value, no unit, relative to the sum of its terms' sizes: some times 1e-16.
+_ROUNDING = 4e-15
 
 
 class Rules(NamedTuple):
@@ -31,6 +41,11 @@ class Rules(NamedTuple):
     Each level holds nodes and weights on [0, 1] for five kinds of pieces: `INNER`, the inner coordinate of a smooth
     piece; `ARC`, the same between two tangents; `OUTER`, the outer one; `ENDED` and `BOTH`, the same with one singular
     end and with two.
+
+    Parameters
+    ----------
+    nodes : nodes and weights of each level and kind
+    sizes : number of nodes
     """
 
     nodes: Float[np.ndarray, "level 5 2 node"]
@@ -38,7 +53,7 @@ class Rules(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Scratch of `square_nodes`.
+    """Scratch memory of `square_nodes`.
 
     Parameters
     ----------
@@ -53,14 +68,32 @@ class Room(NamedTuple):
 
 
 def gauss(n: int) -> Float[np.ndarray, "2 node"]:
-    """Gauss-Legendre nodes and weights on [0, 1]."""
+    """Compute Gauss-Legendre nodes and weights on [0, 1].
+
+    Parameters
+    ----------
+    n : number of nodes
+
+    Returns
+    -------
+    nodes and weights
+    """
     x, w = np.polynomial.legendre.leggauss(n)
     return np.stack([(x + 1) / 2, w / 2])
 
 
 @lru_cache
 def make_rules(*strengths: tuple[int, int]) -> Rules:
-    """Rules with (inner, outer) nodes across and along a conic, more where both ends of a piece are singular."""
+    """Create rules, with more nodes where both ends of a piece are singular.
+
+    Parameters
+    ----------
+    *strengths : nodes across and along a conic, of each level
+
+    Returns
+    -------
+    the rules
+    """
     sizes = np.array([(inner, inner + 2, outer, outer + 1, outer + 3) for inner, outer in strengths], dtype=np.int64)
     nodes = np.zeros((*sizes.shape, 2, sizes.max()))
     for piece in np.ndindex(sizes.shape):
@@ -69,7 +102,16 @@ def make_rules(*strengths: tuple[int, int]) -> Rules:
 
 
 def make_room(rules: Rules) -> Room:
-    """Scratch for `square_nodes`, with nodes for three squares of the worst kind."""
+    """Allocate scratch memory of `square_nodes`, with nodes for three squares of the worst kind.
+
+    Parameters
+    ----------
+    rules : the rules
+
+    Returns
+    -------
+    arrays without values
+    """
     splits = 6 * CONICS + CONICS * CONICS + 2
     lines = (splits + 1) * int(rules.sizes[:, BOTH].max())
     size = max(lines * (2 * CONICS + 1) * int(rules.sizes[:, ARC].max()), GRID * GRID)
@@ -79,20 +121,36 @@ def make_room(rules: Rules) -> Room:
 @inlined
 @no_type_check
 def shift_form(forms, f, u, v, local, i):
-    """Write form `f` relative to (u, v) to row `i` of `local`, with the rounding error of its value there."""
+    """Write a form relative to a point, with the rounding error of its value there.
+
+    Parameters
+    ----------
+    forms, f : forms of a view, and the number of one
+    u, v : the point
+    local, i : conics as in `Room`, and the row that is written
+    """
     k0, ku, kv, kuu, kuv, kvv = forms[f, 0], forms[f, 1], forms[f, 2], forms[f, 3], forms[f, 4], forms[f, 5]
     local[i, 0] = k0 + u * (ku + kuu * u + kuv * v) + v * (kv + kvv * v)
     local[i, 1] = ku + 2.0 * kuu * u + kuv * v
     local[i, 2] = kv + 2.0 * kvv * v + kuv * u
     local[i, 3], local[i, 4], local[i, 5] = kuu, kuv, kvv
     size = abs(k0) + abs(u) * (abs(ku) + abs(kuu * u) + abs(kuv * v)) + abs(v) * (abs(kv) + abs(kvv * v))
-    local[i, 6] = 4e-15 * size
+    local[i, 6] = _ROUNDING * size
 
 
 @inlined
 @no_type_check
 def may_vanish(local, i):
-    """Whether a local form can be zero inside the unit square (conservative)."""
+    """Return whether a local form can be zero inside the unit square.
+
+    Parameters
+    ----------
+    local, i : conics as in `Room`, and the row of one
+
+    Returns
+    -------
+    False only where it certainly has no zero
+    """
     slope = abs(local[i, 1]) + abs(local[i, 2])
     bend = abs(local[i, 3]) + abs(local[i, 4]) + abs(local[i, 5])
     return abs(local[i, 0]) <= 0.5 * slope + 0.25 * bend + local[i, 6]
@@ -101,7 +159,17 @@ def may_vanish(local, i):
 @inlined
 @no_type_check
 def quadratic_roots(c2, c1, c0, error):
-    """Real roots of ``c2 x^2 + c1 x + c0``, NaN for missing ones; a double root lost to the `error` of c0 counts."""
+    """Compute the real roots of ``c2 x^2 + c1 x + c0``.
+
+    Parameters
+    ----------
+    c2, c1, c0 : coefficients
+    error : of c0; a double root that may be missing because of it counts
+
+    Returns
+    -------
+    two roots, NaN for missing ones
+    """
     discriminant = c1 * c1 - 4.0 * c2 * c0
     if discriminant < 0.0:
         if discriminant < -4.0 * abs(c2) * error:
@@ -264,15 +332,18 @@ def _cut_inner(local, conics, lines, b):
 
 @inlined
 @no_type_check
-def _add_line(local, conics, rule_nodes, rule_sizes, lines, nodes, at, b, weight, part):
-    """Nodes along the inner coordinate for the outer coordinate `b`, from index `at` on; return the next index.
+def _add_line(local, conics, rules, lines, nodes, at, line):
+    """Write the nodes of a line along the inner coordinate, from index `at` on; return the next index.
 
-    `part` is the number of the part that the line begins in.
+    `rules` are nodes and sizes of one level, `line` the outer coordinate, the weight, and the number of the part that
+    the line begins in.
     """
+    rule_nodes, rule_sizes = rules
+    b, weight, part = line
     cuts, tangents = _cut_inner(local, conics, lines, b)
     for i in range(cuts):
         low, high = lines[_CUTS, i], lines[_CUTS, i + 1]
-        if high - low < 1e-12:
+        if high - low < _NARROWEST_LINE:
             continue
         left, right = _nearest_tangents(lines, tangents, low, high)
         kind, base, first, span, half = _substitution(low, high, left, right)
@@ -302,7 +373,17 @@ def _end_map(x, from_split, to_split):
 @called
 @no_type_check
 def grid_nodes(nodes, at, n):
-    """Midpoints of n x n equal parts of the square, from index `at` on; return the next index."""
+    """Write the midpoints of n x n equal parts of the square.
+
+    Parameters
+    ----------
+    nodes, at : nodes as in `Room`, written from index `at` on
+    n : parts along each side
+
+    Returns
+    -------
+    next index
+    """
     for i in range(n * n):
         nodes[at + i, 0], nodes[at + i, 1] = (i // n + 0.5) / n - 0.5, (i % n + 0.5) / n - 0.5
         nodes[at + i, 2], nodes[at + i, 3] = 1.0 / (n * n), 0.0
@@ -312,8 +393,17 @@ def grid_nodes(nodes, at, n):
 @njit(error_model="numpy")
 @no_type_check
 def lattice_step(count):
-    """Step of a lattice of `count` points: close to the golden ratio, with no divisor in common with `count`."""
-    step = int(0.6180339887498949 * count)
+    """Find the step of a lattice: close to the golden ratio, with no divisor in common with the number of points.
+
+    Parameters
+    ----------
+    count : number of points
+
+    Returns
+    -------
+    step, in points
+    """
+    step = int(_GOLDEN_RATIO * count)
     while gcd(step, count) > 1:
         step += 1
     return step
@@ -322,10 +412,18 @@ def lattice_step(count):
 @inlined
 @no_type_check
 def lattice_nodes(nodes, at, count):
-    """Points of a lattice in the square, `count` different ones along either side, from index `at` on.
+    """Write the points of a lattice in the square, with as many different places along either side as points.
 
-    An edge along a side so cuts off the right share to 1 / count, not 1 / sqrt(count) as with a square grid. Returns
-    the next index.
+    So an edge along a side cuts off the correct part to 1 / count, not 1 / sqrt(count) as with a square grid.
+
+    Parameters
+    ----------
+    nodes, at : nodes as in `Room`, written from index `at` on
+    count : number of points
+
+    Returns
+    -------
+    next index
     """
     step = lattice_step(count)
     for i in range(count):
@@ -337,9 +435,18 @@ def lattice_nodes(nodes, at, count):
 @njit(error_model="numpy")
 @no_type_check
 def square_nodes(local, conics, rule_nodes, rule_sizes, lines, nodes, at):
-    """Write nodes (a, b, weight, part) for the first `conics` conics of `local`, from `at` on; return the next index.
+    """Write nodes that average over the square cut by conics; weights sum to 1 up to the error of the rule.
 
-    Weights sum to the area, 1, up to the error of the rule. Arguments are the fields of `Room`, one level of `Rules`.
+    Parameters
+    ----------
+    local, conics : conics as in `Room`, and how many of them
+    rule_nodes, rule_sizes : one level of `Rules`
+    lines : as in `Room`
+    nodes, at : nodes as in `Room`, written from index `at` on
+
+    Returns
+    -------
+    next index
     """
     if conics > CONICS:
         return grid_nodes(nodes, at, np.int64(GRID))
@@ -349,7 +456,7 @@ def square_nodes(local, conics, rule_nodes, rule_sizes, lines, nodes, at):
     low = -0.5
     for i in range(splits + 1):
         high = lines[_SPLITS, i] if i < splits else 0.5
-        if high - low < 1e-9:
+        if high - low < _NARROWEST_PIECE:
             continue
         rule = OUTER + (i > 0) + (i < splits)
         for j in range(rule_sizes[rule]):
@@ -357,7 +464,8 @@ def square_nodes(local, conics, rule_nodes, rule_sizes, lines, nodes, at):
             weight = rule_nodes[rule, 1, j] * slope * (high - low)
             b = low + (high - low) * x
             part = i * (2 * CONICS + 1)  # lines between two splits are cut alike
-            count = _add_line(local, conics, rule_nodes, rule_sizes, lines, nodes, count, b, weight, part)
+            rules = (rule_nodes, rule_sizes)
+            count = _add_line(local, conics, rules, lines, nodes, count, (b, weight, part))
         low = high
     if swapped:
         for i in range(at, count):

@@ -1,6 +1,6 @@
 """Which shapes may be met in which part of a panel.
 
-A panel is cut into square tiles, and each tile lists the shapes whose bounds meet one of its cells. A ray then looks at
+A panel is cut into square tiles, and each tile lists the shapes whose bounds meet one of its cells. A ray then tests
 the shapes of its tile in place of all of them.
 """
 
@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int64
 
-# Cells along each edge of a tile: small ones cost memory where shapes are large, large ones time where they are small.
+# Cells along each edge of a tile: small tiles cost memory where shapes are large, large ones time where they are small.
+# No change of results.
 TILE = 8
 
 
@@ -35,7 +36,18 @@ class Tiles(NamedTuple):
     def of(
         cls, bounds: Float[np.ndarray, "shape 4"], shapes: Int64[np.ndarray, " form"], rows: int, columns: int
     ) -> "Tiles":
-        """Tiles of a panel for shapes with the given bounds; `shapes` are those that silhouettes belong to."""
+        """Create the tiles of a panel.
+
+        Parameters
+        ----------
+        bounds : of each shape
+        shapes : shape that each silhouette belongs to
+        rows, columns : size of the panel
+
+        Returns
+        -------
+        the tiles
+        """
         down, across = -(-rows // TILE), -(-columns // TILE)
         left, right = _reached(bounds[:, 0], bounds[:, 1], columns)
         top, bottom = _reached(bounds[:, 2], bounds[:, 3], rows)

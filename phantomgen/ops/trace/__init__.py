@@ -10,7 +10,7 @@ from jaxtyping import Float
 from phantomgen.ops.mesh import mesh_intervals
 from phantomgen.ops.solids import Solids
 
-# Rows of primitives from which on a ray first looks for those near it.
+# Number of primitives; with more of them, a ray first tests the balls around them. Changes time, not results.
 _MANY = 32
 
 
@@ -29,23 +29,30 @@ def trace(
     solids : the objects; a later one overrides an earlier one
     count : number of materials
     background : material outside all shapes, -1 for none
+
+    Returns
+    -------
+    path lengths [mm], (ray, material)
+
+    Raises
+    ------
+    InputError
+        When the objects do not fit the materials.
     """
     # numba is only worth its import when rays are traced
     from phantomgen.ops.trace import cpu  # noqa: PLC0415
-    from phantomgen.ops.trace.table import ring_tubes, solid_table  # noqa: PLC0415
+    from phantomgen.ops.trace.table import TracedSolids  # noqa: PLC0415
 
     solids = solids.checked(count, background)
     origins, directions = (np.ascontiguousarray(a, dtype=np.float64) for a in (origins, directions))
     out = np.empty((len(directions), count))
-    table, listed, pieces = solid_table(solids), None, 0
+    listed, pieces = None, 0
     if solids.surfaces is not None:
         starts, ends = mesh_intervals(origins, directions, solids.surfaces)
         listed, pieces = (starts, ends), int(np.diff(starts, axis=1).max(axis=1, initial=0).sum())
-    maps = None if solids.voxels is None else tuple(solids.voxels)
-    active, events = np.empty(solids.rows, np.int64), cpu.event_room(solids.rows, pieces)
     balls = solids.balls if solids.rows > _MANY else np.empty((0, 4))
-    tubes = ring_tubes(solids)
-    cpu.trace_rays(table, tubes, listed, maps, balls, background, origins, directions, active, events, out)
+    traced, scratch = TracedSolids.of(solids, background), cpu.RayScratch.of(solids.rows, pieces)
+    cpu.trace_rays(traced, listed, balls, origins, directions, scratch, out)
     return out
 
 
@@ -66,6 +73,15 @@ def trace_view(
     solids : the objects; a later one overrides an earlier one
     count : number of materials
     background : material outside all shapes, -1 for none
+
+    Returns
+    -------
+    path lengths [mm], (row, column, material)
+
+    Raises
+    ------
+    InputError
+        When the objects do not fit the materials.
     """
     frame = np.ascontiguousarray(frame, dtype=np.float64)
     if solids.surfaces is not None or solids.voxels is not None:
@@ -75,15 +91,14 @@ def trace_view(
         return trace(origins, directions, solids, count, background).reshape(rows, columns, count)
     from phantomgen.ops.silhouette.forms import cone_bounds  # noqa: PLC0415
     from phantomgen.ops.silhouette.tiles import Tiles  # noqa: PLC0415
-    from phantomgen.ops.trace.cpu import event_room  # noqa: PLC0415
-    from phantomgen.ops.trace.table import ALONE, ring_tubes, solid_table  # noqa: PLC0415
+    from phantomgen.ops.trace.cpu import RayScratch  # noqa: PLC0415
+    from phantomgen.ops.trace.table import ALONE, TracedSolids  # noqa: PLC0415
     from phantomgen.ops.trace.view import trace_pixels  # noqa: PLC0415
 
     solids = solids.checked(count, background)
-    table, bounds = solid_table(solids), cone_bounds(frame, solids.kinds, solids.locals_)
-    tiles = Tiles.of(bounds, np.empty(0, np.int64), rows, columns)
-    whole = bool((table[:, ALONE] > 0).all() and (solids.owners == np.arange(solids.rows)).all())
-    ray = np.empty(solids.rows, np.int64), event_room(solids.rows), np.empty(count)
+    traced = TracedSolids.of(solids, background)
+    tiles = Tiles.of(cone_bounds(frame, solids.kinds, solids.locals_), np.empty(0, np.int64), rows, columns)
+    whole = bool((traced.table[:, ALONE] > 0).all() and (solids.owners == np.arange(solids.rows)).all())
     out = np.empty((rows, columns, count))
-    trace_pixels(frame, table, ring_tubes(solids), tuple(tiles), int(background), whole, ray, out)
+    trace_pixels(frame, traced, tiles, whole, RayScratch.of(solids.rows), np.empty(count), out)
     return out

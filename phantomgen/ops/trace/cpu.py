@@ -5,10 +5,10 @@ comes in local coordinates, because many rays share one.
 """
 
 from math import sqrt
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int64
 from numba import njit
 
 from phantomgen.ops.kernel_decorators import called, inlined
@@ -25,9 +25,32 @@ ENTER, LEAVE, HIT, CUT, PIECE, END, OPEN, EXACT, EVENT_ROWS = 0, 1, 2, 3, 4, 5, 
 ORDER = 0xFFFFFFFF
 
 
-def event_room(rows: int, pieces: int = 0) -> Float[np.ndarray, "7 event"]:
-    """Scratch for the events along a ray that meets all primitives, a torus twice, and `pieces` of meshes."""
-    return np.empty((EVENT_ROWS, 4 * rows + 2 * pieces + 1))
+class RayScratch(NamedTuple):
+    """Scratch memory of the kernels for one ray.
+
+    Parameters
+    ----------
+    active : rows of the primitives that the ray may meet
+    events : what happens along the ray; its rows are named by `ENTER` to `OPEN`
+    """
+
+    active: Int64[np.ndarray, " row"]
+    events: Float[np.ndarray, "7 event"]
+
+    @classmethod
+    def of(cls, rows: int, pieces: int = 0) -> "RayScratch":
+        """Allocate scratch memory for a ray that meets all primitives, and each torus twice.
+
+        Parameters
+        ----------
+        rows : number of primitives
+        pieces : most pieces of a ray that lie in meshes
+
+        Returns
+        -------
+        arrays without values
+        """
+        return cls(np.empty(rows, np.int64), np.empty((EVENT_ROWS, 4 * rows + 2 * pieces + 1)))
 
 
 @inlined
@@ -56,8 +79,10 @@ def _between_roots(a, b, discriminant, inside):
 
 @inlined
 @no_type_check
-def _in_cone(ox, oy, oz, dx, dy, dz, discriminant):
+def _in_cone(origin, direction, discriminant):
     """Interval inside the upper half of the double cone ``x^2 + y^2 < z^2``, cut off at its base."""
+    ox, oy, oz = origin
+    dx, dy, dz = direction
     a, b = dx * dx + dy * dy - dz * dz, ox * dx + oy * dy - oz * dz
     first, last = _slab(2.0 * oz - 1.0, 2.0 * dz, 0.0, 1.0)
     if a == 0.0:
@@ -77,13 +102,15 @@ def _in_cone(ox, oy, oz, dx, dy, dz, discriminant):
 
 @inlined
 @no_type_check
-def _round_chord(kind, ox, oy, oz, dx, dy, dz, near, refined, exact):
-    """Interval inside a ball, a cylinder or a cone, and whether the ray all but misses it.
+def _round_chord(kind, origin, direction, near, refined, exact):
+    """Interval inside a ball, a cylinder or a cone, and whether the ray almost misses it.
 
     Discriminants stand as squares of the direction minus squares of the moment ``o x d`` (Lagrange's identity), which
-    keeps the digits that ``b^2 - a c`` loses for a distant source. Where a ray all but misses, these do not do either:
-    there the `exact` one is taken, once it is known.
+    keeps the digits that ``b^2 - a c`` loses for a distant source. Where a ray almost misses, these are too inexact as
+    well: there the `exact` one is taken, once it is known.
     """
+    ox, oy, oz = origin
+    dx, dy, dz = direction
     across, along, mz = dx * dx + dy * dy, dz * dz, ox * dy - oy * dx
     if kind == CYLINDER:
         discriminant = across - mz * mz
@@ -98,7 +125,7 @@ def _round_chord(kind, ox, oy, oz, dx, dy, dz, near, refined, exact):
         inside = ox * ox + oy * oy + oz * oz < 1.0
         first, last = _between_roots(across + along, ox * dx + oy * dy + oz * dz, discriminant, inside)
     elif kind == CONE:
-        first, last = _in_cone(ox, oy, oz, dx, dy, dz, discriminant)
+        first, last = _in_cone(origin, direction, discriminant)
     else:
         first, last = _between_roots(across, ox * dx + oy * dy, discriminant, ox * ox + oy * oy < 1.0)
         first, last = _slab(oz, dz, first, last)
@@ -117,25 +144,39 @@ def _halfspace_chord(oz, dz):
 
 @inlined
 @no_type_check
-def _box_chord(ox, oy, oz, dx, dy, dz):
+def _box_chord(origin, direction):
     """Interval inside a box."""
-    first, last = _slab(ox, dx, 0.0, 1.0)
-    first, last = _slab(oy, dy, first, last)
-    return _slab(oz, dz, first, last)
+    first, last = _slab(origin[0], direction[0], 0.0, 1.0)
+    first, last = _slab(origin[1], direction[1], first, last)
+    return _slab(origin[2], direction[2], first, last)
 
 
 @called
 @no_type_check
-def _refine(table, dx, dy, dz, active, count, events):
+def _refine(table, direction, active, count, events):
     """Write discriminants of the active primitives in twice the precision; flat ones have none, only a number."""
     for i in range(count):
-        events[EXACT, i] = grazing_discriminant(table[active[i]], dx, dy, dz)
+        events[EXACT, i] = grazing_discriminant(table[active[i]], direction)
 
 
 @inlined
 @no_type_check
-def collect(table, tubes, listed, dx, dy, dz, active, count, events):
-    """Fill `events` with those of the active primitives that the ray meets, in order; return how many."""
+def collect(table, tubes, listed, direction, active, count, events):
+    """Write where the ray meets the active primitives to `events`, in the order of these.
+
+    Parameters
+    ----------
+    table, tubes : primitives as `solid_table` makes them, with the ray's origin filled in; as `ring_tubes` does
+    listed : first and last piece of each mesh that the ray runs in, and their ends (piece, 2); None without meshes
+    direction : from the ray's start to its end (x, y, z) [mm]
+    active, count : rows that the ray may meet, ascending; number of these
+    events : rows `ENTER`, `LEAVE` and `HIT` are written
+
+    Returns
+    -------
+    number of hits
+    """
+    dx, dy, dz = direction
     refined = False
     while True:
         hits, grazing = 0, False
@@ -150,21 +191,20 @@ def collect(table, tubes, listed, dx, dy, dz, active, count, events):
                         events[ENTER, hits], events[LEAVE, hits], events[HIT, hits] = ends[piece, 0], ends[piece, 1], s
                         hits += 1
                     continue
-            ox, oy, oz = table[s, 2], table[s, 3], table[s, 4]
+            origin = (table[s, 2], table[s, 3], table[s, 4])
             lx = table[s, 5] * dx + table[s, 6] * dy + table[s, 7] * dz
             ly = table[s, 8] * dx + table[s, 9] * dy + table[s, 10] * dz
             lz = table[s, 11] * dx + table[s, 12] * dy + table[s, 13] * dz
+            way = (lx, ly, lz)
             if tubes is not None and tubes[s] > 0.0:
-                hits += torus_intervals(tubes[s], ox, oy, oz, lx, ly, lz, s, hits, events)
+                hits += torus_intervals(tubes[s], origin, way, s, hits, events)
                 continue
             if kind == BOX:
-                first, last = _box_chord(ox, oy, oz, lx, ly, lz)
+                first, last = _box_chord(origin, way)
             elif kind == HALFSPACE:
-                first, last = _halfspace_chord(oz, lz)
+                first, last = _halfspace_chord(origin[2], lz)
             else:
-                first, last, close = _round_chord(
-                    kind, ox, oy, oz, lx, ly, lz, table[s, NEAR], refined, events[EXACT, i]
-                )
+                first, last, close = _round_chord(kind, origin, way, table[s, NEAR], refined, events[EXACT, i])
                 grazing |= close
             if first < last:
                 events[ENTER, hits] = first
@@ -173,8 +213,8 @@ def collect(table, tubes, listed, dx, dy, dz, active, count, events):
                 hits += 1
         if refined or not grazing:
             return hits
-        # The few rays that graze are looked at twice: a call inside the loop above would slow down all others.
-        _refine(table, dx, dy, dz, active, count, events)
+        # The few rays that graze are computed twice: a call inside the loop above would slow down all others.
+        _refine(table, direction, active, count, events)
         refined = True
 
 
@@ -236,24 +276,40 @@ def _pass_end(events, end, count):
 
 @inlined
 @no_type_check
-def owned_pieces(table, tubes, listed, dx, dy, dz, active, count, events):
+def owned_pieces(table, tubes, listed, direction, active, count, events):
     """Cut the ray where its owner changes.
-
-    Afterwards the object that begins with row ``events[PIECE, i]`` owns the ray from ``events[CUT, i]``, where it meets
-    row ``events[END, i]``, to ``events[CUT, i + 1]``, where it meets row ``events[END, i + 1]``; -1: nobody does.
 
     Parameters
     ----------
-    table, tubes : primitives as `solid_table` makes them, with the ray's origin filled in; as `ring_tubes` does
-    listed : first and last piece of each mesh that the ray runs in, and their ends (piece, 2); None without meshes
-    dx, dy, dz : direction [mm]
-    active, count : rows that the ray may meet, ascending; how many of them
+    table, tubes, listed, direction, active, count : as in `collect`
+    events : written as by `cut_pieces`
 
     Returns
     -------
-    Number of pieces; 0 for a ray that meets nothing. Else the rows it meets stand in ``events[HIT]`` before a -1.
+    number of pieces; 0 for a ray that meets nothing
     """
-    hits = collect(table, tubes, listed, dx, dy, dz, active, count, events)
+    hits = collect(table, tubes, listed, direction, active, count, events)
+    return cut_pieces(table, hits, events)
+
+
+@inlined
+@no_type_check
+def cut_pieces(table, hits, events):
+    """Cut the ray where its owner changes, by the hits that `collect` has written.
+
+    Afterwards the object that begins with row ``events[PIECE, i]`` owns the ray from ``events[CUT, i]``, where it meets
+    row ``events[END, i]``, to ``events[CUT, i + 1]``, where it meets row ``events[END, i + 1]``; -1: no object owns it.
+
+    Parameters
+    ----------
+    table : as in `collect`
+    hits : number of hits
+    events : all rows are written; the primitives that the ray meets are ``events[HIT]`` up to a -1
+
+    Returns
+    -------
+    number of pieces; 0 for a ray that meets nothing
+    """
     if hits == 0:
         return 0
     events[HIT, hits] = -1.0
@@ -277,21 +333,27 @@ def owned_pieces(table, tubes, listed, dx, dy, dz, active, count, events):
 
 @inlined
 @no_type_check
-def add_pieces(table, maps, background, dx, dy, dz, pieces, events, lengths):
-    """Write the path length per material of one ray that `owned_pieces` has cut into pieces, in mm.
+def add_pieces(table, maps, background, direction, pieces, events, lengths):
+    """Write the path length per material of one ray that `owned_pieces` has cut into pieces.
 
     Kernels call the two one after the other: with both inside a third function, a ray takes 30 ns more.
 
     Parameters
     ----------
-    maps : fields of `VoxelMaps`; None without voxel maps
+    table : as in `collect`
+    maps : `VoxelMaps`; None without voxel maps
     background : material of what no shape owns, -1 for none
+    direction : as in `collect` [mm]
+    pieces, events : result of `owned_pieces`, and what it has written
+    lengths : path lengths [mm], (material,), written
 
     Returns
     -------
-    A number, 0 for a ray that meets nothing. Its bits `ORDER` name the owners along the ray in turn, and whose surfaces
-    part them; the others the rows that the ray meets, which change at silhouettes only.
+    signature of the ray, 0 for one that meets nothing. Its bits `ORDER` name the owners along the ray in turn, and the
+    shapes whose surfaces separate them; the other bits name the rows that the ray meets, which change at silhouettes
+    only.
     """
+    dx, dy, dz = direction
     for m in range(lengths.size):
         lengths[m] = 0.0
     norm = sqrt(dx * dx + dy * dy + dz * dz)
@@ -301,9 +363,9 @@ def add_pieces(table, maps, background, dx, dy, dz, pieces, events, lengths):
         owner = int(events[PIECE, i])
         signature = signature * 1000003 + owner + 2 + (int(events[END, i]) << 32)
         if owner >= 0:
-            if maps is not None and maps[0][owner] >= 0:
+            if maps is not None and maps.numbers[owner] >= 0:
                 low, high = events[CUT, i], events[CUT, i + 1]
-                covered += add_map(maps, table, owner, dx, dy, dz, low, high, norm, lengths)
+                covered += add_map(maps, table, owner, direction, low, high, norm, lengths)
                 continue
             part = (events[CUT, i + 1] - events[CUT, i]) * norm
             lengths[int(table[owner, MATERIAL])] += part
@@ -332,8 +394,10 @@ def _with_rows(signature, events):
 
 @inlined
 @no_type_check
-def _list_near(balls, ox, oy, oz, dx, dy, dz, active):
+def _list_near(balls, origin, direction, active):
     """Write the rows whose balls the line meets to `active`, ascending; return how many."""
+    ox, oy, oz = origin
+    dx, dy, dz = direction
     count = 0
     reach = (1.0 + 1e-9) * (dx * dx + dy * dy + dz * dz)
     for s in range(balls.shape[0]):
@@ -346,26 +410,34 @@ def _list_near(balls, ox, oy, oz, dx, dy, dz, active):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def trace_rays(table, tubes, listed, maps, balls, background, origins, directions, active, events, out):
-    """Path length per material of many rays, (R, 3) and (R, 3) -> (R, material).
+def trace_rays(solids, listed, balls, origins, directions, scratch, out):
+    """Write the path length per material of many rays.
 
-    `listed` has, per mesh and ray, where its pieces start (mesh, ray + 1), and their ends (piece, 2); or is None.
-    `balls` enclose the rows: centre, and radius squared; with none of them, rays look at all rows.
+    Parameters
+    ----------
+    solids : `TracedSolids`
+    listed : where the pieces of each mesh and ray start (mesh, ray + 1), and their ends (piece, 2); None without meshes
+    balls : around the primitives: centre and radius squared (row, 4); with none of them, rays test all rows
+    origins, directions : start of each ray, and the vector from there to its end (ray, 3) [mm]
+    scratch : `RayScratch`
+    out : path lengths [mm], (ray, material), written
     """
+    table, tubes, maps, background = solids
+    active, events = scratch
     for s in range(table.shape[0]):
         active[s] = s
     for ray in range(directions.shape[0]):
-        ox, oy, oz = origins[ray, 0], origins[ray, 1], origins[ray, 2]
-        dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
+        origin = (origins[ray, 0], origins[ray, 1], origins[ray, 2])
+        direction = (directions[ray, 0], directions[ray, 1], directions[ray, 2])
         count = active.size
         if balls.shape[0] > 0:
-            count = _list_near(balls, ox, oy, oz, dx, dy, dz, active)
+            count = _list_near(balls, origin, direction, active)
         for i in range(count):
-            set_origin(table, active[i], ox, oy, oz)
+            set_origin(table, active[i], origin[0], origin[1], origin[2])
         if listed is None:
-            pieces = owned_pieces(table, tubes, None, dx, dy, dz, active, count, events)
+            pieces = owned_pieces(table, tubes, None, direction, active, count, events)
         else:
             starts, ends = listed
             own = (starts[:, ray], starts[:, ray + 1], ends)
-            pieces = owned_pieces(table, tubes, own, dx, dy, dz, active, count, events)
-        add_pieces(table, maps, background, dx, dy, dz, pieces, events, out[ray])
+            pieces = owned_pieces(table, tubes, own, direction, active, count, events)
+        add_pieces(table, maps, background, direction, pieces, events, out[ray])

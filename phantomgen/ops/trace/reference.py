@@ -14,7 +14,18 @@ _PLANES[BOX] = [(axis, side) for axis in range(3) for side in (-1, 1)]
 
 
 def crossings(kind: int, tube: float, o: Float[np.ndarray, " 3"], d: Float[np.ndarray, " 3"]) -> list[float]:
-    """All t where the local ray ``o + t d`` meets a surface (or the plane of a face) of a unit primitive."""
+    """Compute all t where a local ray meets a surface, or the plane of a face, of a unit primitive.
+
+    Parameters
+    ----------
+    kind : code of `phantomgen.ops.primitives`
+    tube : radius of the tube of a torus
+    o, d : of the ray ``o + t d``, in local coordinates
+
+    Returns
+    -------
+    values of t, in no order
+    """
     found = [(side - o[axis]) / d[axis] for axis, side in _PLANES.get(kind, []) if d[axis] != 0]
     polynomial = np.zeros(1)
     if kind in _QUADRICS:
@@ -27,8 +38,19 @@ def crossings(kind: int, tube: float, o: Float[np.ndarray, " 3"], d: Float[np.nd
     return found + [float(t.real) for t in np.roots(polynomial) if abs(t.imag) < 1e-9]
 
 
-def inside(kind: int, tube: float, point: Float[np.ndarray, " 3"]) -> bool:
-    """Whether a local point lies in a unit primitive."""
+def inside(kind: int, tube: float, point: Float[np.ndarray, " 3"]) -> bool | np.bool_:
+    """Return whether a local point lies in a unit primitive.
+
+    Parameters
+    ----------
+    kind : code of `phantomgen.ops.primitives`
+    tube : radius of the tube of a torus
+    point : (x, y, z) in local coordinates
+
+    Returns
+    -------
+    True where it lies inside
+    """
     x, y, z = point
     if kind == BALL:
         return x * x + y * y + z * z < 1
@@ -44,7 +66,18 @@ def inside(kind: int, tube: float, point: Float[np.ndarray, " 3"]) -> bool:
 
 
 def owner_at(solids: Solids, point: Float[np.ndarray, " 3"], background: int = -1) -> int:
-    """Material at a point [mm]: that of the last object with a term that holds there."""
+    """Return the material at a point, which is that of the last object with a term that contains it.
+
+    Parameters
+    ----------
+    solids : the objects
+    point : (x, y, z) [mm]
+    background : material outside all shapes, -1 for none
+
+    Returns
+    -------
+    index of the material
+    """
     holds = [
         inside(kind, tube, m[:, :3] @ point + m[:, 3]) == wanted
         for kind, tube, m, wanted in zip(solids.kinds, solids.tubes, solids.locals_, solids.inside, strict=True)
@@ -63,13 +96,24 @@ def trace_one(
     count: int,
     background: int = -1,
 ) -> Float[np.ndarray, " material"]:
-    """Path length per material [mm] of one ray ``origin + t direction``, 0 <= t <= 1.
+    """Compute the path length per material of one ray ``origin + t direction``, 0 <= t <= 1.
 
     Between two neighbouring crossings the ray belongs to the object that owns the middle of that piece.
+
+    Parameters
+    ----------
+    origin, direction : start of the ray, and the vector from there to its end [mm]
+    solids : the objects
+    count : number of materials
+    background : material outside all shapes, -1 for none
+
+    Returns
+    -------
+    path lengths [mm], (material,)
     """
     events = [
         t
-        for kind, tube, m in zip(solids.kinds, solids.tubes, solids.locals_, strict=True)
+        for kind, tube, m in zip(solids.kinds.tolist(), solids.tubes, solids.locals_, strict=True)
         for t in crossings(kind, tube, m[:, :3] @ origin + m[:, 3], m[:, :3] @ direction)
     ]
     cuts = np.unique(np.clip([0.0, 1.0, *events], 0.0, 1.0))

@@ -10,7 +10,8 @@ from typing import no_type_check
 
 from phantomgen.ops.kernel_decorators import called, inlined
 
-_STEPS = 60  # of safeguarded Newton iterations; bisection alone would reach rounding
+# Safeguarded Newton iterations; bisection alone would reach the rounding of a float64 (53 bits) with as many.
+_STEPS = 60
 
 
 @inlined
@@ -45,8 +46,10 @@ def _extremum(p, q, low, high):
 
 @called
 @no_type_check
-def _surface(tube, x, y, z, dx, dy, dz, low, high):
+def _surface(tube, point, direction, low, high):
     """Where the ray crosses the surface between `low` and `high`, of which one lies inside."""
+    x, y, z = point
+    dx, dy, dz = direction
     inside_first = _depth(tube, x + low * dx, y + low * dy, z + low * dz) < 0.0
     t = 0.5 * (low + high)
     for _ in range(_STEPS):
@@ -94,8 +97,22 @@ def _extrema(p, q, reach):
 
 @called
 @no_type_check
-def torus_intervals(tube, ox, oy, oz, dx, dy, dz, row, hits, events):
-    """Write the parts of ``0 <= t <= 1`` inside a torus as hits of `row` behind the first `hits`; return how many."""
+def torus_intervals(tube, origin, direction, row, hits, events):
+    """Write the parts of ``0 <= t <= 1`` of a ray that lie inside a torus.
+
+    Parameters
+    ----------
+    tube : radius of the tube in local coordinates, where the ring and its tube reach the radius 1
+    origin, direction : start of the ray, and the vector from there to its end, in local coordinates
+    row, hits : row of the primitive; number of hits that are listed before
+    events : scratch of `phantomgen.ops.trace.cpu`, where hits are added
+
+    Returns
+    -------
+    number of parts, at most 2
+    """
+    ox, oy, oz = origin
+    dx, dy, dz = direction
     length = sqrt(dx * dx + dy * dy + dz * dz)
     if length == 0.0:
         return 0
@@ -118,7 +135,7 @@ def torus_intervals(tube, ox, oy, oz, dx, dy, dz, row, hits, events):
         high = ends[i]
         inside = i < 3 and high < reach and _depth(tube, x + high * dx, y + high * dy, z + high * dz) < 0.0
         if inside != within:
-            at = (_surface(tube, x, y, z, dx, dy, dz, low, high) + nearest) / length
+            at = (_surface(tube, (x, y, z), (dx, dy, dz), low, high) + nearest) / length
             if inside:
                 entered = at
             elif max(entered, 0.0) < min(at, 1.0):

@@ -1,8 +1,8 @@
 """Path lengths of the rays through all pixels' centres of a view, in numba.
 
 Where shapes lie apart from each other or inside each other along a ray, the later one inside, the length of each is
-that of its chord, less the chords of what lies inside it. That needs no events in order, and most rays of most scenes
-are so; the others are cut where their owner changes, as everywhere else.
+that of its chord, less the chords of what lies inside it. That needs no sorted events, and suffices for most rays of
+most scenes; the others are cut where their owner changes, as in `phantomgen.ops.trace.cpu`.
 """
 
 from math import sqrt
@@ -12,7 +12,7 @@ from numba import njit
 
 from phantomgen.ops.kernel_decorators import inlined
 from phantomgen.ops.silhouette.tiles_cpu import list_active
-from phantomgen.ops.trace.cpu import ENTER, HIT, LEAVE, add_pieces, collect, owned_pieces
+from phantomgen.ops.trace.cpu import ENTER, HIT, LEAVE, add_pieces, collect, cut_pieces
 from phantomgen.ops.trace.table import MATERIAL, set_origin
 
 
@@ -43,18 +43,20 @@ def _add_nested(table, background, norm, hits, events, lengths):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def trace_pixels(frame, table, tubes, tiles, background, whole, ray, out):
-    """Write path lengths of a view, (row, column, material).
+def trace_pixels(frame, solids, tiles, whole, scratch, lengths, out):
+    """Write the path lengths of a view.
 
     Parameters
     ----------
     frame : source, vector from there to the centre of pixel (0, 0), column step, row step [mm]
-    table, tubes, background : the shapes; table gets the source as origin
-    tiles : fields of `phantomgen.ops.silhouette.tiles.Tiles`
+    solids : `TracedSolids` without meshes and voxel maps; its table gets the source as origin
+    tiles : `phantomgen.ops.silhouette.tiles.Tiles` of the panel
     whole : whether every object is one primitive
-    ray : scratch: indices of shapes, events, path lengths of one ray
+    scratch, lengths : `RayScratch`; memory for the path lengths of one ray (material,)
+    out : path lengths [mm], (row, column, material), written
     """
-    active, events, lengths = ray
+    table, tubes, _, background = solids
+    active, events = scratch
     for s in range(table.shape[0]):
         set_origin(table, s, frame[0, 0], frame[0, 1], frame[0, 2])
     for row in range(out.shape[0]):
@@ -67,12 +69,13 @@ def trace_pixels(frame, table, tubes, tiles, background, whole, ray, out):
             dx = frame[1, 0] + column * frame[2, 0] + row * frame[3, 0]
             dy = frame[1, 1] + column * frame[2, 1] + row * frame[3, 1]
             dz = frame[1, 2] + column * frame[2, 2] + row * frame[3, 2]
-            nested = False
-            if whole:
-                hits = collect(table, tubes, None, dx, dy, dz, active, count, events)
-                nested = _add_nested(table, background, sqrt(dx * dx + dy * dy + dz * dz), hits, events, lengths)
-            if not nested:
-                pieces = owned_pieces(table, tubes, None, dx, dy, dz, active, count, events)
-                add_pieces(table, None, background, dx, dy, dz, pieces, events, lengths)
+            direction = (dx, dy, dz)
+            hits, norm = (
+                collect(table, tubes, None, direction, active, count, events),
+                sqrt(dx * dx + dy * dy + dz * dz),
+            )
+            if not whole or not _add_nested(table, background, norm, hits, events, lengths):
+                pieces = cut_pieces(table, hits, events)
+                add_pieces(table, None, background, direction, pieces, events, lengths)
             for m in range(lengths.size):
                 out[row, column, m] = lengths[m]

@@ -10,19 +10,27 @@ from phantomgen.ops.kernel_decorators import called
 
 @called
 @no_type_check
-def add_map(maps, table, row, dx, dy, dz, low, high, norm, lengths):
-    """Add what the ray meets from t = low to t = high, all of it inside a map; return the length that is not empty.
+def add_map(maps, table, row, direction, low, high, norm, lengths):
+    """Add the path lengths of a ray inside a voxel map.
 
     Voxels are half open, so that a ray that runs inside a face belongs to exactly one of its two sides (Siddon 1985,
     doi:10.1118/1.595715, in the incremental form of Amanatides & Woo 1987).
 
     Parameters
     ----------
-    maps : fields of `VoxelMaps`
+    maps : `VoxelMaps`
     table, row : primitives as `solid_table` makes them, with the ray's origin filled in, and the row of the map
-    dx, dy, dz, norm : direction [mm] and its length
+    direction : from the ray's start to its end (x, y, z) [mm]
+    low, high : the ray lies in the map from t = low to t = high
+    norm : length of `direction` [mm]
+    lengths : path lengths [mm], (material,), added to
+
+    Returns
+    -------
+    length that is not empty [mm]
     """
     numbers, cells, starts, shapes, mixtures = maps
+    dx, dy, dz = direction
     number = numbers[row]
     nz, ny, nx = shapes[number, 0], shapes[number, 1], shapes[number, 2]
     # Place at t = 0 and slope along each axis, in voxels from the corner of the box.

@@ -1,16 +1,43 @@
 """Mean mixture of a turned voxel map, in numba."""
 
 from math import floor
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
+from jaxtyping import Float, Int32
 from numba import njit
+
+
+class TurnedMap(NamedTuple):
+    """Voxel map whose axes are not those of the grid.
+
+    Parameters
+    ----------
+    cells : row of `mixtures` that each voxel holds
+    linear, offset : from position (z, y, x) [mm] to voxel index, faces at integers
+    mixtures : volume fraction of each material
+    """
+
+    cells: Int32[np.ndarray, "k j i"]
+    linear: Float[np.ndarray, "3 3"]
+    offset: Float[np.ndarray, " 3"]
+    mixtures: Float[np.ndarray, "mixture material"]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def mean_of_points(cells, linear, offset, mixtures, spacing, origin, n, z, out):
-    """Write layer z of `out` (material, z, y, x): means over those of n x n x n points that lie in the map."""
+def mean_of_points(turned, spacing, origin, n, z, out):
+    """Write one layer of mean mixtures: means over those of n x n x n points of a voxel that lie in the map.
+
+    Parameters
+    ----------
+    turned : `TurnedMap`
+    spacing, origin : size of a voxel, and centre of voxel 0 (z, y, x) [mm]
+    n : points per voxel and axis
+    z : the layer
+    out : mixtures (material, z, y, x), whose layer is written
+    """
+    cells, linear, offset, mixtures = turned
     point, index, sums = np.empty(3), np.empty(3, np.int64), np.empty(out.shape[0])
     for y in range(out.shape[2]):
         for x in range(out.shape[3]):

@@ -15,7 +15,20 @@ def fractions_by_points(
     n: int,
     background: int = -1,
 ) -> Float[np.ndarray, "material z y x"]:
-    """Part of n x n x n points of each voxel that each material owns; the last shape that contains a point does."""
+    """Compute the part of n x n x n points of each voxel that each material owns.
+
+    Parameters
+    ----------
+    grid : the voxels
+    solids : the objects; a later one overrides an earlier one
+    count : number of materials
+    n : points per voxel and axis
+    background : material outside all shapes, -1 for none
+
+    Returns
+    -------
+    fractions, (material, z, y, x)
+    """
     out = np.zeros((count, *grid.shape))
     offsets = (np.arange(n) + 0.5) / n - 0.5
     for voxel in np.ndindex(grid.shape):

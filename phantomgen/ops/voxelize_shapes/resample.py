@@ -9,15 +9,26 @@ from phantomgen.ops.solids import Solids
 from phantomgen.ops.voxel_maps import VoxelMaps
 from spectra.threads import run_parallel
 
-# Points per voxel and axis where the axes of a map and of the grid are not parallel.
+# Points per voxel and axis where the axes of a map and of the grid are not parallel: 64 points in all.
 POINTS = 4
+# No unit; axes are parallel where other components are below this part of the largest: rounding of rotations.
 _PARALLEL = 1e-9
 
 
 def mean_mixture(grid: Grid, solids: Solids, maps: VoxelMaps, row: int) -> Float32[np.ndarray, "material z y x"]:
-    """Mean mixture of that one of the maps which is row `row` of the primitives, in each voxel of a grid.
+    """Compute the mean mixture of a voxel map in each voxel of a grid.
 
     Overlaps of voxels are exact where axes are parallel, in any order and direction; else points are counted.
+
+    Parameters
+    ----------
+    grid : the voxels
+    solids, maps : the objects, and all voxel maps
+    row : primitive that is the map
+
+    Returns
+    -------
+    volume fractions, (material, z, y, x); 0 outside the map
     """
     number = int(maps.numbers[row])
     shape = maps.shapes[number]
@@ -41,7 +52,7 @@ def _by_overlap(
     offset: Float[np.ndarray, " 3"],
     mixtures: Float[np.ndarray, "mixture material"],
 ) -> Float32[np.ndarray, "material z y x"]:
-    """Exact, one axis after the other."""
+    """Exact mean mixtures, one axis after the other."""
     weights = [_overlaps(grid, axis, cells.shape[axis], scale[axis], offset[axis]) for axis in range(3)]
     out = np.zeros((mixtures.shape[1], *grid.shape), dtype=np.float32)
     for material in np.flatnonzero(mixtures.any(axis=0)):
@@ -77,14 +88,15 @@ def _by_points(
     offset: Float[np.ndarray, " 3"],
     mixtures: Float[np.ndarray, "mixture material"],
 ) -> Float32[np.ndarray, "material z y x"]:
-    """By a regular grid of points in each voxel."""
-    from phantomgen.ops.voxelize_shapes.points import mean_of_points  # noqa: PLC0415 - numba only where it computes
+    """Mean mixtures by a regular grid of points in each voxel."""
+    # numba only where it computes
+    from phantomgen.ops.voxelize_shapes.points import TurnedMap, mean_of_points  # noqa: PLC0415
 
     out = np.zeros((mixtures.shape[1], *grid.shape), dtype=np.float32)
-    spacing, origin = np.array(grid.spacing), np.array(grid.origin)
+    spacing, origin, turned = np.array(grid.spacing), np.array(grid.origin), TurnedMap(cells, linear, offset, mixtures)
 
     def layer(z: int) -> None:
-        mean_of_points(cells, linear, offset, mixtures, spacing, origin, POINTS, z, out)
+        mean_of_points(turned, spacing, origin, POINTS, z, out)
 
     for _ in run_parallel(layer, range(grid.shape[0])):
         pass

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from phantomgen.scene.file.placement import PLACE_KEYS, place
 
 Location = tuple[str | int, ...]
+_Keys = tuple[Any, ...]  # a location whose keys may be numbers, such as energies of lines
 Refuse = Callable[[Location, str], Exception]
 Path = tuple[str, ...]
 
@@ -133,7 +134,7 @@ class _Draw:
     seed: str
     refuse: Refuse
 
-    def values(self, value: Any, path: Path, where: Location, count: int) -> list[Any]:
+    def values(self, value: Any, path: Path, where: _Keys, count: int) -> list[Any]:
         """`count` drawings of a value with the key `path` that stands in the file at `where`."""
         if isinstance(value, dict):
             kind = None if where[-2:-1] == ("clip",) else _kind(value)  # the normal of a plane is none
@@ -150,7 +151,7 @@ class _Draw:
             return [list(row) for row in _rows(columns, count)]
         return [value] * count
 
-    def _objects(self, entries: list[Any], path: Path, where: Location) -> list[Any]:
+    def _objects(self, entries: list[Any], path: Path, where: _Keys) -> list[Any]:
         """All objects of a list."""
         names = [entry["name"] for entry in entries if isinstance(entry, dict) and "name" in entry]
         found = []
@@ -176,7 +177,7 @@ class _Draw:
             found += [DrawnObject(item, i, k if "count" in entry else None) for k, item in enumerate(items)]
         return found
 
-    def _count(self, entry: dict[str, Any], path: Path, where: Location) -> int:
+    def _count(self, entry: dict[str, Any], path: Path, where: _Keys) -> int:
         """Return the number of objects of an entry."""
         count = self.values(entry.get("count", 1), (*path, "count"), (*where, "count"), 1)[0]
         if not isinstance(count, int) or isinstance(count, bool) or count < 0:
@@ -184,7 +185,7 @@ class _Draw:
             raise self.refuse((*where, "count"), f"must be a whole number of objects, 0 or more, got {count!r}{hint}")
         return count
 
-    def _choices(self, value: dict[str, Any], path: Path, where: Location, count: int) -> list[Any]:
+    def _choices(self, value: dict[str, Any], path: Path, where: _Keys, count: int) -> list[Any]:
         """One of some values each time; what stands beside `choice` belongs to all of them."""
         options, shared = value["choice"], {k: v for k, v in value.items() if k != "choice"}
         if not options:
@@ -201,7 +202,7 @@ class _Draw:
             return found
         return [{**rest, **own} for rest, own in zip(self.values(shared, path, where, count), found, strict=True)]
 
-    def _sample(self, kind: str, value: dict[str, Any], where: Location, u: Float[np.ndarray, " item"]) -> np.ndarray:
+    def _sample(self, kind: str, value: dict[str, Any], where: _Keys, u: Float[np.ndarray, " item"]) -> np.ndarray:
         """Values of a distribution by inversion of its cumulative one."""
         known = {kind, "min", "max"} if kind == "normal" else {kind}
         for key in set(value) - known:
@@ -216,7 +217,7 @@ class _Draw:
         return self._normal(a, b, value, where, u)
 
     def _normal(
-        self, mean: float, deviation: float, value: dict[str, Any], where: Location, u: Float[np.ndarray, " item"]
+        self, mean: float, deviation: float, value: dict[str, Any], where: _Keys, u: Float[np.ndarray, " item"]
     ) -> Float[np.ndarray, " item"]:
         """A normal distribution, cut off at `min` and `max` where they are given."""
         from scipy.special import ndtr, ndtri  # noqa: PLC0415 - slow to import, seldom needed
@@ -227,7 +228,7 @@ class _Draw:
             raise self.refuse(where, "min and max of normal must be numbers with some of the distribution between them")
         return mean + deviation * np.clip(ndtri(ndtr(low) + (ndtr(high) - ndtr(low)) * u), low, high)
 
-    def _two(self, given: list[Any], kind: str, where: Location) -> tuple[float, float]:
+    def _two(self, given: list[Any], kind: str, where: _Keys) -> tuple[float, float]:
         """The two numbers of a distribution."""
         found = [self._number(x) for x in given]
         a, b = found if len(found) == 2 else (None, None)
@@ -251,7 +252,7 @@ class _Draw:
             return None
 
 
-def _kind(value: dict[str, Any]) -> str | None:
+def _kind(value: dict[Any, Any]) -> str | None:
     """Name of the distribution that a mapping is, None where it is just a mapping."""
     return next((kind for kind in DISTRIBUTIONS if isinstance(value.get(kind), list)), None)
 

@@ -11,7 +11,7 @@ from phantomgen.scene import schema
 from spectra.detector.response_matrix import ResponseMatrix
 from spectra.errors import InputError
 
-Axis = Float[np.ndarray, " n"]
+Axis = Float[np.ndarray, " _n"]
 Matrix = Float[np.ndarray, "row column"]
 
 
@@ -121,7 +121,7 @@ def _read_array(name: str, folder: Path) -> np.ndarray:
 
 def _read_hdf5(path: Path, name: str) -> np.ndarray:
     """A dataset of an HDF5 file."""
-    import h5py  # noqa: PLC0415 - nobody pays for it who has no such file
+    import h5py  # noqa: PLC0415 - only where there is such a file
 
     with h5py.File(path, "r") as file:
         found = file.get(name)

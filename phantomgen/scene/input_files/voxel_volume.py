@@ -83,7 +83,7 @@ def _load_npy(path: Path) -> np.ndarray:
 
 def _read_hdf5(path: Path, name: str) -> Volume:
     """A dataset of an HDF5 file; beside one of our own stands its grid."""
-    import h5py  # noqa: PLC0415 - nobody pays for it who has no such file
+    import h5py  # noqa: PLC0415 - only where there is such a file
 
     try:
         file = h5py.File(path, "r")

@@ -18,6 +18,7 @@ from phantomgen.shapes import Intersection, Shape
 from spectra.errors import InputError
 from spectra.materials.material import Material
 
+# Most different sets of objects that overlap somewhere: a bound of time and memory.
 _MOST_REGIONS = 2000
 # Coefficients of a file are decimal numbers: what their sums have beyond this many digits is rounding.
 _DIGITS = 12

@@ -8,6 +8,18 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveInt
 
+from phantomgen.geometry.schema import (
+    CircularModel,
+    HelicalModel,
+    JitterModel,
+    LaminographyModel,
+    OffsetModel,
+    OrbitModel,
+    PanelModel,
+    ParallelModel,
+    PosesModel,
+    TiltModel,
+)
 from phantomgen.scene.schema.base import Composition, Model, NonNegativeInt, Vector
 from phantomgen.scene.schema.detectors import (
     AxisModel,
@@ -61,16 +73,7 @@ from phantomgen.scene.schema.objects import (
     TubeShapeModel,
     VoxelsModel,
 )
-from phantomgen.scene.schema.orbits import (
-    CircularModel,
-    HelicalModel,
-    JitterModel,
-    LaminographyModel,
-    OrbitModel,
-    ParallelModel,
-    PosesModel,
-)
-from phantomgen.scene.schema.scan import OffsetModel, PanelModel, TiltModel, VolumeModel
+from phantomgen.scene.schema.scan import VolumeModel
 from phantomgen.scene.schema.sources import (
     BandModel,
     BowtieModel,

@@ -1,17 +1,11 @@
-"""What all models of a scene file share: immutable, no unknown keys."""
+"""Types that the models of a scene file share."""
 
-from typing import Annotated
+from pydantic import FiniteFloat, PositiveFloat
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat
+from phantomgen.geometry.schema import Model, NonNegative, NonNegativeInt
+
+__all__ = ["Composition", "Model", "NonNegative", "NonNegativeInt", "Size", "Vector"]
 
 Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Size = tuple[PositiveFloat, PositiveFloat, PositiveFloat]
-NonNegative = Annotated[FiniteFloat, Field(ge=0)]
-NonNegativeInt = Annotated[int, Field(ge=0)]
 Composition = str | dict[str, FiniteFloat]
-
-
-class Model(BaseModel):
-    """Common settings: immutable, no unknown keys."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

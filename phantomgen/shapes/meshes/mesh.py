@@ -142,7 +142,7 @@ def merge_equal(
 def _read(path: Path, fineness: int) -> tuple[np.ndarray, np.ndarray, str]:
     """Vertices, triangles, and the unit that the file gives for itself, if any."""
     try:
-        import trimesh  # noqa: PLC0415 - nobody pays for it who has no mesh
+        import trimesh  # noqa: PLC0415 - only where there is a mesh
 
         bends = {"tol_angular": _CAD_ANGLE / fineness, "tol_linear": _CAD_BEND / fineness**2, "tol_relative": True}
         loaded = trimesh.load_mesh(path, process=False, **(bends if is_cad(path) else {}))

@@ -13,7 +13,9 @@ from spectra.errors import InputError
 Points = Float[np.ndarray, "point 3"]
 
 
-def sweep(points: Sequence[Sequence[float]], radius: float | Sequence[float], sides: int = 24, steps: int = 8) -> Mesh:
+def sweep(
+    points: Sequence[Sequence[float]] | Points, radius: float | Sequence[float], sides: int = 24, steps: int = 8
+) -> Mesh:
     """Create a closed mesh of rings around a smooth curve, with flat ends.
 
     Parameters
@@ -72,7 +74,7 @@ def _spline(knots: Float[np.ndarray, "point 4"], steps: int) -> Float[np.ndarray
     return np.concatenate([pieces.transpose(1, 0, 2).reshape(-1, 4), knots[-1:]])
 
 
-def _rings(curve: Points, radii: Float[np.ndarray, " ring"], sides: int) -> Points:
+def _rings(curve: Points, radii: Float[np.ndarray, " ring"], sides: int) -> Float[np.ndarray, "corner 3"]:
     """Corners of all rings, ring by ring, and then the middles of both ends."""
     along = np.gradient(curve, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)

@@ -11,6 +11,7 @@ from phantomgen.simulation.checks.field_of_view import named, reaching
 from phantomgen.simulation.forward_model.sampled_rays import on_panel, points_of
 from spectra.errors import GeometryError
 
+# Points of each object that are tested.
 _POINTS = 1000
 _TOUCH = 1e-6  # mm that an object may reach into the panel by rounding
 

@@ -12,6 +12,7 @@ from phantomgen.shapes import Shape
 from phantomgen.simulation.checks.half_turns import helix_axis, lacks_directions
 from phantomgen.simulation.forward_model.sampled_rays import on_panel, points_of
 
+# Points of each object that are tested.
 _POINTS = 500
 # Objects that are cut off are described one by one up to this number, and counted beyond it.
 _DESCRIBED = 8

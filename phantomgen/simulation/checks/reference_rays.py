@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from spectra.threads import run_parallel
 
+# Rays along each edge of a pixel that the reference begins with.
 RAYS = 256
 # A grid has at most so many rays per side, in parts of at most `_PART`, to spare memory.
 _MOST_RAYS, _PART = 2048, 1024
@@ -19,6 +20,7 @@ _MOST_RAYS, _PART = 2048, 1024
 # other places across, as edges along the rows may err alike on grids of which one halves the other.
 _DOUBT = 0.25
 _COARSER = (0.755, 0.88)
+# Counts relative to the open beam, no unit; smaller ones are none.
 _LEAST = 1e-12
 
 Frame = Float[np.ndarray, "4 3"]

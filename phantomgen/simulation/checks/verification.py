@@ -4,30 +4,34 @@ The reference shares the exact chords with the simulator, and neither its way of
 nodes.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from phantomgen.ops.expected_counts import CROSSED, VOXELS, expected_counts, expected_counts_by_grid
+from phantomgen.ops.expected_counts import CROSSED, VOXELS, Sampling, expected_counts, expected_counts_by_grid
 from phantomgen.ops.trace import trace
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.checks.reference_rays import log_errors
 from phantomgen.simulation.forward_model.discretization import Settings
 from phantomgen.simulation.forward_model.energy_grids import STEP, compressed_transmission, fine_transmission
-from phantomgen.simulation.forward_model.expected_counts import aperture_of, expected_view
+from phantomgen.simulation.forward_model.expected_counts import expected_view, spectrum_of
 from phantomgen.simulation.forward_model.sampled_rays import sampled_lengths
 from spectra.threads import run_parallel
 from spectra.transmission import Transmission
 
+# Rays along each edge of a pixel of the reference.
 SUB_RAYS = 256
 # With a focal spot, fewer rays per pixel from so many of its points.
 SPOT_RAYS, SPOT_POINTS = 24, 985
+# How many times finer the energy bins of the reference are than those of the simulator.
 FINER = 10
+# Edge pixels and rays of the quick check, about a second; views and rays of the full one, which takes minutes.
 _QUICK_PIXELS, _QUICK_RAYS = 24, 2000
 _FULL_VIEWS, _FULL_RAYS = 3, 100_000
+# Pixels per piece of work of a thread; changes time, not results.
 _PIXELS_PER_PIECE = 8
 # Of the pixels that voxel maps project to, which may be all, no more than these are looked at per view.
 _MOST_VOXEL_PIXELS = 200
@@ -152,19 +156,10 @@ def _edge_errors(
 ) -> Errors:
     """Errors of all edge pixels of a view, or of `count` of them."""
     frame, panel = scan.geometry.ray_frames()[view], scan.geometry.panel
-    found = expected_counts(
-        frame,
-        panel.rows,
-        panel.columns,
-        *_arguments(scan, transmission),
-        profile=_profile(scan),
-        aperture=aperture_of(scan),
-        **settings.pixels,
-    )
-    if settings.sub_rays == 1:  # rays through centres know of no edges
-        edges = expected_counts(
-            frame, panel.rows, panel.columns, *_arguments(scan, transmission), sub_rays=2, profile=_profile(scan)
-        )
+    beam = scan.scene.solids, spectrum_of(scan, transmission), scan.scene.background
+    found = expected_counts(frame, panel.rows, panel.columns, *beam, settings.sampling(scan.aperture))
+    if settings.sub_rays == 1:  # rays through centres find no edges
+        edges = expected_counts(frame, panel.rows, panel.columns, *beam, Sampling(sub_rays=2))
         found = found._replace(classes=edges.classes)
     pixels, mapped = np.argwhere((found.classes >= CROSSED) & (found.classes != VOXELS)), found.classes == VOXELS
     if mapped.any():
@@ -187,10 +182,11 @@ def _brute(scan: Scan, reference: Transmission, frame: Float[np.ndarray, "4 3"],
     """Counts of pixels from a lattice of rays from each point of the source, in parallel pieces."""
     spot = scan.effects.focal_spot
     frames = [frame] if spot is None else spot.frames(frame, SPOT_POINTS)
-    kept = {"n": _sub_rays(scan), "profile": _profile(scan), "aperture": aperture_of(scan), "lattice": True}
+    beam = scan.scene.solids, spectrum_of(scan, reference), scan.scene.background
+    grid = _sub_rays(scan), scan.aperture, True
 
     def piece(part: Pixels) -> np.ndarray:
-        return np.mean([expected_counts_by_grid(f, part, *_arguments(scan, reference), **kept) for f in frames], axis=0)
+        return np.mean([expected_counts_by_grid(f, part, *beam, *grid) for f in frames], axis=0)
 
     parts = [pixels[first : first + _PIXELS_PER_PIECE] for first in range(0, len(pixels), _PIXELS_PER_PIECE)]
     return np.concatenate([np.empty((0, len(scan.detector))), *run_parallel(piece, parts)])
@@ -214,16 +210,6 @@ def _ray_errors(scan: Scan, transmission: Transmission, count: int, rng: np.rand
     exact = fine_transmission(scan, step=STEP / FINER)
     left, wanted = (t.expected(lengths) / _level(scan, t, pixels) for t in (transmission, exact))
     return log_errors(left, wanted).ravel()
-
-
-def _arguments(scan: Scan, transmission: Transmission) -> Sequence[Any]:
-    """Shapes and energies as `expected_counts` takes them."""
-    return scan.scene.solids, transmission.columns, transmission.weights, transmission.starts, scan.scene.background
-
-
-def _profile(scan: Scan) -> Float[np.ndarray, "part row column"] | None:
-    """Lengths of the beam's profile."""
-    return None if scan.profile is None else scan.profile.lengths
 
 
 def _beside_profile(

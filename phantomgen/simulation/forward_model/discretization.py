@@ -8,7 +8,20 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from phantomgen.ops.expected_counts import INTERSECTION_TOLERANCE, RAYS_PER_VOXEL, RULES
+from phantomgen.ops.expected_counts import INTERSECTION_TOLERANCE, RAYS_PER_VOXEL, RULES, Sampling
+
+# Gauss nodes across and along the silhouettes in a pixel, for growing contrast, from cheap to fine.
+RULE_LADDER = (
+    ((1, 1), (2, 1), (2, 2), (3, 2), (4, 3)),
+    ((2, 1), (2, 2), (3, 2), (4, 3), (6, 4)),
+    RULES,
+    ((3, 2), (4, 3), (6, 4), (9, 6), (12, 8)),
+    ((4, 3), (6, 4), (9, 6), (12, 8), (18, 12)),
+    ((8, 6), (10, 8), (14, 10), (18, 12), (24, 16)),
+    ((12, 9), (15, 12), (20, 14), (25, 17), (32, 22)),
+    ((18, 14), (22, 18), (28, 20), (34, 24), (42, 30)),
+    ((26, 20), (30, 25), (38, 28), (46, 33), (56, 40)),
+)
 
 
 @dataclass(frozen=True)
@@ -32,15 +45,24 @@ class Settings:
     spot: int | None = None
     scatter: tuple[int, int] = (12, 5)
 
-    @property
-    def pixels(self) -> dict[str, Any]:
-        """Keyword arguments of `phantomgen.ops.expected_counts.expected_counts`."""
-        return {
-            "rules": self.rules,
-            "intersection_tolerance": self.intersections,
-            "sub_rays": self.sub_rays,
-            "rays_per_voxel": self.rays_per_voxel,
-        }
+    def sampling(self, aperture: tuple[float, float]) -> Sampling:
+        """Return the rules for the average over a pixel.
+
+        Parameters
+        ----------
+        aperture : width and height of the sensitive part of a pixel [pixel]
+
+        Returns
+        -------
+        the rules
+        """
+        return Sampling(
+            rules=self.rules,
+            sub_rays=self.sub_rays,
+            intersection_tolerance=self.intersections,
+            rays_per_voxel=self.rays_per_voxel,
+            aperture=aperture,
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return all settings under stable keys, for JSON.

@@ -27,6 +27,7 @@ _MOST_PARTS = 64
 # Bins are compared with so many times finer ones, on so many rays.
 _FINER, _BIN_RAYS = 2, 300
 NO_CUTS = np.empty(0)
+# Energy bins of the spectra in a dataset; edges and thresholds add some.
 RECONSTRUCTOR_BINS = 128
 FIT_WEIGHTS = "open-beam counts of all channels together, in bins of at most 1 keV"
 # Worse fits [relative rms] are said aloud; those of tissues, plastics and metals up to iron stay below 2 %.
@@ -34,6 +35,7 @@ _POOR_FIT = 0.05
 # Above so many columns the search for nodes samples its box too thinly: then it goes by way of fewer columns, as most
 # materials are combinations of a few; where even these are too many, bins are chosen along the rays of the scan.
 _MOST_COLUMNS = 6
+# Most columns that others are combinations of, and rays that these are sought on.
 _MOST_SPANNING = 10
 _SPANNING_RAYS = 2000
 # Sampled rays may miss the longest path of all.
@@ -352,7 +354,7 @@ def _with_profile(
 
 def _with_profile_lengths(
     scan: Scan, lengths: Float[np.ndarray, "ray material"]
-) -> Float[np.ndarray, "ray material_and_part"]:
+) -> Float[np.ndarray, "ray_and_pixel material_and_part"]:
     """Rays through objects, each on its way to some pixel, and rays without objects to the most extreme pixels."""
     if scan.profile is None:
         return lengths

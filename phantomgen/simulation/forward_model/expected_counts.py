@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.ops.expected_counts import expected_counts
+from phantomgen.ops.expected_counts import Spectrum, expected_counts
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.forward_model.discretization import Settings
 from phantomgen.simulation.forward_model.exposure import Groups
@@ -51,35 +51,24 @@ def exposed_frame(
     -------
     signals, (group, row, column)
     """
-    panel = scan.geometry.panel
-    return expected_counts(
-        frame,
-        panel.rows,
-        panel.columns,
-        scan.scene.solids,
-        transmission.columns,
-        transmission.weights,
-        transmission.starts,
-        scan.scene.background,
-        profile=None if scan.profile is None else scan.profile.lengths,
-        aperture=aperture_of(scan),
-        **settings.pixels,
-    ).counts
+    panel, scene = scan.geometry.panel, scan.scene
+    spectrum, sampling = spectrum_of(scan, transmission), settings.sampling(scan.aperture)
+    return expected_counts(frame, panel.rows, panel.columns, scene.solids, spectrum, scene.background, sampling).counts
 
 
-def aperture_of(scan: Scan) -> tuple[float, float]:
-    """Return the width and height of the sensitive part of pixels.
+def spectrum_of(scan: Scan, transmission: Transmission) -> Spectrum:
+    """Return the energies of the beam as `phantomgen.ops.expected_counts` takes them.
 
     Parameters
     ----------
     scan : what is simulated
+    transmission : path lengths to signals
 
     Returns
     -------
-    width and height [pixel]
+    the energies, with the profile of the beam
     """
-    aperture = scan.effects.aperture
-    return (1.0, 1.0) if aperture is None else (aperture.width, aperture.height)
+    return Spectrum(transmission.columns, transmission.weights, transmission.starts, scan.profile_lengths)
 
 
 def open_beam(scan: Scan, transmission: Transmission) -> Groups:

@@ -70,7 +70,7 @@ class Views:
 
     @property
     def recorded_exposure(self) -> Float[np.ndarray, " view"] | Float[np.ndarray, "view channel"] | None:
-        """Exposure of each view [and channel] that the dataset tells; None where all are 1."""
+        """Exposure of each view [and channel] that the dataset states; None where all are 1."""
         tube = self.scan.effects.tube_output
         if tube is None or not tube.recorded:
             return self.scan.exposure

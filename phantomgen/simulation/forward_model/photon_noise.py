@@ -7,6 +7,7 @@ from phantomgen.effects.random_streams import Stream, generator
 from spectra.detector.dead_time import DeadTime
 from spectra.errors import InputError
 
+# Largest expected counts: a Poisson number, 20 standard deviations above, still fits 32 bits.
 LARGEST_MEAN = 2.0**31 - 2.0**20
 # Variances closer to the mean than this part of it are those of Poisson counts.
 _POISSON_LIKE = 1e-6

@@ -10,7 +10,9 @@ from phantomgen.ops.trace import trace
 from phantomgen.scene.scan import Scan, Scene
 from phantomgen.shapes import Part, Shape
 
+# Points of each object that sampled rays pass through.
 _RAYS_PER_OBJECT = 40
+# Depth below a surface, in half axes of the primitive, at which it is tested whether a point belongs to the surface.
 _SKIN = 1e-6
 # Of scenes with more objects than `_MANY`, the largest ones of each material are sampled, in some of the views.
 _MANY = 64
@@ -77,7 +79,7 @@ def on_panel(
     return np.concatenate([depth, scaled[..., 1:] / np.where(depth == 0, 1.0, depth)], axis=-1)
 
 
-def points_of(shape: Shape, count: int) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
+def points_of(shape: Shape, count: int) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "surface 3"]]:
     """Sample points evenly inside a shape, and points of its surface.
 
     The middle of the bounds comes first if it is inside.

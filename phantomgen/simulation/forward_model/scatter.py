@@ -211,7 +211,7 @@ def _beam(scan: Scan, exposure: Exposure, source: Source, detector: AnyDetector,
         if 0 <= channel < len(response):
             signal = response[channel]
             if exposure.quanta is not None:
-                signal = np.where(_nearest(exposure, first + channel, bins.nodes) == group, signal, 0.0)
+                signal = np.where(_nearest(exposure, int(first + channel), bins.nodes) == group, signal, 0.0)
             measured[group, -len(bins) :] = np.cumsum(signal * bins.widths)
     curves = np.stack([m.attenuation(np.maximum(table, 1.0), scan.basis) for m in scan.scene.materials])
     frame = scan.geometry.ray_frames()[0]

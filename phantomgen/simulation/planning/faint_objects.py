@@ -13,9 +13,8 @@ from jaxtyping import Float
 from phantomgen.ops.expected_counts import CROSSED
 from phantomgen.ops.trace import trace
 from phantomgen.scene.scan import Scan
-from phantomgen.simulation.forward_model.discretization import Settings
+from phantomgen.simulation.forward_model.discretization import RULE_LADDER, Settings
 from phantomgen.simulation.forward_model.sampled_rays import points_of
-from phantomgen.simulation.planning.pixels import RULE_LADDER
 from phantomgen.simulation.planning.sample_windows import Window, around, exposed, whole
 from spectra.transmission import Transmission
 
@@ -28,6 +27,7 @@ _MOST_OBJECTS, _MOST_FAINT, _VIEWS, _RAYS = 64, 3, 2, 12
 # Surfaces of more triangles are not traced once more without an object.
 _MOST_TRIANGLES = 100_000
 _REFERENCE = Settings(rules=RULE_LADDER[4], intersections=1e-6)
+# Seed of the sample, apart from that of the noise, so that plans do not depend on it.
 _SEED = 9
 
 
@@ -168,9 +168,9 @@ def _faint_object(scan: Scan, transmission: Transmission, signal: float, number:
         edges = np.argwhere(classes >= CROSSED)
         if len(edges):
             middle = edges.mean(axis=0).round().astype(int)
-            window = around(scan, int(view), classes, *middle)
+            window = around(scan, int(view), classes, *middle.tolist())
             if not (window.classes >= CROSSED).any():
-                window = around(scan, int(view), classes, *edges[rng.integers(len(edges))])
+                window = around(scan, int(view), classes, *edges[rng.integers(len(edges))].tolist())
             windows.append(window)
     indices = material if isinstance(material, tuple) else (material,)
     name = ", ".join(scan.scene.materials[i].name for i in indices)

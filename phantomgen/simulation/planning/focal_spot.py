@@ -14,6 +14,7 @@ from spectra.transmission import Transmission
 
 # Lattices that are tried, and the reference.
 _LADDER, _FINEST = tuple(LATTICES)[1:-1], max(LATTICES)
+# Windows that numbers of source points are tried on, and the seed that these are drawn by.
 _WINDOWS, _SEED = 3, 8
 
 

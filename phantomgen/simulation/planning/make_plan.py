@@ -35,7 +35,7 @@ from phantomgen.simulation.planning.tessellation import choose_tessellation
 _log = logging.getLogger(__name__)
 
 # How much finer energy nodes are sought where their share is missed, and whether they may be of no single energy: those
-# that may are fewer, the others all but exact.
+# that may are fewer, the others almost exact.
 _ATTEMPTS = ((1.0, True), (3.0, True), (10.0, True), (10.0, False))
 # So many nodes of a channel are its bins: wherever fewer were found, they are some dozens at most.
 _ALL_BINS = 200
@@ -72,7 +72,7 @@ def make_plan(scan: Scan, tolerance: float = TOLERANCE) -> Plan:
         settings, points = choose_spot(scan, spot, exposure.transmission, settings, _SPOT * tolerance)
         choices, left = [*choices, points], left - _SPOT
     faint = FaintObjects.of(scan, exposure.transmission, tolerance)
-    settings, found = choose_pixels(scan, exposure.transmission, settings, left * tolerance, faint.missed)
+    settings, found = choose_pixels(scan, exposure.transmission, settings, left * tolerance, faint)
     return Plan(tolerance, scan, settings, exposure, (*choices, *found))
 
 

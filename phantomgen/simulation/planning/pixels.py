@@ -14,44 +14,31 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float, Int
 
-from phantomgen.ops.expected_counts import INTERSECTED, RULES, VOXELS, ExpectedCounts, expected_counts_by_grid
+from phantomgen.ops.expected_counts import INTERSECTED, VOXELS, ExpectedCounts, expected_counts_by_grid
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.checks.reference_rays import RayGrid, split_grid, worst_error
-from phantomgen.simulation.forward_model.discretization import Settings
-from phantomgen.simulation.forward_model.expected_counts import aperture_of
+from phantomgen.simulation.forward_model.discretization import RULE_LADDER, Settings
+from phantomgen.simulation.forward_model.expected_counts import spectrum_of
+from phantomgen.simulation.planning.faint_objects import FaintObjects
 from phantomgen.simulation.planning.plan import Choice, Trial
 from phantomgen.simulation.planning.sample_windows import Frame, Window, exposed, windows_of
 from spectra.threads import run_parallel
 from spectra.transmission import Transmission
 
-# From cheap to fine: plain grids, then silhouettes that are split. A rule is compared with the one `_FINER` steps on.
+# Rays along each edge of a pixel, from cheap to fine.
 GRIDS = (1, 2, 3, 4)
-RULE_LADDER = (
-    ((1, 1), (2, 1), (2, 2), (3, 2), (4, 3)),
-    ((2, 1), (2, 2), (3, 2), (4, 3), (6, 4)),
-    RULES,
-    ((3, 2), (4, 3), (6, 4), (9, 6), (12, 8)),
-    ((4, 3), (6, 4), (9, 6), (12, 8), (18, 12)),
-    ((8, 6), (10, 8), (14, 10), (18, 12), (24, 16)),
-    ((12, 9), (15, 12), (20, 14), (25, 17), (32, 22)),
-    ((18, 14), (22, 18), (28, 20), (34, 24), (42, 30)),
-    ((26, 20), (30, 25), (38, 28), (46, 33), (56, 40)),
-)
+# A rule of `RULE_LADDER` is compared with the one so many steps on.
 _FINER = 2
+# Rays per voxel along each edge of a pixel, from cheap to fine.
 VOXEL_LADDER = (1.0, 2.0, 4.0, 8.0, 16.0)
 # Parts of the share that rectangles of a pixel where surfaces meet may err by, as they estimate it themselves.
 INTERSECTION_LADDER = (1.0, 0.3, 0.1, 0.03)
 # For faint objects alone, so many steps of these ladders are tried at most.
 _FAINT_STEPS = 4
+# Pixels of each kind and window that are compared with a grid of rays.
 _BRUTE_PIXELS = 12
+# Seed of the sample, apart from that of the noise, so that plans do not depend on it.
 _SEED = 5
-
-Faint = Callable[[Settings], str | None]
-
-
-def _nothing_faint(_: Settings) -> str | None:
-    """No object is faint."""
-    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +154,7 @@ class PixelSample:
 
 
 def choose_pixels(
-    scan: Scan, transmission: Transmission, settings: Settings, share: float, faint: Faint = _nothing_faint
+    scan: Scan, transmission: Transmission, settings: Settings, share: float, faint: FaintObjects
 ) -> tuple[Settings, list[Choice]]:
     """Choose the cheapest rules whose worst errors stay within `share` and within the signal of faint objects.
 
@@ -177,7 +164,7 @@ def choose_pixels(
     transmission : with the energy nodes that were chosen
     settings : to be completed
     share : of the tolerance, for log counts
-    faint : the faint object that some settings make too wrong for its own signal, None where none is
+    faint : objects whose own signal must stay correct
 
     Returns
     -------
@@ -196,7 +183,7 @@ def choose_pixels(
         if tried[-1].error <= share:
             grid = replace(settings, sub_rays=n)
             choice = Choice("pixels", tried[-1].setting, tried[-1].error, share, tuple(tried), decided=blamed)
-            if (missed := faint(grid)) is None:
+            if (missed := faint.missed(grid)) is None:
                 return grid, [choice]
             coarse, blamed = coarse or (grid, [choice]), missed
         elif tried[-1].error > 20 * share:  # errors fall by less than that from one grid to the next
@@ -218,7 +205,7 @@ def _plain(sample: PixelSample, settings: Settings, n: int, share: float) -> Tri
 
 
 def _split(
-    sample: PixelSample, settings: Settings, share: float, tried: tuple[Trial, ...], faint: Faint
+    sample: PixelSample, settings: Settings, share: float, tried: tuple[Trial, ...], faint: FaintObjects
 ) -> tuple[Settings, list[Choice]]:
     """Pixels split along silhouettes; other kinds of pixels have settings of their own."""
     choices: list[Choice] = []
@@ -258,7 +245,7 @@ def _climb(
     sample: PixelSample,
     error_of: Callable[[int], float],
     tried: tuple[Trial, ...] = (),
-    faint: Faint = _nothing_faint,
+    faint: FaintObjects | None = None,
 ) -> tuple[Settings, Choice]:
     """The first of some steps that meets the share and makes no faint object wrong.
 
@@ -272,7 +259,7 @@ def _climb(
         if trials[-1].error > share:
             continue
         first = i if first is None else first
-        missed = faint(settings) if i < max(_FAINT_STEPS, first + 1) else None
+        missed = faint.missed(settings) if faint is not None and i < max(_FAINT_STEPS, first + 1) else None
         if missed is None:
             first, blamed = (i, blamed) if i < _FAINT_STEPS else (first, "")
             break
@@ -299,21 +286,12 @@ def _brute(
     scan: Scan, transmission: Transmission, window: Window, pixels: Int[np.ndarray, "pixel 2"], rays: int
 ) -> Float[np.ndarray, "pixel channel"]:
     """Counts of pixels from a grid of rays."""
-    spectrum = transmission.columns, transmission.weights, transmission.starts
+    scene, spectrum = scan.scene, spectrum_of(scan, transmission)._replace(profile=window.profile)
 
     def expose_part(frame: Frame, aperture: tuple[float, float], n: int) -> Float[np.ndarray, "pixel channel"]:
-        return expected_counts_by_grid(
-            frame,
-            pixels,
-            scan.scene.solids,
-            *spectrum,
-            scan.scene.background,
-            n=n,
-            profile=window.profile,
-            aperture=aperture,
-        )
+        return expected_counts_by_grid(frame, pixels, scene.solids, spectrum, scene.background, n, aperture)
 
-    return split_grid(expose_part, window.frame, aperture_of(scan), rays)
+    return split_grid(expose_part, window.frame, scan.aperture, rays)
 
 
 def _rule_name(rules: tuple[tuple[int, int], ...]) -> str:

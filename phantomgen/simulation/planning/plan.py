@@ -10,7 +10,9 @@ from phantomgen.simulation.forward_model.discretization import Settings
 from phantomgen.simulation.forward_model.exposure import Exposure
 from spectra.errors import InputError
 
+# Worst error of log projections, no unit, that is wanted by default: the noise of 1e6 photons.
 TOLERANCE = 1e-3
+# Limits of a tolerance, no unit.
 _LEAST, _MOST = 1e-9, 1.0
 # Shares of the tolerance; the average over pixels gets what is left, so that they sum to 1, as errors may add up.
 ENERGY, _TESSELLATION, _SPOT = 0.25, 0.25, 0.4

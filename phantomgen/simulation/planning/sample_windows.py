@@ -10,11 +10,14 @@ from phantomgen.ops.expected_counts import CROSSED, EMPTY, ExpectedCounts, expec
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.checks.reference_rays import worst_error
 from phantomgen.simulation.forward_model.discretization import Settings
-from phantomgen.simulation.forward_model.expected_counts import aperture_of
+from phantomgen.simulation.forward_model.expected_counts import spectrum_of
 from spectra.transmission import Transmission
 
+# Views that settings are tried on.
 VIEWS = 3
+# Edge of a window [pixel].
 _WINDOW = 48
+# Most windows of a view.
 _MOST_WINDOWS = 4
 # Crossed pixels per view, and pixels per view and kind that are compared with a grid of rays.
 _MOST_CROSSED = 800
@@ -37,7 +40,7 @@ class Window:
     frame: Frame
     size: tuple[int, int]
     classes: UInt8[np.ndarray, "row column"]
-    profile: Float[np.ndarray, "part row column"] | None
+    profile: Float[np.ndarray, "part rows columns"] | None
 
 
 def windows_of(scan: Scan, transmission: Transmission, rng: np.random.Generator) -> tuple[Window, ...]:
@@ -66,7 +69,7 @@ def _windows(scan: Scan, transmission: Transmission, view: int, rng: np.random.G
     if not len(edges):
         return
     crossed, corners = 0, set()
-    for row, column in edges[rng.integers(len(edges), size=_MOST_WINDOWS)]:
+    for row, column in edges[rng.integers(len(edges), size=_MOST_WINDOWS)].tolist():
         if (corner := _corner(scan, row, column)) in corners:
             continue
         corners.add(corner)
@@ -91,23 +94,9 @@ def exposed(scan: Scan, transmission: Transmission, window: Window, settings: Se
     -------
     counts and numbers of rays
     """
-    return expected_counts(
-        window.frame,
-        *window.size,
-        scan.scene.solids,
-        transmission.columns,
-        transmission.weights,
-        transmission.starts,
-        scan.scene.background,
-        profile=window.profile,
-        aperture=aperture_of(scan),
-        **settings.pixels,
-    )
-
-
-def _profile(scan: Scan) -> Float[np.ndarray, "part row column"] | None:
-    """Lengths of the beam's profile."""
-    return None if scan.profile is None else scan.profile.lengths
+    spectrum = spectrum_of(scan, transmission)._replace(profile=window.profile)
+    scene, sampling = scan.scene, settings.sampling(scan.aperture)
+    return expected_counts(window.frame, *window.size, scene.solids, spectrum, scene.background, sampling)
 
 
 def worst_difference(images: Sequence[Image], exact: Sequence[Image]) -> float:
@@ -143,7 +132,7 @@ def whole(scan: Scan, view: int) -> Window:
     """
     panel = scan.geometry.panel
     size = (panel.rows, panel.columns)
-    return Window(scan.geometry.ray_frames()[view], size, np.empty((0, 0), np.uint8), _profile(scan))
+    return Window(scan.geometry.ray_frames()[view], size, np.empty((0, 0), np.uint8), scan.profile_lengths)
 
 
 def around(scan: Scan, view: int, classes: UInt8[np.ndarray, "row column"], row: int, column: int) -> Window:

@@ -8,9 +8,11 @@ from phantomgen.simulation.planning.plan import Choice, Trial
 from phantomgen.simulation.planning.sample_windows import exposed, windows_of, worst_difference
 from spectra.transmission import Transmission
 
+# Triangles of smooth surfaces so many times finer than usual, from cheap to fine.
 LADDER = (1, 2, 4, 8)
 # The reference has so many times more corners around and along.
 _FINER = 4
+# Seed of the sample, apart from that of the noise, so that plans do not depend on it.
 _SEED = 7
 
 

@@ -20,7 +20,9 @@ from spectra.energy.chebyshev import PiecewiseChebyshev
 LOWEST, HIGHEST = 20.0, 160.0
 # Part of the tolerance that the interpolation may take.
 SHARE = 0.1
+# Most Chebyshev nodes of an interval, and the ratio of its ends, no unit, below which it is not split again.
 _MOST_NODES, _NARROWEST = 12, 1.02
+# Rays, and energies between nodes, that interpolation is judged by.
 _RAYS, _ENERGIES = 400, 60
 # Of projections above, whose photons are 1e-12 or less, the same relative error is wanted as there.
 _MOST = -np.log(1e-12)

@@ -1,4 +1,4 @@
-"""A volume of attenuation per channel, the result of methods that take channels one by one."""
+"""Volumes of attenuation per channel, the result of methods that reconstruct channels one by one."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,15 +20,24 @@ class ChannelVoxels:
 
     Parameters
     ----------
-    values : [1/mm]
-    grid : their voxels
+    values : attenuation that the log projections of the channel give [1/mm]
+    grid : of the voxels
     """
 
     values: Float[np.ndarray, "channel z y x"]
     grid: Grid
 
     def held_out_views(self, dataset: Dataset) -> Iterator[HeldOutView]:
-        """Test views of a dataset and what the volumes let one expect there: open beam times exp(-line integral)."""
+        """Yield the test views of a dataset beside their prediction: open beam times exp(-line integral).
+
+        Parameters
+        ----------
+        dataset : open dataset
+
+        Yields
+        ------
+        measured and predicted counts of a view
+        """
         test, panel = dataset.splits["test"], dataset.geometry.panel
         for first in range(0, len(test), VIEWS_AT_ONCE):
             measured = read_measurements(dataset, test[first : first + VIEWS_AT_ONCE], 1)

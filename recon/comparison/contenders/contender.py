@@ -1,4 +1,4 @@
-"""What takes part in a comparison: a method and what is changed about it, as one word.
+"""Contenders of a comparison: a method and its changes, as one word.
 
 ``sart``, ``sart+image``, ``gaussian+best``, ``gaussian+2``, ``paper+without-tv``, ``gaussian+views-25``,
 ``gaussian+blind-bin1``: the method first, and after each plus sign a change. The word names the contender in tables,
@@ -19,15 +19,15 @@ _CHANGES = "best, image, 2, 3, views-N, blind-CHANNEL, without-COMPONENT"
 
 @dataclass(frozen=True)
 class Contender:
-    """A method and what is changed about it.
+    """A method and its changes.
 
     Parameters
     ----------
     method : ``gaussian``, ``paper``, or a name in `recon.runs.methods.METHODS`
     best : whether the fit takes its longer recipe
     image : whether channels are reconstructed one by one, and decomposed in the voxels afterwards
-    bases : how many basis functions; None for all, and for ``gaussian`` those that the counts warrant
-    views : how many of the training views, evenly spread; None for all
+    bases : number of basis functions; None for all, and for ``gaussian`` for those that the counts warrant
+    views : number of training views to use, evenly spread; None for all
     blind : channel that is not used; None for none
     without : components of the paper's method that are switched off
     """
@@ -59,12 +59,25 @@ class Contender:
 
 
 def known_methods() -> tuple[str, ...]:
-    """All that can be compared."""
+    """List the methods that can be compared.
+
+    Returns
+    -------
+    their names
+    """
     return (GAUSSIAN, PAPER, *METHODS)
 
 
 def contender(word: str) -> Contender:
-    """The contender that a word means.
+    """Read a contender from its word.
+
+    Parameters
+    ----------
+    word : such as ``gaussian+2``
+
+    Returns
+    -------
+    the contender
 
     Raises
     ------
@@ -96,7 +109,15 @@ def contender(word: str) -> Contender:
 
 
 def contenders(words: Iterable[str]) -> tuple[Contender, ...]:
-    """All that words mean, each once, in their order.
+    """Read contenders from their words, each once, in their order.
+
+    Parameters
+    ----------
+    words : such as ``gaussian+2``
+
+    Returns
+    -------
+    the contenders
 
     Raises
     ------

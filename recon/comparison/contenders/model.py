@@ -1,4 +1,4 @@
-"""What a contender made: a model to score, and where the models along its way are."""
+"""Results of a contender: a model to score, and the models that it kept between its steps."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -12,13 +12,13 @@ from recon.comparison.contenders.channel_voxels import ChannelVoxels
 from recon.comparison.contenders.recorder import Recorder
 from recon.evaluation.metrics import HeldOutView
 from recon.gaussians.model import Gaussians
-from recon.runs.run_views import predicted_views
+from recon.runs.outcomes.view_outcome import predicted_views
 from recon.voxel.model import Voxels
 
 
 @dataclass(frozen=True, eq=False)
 class StoredViews:
-    """What a method without volumes expects in the test views.
+    """Prediction of the test views by a method without volumes.
 
     Parameters
     ----------
@@ -28,20 +28,29 @@ class StoredViews:
     images: Float[np.ndarray, "channel view row column"]
 
     def held_out_views(self, dataset: Dataset) -> Iterator[HeldOutView]:
-        """Test views of a dataset and what is expected there."""
+        """Yield the test views of a dataset beside their prediction.
+
+        Parameters
+        ----------
+        dataset : open dataset
+
+        Yields
+        ------
+        measured and predicted counts of a view
+        """
         each = iter(np.moveaxis(self.images, 1, 0))
         yield from predicted_views(dataset, lambda _: next(each)[:, None])
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A reconstruction, as far as a method gives one.
+    """Result of a method: volumes, or predictions of views.
 
     Parameters
     ----------
     bases : volumes of basis functions
-    channels : volumes of the channels, where a method has them of its own; they then predict views and energies
-    views : test views, where a method has nothing else
+    channels : volumes of the channels, of a method that reconstructs these; they then predict views and attenuation
+    views : test views, of a method without volumes
     """
 
     bases: Gaussians | Voxels | None
@@ -50,7 +59,7 @@ class Model:
 
     @property
     def primitives(self) -> tuple[int, str]:
-        """How many it consists of, and what they are."""
+        """Number of Gaussians or of voxels, and which of both."""
         if isinstance(self.bases, Gaussians):
             return len(self.bases), "Gaussians"
         voxels = self.channels or self.bases
@@ -65,7 +74,7 @@ class Runs:
     ----------
     recorders : one per run; each serves its own budgets
     load : reads a model that a recorder has kept
-    lacking : why a budget holds no result
+    lacking : reason for a message where there is no result within a budget
     """
 
     recorders: tuple[Recorder, ...]
@@ -73,5 +82,14 @@ class Runs:
     lacking: str = "no iteration ended"
 
     def recorder(self, budget: float) -> Recorder | None:
-        """That of the run which serves a budget."""
+        """Return the recorder of the run for a budget.
+
+        Parameters
+        ----------
+        budget : [s]
+
+        Returns
+        -------
+        the recorder; None where no run was started for it
+        """
         return next((r for r in self.recorders if budget in r.budgets), None)

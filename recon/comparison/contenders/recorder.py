@@ -1,4 +1,4 @@
-"""What a method has reached at which time: models on disk, so that memory is that of the method alone."""
+"""Models of a method over time, kept on disk, so that the measured memory is that of the method alone."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -6,19 +6,19 @@ from pathlib import Path
 
 from recon.comparison.contenders.clock import Clock, Spent
 
-SPACING = 1.15  # seconds of a kept moment over those of the one before
+SPACING = 1.15  # ratio of the times of two kept models; gives about 16 points per decade of time
 Save = Callable[[Path], None]
 
 
 @dataclass(frozen=True)
 class Moment:
-    """A model along the way.
+    """A model between the steps of a method.
 
     Parameters
     ----------
-    seconds : worked until then
-    done, total : iterations or steps made, and all that the method would make
-    path : the model
+    seconds : time that the method had worked [s]
+    done, total : number of finished iterations or steps, and of all
+    path : file of the model
     """
 
     seconds: float
@@ -28,13 +28,18 @@ class Moment:
 
 
 class Recorder:
-    """Keeps the last model within each budget, and some along the way for error against time.
+    """Recorder of the last model within each budget, and of some others for error against time.
 
     Parameters
     ----------
-    clock : of the method; it stands still while models are written
-    folder : an existing folder to write in
+    clock : of the method; it is stopped while models are written
+    folder : existing folder to write in
     budgets : [s]
+
+    Attributes
+    ----------
+    moments : models that were kept
+    finished : whether the method came to its own end
     """
 
     def __init__(self, clock: Clock, folder: Path, budgets: Sequence[float]) -> None:
@@ -45,14 +50,20 @@ class Recorder:
         self._count = 0
 
     def add(self, done: int, total: int, save: Save) -> None:
-        """Keep a model if it counts.
+        """Keep a model, and remove the one before where it does not count.
+
+        Parameters
+        ----------
+        done : number of finished iterations or steps
+        total : number of all
+        save : writes the model to a file
 
         Raises
         ------
         Spent
             When the largest budget is over.
         """
-        with self.clock.standing() as seconds:
+        with self.clock.paused() as seconds:
             if seconds > self.budgets[-1]:
                 raise Spent
             path = self.folder / str(self._count)
@@ -63,16 +74,34 @@ class Recorder:
             self.moments.append(Moment(seconds, done, total, path))
 
     def result(self, budget: float) -> Moment | None:
-        """The last moment within a budget; None when there is none."""
+        """Return the last model within a budget.
+
+        Parameters
+        ----------
+        budget : [s]
+
+        Returns
+        -------
+        the model; None where there is none
+        """
         within = [moment for moment in self.moments if moment.seconds <= budget]
         return within[-1] if within else None
 
     def is_final(self, moment: Moment) -> bool:
-        """Whether a method would not have gone on from there."""
+        """Tell whether a model is the final one of a method that came to its own end.
+
+        Parameters
+        ----------
+        moment : a model
+
+        Returns
+        -------
+        True where it is
+        """
         return self.finished and moment is self.moments[-1]
 
     def _settle(self, last: Moment, now: float) -> None:
-        """Keep the moment before, or drop it: no budget ends between it and now, and it is close to the one before."""
+        """Remove the last model where no budget ends between it and now, and it is close in time to the one before."""
         if any(last.seconds <= budget < now for budget in self.budgets):
             return
         if last.seconds >= SPACING * self._spaced:

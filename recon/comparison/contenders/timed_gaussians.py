@@ -1,9 +1,10 @@
-"""Fits of Gaussians against the clock: a run of its own for each budget, as rates and stages depend on its length.
+"""Timed fits of Gaussians: one run for each budget, as learning rates and stages depend on the length of a fit.
 
-The start and a few steps are timed first. The fit of `recon fit` then begins at that start for each budget, with so
-many sweeps as fit into what is left; the paper's method repeats its start while the clock stands still. Forecasts are
-from the seconds of the first steps. A fit that would still pass its budget is cut there. Where a budget holds no start,
-Gaussians follow voxels for as long as it allows, and are not fitted.
+The start and a few steps are timed first. For each budget, the fit of `recon fit` then begins with that start and makes
+as many sweeps as the rest of the budget allows; the paper's method repeats its start while the clock is stopped. The
+time of a sweep is extrapolated from the first steps. A fit that still exceeds its budget is ended there. Where the
+start alone exceeds a budget, Gaussians are fitted to the voxel volumes for as long as the budget allows, and not to the
+counts.
 """
 
 from collections.abc import Callable
@@ -25,22 +26,22 @@ from recon.gaussians.model import Gaussians
 from recon.gaussians.optimize import Progress
 from recon.gaussians.recipe import BEST, FAST
 from recon.gaussians.reconstruct import reconstruct
-from recon.gaussians.state import FitState
+from recon.gaussians.state import FitState, InterruptedFit
 from recon.kedge.choose_basis import choose_basis
 from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.paper.reconstruct import reconstruct_paper
 from recon.runs.expected_cost import TIMED_STEPS, seconds_of_steps
 
-RESERVE = 0.95  # of what is left of a budget is planned for
-GROWTH = 2.0  # later steps of the paper's method take so much longer: it adds Gaussians
-LATE = 0.9  # from this part of a budget on every step is kept
+RESERVE = 0.95  # part of the rest of a budget that is planned; the rest allows for steps slower than the first ones
+GROWTH = 2.0  # ratio of the mean time of a step of the paper's method to that of its first steps: it adds Gaussians
+LATE = 0.9  # part of a budget from which on the model of every step is kept
 
 NewRecorder = Callable[[list[float]], Recorder]
 
 
 @dataclass
 class _Beginning:
-    """Where all fits of a contender begin; keeps the first, and hands it to the others."""
+    """Common start of all fits of a contender, a `recon.gaussians.reconstruct.CheckpointStore` in memory."""
 
     clock: Clock
     following: float | None = None
@@ -49,7 +50,7 @@ class _Beginning:
     state: tuple[dict[str, Any], dict[str, Any]] | None = None
 
     def stage(self, name: str) -> None:
-        """The clock runs on from the end of the start when a fit begins, however long it took to get there again."""
+        """Set the clock to the time at the end of the first start when a later fit begins."""
         if name == "approximate":
             self.following = self.clock.seconds()
         if name != "fit":
@@ -59,28 +60,34 @@ class _Beginning:
         else:
             self.clock.start(self.seconds)
 
-    def found(self, measured: Measurements) -> tuple[FitState, np.ndarray, dict[str, float]] | None:
+    def found(self, measured: Measurements) -> InterruptedFit | None:
         """See `recon.gaussians.reconstruct.CheckpointStore`."""
         del measured
-        return None if self.state is None else (FitState.restore(*deepcopy(self.state)), self.volumes, {})
+        if self.state is None:
+            return None
+        return InterruptedFit(FitState.restore(*deepcopy(self.state)), self.volumes, {})
 
     def begin(self, volumes: np.ndarray, seconds: dict[str, float], state: FitState) -> None:
         """See `recon.gaussians.reconstruct.CheckpointStore`."""
         del seconds
-        with self.clock.standing():
+        with self.clock.paused():
             self.volumes, self.state = volumes, deepcopy((state.tensors(), state.numbers()))
 
 
 def run_gaussian(dataset: Dataset, contender: Contender, clock: Clock, new: NewRecorder, budgets: list[float]) -> Runs:
-    """The fit of `recon fit`, at most as long as its recipe says.
+    """Run the fit of `recon fit` for each budget, at most as long as its recipe.
 
     Parameters
     ----------
-    dataset : an open dataset, restricted to what the contender may see; only ``/entry`` is read
-    contender : says how many bases
+    dataset : open dataset, restricted to what the contender may use; only ``/entry`` is read
+    contender : recipe and number of bases
     clock : of all runs
-    new : makes the recorder of some budgets
+    new : creates the recorder for some budgets
     budgets : [s]
+
+    Returns
+    -------
+    the runs
     """
     clock.start()
     dataset = dataset.with_basis(choose_basis(dataset, contender.bases).basis)
@@ -113,7 +120,20 @@ def run_gaussian(dataset: Dataset, contender: Contender, clock: Clock, new: NewR
 
 
 def run_paper(dataset: Dataset, contender: Contender, clock: Clock, new: NewRecorder, budgets: list[float]) -> Runs:
-    """The paper's method; parameters as of `run_gaussian`."""
+    """Run the paper's method for each budget, at most as long as its recipe.
+
+    Parameters
+    ----------
+    dataset : open dataset, restricted to what the contender may use; only ``/entry`` is read
+    contender : number of bases, and components that are switched off
+    clock : of all runs
+    new : creates the recorder for some budgets
+    budgets : [s]
+
+    Returns
+    -------
+    the runs
+    """
     recipe, beginning = PaperRecipe(without=contender.without), _Beginning(clock)
     timed = _Timed(beginning)
     clock.start()
@@ -134,7 +154,7 @@ def run_paper(dataset: Dataset, contender: Contender, clock: Clock, new: NewReco
 def _run_all(
     shares: dict[float, float], fit: Callable[[float, Recorder], None], clock: Clock, new: NewRecorder, lacking: str
 ) -> Runs:
-    """A run for each budget that holds a part of the recipe, and one for all that hold the whole."""
+    """Run once for each budget that allows a part of the recipe, and once for all that allow the whole."""
     whole = [budget for budget, share in shares.items() if share >= 1]
     groups = [([budget], share) for budget, share in shares.items() if 0 < share < 1]
     recorders = []
@@ -150,7 +170,7 @@ def _run_all(
 
 @dataclass
 class _Timed:
-    """Callback that lets a few steps pass, with their seconds by the clock of the comparison."""
+    """Callback that notes the first steps, with their time by the clock of the comparison, and ends the fit."""
 
     beginning: _Beginning
     steps: list[Progress] = field(default_factory=list)
@@ -163,7 +183,7 @@ class _Timed:
 
 @dataclass
 class _Kept:
-    """Callback that records what counts: some models along the way, and every one towards the end of a budget."""
+    """Callback that records some models, and each one towards the end of a budget."""
 
     recorder: Recorder
 
@@ -175,7 +195,7 @@ class _Kept:
 
 @dataclass
 class _Unfitted:
-    """CheckpointStore that records what a fit begins with, and ends it there."""
+    """CheckpointStore that records the start of a fit, and ends the fit there."""
 
     recorder: Recorder
 

@@ -1,4 +1,4 @@
-"""Methods that predict views and have no volume, against the clock."""
+"""Timed runs of methods that predict views and have no volume."""
 
 from contextlib import suppress
 from functools import partial
@@ -11,19 +11,24 @@ from phantomgen.geometry.poses import Geometry
 from recon.comparison.contenders.clock import Spent
 from recon.comparison.contenders.model import Model, Runs, StoredViews
 from recon.comparison.contenders.recorder import Recorder
+from recon.data.inpainting import ray_weights
 from recon.data.measurements import read_measurements
 from recon.voxel.image_domain import log_projections
 from recon.voxel.method import Iteration, ViewMethod, ViewModel
 
 
 def run_views(dataset: Dataset, method: ViewMethod, recorder: Recorder) -> Runs:
-    """Run until the largest budget is spent, or the method is done.
+    """Run until the largest budget is over, or the method is finished.
 
     Parameters
     ----------
-    dataset : an open dataset, restricted to what the contender may see; only ``/entry`` is read
+    dataset : open dataset, restricted to what the contender may use; only ``/entry`` is read
     method : predicts views
-    recorder : is given what every iteration expects in the test views
+    recorder : gets the prediction of the test views after every iteration
+
+    Returns
+    -------
+    the run
     """
     test = dataset.geometry[dataset.splits["test"]]
 
@@ -33,8 +38,7 @@ def run_views(dataset: Dataset, method: ViewMethod, recorder: Recorder) -> Runs:
 
     recorder.clock.start()
     measured = read_measurements(dataset, dataset.splits["train"]).completed()
-    unseen = measured.unseen
-    weights = np.broadcast_to(~unseen, measured.counts[:, 0].shape).astype(np.float32) if unseen.any() else None
+    weights = ray_weights(measured.unseen, len(measured))
     with suppress(Spent):
         method.learn_views(log_projections(measured), weights, measured.geometry, dataset.grid, record)
         recorder.finished = True

@@ -1,4 +1,4 @@
-"""Methods of `recon.runs.methods` against the clock: one run, whose iterations serve all budgets."""
+"""Timed runs of voxel and view methods: one run, whose iterations give the results for all budgets."""
 
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,8 +19,9 @@ from recon.comparison.contenders.recorder import Recorder
 from recon.comparison.contenders.timed_views import run_views
 from recon.data.measurements import read_measurements
 from recon.gaussians.recipe import Recipe
+from recon.runs.checks import check_method
 from recon.runs.methods import method_named
-from recon.runs.run_voxels import check_method, reconstruct_volumes
+from recon.runs.run_voxels import reconstruct_volumes
 from recon.voxel.image_domain import linear_response
 from recon.voxel.iterative.multigrid import resampled
 from recon.voxel.method import (  # fmt: skip
@@ -37,34 +38,38 @@ from recon.voxel.model import Voxels
 
 
 def run_voxels(dataset: Dataset, contender: Contender, recorder: Recorder) -> Runs:
-    """Run until the largest budget is spent, or the method is done.
+    """Run until the largest budget is over, or the method is finished.
 
     Parameters
     ----------
-    dataset : an open dataset, restricted to what the contender may see; only ``/entry`` is read
+    dataset : open dataset, restricted to what the contender may use; only ``/entry`` is read
     contender : its method is one of `recon.runs.methods.METHODS`
-    recorder : is given every iteration
+    recorder : gets the volumes of every iteration
+
+    Returns
+    -------
+    the run
     """
     method = method_named(contender.method)
     pipeline = "image" if contender.image else "two-step"
     check_method(method, pipeline, dataset)
     if isinstance(method, ViewMethod):
         return run_views(dataset, method, recorder)
-    grid, told = dataset.grid, unwatched
+    grid, on_iteration = dataset.grid, unwatched
 
     def record(iteration: Iteration) -> None:
         save = partial(_save, iteration.volumes, iteration.grid or grid, grid)
         recorder.add(iteration.done, iteration.total, save)
 
     if contender.image and isinstance(method, LinearMethod):
-        method = Overheard(method, record)
+        method = RecordedMethod(method, record)
     else:
-        told = record
+        on_iteration = record
     recorder.clock.start()
     measured = read_measurements(dataset, dataset.splits["train"], contender.bases).without_partial_volume()
     measured = measured.compressed(Recipe().node_tolerance)[0]
     with suppress(Spent):
-        reconstruct_volumes(measured, grid, method, pipeline, Stopwatch(), told)
+        reconstruct_volumes(measured, grid, method, pipeline, Stopwatch(), on_iteration)
         recorder.finished = True
     recorder.clock.stop()
     names = measured.basis_names
@@ -74,15 +79,21 @@ def run_voxels(dataset: Dataset, contender: Contender, recorder: Recorder) -> Ru
 
 
 @dataclass(frozen=True, eq=False)
-class Overheard:
-    """A linear method whose own volumes are heard of, before anything is made of them."""
+class RecordedMethod:
+    """A linear method whose volumes of the channels are recorded before they are decomposed.
+
+    Parameters
+    ----------
+    method : reconstructs the channels
+    record : called after every iteration, with the volumes of the channels
+    """
 
     method: LinearMethod
     record: OnIteration
 
     @property
     def name(self) -> str:
-        """That of the method."""
+        """Name of the method."""
         return self.method.name
 
     def reconstruct(
@@ -93,7 +104,20 @@ class Overheard:
         grid: Grid,
         on_iteration: OnIteration = unwatched,
     ) -> Volumes:
-        """What the method makes of them; `on_iteration` is not told."""
+        """Reconstruct volumes, and record those of every iteration.
+
+        Parameters
+        ----------
+        line_integrals : one image per channel and view [no unit]
+        weights : statistical weight of each ray; None for equal weights
+        geometry : poses of the views
+        grid : of the volumes
+        on_iteration : not used, as `record` is called in its place
+
+        Returns
+        -------
+        volumes of the channels [1/mm]
+        """
         del on_iteration
         return self.method.reconstruct(line_integrals, weights, geometry, grid, self.record)
 
@@ -113,7 +137,7 @@ def _bases(path: Path, grid: Grid, names: tuple[str, ...]) -> Model:
 
 
 def _channels(path: Path, grid: Grid, names: tuple[str, ...], response: np.ndarray) -> Model:
-    """Channels as they are, and the bases that explain them best in every voxel."""
+    """Volumes of the channels, and the bases that fit them by least squares in every voxel."""
     channels = _load(path)
     bases = np.einsum("mc,czyx->mzyx", np.linalg.pinv(response).astype(np.float32), channels)
     return Model(Voxels(bases, grid, names), ChannelVoxels(channels, grid))

@@ -1,4 +1,4 @@
-"""LPIPS, where its package and the weights of its network are on this machine; nothing is downloaded."""
+"""LPIPS, where its package and the weights of its network are installed; nothing is downloaded."""
 
 from collections.abc import Callable
 from functools import cache
@@ -9,13 +9,18 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-SMALLEST = 64  # pixels; the network halves images five times
+SMALLEST = 64  # pixels along an axis; the network halves images five times
 WEIGHTS = "alexnet-owt-7be5be79.pth"  # of torchvision, in torch's folder of checkpoints
 Lpips = Callable[[np.ndarray, np.ndarray], float | None]
 
 
 def missing() -> str | None:
-    """Why there is no LPIPS, in one sentence; None where there is."""
+    """Return the reason why LPIPS cannot be computed.
+
+    Returns
+    -------
+    one sentence; None where it can be computed
+    """
     for package in ("lpips", "torchvision"):
         if find_spec(package) is None:
             return f"LPIPS needs the package {package}: pip install 'spectral-ct[lpips]'"
@@ -25,9 +30,17 @@ def missing() -> str | None:
 
 @cache
 def perceptual_distance() -> Lpips | None:
-    """LPIPS of two images in 0..1, with AlexNet, version 0.1 (Zhang et al. 2018, doi:10.1109/CVPR.2018.00068).
+    """Return a function that computes LPIPS of two images in 0..1, with AlexNet, version 0.1.
 
-    None where something is missing.
+    Returns
+    -------
+    function of an image and its truth, (row, column), that gives None for small images; None where packages or weights
+    are missing
+
+    References
+    ----------
+    R. Zhang, P. Isola, A. A. Efros, E. Shechtman, O. Wang, The Unreasonable Effectiveness of Deep Features as a
+    Perceptual Metric, CVPR 2018, doi:10.1109/CVPR.2018.00068
     """
     if missing() is not None:
         return None

@@ -1,4 +1,4 @@
-"""Scores of the material maps that a model leads to, see `recon.segmentation`."""
+"""Scores of the material maps that `recon.segmentation` finds in a model."""
 
 from typing import Any
 
@@ -18,12 +18,17 @@ from spectra.errors import Error
 
 
 def score_maps(bases: Gaussians | Voxels, dataset: Dataset) -> dict[str, Any]:
-    """Dice by material and its mean, and how alike views and slices in colour are; empty where nothing can be scored.
+    """Score the material maps, and their renderings in colour.
 
     Parameters
     ----------
     bases : volumes of some of the dataset's basis functions
-    dataset : with a truth
+    dataset : open dataset with a truth
+
+    Returns
+    -------
+    ``dice`` by material, ``mean_dice``, and similarity of ``rgb_views`` and ``rgb_slices``; empty where nothing can be
+    scored
     """
     known = dataset.spectra.basis
     functions = tuple(f for f in known.functions if f.name in bases.basis_names)

@@ -1,8 +1,8 @@
-"""How images and volumes are scored, by name, since a score means little without its peak, its scale and its window.
+"""Protocols of scores for images and volumes: peak, scale and window, on which every score depends.
 
-``honest`` notices a wrong scale and compares with the truth. ``r2`` is what the published code of R2-Gaussian computes,
+``honest`` detects a wrong scale and compares with the truth. ``r2`` is what the published code of R2-Gaussian computes,
 ``paper`` what SpectralCTGaussians, which builds on it, reports: both divide every projection by its own maximum, so
-that no error of scale shows, and ``paper`` takes a reconstruction from all views for the truth of channels.
+that they do not detect an error of scale, and ``paper`` takes a reconstruction from all views as the truth of channels.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ Scores = dict[str, float | None]
 
 @dataclass(frozen=True)
 class Protocol:
-    """What the protocols differ in.
+    """Definition of a protocol.
 
     Parameters
     ----------
@@ -41,7 +41,18 @@ class Protocol:
     def view(
         self, image: Float[np.ndarray, "row column"], measured: Float[np.ndarray, "row column"], peak: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """A prediction and what it is compared with, in units of the peak."""
+        """Divide a predicted and a measured projection by the peak of the protocol.
+
+        Parameters
+        ----------
+        image : predicted log projection [no unit]
+        measured : measured log projection [no unit]
+        peak : largest measured log projection of the channel
+
+        Returns
+        -------
+        prediction and measurement
+        """
         if not self.own_scale:
             return image / peak, measured / peak
         highest = (float(array.max(initial=0.0)) for array in (image, measured))
@@ -49,7 +60,12 @@ class Protocol:
         return image / scales[0], measured / scales[1]
 
     def volume(self, volume: Real[np.ndarray, "z y x"], truth: Real[np.ndarray, "z y x"]) -> Scores:
-        """Scores of a volume; None for a truth without a positive value.
+        """Score a volume; scores are None for a truth without a positive value.
+
+        Parameters
+        ----------
+        volume : the result [1/mm]
+        truth : on the same grid [1/mm]
 
         Returns
         -------
@@ -81,7 +97,15 @@ PROTOCOLS = {
 
 
 def protocol_named(name: str) -> Protocol:
-    """A protocol.
+    """Return a protocol.
+
+    Parameters
+    ----------
+    name : of the protocol
+
+    Returns
+    -------
+    the protocol
 
     Raises
     ------
@@ -94,15 +118,32 @@ def protocol_named(name: str) -> Protocol:
 
 
 def image_ssim(image: Float[np.ndarray, "row column"], truth: Float[np.ndarray, "row column"]) -> float:
-    """Mean structural similarity as R2-Gaussian has it: 11 x 11 window of sigma 1.5, zeros outside, range 1."""
+    """Compute the mean structural similarity of images, in the form of R2-Gaussian.
+
+    Parameters
+    ----------
+    image : prediction
+    truth : what it is compared with
+
+    Returns
+    -------
+    mean for a window of 11 x 11 pixels with sigma 1.5 pixels, zeros outside the image, range 1
+    """
     pair = (torch.from_numpy(np.ascontiguousarray(a, np.float64))[None, None] for a in (image, truth))
     return float(slice_ssim(*pair).mean())
 
 
 def ssim_3d(volume: Float[np.ndarray, "z y x"], truth: Float[np.ndarray, "z y x"]) -> float | None:
-    """Mean structural similarity with a Gaussian window of sigma 1.5 voxels along all axes, range 1.
+    """Compute the mean structural similarity of volumes with a window in three dimensions.
 
-    None where a volume is narrower than the window.
+    Parameters
+    ----------
+    volume : the result
+    truth : what it is compared with
+
+    Returns
+    -------
+    mean for a Gaussian window of sigma 1.5 voxels, range 1; None where a volume is narrower than the window
     """
     from skimage.metrics import structural_similarity  # noqa: PLC0415 - a third of a second
 
@@ -113,7 +154,17 @@ def ssim_3d(volume: Float[np.ndarray, "z y x"], truth: Float[np.ndarray, "z y x"
 
 
 def ssim_of_slices(volume: Float[np.ndarray, "z y x"], truth: Float[np.ndarray, "z y x"]) -> float:
-    """R2-Gaussian's: mean over the slices along an axis that hold truth, then over the three axes."""
+    """Compute the mean structural similarity of slices, in the form of R2-Gaussian.
+
+    Parameters
+    ----------
+    volume : the result
+    truth : what it is compared with
+
+    Returns
+    -------
+    mean of `image_ssim` over the slices along an axis that hold truth, then over the three axes
+    """
     means = []
     for axis in range(3):
         stacks = [torch.from_numpy(np.ascontiguousarray(np.moveaxis(v, axis, 0))) for v in (volume, truth)]

@@ -21,14 +21,14 @@ Volumes = Float[np.ndarray, "channel z y x"]
 
 
 def score(model: Model, dataset: Dataset, truth: Truth | None, pseudo: Volumes | None) -> dict[str, Any]:
-    """Scores as plain numbers, None where one does not exist.
+    """Compute all scores of a model as plain numbers; those that do not exist are None.
 
     Parameters
     ----------
-    model : what a method made
+    model : result of a method
     dataset : with the test views, and all channels
-    truth : of the dataset, where it has one
-    pseudo : volumes of the channels from all views on the dataset's grid, which one protocol takes for the truth
+    truth : of the dataset; None where it has none
+    pseudo : of `recon.comparison.campaign.pseudo_truth` [1/mm], which one protocol takes as the truth
 
     Returns
     -------
@@ -62,7 +62,7 @@ def score(model: Model, dataset: Dataset, truth: Truth | None, pseudo: Volumes |
 
 
 def _score_volumes(protocol: Protocol, pairs: Iterable[tuple[str, np.ndarray | None, np.ndarray]]) -> dict[str, Any]:
-    """Of volumes by name; a volume that is missing has no scores."""
+    """Scores of volumes by name; a volume that is missing has none."""
     return {name: {} if volume is None else protocol.volume(volume, true) for name, volume, true in pairs}
 
 
@@ -77,7 +77,7 @@ def _views(model: Model, dataset: Dataset) -> Iterator[HeldOutView]:
 
 
 def _score_views(model: Model, dataset: Dataset) -> dict[str, Any]:
-    """By protocol and channel: ``psnr`` [dB], ``ssim`` and ``lpips`` of log projections, means over the test views."""
+    """Means over the test views of ``psnr`` [dB], ``ssim`` and ``lpips`` of projections, by protocol and channel."""
     channels, peaks = dataset.spectra.channels, largest_projections(dataset)
     rows: dict[str, list[list[_Row]]] = {name: [[] for _ in channels] for name in PROTOCOLS}
     for view in _views(model, dataset):
@@ -116,7 +116,16 @@ def _summary(rows: list[_Row], by_view: bool) -> dict[str, float | None]:
 
 
 def largest_projections(dataset: Dataset) -> list[float]:
-    """Largest measured log projection of each channel in the test views; 1 where there is none."""
+    """Find the largest measured log projection of each channel in the test views.
+
+    Parameters
+    ----------
+    dataset : open dataset
+
+    Returns
+    -------
+    values by channel [no unit]; 1 where there is no positive one
+    """
     peaks = np.zeros(len(dataset.spectra.channels))
     for view in dataset.splits["test"]:
         measured = read_measurements(dataset, np.array([view]), 1)

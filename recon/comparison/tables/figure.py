@@ -1,4 +1,4 @@
-"""Error against time: one line per contender, one panel per basis."""
+"""Figure of error against time: one line per contender, one panel per basis."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,13 +16,17 @@ _DASHES = ("-", (0, (4, 1.5)), (0, (1, 1)))
 
 
 def error_against_time(results: Sequence[Result], path: Path, clock: str) -> Path | None:
-    """Draw PSNR of each basis volume against seconds; None where nothing has a truth to be compared with.
+    """Draw PSNR of each basis volume against time.
 
     Parameters
     ----------
-    results : see `recon.comparison.campaign.Campaign.results`
-    path : PNG to write; the numbers go beside it, one CSV
-    clock : what the seconds are of
+    results : of `recon.comparison.campaign.Campaign.results`
+    path : PNG to write; a CSV with the numbers is written beside it
+    clock : ``wall`` or ``cpu``
+
+    Returns
+    -------
+    the picture; None where there is no truth
     """
     lines, ends = _lines(results), _ends(results)
     names = list(dict.fromkeys(key for points in lines.values() for point in points for key in point if _is_psnr(key)))

@@ -1,14 +1,21 @@
-"""What SpectralCTGaussians (Vos, Sinha, Weinmann) prints in its tables, to stand beside what is measured here.
+"""Numbers of the tables of SpectralCTGaussians (Vos, Sinha, Weinmann), for comparison with those measured here.
 
-Other scans than ours, so only the order of methods and differences between rows can be compared. Channels are at 50, 80
-and 120 keV; scores are PSNR [dB], SSIM and LPIPS.
+They are of other scans, so that only the order of methods and differences between rows can be compared. Channels are at
+50, 80 and 120 keV; scores are PSNR [dB], SSIM and LPIPS.
 """
 
 from typing import NamedTuple
 
 
 class Printed(NamedTuple):
-    """One average of a table."""
+    """Scores in one cell of a table.
+
+    Parameters
+    ----------
+    psnr : [dB]
+    ssim : structural similarity
+    lpips : perceptual distance; None where the table has none
+    """
 
     psnr: float
     ssim: float

@@ -1,4 +1,4 @@
-"""Results as Markdown for people and as CSV for programs."""
+"""Tables of results in Markdown and CSV."""
 
 import csv
 from collections.abc import Iterable, Iterator, Sequence
@@ -12,11 +12,21 @@ from spectra.basis.basis import pretty
 
 Result = dict[str, Any]
 ABSENT = "-"
-EARLY = 0.95  # of a budget; a run that ends before has stopped by itself, and is said to
+EARLY = 0.95  # part of a budget; the table marks runs that finished before as stopped by themselves
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table with aligned columns; the first is text, the others are numbers."""
+    """Format a table in Markdown with aligned columns.
+
+    Parameters
+    ----------
+    header : names of the columns
+    rows : cells; the first column is text, the others are numbers
+
+    Returns
+    -------
+    the table
+    """
     lines = [list(map(str, header)), *(list(map(str, row)) for row in rows)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
     rule = ["-" * widths[0], *("-" * (w - 1) + ":" for w in widths[1:])]
@@ -26,23 +36,46 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def number(value: float | None, layout: str) -> str:
-    """A number, or a dash."""
+    """Format a number.
+
+    Parameters
+    ----------
+    value : number; None for none
+    layout : format of Python
+
+    Returns
+    -------
+    the number, or a dash
+    """
     return ABSENT if value is None else format(value, layout)
 
 
 def name_of(result: Result) -> str:
-    """Contender and budget."""
+    """Format contender and budget of a result.
+
+    Parameters
+    ----------
+    result : a result
+
+    Returns
+    -------
+    first cell of its row
+    """
     return f"{result['contender']}, {result['budget']:g} s"
 
 
 def report(results: Sequence[Result], protocol: str, title: str) -> str:
-    """All tables of a comparison.
+    """Write a page with all tables of a comparison.
 
     Parameters
     ----------
-    results : see `recon.comparison.campaign.Campaign.results`
+    results : of `recon.comparison.campaign.Campaign.results`
     protocol : whose scores are shown
     title : of the page
+
+    Returns
+    -------
+    the page in Markdown
     """
     good = [result for result in results if "seconds" in result]
     parts = [
@@ -55,8 +88,8 @@ def report(results: Sequence[Result], protocol: str, title: str) -> str:
         _section("Chi-square of the counts of those views", agreement_table(good)),
         _section("Bias and noise inside materials [1e-3/mm]", material_table(good)),
         _section("Material maps: Dice, and colours beside the true ones", map_table(good)),
-        "\n".join(["## Gaussians beside the others", "", *standing(good, protocol)])
-        if standing(good, protocol)
+        "\n".join(["## Gaussians beside the others", "", *methods_ahead(good, protocol)])
+        if methods_ahead(good, protocol)
         else "",
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -67,9 +100,17 @@ def _section(title: str, table: str) -> str:
 
 
 def run_table(results: Sequence[Result]) -> str:
-    """Seconds, memory and size of every run; what failed says why.
+    """Write the table of time, memory and size of every run, with the reason of failures.
 
-    A run that stopped by itself long before its budget says so: its budget is not the time that it had use for.
+    It names runs that stopped by themselves long before the end of their budget.
+
+    Parameters
+    ----------
+    results : of `recon.comparison.campaign.Campaign.results`
+
+    Returns
+    -------
+    the table
     """
     header = ("method, budget", "seconds", "iterations", "peak memory [MiB]", "size")
     rows = []
@@ -84,7 +125,16 @@ def run_table(results: Sequence[Result]) -> str:
 
 
 def ending(result: Result) -> str:
-    """How a run ended: by its budget, by itself well before that, or just in time."""
+    """Format how a run ended.
+
+    Parameters
+    ----------
+    result : a result
+
+    Returns
+    -------
+    whether the budget stopped it, or it stopped by itself well before; else empty
+    """
     if not result["finished"]:
         return " (stopped by the budget)"
     if result["seconds"] < EARLY * result["budget"]:
@@ -93,7 +143,17 @@ def ending(result: Result) -> str:
 
 
 def basis_table(results: Sequence[Result], protocol: str) -> str:
-    """PSNR, PSNR after the best scalar, and SSIM of each basis; volumes of zeros for comparison."""
+    """Write the table of PSNR, PSNR after the best scalar, and SSIM of each basis, and of volumes of zeros.
+
+    Parameters
+    ----------
+    results : of `recon.comparison.campaign.Campaign.results`
+    protocol : whose scores are shown
+
+    Returns
+    -------
+    the table; empty where no result has such scores
+    """
     names = _items(results, "basis", protocol)
     if not names:
         return ""
@@ -113,7 +173,18 @@ def basis_table(results: Sequence[Result], protocol: str) -> str:
 
 
 def channel_table(results: Sequence[Result], section: str, protocol: str) -> str:
-    """PSNR, SSIM and, where there is one, LPIPS of each channel and their mean."""
+    """Write the table of PSNR, SSIM and, for views, LPIPS of each channel and their mean.
+
+    Parameters
+    ----------
+    results : of `recon.comparison.campaign.Campaign.results`
+    section : ``views`` or ``energies``
+    protocol : whose scores are shown
+
+    Returns
+    -------
+    the table; empty where no result has such scores
+    """
     names = _items(results, section, protocol)
     if not names:
         return ""
@@ -131,7 +202,16 @@ def channel_table(results: Sequence[Result], section: str, protocol: str) -> str
 
 
 def agreement_table(results: Sequence[Result]) -> str:
-    """Chi-square per channel: off edges, and of all rays."""
+    """Write the table of chi-square per channel, of rays away from edges and of all rays.
+
+    Parameters
+    ----------
+    results : of `recon.comparison.campaign.Campaign.results`
+
+    Returns
+    -------
+    the table; empty where no result has such scores
+    """
     names = list(next((r["chi_square"] for r in results if r["chi_square"]), {}))
     if not names:
         return ""
@@ -144,7 +224,16 @@ def agreement_table(results: Sequence[Result]) -> str:
 
 
 def material_table(results: Sequence[Result]) -> str:
-    """Mean error and standard deviation of each basis inside each material, in thousandths per mm."""
+    """Write the table of mean error and standard deviation of each basis in each material [1e-3/mm].
+
+    Parameters
+    ----------
+    results : of `recon.comparison.campaign.Campaign.results`
+
+    Returns
+    -------
+    the table; empty where no result has such scores
+    """
     some = next((r["materials"] for r in results if r.get("materials")), {})
     pairs = [(m, b) for m, scores in some.items() if scores["voxels"] for b in scores if b != "voxels"]
     if not pairs:
@@ -158,7 +247,16 @@ def material_table(results: Sequence[Result]) -> str:
 
 
 def map_table(results: Sequence[Result]) -> str:
-    """Dice of each material's map, and how alike views and slices in colour are."""
+    """Write the table of Dice per material, and of the similarity of views and slices in colour.
+
+    Parameters
+    ----------
+    results : of `recon.comparison.campaign.Campaign.results`
+
+    Returns
+    -------
+    the table; empty where no result has such scores
+    """
     names = list(next((r["maps"]["dice"] for r in results if r.get("maps")), {}))
     if not names:
         return ""
@@ -176,8 +274,18 @@ def map_table(results: Sequence[Result]) -> str:
     return markdown_table(header, rows)
 
 
-def standing(results: Sequence[Result], protocol: str) -> list[str]:
-    """One sentence per budget and basis where another method is ahead of the fit of Gaussians, or that none is."""
+def methods_ahead(results: Sequence[Result], protocol: str) -> list[str]:
+    """Compare the fit of Gaussians with the other methods by PSNR of each basis.
+
+    Parameters
+    ----------
+    results : of `recon.comparison.campaign.Campaign.results`
+    protocol : whose scores are shown
+
+    Returns
+    -------
+    a sentence per budget and basis, which names the methods that are better
+    """
     lines = []
     for ours in (r for r in results if r["contender"] == GAUSSIAN and r.get("basis", {}).get(protocol)):
         others = [r for r in results if r["budget"] == ours["budget"] and r is not ours]
@@ -193,18 +301,47 @@ def standing(results: Sequence[Result], protocol: str) -> list[str]:
 
 
 def mean_score(result: Result, section: str, protocol: str, key: str) -> float | None:
-    """Mean of a score over bases or channels; None where one is missing."""
+    """Average a score over bases or channels.
+
+    Parameters
+    ----------
+    result : a result
+    section : ``basis``, ``views`` or ``energies``
+    protocol : of the scores
+    key : of the score, such as ``ssim``
+
+    Returns
+    -------
+    mean; None where a value is missing
+    """
     values = [scores.get(key) for scores in result.get(section, {}).get(protocol, {}).values()]
     return None if None in values else _mean(values)
 
 
 def mean_psnr(result: Result, section: str, protocol: str) -> float | None:
-    """Mean PSNR over bases or channels [dB]; None where one is missing."""
+    """Average PSNR over bases or channels.
+
+    Parameters
+    ----------
+    result : a result
+    section : ``basis``, ``views`` or ``energies``
+    protocol : of the scores
+
+    Returns
+    -------
+    mean [dB]; None where a value is missing
+    """
     return mean_score(result, section, protocol, "psnr")
 
 
 def write_csv(path: Path, results: Sequence[Result]) -> None:
-    """One line per number: contender, budget, seconds, section, protocol, item, metric, value."""
+    """Write one line per number: contender, budget, seconds, section, protocol, item, metric, value.
+
+    Parameters
+    ----------
+    path : CSV file
+    results : of `recon.comparison.campaign.Campaign.results`
+    """
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(("contender", "budget", "seconds", "section", "protocol", "item", "metric", "value"))

@@ -1,1 +1,1 @@
-"""First Gaussians from volumes: placement and fit to the volumes."""
+"""The start of a fit: voxel volumes, placement of Gaussians, and their fit to the volumes."""

@@ -1,4 +1,4 @@
-"""First Gaussians, placed by what volumes of the bases show: dense along edges, sparse inside."""
+"""First Gaussians, placed by the voxel volumes of the bases: close to each other along edges, further apart inside."""
 
 from typing import no_type_check
 
@@ -12,14 +12,12 @@ from scipy.spatial import KDTree
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.volume_edges import SMOOTHING, VolumeEdges
 from recon.gaussians.model import Gaussians
+from recon.gaussians.settings import PlacementSettings
 from recon.ops.voxelize import voxelize
 
-COARSEST = 3.5  # largest spacing over the smallest
-GROWTH = 0.3  # how fast the spacing may grow with the distance from an edge
-OVERLAP = 0.65  # standard deviation of a Gaussian over the distance to its neighbours
-FLATNESS = 0.25  # thickness of a Gaussian on a full edge over its width
-_GOLDEN = 0x9E3779B97F4A7C15  # odd, nearest to 2^64 over the golden ratio
-BLOCK = 8  # voxels along an edge; in no order, following voxels took three times as long
+DEFAULT = PlacementSettings()
+BLOCK = 8  # voxels; edge of blocks that order Gaussians; measured: unordered, the fit to volumes takes 3 times as long
+_GOLDEN = 0x9E3779B97F4A7C15  # no unit; increment of SplitMix64: the odd number nearest to 2^64 over the golden ratio
 
 
 def initialize(
@@ -29,49 +27,58 @@ def initialize(
     spacing: float,
     basis_names: tuple[str, ...],
     seed: int,
+    settings: PlacementSettings = DEFAULT,
 ) -> Gaussians:
-    """Place Gaussians where the volumes hold something.
+    """Place Gaussians where the volumes are not empty.
 
     Signal and edges are measured in units of noise (volumes whitened by the mean Fisher matrix), so that the choice of
-    bases does not matter. Points keep a distance of `spacing` along edges, growing inwards; scales come from the
-    distance to the neighbours; coefficients are the volumes' values divided by the sum of all Gaussians there.
+    bases does not matter. Gaussians keep a distance of `spacing` along edges, and a larger one inside; their scales
+    follow from the distance to their neighbours; their coefficients are the values of the volumes over the sum of all
+    Gaussians there.
 
     Parameters
     ----------
-    volumes : estimate of each basis [1/mm]
+    volumes : estimate of each basis, (M, Z, Y, X) [1/mm]
     grid : grid of `volumes`
-    fisher : mean Fisher matrix of the rays' line integrals
+    fisher : mean Fisher matrix of the rays' line integrals, (M, M) [no unit]
     spacing : distance between Gaussians along edges [mm]
     basis_names : names of the bases
-    seed : of the placement
+    seed : seed of the placement
+    settings : distances, overlap and shape
+
+    Returns
+    -------
+    first Gaussians
     """
     smooth = np.stack([gaussian_filter(v, SMOOTHING) for v in volumes])
     structure = VolumeEdges.of(volumes, fisher)
-    distance = _sizing(structure, grid, spacing)
+    distance = _wanted_distance(structure, grid, spacing, settings)
     voxel = _blue_noise(structure.occupied, distance / min(grid.spacing), _places(grid), seed)
     centres = (np.array(grid.origin) + voxel * np.array(grid.spacing))[:, ::-1].copy()
-    scales = _neighbour_distance(centres, default=spacing) * OVERLAP
+    scales = _neighbour_distance(centres, settings.neighbours, default=spacing) * settings.overlap
     normals, edge = _normals(structure, voxel)
-    thickness = FLATNESS**edge
-    flat = np.stack([thickness**-0.25, thickness**-0.25, thickness**0.75], axis=1)
+    thickness = settings.flatness**edge
+    flat = np.stack([thickness**-0.25, thickness**-0.25, thickness**0.75], axis=1)  # thinner, and a little wider
     parts = (
         torch.from_numpy(centres).float(),
         torch.log(torch.from_numpy(scales[:, None] * flat)).float(),
         torch.from_numpy(_turn_z_to(normals)).float(),
     )
     values = np.stack([map_coordinates(v, voxel.T, order=1, mode="nearest") for v in np.maximum(smooth, 0)], axis=1)
-    crowd = voxelize(*parts, torch.ones(len(centres), 1), grid)[0]
-    overlap = map_coordinates(crowd, voxel.T, order=1, mode="nearest")
-    coefficients = values / np.maximum(overlap, 0.5)[:, None]
+    density = voxelize(*parts, torch.ones(len(centres), 1), grid)[0]
+    sums = map_coordinates(density, voxel.T, order=1, mode="nearest")
+    coefficients = values / np.maximum(sums, settings.least_sum)[:, None]
     return Gaussians(*parts, torch.from_numpy(coefficients).float(), basis_names)
 
 
-def _sizing(structure: VolumeEdges, grid: Grid, finest: float) -> Float[np.ndarray, "z y x"]:
-    """Wanted distance between Gaussians [mm]: `finest` at edges, growing away from them."""
+def _wanted_distance(
+    structure: VolumeEdges, grid: Grid, finest: float, settings: PlacementSettings
+) -> Float[np.ndarray, "z y x"]:
+    """Compute the wanted distance between Gaussians [mm]: `finest` at edges, growing away from them."""
     distance = finest / np.maximum(structure.strength, 1e-6)
-    distance = np.clip(distance, finest, COARSEST * finest)
-    step = GROWTH * min(grid.spacing)
-    for _ in range(int(np.ceil((COARSEST - 1) * finest / step))):
+    distance = np.clip(distance, finest, settings.coarsest * finest)
+    step = settings.growth * min(grid.spacing)
+    for _ in range(int(np.ceil((settings.coarsest - 1) * finest / step))):
         distance = np.minimum(distance, minimum_filter(distance, size=3) + step)
     return distance
 
@@ -79,7 +86,7 @@ def _sizing(structure: VolumeEdges, grid: Grid, finest: float) -> Float[np.ndarr
 def _normals(
     structure: VolumeEdges, voxel: Float[np.ndarray, "point 3"]
 ) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, " point"]]:
-    """Direction (x, y, z) across the edge at each point, and how much of an edge is there, 0 to 1."""
+    """Find the direction (x, y, z) across the edge at each point, and the strength of the edge there, 0 to 1."""
     index = tuple(np.clip(np.round(voxel).astype(int).T, 0, np.array(structure.occupied.shape)[:, None] - 1))
     xx, yy, zz, xy, xz, yz = (gaussian_filter(t, SMOOTHING)[index] for t in structure.tensor)
     matrices = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
@@ -88,7 +95,7 @@ def _normals(
 
 
 def _turn_z_to(normals: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 4"]:
-    """Quaternions (w, x, y, z) of the shortest rotation from +z to each normal."""
+    """Compute the quaternions (w, x, y, z) of the shortest rotation from +z to each normal."""
     up = np.where(normals[:, 2:] < 0, -normals, normals)
     quaternions = np.stack([1 + up[:, 2], -up[:, 1], up[:, 0], np.zeros(len(up))], axis=1)
     return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
@@ -133,16 +140,16 @@ def _blue_noise(
     first: Int[np.ndarray, " 3"],
     seed: int,
 ) -> Float[np.ndarray, "point 3"]:
-    """Points (z, y, x) [voxels] in occupied voxels that keep their distance; the finest regions are filled first.
+    """Choose points (z, y, x) [voxels] in occupied voxels that keep their distance; the finest regions come first.
 
-    The random numbers of a voxel belong to its place, `first` being that of voxel (0, 0, 0): whether another voxel is
-    occupied, which may hang on rounding, changes the points near that one and no others. Points come block by block:
-    Gaussians that follow each other meet the same voxels, which are then in the cache.
+    The random numbers of a voxel belong to its place, `first` being that of voxel (0, 0, 0). Whether another voxel is
+    occupied, which may depend on rounding, changes the points near that voxel and no others. Points are ordered by
+    blocks, so that Gaussians which follow each other in memory cover the same voxels, which are then in the cache.
     """
     voxels = np.argwhere(occupied)
     numbers = _random_of_places(voxels + first, seed)
     distances = distance[occupied]
-    order = np.lexsort([numbers[:, 3], np.round(distances, 1)])
+    order = np.lexsort([numbers[:, 3], np.round(distances, 1)])  # equal tenths of a voxel in random order
     taken = np.full(occupied.shape, -1)
     voxels, offsets = voxels[order], numbers[order, :3] - 0.5
     kept = _throw_darts(voxels, offsets, distances[order], np.array(occupied.shape), taken)
@@ -152,12 +159,12 @@ def _blue_noise(
 
 
 def _places(grid: Grid) -> Int[np.ndarray, " 3"]:
-    """Place (z, y, x) of a grid's first voxel among all voxels of this size: the same for a part of the grid."""
+    """Find the place (z, y, x) of a grid's first voxel among all voxels of this size, which a part of it shares."""
     return np.floor(np.array(grid.origin) / np.array(grid.spacing) + 0.25).astype(np.int64)  # centres lie at halves
 
 
 def _random_of_places(places: Int[np.ndarray, "voxel 3"], seed: int) -> Float[np.ndarray, "voxel 4"]:
-    """Four uniform random numbers in [0, 1) of each place.
+    """Compute four uniform random numbers in [0, 1) for each place.
 
     References
     ----------
@@ -171,14 +178,17 @@ def _random_of_places(places: Int[np.ndarray, "voxel 3"], seed: int) -> Float[np
 
 
 def _mixed(state: UInt64[np.ndarray, "..."]) -> UInt64[np.ndarray, "..."]:
+    """Mix the bits of 64-bit states, as SplitMix64 does."""
     state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     state = (state ^ (state >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return state ^ (state >> np.uint64(31))
 
 
-def _neighbour_distance(points: Float[np.ndarray, "point 3"], default: float) -> Float[np.ndarray, " point"]:
-    """Root mean square distance to the six nearest points [mm]; `default` for a lonely one."""
-    neighbours = min(6, len(points) - 1)
+def _neighbour_distance(
+    points: Float[np.ndarray, "point 3"], nearest: int, default: float
+) -> Float[np.ndarray, " point"]:
+    """Compute the root mean square distance to the nearest points [mm]; `default` where there is one point alone."""
+    neighbours = min(nearest, len(points) - 1)
     if neighbours == 0:
         return np.full(len(points), default)
     distances = KDTree(points).query(points, k=neighbours + 1)[0][:, 1:]

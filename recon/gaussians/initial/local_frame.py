@@ -1,7 +1,7 @@
-"""Steps of Gaussians, each in its own frame: nine of geometry, then one per basis.
+"""Steps of Gaussians, each in the frame of its own axes: nine of the geometry, then one per basis.
 
-Along its own axes a Gaussian's curvature is close to diagonal, which an optimizer can use: moves along the axes [mm],
-changes of the log-scales, rotations about the axes [rad], and changes of the coefficients [1/mm].
+They are moves along the axes [mm], changes of the log-scales [no unit], rotations about the axes [rad], and changes of
+the coefficients [1/mm]. In this frame the curvature of a Gaussian is close to diagonal, which an optimizer can use.
 """
 
 from collections.abc import Sequence
@@ -18,12 +18,16 @@ GEOMETRY = 9  # steps before those of the coefficients
 
 
 def gradient_of_steps(gaussians: Gaussians, gradients: Sequence[Tensor]) -> Float[Tensor, "gaussian step"]:
-    """Gradient with respect to steps, at none.
+    """Convert gradients with respect to the arrays of a model into those with respect to steps from it.
 
     Parameters
     ----------
-    gaussians : where
-    gradients : with respect to centres, log-scales, quaternions and coefficients
+    gaussians : the model
+    gradients : gradients with respect to centres, log-scales, quaternions and coefficients
+
+    Returns
+    -------
+    gradient with respect to the 9 + M steps of each Gaussian
     """
     centres, log_scales, quaternions, coefficients = gradients
     turned = _unit(gaussians.quaternions)
@@ -34,7 +38,17 @@ def gradient_of_steps(gaussians: Gaussians, gradients: Sequence[Tensor]) -> Floa
 
 
 def moved(gaussians: Gaussians, steps: Float[Tensor, "gaussian step"]) -> Gaussians:
-    """Gaussians after steps; coefficients end at 0 at the least."""
+    """Make steps; coefficients that would become negative become 0.
+
+    Parameters
+    ----------
+    gaussians : the model
+    steps : the 9 + M steps of each Gaussian
+
+    Returns
+    -------
+    the model after these steps
+    """
     turned = _unit(gaussians.quaternions)
     turn = torch.einsum("gqk,gk->gq", _turns(turned), steps[:, 6:9])
     return replace(
@@ -47,11 +61,12 @@ def moved(gaussians: Gaussians, steps: Float[Tensor, "gaussian step"]) -> Gaussi
 
 
 def _unit(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussian 4"]:
+    """Divide quaternions by their length."""
     return quaternions / quaternions.norm(dim=1, keepdim=True)
 
 
 def _rotations(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussian 3 3"]:
-    """Matrices whose columns are the axes, of unit quaternions."""
+    """Compute the matrices, whose columns are the axes, of unit quaternions."""
     w, x, y, z = quaternions.unbind(dim=1)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -62,7 +77,7 @@ def _rotations(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gauss
 
 
 def _turns(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussian 4 3"]:
-    """Change of a unit quaternion per rotation about each of its own axes."""
+    """Compute the change of a unit quaternion per rotation about each of its own axes."""
     w, x, y, z = quaternions.unbind(dim=1)
     rows = ((-x, -y, -z), (w, -z, y), (z, w, -x), (-y, x, w))
     return 0.5 * torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)

@@ -1,22 +1,49 @@
 """Numba kernel of the voxel-driven back-projector."""
 
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
+import numpy as np
+from jaxtyping import Float64
 from numba import njit
+
+
+class Views(NamedTuple):
+    """Views to back-project.
+
+    Parameters
+    ----------
+    sources : places of the source [mm]
+    inverses : as in `recon.ops.arguments.RayFrame`
+    scales : depth at which the weight is one, as a fraction of the way from source to panel
+    """
+
+    sources: Float64[np.ndarray, "view 3"]
+    inverses: Float64[np.ndarray, "view 3 3"]
+    scales: Float64[np.ndarray, " view"]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def backproject(images, origins, inverses, scales, grid_origin, spacing, first, last, volume):
-    """Add every view's image (view, row, column, basis) to slices `first` to `last` of `volume` (z, y, x, basis).
+def backproject(images, views, lattice, first, last, volume):
+    """Add the images of all views to some slices of a volume.
 
-    A voxel takes the bilinearly interpolated pixel that its ray from the source meets, times (scale / depth)^2; depth
-    is its distance from the source as a fraction of the way to the panel. Voxels seen beside the panel get nothing.
+    A voxel receives the bilinearly interpolated pixel on its ray from the source, times (scale / depth)^2; depth is its
+    distance from the source as a fraction of the way to the panel. A voxel whose ray misses the panel receives nothing.
+
+    Parameters
+    ----------
+    images : (view, row, column, basis)
+    views : `Views`
+    lattice : `recon.ops.arguments.Lattice`
+    first, last : slices from `first` to one before `last`
+    volume : added to, (z, y, x, basis)
     """
-    views, rows, columns, bases = images.shape
+    origins, inverses, scales = views.sources, views.inverses, views.scales
+    grid_origin, spacing = lattice.origin, lattice.spacing
+    count, rows, columns, bases = images.shape
     _, height, width, _ = volume.shape
     for z in range(first, last):
-        for v in range(views):
+        for v in range(count):
             m, pz = inverses[v], grid_origin[2] + z * spacing[2] - origins[v, 2]
             for y in range(height):
                 py = grid_origin[1] + y * spacing[1] - origins[v, 1]

@@ -1,4 +1,4 @@
-"""Numba kernels of the chords: those of the rasterizer, with the root of a chord in the place of its exponential.
+"""Numba kernels of the chords: those of the rasterizer, with the square root of a chord in place of the exponential.
 
 In pixels (x, y) from the projected centre, with N, E and amplitude as in `recon.ops.rasterize.cpu` and t = 1 - N / E,
 the integral is |d| amplitude 2 / sqrt(2 pi) E^-1/2 root(t) where t > 0. Pixels are sampled at their centres.
@@ -11,33 +11,40 @@ import numpy as np
 from numba import njit
 
 from phantomgen.ops.simd import WIDTH, load, minimum, ramp, splat, square_root, store, total, where_less
-from recon.ops.rasterize.cpu import SCRATCH, chain, look, write_footprint
+from recon.ops.rasterize.cpu import SCRATCH, backpropagate, project_centre, write_footprint
 from recon.ops.rasterize.footprint_table import (
     AMPLITUDE,
-    E1,
-    E2,
     E3,
-    E4,
-    E5,
     L11,
-    L21,
-    L22,
     ROW_0,
     ROW_1,
     XC,
     YC,
     row_span,
 )
+from recon.ops.rasterize.pixel_sums import no_pixels, row_terms, with_pixels, write_totals
 from spectra.ops.min_max import larger, smaller
 
 f4 = np.float32
-UNIT = np.float32(2 / math.sqrt(2 * math.pi))
+UNIT = np.float32(2 / math.sqrt(2 * math.pi))  # chord 2 of a unit ball over the amplitude of a Gaussian's footprint
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def footprints(centres, matrices, frame, inverse, rows, first, last, out):
-    """Write the numbers of ellipsoids `first` to `last` in one view into `out`; no rows where one is not all seen."""
+def footprints(gaussians, view, rows, first, last, out):
+    """Compute the 13 numbers of the footprints of some ellipsoids in one view.
+
+    An ellipsoid that does not lie as a whole between source and panel gets no rows.
+
+    Parameters
+    ----------
+    gaussians : `recon.ops.arguments.GaussianArrays`, semi-axes in place of standard deviations
+    view : `recon.ops.arguments.RayFrame`
+    rows : of the panel
+    first, last : ellipsoids from `first` to one before `last`
+    out : written, (ellipsoid, 13)
+    """
+    centres, matrices, frame, inverse = gaussians.centres, gaussians.matrices, view.frame, view.inverse
     w = np.empty((SCRATCH, 3))
     for g in range(first, last):
         out[g, ROW_0] = out[g, ROW_1] = f4(0)
@@ -50,7 +57,7 @@ def footprints(centres, matrices, frame, inverse, rows, first, last, out):
                 norm += matrices[g, i, j] * matrices[g, i, j]
             spread += along * along / (norm * norm)
         half = math.sqrt(spread)
-        if not half < depth < 1 - half or not look(centres[g], matrices[g], frame, inverse, 0.0, False, w):
+        if not half < depth < 1 - half or not project_centre(centres[g], matrices[g], frame, inverse, 0.0, False, w):
             continue
         low, high = write_footprint(w, 0.0, 1.0, rows, out[g])
         if high > low:
@@ -59,17 +66,27 @@ def footprints(centres, matrices, frame, inverse, rows, first, last, out):
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 @no_type_check
-def forward(table, coefficients, lengths, smooth, columns, row_first, row_last, image):
-    """Add ellipsoids to rows `row_first` to `row_last` of `image` (basis, row, padded column), times |d|."""
+def forward(table, coefficients, lengths, smooth, row_first, row_last, image):
+    """Add ellipsoids to some rows of an image, then multiply these rows by |d|.
+
+    Parameters
+    ----------
+    table : numbers of the footprints, (ellipsoid, 13)
+    coefficients : (ellipsoid, basis)
+    lengths : |d| of each ray [mm], (row, column)
+    smooth : t below which a parabola replaces the root
+    row_first, row_last : rows from `row_first` to one before `row_last`
+    image : added to, then multiplied, (basis, row, column and `WIDTH` columns of padding)
+    """
     bases, rows, stride = image.shape
+    columns = lengths.shape[1]
     e, corner = f4(smooth), f4(math.sqrt(smooth))
     for g in range(table.shape[0]):
         p = table[g]
         for r in range(larger(int(p[ROW_0]), row_first), smaller(int(p[ROW_1]), row_last)):
             dy = f4(r) - p[YC]
             low, high = row_span(p, dy, f4(1), columns)
-            shear, across = p[L21] * dy, p[L22] * dy
-            flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
+            shear, across, flat, tilt = row_terms(p, dy)
             for base in range(low, high, WIDTH):
                 x = ramp(f4(base) - p[XC])
                 inverse = f4(1) / ((x * p[E3] + tilt) * x + flat)
@@ -92,17 +109,14 @@ def forward(table, coefficients, lengths, smooth, columns, row_first, row_last, 
 @njit(forceinline=True, fastmath=True, error_model="numpy")
 @no_type_check
 def _gather(p, coefficients, cotangent, smooth, columns, sums, to_coefficients):
-    """Sums over one ellipsoid's pixels, as `recon.ops.rasterize.cpu.backward` defines them."""
+    """Sum over one ellipsoid's pixels; `recon.ops.rasterize.cpu.backward` defines the sums."""
     bases, rows, stride = cotangent.shape
-    zero = splat(f4(0))
     e, corner = f4(smooth), f4(math.sqrt(smooth))
-    w0, ax, ay, axx, axy, ayy = zero, zero, zero, zero, zero, zero
-    b0, bx, by, bxx, bxy, byy = zero, zero, zero, zero, zero, zero
+    found = no_pixels()
     for r in range(int(p[ROW_0]), int(p[ROW_1])):
         dy = f4(r) - p[YC]
         low, high = row_span(p, dy, f4(1), columns)
-        shear, across = p[L21] * dy, p[L22] * dy
-        flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
+        shear, across, flat, tilt = row_terms(p, dy)
         for base in range(low, high, WIDTH):
             x = ramp(f4(base) - p[XC])
             inverse = f4(1) / ((x * p[E3] + tilt) * x + flat)
@@ -116,7 +130,7 @@ def _gather(p, coefficients, cotangent, smooth, columns, sums, to_coefficients):
             slope = f4(0.5) / long + (f4(1) - part) * (f4(1) / corner)
             height = square_root(inverse) * (p[AMPLITUDE] * UNIT)
             value = where_less(q, f4(1), height * root)
-            to_value = zero
+            to_value = splat(f4(0))
             for m in range(bases):
                 incoming = load(cotangent, (m * rows + r) * stride + base)
                 to_value = to_value + incoming * coefficients[m]
@@ -124,45 +138,60 @@ def _gather(p, coefficients, cotangent, smooth, columns, sums, to_coefficients):
             alpha = where_less(q, f4(1), to_value * height * slope * inverse) * f4(-1)
             to_value = to_value * value
             beta = to_value * inverse * f4(-0.5) - alpha * q
-            w0 = w0 + to_value
-            step, step_y = alpha * x, alpha * dy
-            ax, ay, axx, axy, ayy = ax + step, ay + step_y, axx + step * x, axy + step * dy, ayy + step_y * dy
-            step, step_y = beta * x, beta * dy
-            b0, bx, by = b0 + beta, bx + step, by + step_y
-            bxx, bxy, byy = bxx + step * x, bxy + step * dy, byy + step_y * dy
-    sums[0], sums[1], sums[2], sums[3] = total(w0), total(ax), total(ay), total(axx)
-    sums[4], sums[5], sums[6], sums[7] = total(axy), total(ayy), total(b0), total(bx)
-    sums[8], sums[9], sums[10], sums[11] = total(by), total(bxx), total(bxy), total(byy)
+            found = with_pixels(found, to_value, alpha, beta, x, dy)
+    write_totals(found, sums)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def backward(
-    centres, matrices, coefficients, frames, inverses, tables, cotangents, smooth, columns, first, last,
-    to_centres, to_matrices, to_coefficients,
-):  # fmt: skip
-    """Add the gradients of ellipsoids `first` to `last` over views in order; `cotangents` come multiplied by |d|."""
+def backward(gaussians, views, cotangents, smooth, first, last, gradients):
+    """Add the gradients of some ellipsoids, summed over views in their order.
+
+    Parameters
+    ----------
+    gaussians : `recon.ops.arguments.GaussianArrays`, semi-axes in place of standard deviations
+    views : `recon.ops.rasterize.footprint_table.Views`
+    cotangents : gradient in the images, multiplied by |d|, (view, basis, row, column and `WIDTH` columns of padding)
+    smooth : t below which a parabola replaces the root
+    first, last : ellipsoids from `first` to one before `last`
+    gradients : added to, `recon.ops.arguments.GaussianGradients`
+    """
+    centres, matrices, coefficients = gaussians
+    frames, inverses, tables = views
+    to_centres, to_matrices, to_coefficients = gradients
+    columns = cotangents.shape[3] - WIDTH
     bases = coefficients.shape[1]
-    w, t, sums = np.zeros((SCRATCH, 3)), np.empty((6, 3)), np.empty(12)
+    w, sums = np.zeros((SCRATCH, 3)), np.empty(12)
     lanes = np.empty(bases * WIDTH, np.float32)
     for g in range(first, last):
-        for view in range(frames.shape[0]):
-            p = tables[view, g]
+        for v in range(frames.shape[0]):
+            p = tables[v, g]
             if p[ROW_1] <= p[ROW_0]:
                 continue
             for i in range(bases * WIDTH):
                 lanes[i] = f4(0)
-            _gather(p, coefficients[g], cotangents[view], smooth, columns, sums, lanes)
+            _gather(p, coefficients[g], cotangents[v], smooth, columns, sums, lanes)
             for m in range(bases):
                 to_coefficients[g, m] += total(load(lanes, m * WIDTH))
-            look(centres[g], matrices[g], frames[view], inverses[view], 0.0, False, w)
-            chain(w, sums, 0.0, False, matrices[g], frames[view], inverses[view], t, to_centres[g], to_matrices[g])
+            project_centre(centres[g], matrices[g], frames[v], inverses[v], 0.0, False, w)
+            backpropagate(w, sums, False, matrices[g], frames[v], inverses[v], to_centres[g], to_matrices[g])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def fill(centres, matrices, values, origin, spacing, parts, first, last, out):
-    """Add ellipsoids to the slices `first` to `last` of `out` (z, y, x), each voxel sampled at parts^3 points."""
+def fill(centres, matrices, values, lattice, parts, first, last, out):
+    """Add ellipsoids to some slices of a volume.
+
+    Parameters
+    ----------
+    centres, matrices : of the ellipsoids [mm], [1/mm], (ellipsoid, 3) and (ellipsoid, 3, 3)
+    values : attenuation inside [1/mm], (ellipsoid,)
+    lattice : `recon.ops.arguments.Lattice`
+    parts : sample points per edge of a voxel
+    first, last : slices from `first` to one before `last`
+    out : added to, (z, y, x)
+    """
+    origin, spacing = lattice.origin, lattice.spacing
     low, high, x, start = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3), np.empty(3)
     share = 1 / parts**3
     for g in range(len(centres)):

@@ -17,7 +17,16 @@ def chords(
     columns: int,
     smooth: float,
 ) -> Float[Tensor, "view basis row column"]:
-    """2 |d| root(1 - |u x v|^2 / |v|^2) / |v| for every ray; see `recon.ops.chords.chords`."""
+    """Compute 2 |d| root(1 - |u x v|^2 / |v|^2) / |v| for every ray and ellipsoid, times the coefficients.
+
+    Parameters
+    ----------
+    centres, log_axes, quaternions, coefficients, frames, rows, columns, smooth : as in `recon.ops.chords.chords`
+
+    Returns
+    -------
+    line integrals, dimensionless
+    """
     matrices = whitening(log_axes, quaternions)
     row, column = (torch.arange(n, dtype=torch.float64) for n in (rows, columns))
     images = []
@@ -32,6 +41,16 @@ def chords(
 
 
 def root(t: Float[Tensor, "..."], smooth: float) -> Float[Tensor, "..."]:
-    """Square root of t > 0, a parabola below `smooth`, and 0 for t < 0."""
+    """Compute the square root of t > 0, a parabola below `smooth`, and 0 for t < 0.
+
+    Parameters
+    ----------
+    t : 1 - (distance of the ray from the centre / radius)^2
+    smooth : t below which the parabola replaces the root
+
+    Returns
+    -------
+    half the chord over the radius
+    """
     part = t.clamp(0, smooth) / smooth
     return torch.sqrt(t.clamp(min=smooth)) + smooth**0.5 * ((3 * part - part * part) / 2 - 1)

@@ -3,15 +3,17 @@
 import numpy as np
 from jaxtyping import Float
 
+from recon.ops.arguments import EnergyNodes
 from recon.ops.decompose import cpu
+from recon.ops.pieces import run_in_pieces
 from spectra.errors import InputError
-from spectra.threads import run_parallel
 from spectra.transmission import Transmission
 
 CHUNK = 8192  # rays per piece of work
-PRIOR = 1e-2  # inverse variance of a prior centred on zero; only rays without photons feel it
-COLLINEAR = 1e-2  # singular values below this part of the largest do not take part in the start
-LARGEST_STEP = 1.0  # of a line integral in one iteration
+PRIOR = 1e-2  # inverse variance of a prior centred on zero; it matters only for rays without photons
+COLLINEAR = 1e-2  # of the largest singular value; smaller ones are left out of the starting values
+LARGEST_START = 20.0  # no unit; largest starting value of a line integral, e^-20 of the photons arrive
+LARGEST_STEP = 1.0  # no unit; largest change of a line integral in one iteration
 
 
 def decompose(
@@ -23,15 +25,16 @@ def decompose(
     tolerance: float = 1e-4,
     known: Float[np.ndarray, "ray part"] | None = None,
 ) -> tuple[Float[np.ndarray, "ray basis"], Float[np.ndarray, "ray basis basis"]]:
-    """Maximum-likelihood line integrals of every basis, and their Fisher matrices.
+    """Compute maximum-likelihood line integrals of every basis, and their Fisher matrices.
 
     Parameters
     ----------
-    counts : measured counts; zeros are data like any other
+    counts : measured counts, zeros included
     gains : open-beam counts of the pixel over those of `transmission`
     transmission : columns are the basis functions, and after them those whose lengths are known
     dispersion : relative model error; the variance is Y + (dispersion Y)^2
-    iterations, tolerance : a ray is done after so many steps, or when its step is below `tolerance` (no unit)
+    iterations : largest number of steps of a ray
+    tolerance : a ray is done when no line integral changes by this much in a step (no unit)
     known : lengths of each ray in the last columns; None where there are none
 
     Returns
@@ -53,15 +56,14 @@ def decompose(
     counts, gains = (np.ascontiguousarray(x, dtype=np.float64) for x in (counts, gains))
     lengths = _log_linear(counts, gains, transmission, np.zeros((1, 0)) if known is None else known)
     fishers = np.empty((*lengths.shape, bases))
-
-    def piece(first: int) -> None:
-        cpu.decompose(
-            counts, gains, transmission.columns, transmission.weights, transmission.starts, dispersion, PRIOR,
-            iterations, tolerance, LARGEST_STEP, first, min(first + CHUNK, len(counts)), known, lengths, fishers,
-        )  # fmt: skip
-
-    for _ in run_parallel(piece, range(0, len(counts), CHUNK)):
-        pass
+    rays = cpu.Rays(counts, gains, np.zeros((len(counts), 0)) if known is None else known)
+    nodes = EnergyNodes(transmission.columns, transmission.weights, transmission.starts)
+    scoring = cpu.Scoring(PRIOR, iterations, tolerance, LARGEST_STEP)
+    run_in_pieces(
+        lambda first, last: cpu.decompose(rays, nodes, dispersion, scoring, first, last, lengths, fishers),
+        len(counts),
+        CHUNK,
+    )
     return lengths, fishers
 
 
@@ -71,7 +73,10 @@ def _log_linear(
     transmission: Transmission,
     known: Float[np.ndarray, "ray_or_1 part"],
 ) -> Float[np.ndarray, "ray basis"]:
-    """Start: least squares on log projections with the open-beam mean of each basis in each channel, kept positive."""
+    """Compute starting values: least squares on log projections with the open-beam mean of each basis per channel.
+
+    Values are limited to 0 ... `LARGEST_START`.
+    """
     bases = len(transmission.columns) - known.shape[1]
     open_beam = transmission.open_beam
     if known.shape[1]:
@@ -79,4 +84,4 @@ def _log_linear(
     projections = -np.log(np.maximum(counts, 0.5) / np.maximum(gains * open_beam, 0.5))
     typical = np.append(np.zeros(bases), known.mean(axis=0))
     means = transmission.log_projection_and_slopes(typical)[1][:, :bases]
-    return np.ascontiguousarray(np.clip(projections @ np.linalg.pinv(means, rcond=COLLINEAR).T, 0.0, 20.0))
+    return np.ascontiguousarray(np.clip(projections @ np.linalg.pinv(means, rcond=COLLINEAR).T, 0.0, LARGEST_START))

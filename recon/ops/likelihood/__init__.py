@@ -1,83 +1,116 @@
 """Likelihood: how well line integrals explain counts, with gradient and information, in one pass over the rays."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
+from recon.ops.arguments import EnergyNodes
 from recon.ops.likelihood import cpu
 from spectra.errors import InputError
 from spectra.threads import run_parallel
 from spectra.transmission import Transmission
 
 BLOCK = 64  # rays that go through the energy nodes together
-LEAST = 1e-12  # counts; a channel that expects fewer has no say, as in `recon.ops.deviance.deviance`
+LEAST = 1e-12  # counts; fewer expected counts of a channel have no gradient, as in `recon.ops.deviance.deviance`
+
+
+class MeasuredCounts(NamedTuple):
+    """Counts of some views, as `recon.data.measurements.Measurements` keeps them.
+
+    Parameters
+    ----------
+    counts : measured counts
+    gains : open-beam counts of each pixel over those of the transmission; 0 where a channel of a pixel is not used
+    exposure : tube output of each view and channel relative to the flat frames; 0 where a view was not taken
+    profile : line integrals of a bowtie filter and of the heel effect for each pixel; None where there are none
+    shares : weight of each count in the likelihood; None where all weights are 1
+    """
+
+    counts: Float[np.ndarray, "view channel row column"]
+    gains: Float[np.ndarray, "channel row column"]
+    exposure: Float[np.ndarray, "view channel"]
+    profile: Float[np.ndarray, "part row column"] | None = None
+    shares: Float[np.ndarray, "view channel row column"] | None = None
+
+
+class Likelihood(NamedTuple):
+    """Deviance of counts and its derivatives in the line integrals, each count times its share.
+
+    Parameters
+    ----------
+    deviances : sum of `recon.ops.deviance.deviance` over each view
+    gradient : derivative of half the deviance in the line integrals
+    curvatures : (J / Y)^T diag(M / (1 + dispersion^2 M)) (J / Y) of each ray, with J the derivatives of the expected
+        counts Y and M the larger of y and Y; upper triangle row by row; None where not requested
+    """
+
+    deviances: Float[np.ndarray, " view"]
+    gradient: Float[np.ndarray, "basis view row column"]
+    curvatures: Float[np.ndarray, "pair view row column"] | None
 
 
 def likelihood(
     lengths: Float[np.ndarray, "basis view row column"],
-    counts: Float[np.ndarray, "view channel row column"],
-    gains: Float[np.ndarray, "channel row column"],
-    exposure: Float[np.ndarray, "view channel"],
+    measured: MeasuredCounts,
     transmission: Transmission,
     dispersion: float,
-    profile: Float[np.ndarray, "part row column"] | None = None,
     information: bool = False,
-    shares: Float[np.ndarray, "view channel row column"] | None = None,
-) -> tuple[
-    Float[np.ndarray, " view"],
-    Float[np.ndarray, "basis view row column"],
-    Float[np.ndarray, "pair view row column"] | None,
-]:
-    """Deviance of each view, the gradient of half of it, and curvatures of the rays, each times the rays' shares.
+) -> Likelihood:
+    """Compute the deviance of each view, the gradient of half of it, and the curvatures of the rays.
 
-    The variance of counts Y is Y + (dispersion Y)^2. A channel whose gain or exposure is 0 has no say. Curvatures are
-    Fisher matrices where counts are as expected; where more arrive, as behind metal that is too thick in the model,
-    they are as sharp as those of what arrives, so that steps by their inverse stay bounded.
+    The variance of counts Y is Y + (dispersion Y)^2. A channel whose gain or exposure is 0 contributes nothing.
+    Curvatures are Fisher matrices where the counts are the expected ones. Where more counts arrive, as behind metal
+    that is too thick in the model, the curvatures are those of the measured counts, so that steps by their inverse stay
+    bounded.
 
     Parameters
     ----------
     lengths : line integrals of every basis [no unit]
-    counts, gains, exposure, profile, shares : as `recon.data.measurements.Measurements` keeps them
-    transmission : columns are the bases, and after them the parts of `profile`
+    measured : counts and what they depend on besides the line integrals
+    transmission : columns are the bases, and after them the parts of the profile
     dispersion : relative model error; 0 for Poisson counts
-    information : whether curvatures are wanted
+    information : whether to compute curvatures
 
     Returns
     -------
-    sum of `recon.ops.deviance.deviance` over each view; derivative of half of it in the line integrals; (J / Y)^T
-    diag(M / (1 + dispersion^2 M)) (J / Y) with M the larger of y and Y, the upper triangle row by row, or None
+    deviances, gradient and curvatures
 
     Raises
     ------
     InputError
         When line integrals, counts and columns do not belong together.
     """
-    views, channels, rows, columns = counts.shape
-    parts = 0 if profile is None else len(profile)
+    views, channels, rows, columns = measured.counts.shape
+    parts = 0 if measured.profile is None else len(measured.profile)
     bases, pixels = len(transmission.columns) - parts, rows * columns
     if lengths.shape != (bases, views, rows, columns):
         expected = (bases, views, rows, columns)
         raise InputError(f"line integrals must be (basis, view, row, column), {expected}, got {lengths.shape}")
-    lengths = np.ascontiguousarray(lengths, np.float32).reshape(bases, views, pixels)
-    known = np.zeros((0, pixels), np.float32)
-    if profile is not None:
-        known = np.ascontiguousarray(profile, np.float32).reshape(parts, pixels)
-    gains = np.ascontiguousarray(gains, np.float32).reshape(channels, pixels)
-    counts = np.ascontiguousarray(counts, np.float32).reshape(views, channels, pixels)
-    parts_of_counts = np.zeros((0, channels, pixels), np.float32)
-    if shares is not None:
-        parts_of_counts = np.ascontiguousarray(shares, np.float32).reshape(views, channels, pixels)
-    exposure = np.ascontiguousarray(exposure, np.float64)
+    rays = cpu.Rays(
+        _flat(lengths, bases, views, pixels),
+        _flat(measured.profile, parts, pixels),
+        _flat(measured.counts, views, channels, pixels),
+        _flat(measured.shares, 0 if measured.shares is None else views, channels, pixels),
+        _flat(measured.gains, channels, pixels),
+        np.ascontiguousarray(measured.exposure, np.float64),
+    )
+    nodes = EnergyNodes(transmission.columns, transmission.weights, transmission.starts)
     gradient = np.empty((bases, views, pixels), np.float32)
     fisher = np.empty((bases * (bases + 1) // 2 if information else 0, views, pixels), np.float32)
-    model = transmission
 
     def one_view(v: int) -> float:
         room = np.empty((2 + bases, BLOCK))
-        return cpu.likelihood(
-            lengths, known, counts, parts_of_counts, gains, exposure, v, model.columns, model.weights, model.starts,
-            float(dispersion), LEAST, room, gradient, fisher,
-        )  # fmt: skip
+        return cpu.likelihood(rays, v, nodes, float(dispersion), LEAST, room, gradient, fisher)
 
     deviances = np.array(list(run_parallel(one_view, range(views))), dtype=np.float64)
     shape = (views, rows, columns)
-    return deviances, gradient.reshape(bases, *shape), fisher.reshape(-1, *shape) if information else None
+    curvatures = fisher.reshape(-1, *shape) if information else None
+    return Likelihood(deviances, gradient.reshape(bases, *shape), curvatures)
+
+
+def _flat(values: Float[np.ndarray, "..."] | None, *shape: int) -> Float[np.ndarray, "..."]:
+    """Convert to contiguous float32 with one axis for all pixels; an empty array for None."""
+    if values is None:
+        return np.zeros(shape, np.float32)
+    return np.ascontiguousarray(values, np.float32).reshape(shape)

@@ -1,20 +1,43 @@
 """Likelihood in numba, a block of rays at a time, so that loops over rays become vector instructions."""
 
 from math import log, log1p
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
+from jaxtyping import Float32, Float64
 from numba import njit
 
 from phantomgen.ops.kernel_decorators import inlined
+from recon.ops.arguments import LARGEST_EXPONENT
 from spectra.ops.fast_exp import FLAGS, fast_exp
 from spectra.ops.min_max import smaller
+
+
+class Rays(NamedTuple):
+    """Line integrals and counts of the rays of some views.
+
+    Parameters
+    ----------
+    lengths : line integrals of the bases
+    known : line integrals of further columns, which are the same in all views; none where there are no such columns
+    counts : measured counts
+    shares : weight of each count in the likelihood; no views where all weights are 1
+    gains : open-beam counts of each pixel over those of the energy nodes
+    exposure : tube output of each view and channel
+    """
+
+    lengths: Float32[np.ndarray, "basis view ray"]
+    known: Float32[np.ndarray, "part ray"]
+    counts: Float32[np.ndarray, "view channel ray"]
+    shares: Float32[np.ndarray, "view_or_0 channel ray"]
+    gains: Float32[np.ndarray, "channel ray"]
+    exposure: Float64[np.ndarray, "view channel"]
 
 
 @inlined
 @no_type_check
 def _half_deviance(counted, expected, dispersion):
-    """Half the deviance of one count, see `recon.ops.deviance.deviance`."""
+    """Compute half the deviance of one count, see `recon.ops.deviance.deviance`."""
     ratio = counted * log(counted / expected) if counted > 0.0 else 0.0
     if dispersion == 0.0:
         return ratio - counted + expected
@@ -27,13 +50,14 @@ def _half_deviance(counted, expected, dispersion):
 
 @njit(forceinline=True, fastmath=FLAGS, error_model="numpy")
 @no_type_check
-def _transmit(lengths, known, view, columns, weights, first, last, start, count, room):
+def _transmit(rays, view, nodes, channel, start, count, room):
     """Write expected counts and their slopes, for gain 1, of `count` rays from `start` on into the rows of `room`."""
+    lengths, known, columns, weights = rays.lengths, rays.known, nodes.columns, nodes.weights
     bases = lengths.shape[0]
     for row in range(1 + bases):
         for i in range(count):
             room[row, i] = 0.0
-    for k in range(first, last):
+    for k in range(nodes.starts[channel], nodes.starts[channel + 1]):
         exponents = room[1 + bases]
         for i in range(count):
             exponents[i] = 0.0
@@ -47,7 +71,7 @@ def _transmit(lengths, known, view, columns, weights, first, last, start, count,
                 exponents[i] -= factor * known[p, start + i]
         weight = weights[k]
         for i in range(count):
-            exponents[i] = weight * fast_exp(smaller(exponents[i], 60.0))
+            exponents[i] = weight * fast_exp(smaller(exponents[i], LARGEST_EXPONENT))
             room[0, i] += exponents[i]
         for m in range(bases):
             factor = columns[m, k]
@@ -57,35 +81,37 @@ def _transmit(lengths, known, view, columns, weights, first, last, start, count,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def likelihood(
-    lengths, known, counts, shares, gains, exposure, view,
-    columns, weights, starts, dispersion, least, room, gradient, fisher,
-):  # fmt: skip
-    """Deviance of one view.
+def likelihood(rays, view, nodes, dispersion, least, room, gradient, fisher):
+    """Compute the deviance of one view, its gradient and its curvature.
 
     Parameters
     ----------
-    lengths, known : line integrals of the bases, and of further columns, (basis, view, ray), (part, ray)
-    counts, shares : (view, channel, ray); no views of shares where each count has its whole say
-    gains, exposure : (channel, ray), (view, channel)
-    view : which one
-    columns, weights, starts : energy nodes grouped by channel
-    dispersion, least : relative model error; expected counts below which a channel has no say
-    room : scratch (2 + basis, rays at once): expected counts, slopes, exponents
-    gradient, fisher : written, (basis, view, ray), (pair, view, ray); no pairs where the information is not wanted
+    rays : `Rays`
+    view : number of the view
+    nodes : `recon.ops.arguments.EnergyNodes`
+    dispersion : relative model error
+    least : counts; where fewer are expected, the deviance is that of `least`, and gradient and curvature are 0
+    room : scratch, (2 + basis, rays at once): expected counts, slopes, exponents
+    gradient : written, derivative of half the deviance in the line integrals, (basis, view, ray)
+    fisher : written, (pair, view, ray); no pairs where the information is not requested
+
+    Returns
+    -------
+    deviance of the view, each count times its share
     """
-    bases, _, rays = lengths.shape
+    counts, shares, gains, exposure = rays.counts, rays.shares, rays.gains, rays.exposure
+    bases, _, size = rays.lengths.shape
     view = np.uint64(view)  # unsigned: no index counts from the end, so loops become vector instructions
     total, block = 0.0, room.shape[1]
-    for start in range(np.uint64(0), np.uint64(rays), np.uint64(block)):
-        count = np.uint64(min(block, rays - start))
+    for start in range(np.uint64(0), np.uint64(size), np.uint64(block)):
+        count = np.uint64(min(block, size - start))
         for i in range(count):
             for m in range(bases):
                 gradient[m, view, start + i] = 0.0
             for p in range(fisher.shape[0]):
                 fisher[p, view, start + i] = 0.0
-        for c in range(starts.size - 1):
-            _transmit(lengths, known, view, columns, weights, starts[c], starts[c + 1], start, count, room)
+        for c in range(nodes.starts.size - 1):
+            _transmit(rays, view, nodes, c, start, count, room)
             for i in range(count):
                 scale = gains[c, start + i] * exposure[view, c]
                 share = shares[view, c, start + i] if shares.shape[0] > 0 else 1.0

@@ -16,5 +16,18 @@ def half_deviance(
     starts: list[int],
     dispersion: float,
 ) -> Float[Tensor, ""]:
-    """Half the deviance of rays, gains including the exposure."""
+    """Compute half the deviance of rays.
+
+    Parameters
+    ----------
+    lengths : line integrals of the bases and of the parts of a profile [no unit]
+    counts : measured counts
+    gains : open-beam counts of each ray over those of the energy nodes, exposure included
+    columns, weights, starts : energy nodes as in `recon.ops.arguments.EnergyNodes`
+    dispersion : relative model error
+
+    Returns
+    -------
+    sum over rays and channels
+    """
     return deviance(counts, reference.transmit(lengths, columns, weights, starts) * gains, dispersion).sum() / 2

@@ -1,4 +1,4 @@
-"""Steps of voxels in numba."""
+"""Numba kernels of the non-negative Newton steps."""
 
 from math import sqrt
 from typing import no_type_check
@@ -7,12 +7,15 @@ import numpy as np
 from numba import njit
 
 from phantomgen.ops.kernel_decorators import inlined
+from recon.ops.arguments import TINY
+
+SINGULAR = 1e-30  # of the floor; smallest pivot of a block, which rounding could make 0 or negative
 
 
 @inlined
 @no_type_check
 def _pair(m, n, bases):
-    """Place of entry (m, n) in an upper triangle that is kept row by row."""
+    """Find the place of entry (m, n) in an upper triangle that is stored row by row."""
     low, high = min(m, n), max(m, n)
     return low * bases - low * (low - 1) // 2 + high - low
 
@@ -37,7 +40,7 @@ def _hold(matrix, held, wanted, factor, force):
             factor[i, j] = product / factor[j, j]
             square -= factor[i, j] * factor[i, j]
             s -= factor[i, j] * force[j]
-        factor[i, i] = sqrt(max(square, 1e-300))
+        factor[i, i] = sqrt(max(square, TINY))
         force[i] = s / factor[i, i]
     for i in range(bases - 1, -1, -1):
         if held[i] > 0.0:
@@ -53,7 +56,8 @@ def _hold(matrix, held, wanted, factor, force):
 def _pivot(matrix, wanted, held, factor, force, nearest):
     """Write the nearest non-negative point by block principal pivoting.
 
-    Those that become negative are held at 0, those that are pulled up are let go, until nothing changes.
+    Coefficients that become negative are held at 0, and those whose force is not positive are released, until the set
+    of held coefficients no longer changes.
     """
     bases = wanted.size
     for m in range(bases):
@@ -76,8 +80,10 @@ def _pivot(matrix, wanted, held, factor, force, nearest):
 
 @inlined
 @no_type_check
-def _forces(a, b, c, d, e, f, u, v, w):
-    """Solve the symmetric system with rows (a, b, c), (b, d, e), (c, e, f) by Cramer's rule."""
+def _forces(block, right):
+    """Solve a symmetric 3 x 3 system by Cramer's rule; `block` is the upper triangle row by row."""
+    a, b, c, d, e, f = block
+    u, v, w = right
     p, q, r = d * f - e * e, c * e - b * f, b * e - c * d
     s, t, o = a * f - c * c, b * c - a * e, a * d - b * b
     scale = 1.0 / (a * p + b * q + c * r)
@@ -87,7 +93,7 @@ def _forces(a, b, c, d, e, f, u, v, w):
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def _pivot_three(inverse, first, last, out):
-    """`_pivot` of three bases, for all voxels and without branches, so that it is done many voxels at a time."""
+    """Do what `_pivot` does for three bases, without branches, so that vector instructions handle many voxels."""
     for voxel in range(np.uint64(first), np.uint64(last)):
         a, b, c = float(inverse[0, voxel]), float(inverse[1, voxel]), float(inverse[2, voxel])
         d, e, f = float(inverse[3, voxel]), float(inverse[4, voxel]), float(inverse[5, voxel])
@@ -95,11 +101,11 @@ def _pivot_three(inverse, first, last, out):
         i, j, k = u < 0.0, v < 0.0, w < 0.0
         x, y, z = u, v, w
         for _ in range(3):
-            p, q, r = _forces(
+            held = (
                 a if i else 1.0, b if i & j else 0.0, c if i & k else 0.0,
                 d if j else 1.0, e if j & k else 0.0, f if k else 1.0,
-                u if i else 0.0, v if j else 0.0, w if k else 0.0,
             )  # fmt: skip
+            p, q, r = _forces(held, (u if i else 0.0, v if j else 0.0, w if k else 0.0))
             x, y, z = u - a * p - b * q - c * r, v - b * p - d * q - e * r, w - c * p - e * q - f * r
             free_x, free_y, free_z = 0.0 if i else x, 0.0 if j else y, 0.0 if k else z
             i, j, k = (p if i else x) < 0.0, (q if j else y) < 0.0, (r if k else z) < 0.0
@@ -110,9 +116,19 @@ def _pivot_three(inverse, first, last, out):
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def nonnegative_newton_step(volumes, inverse, cotangents, bounded, first, last, room, out):
-    """Write the steps of voxels `first` to `last`; arrays are (basis or pair, voxel), `room` is (2 basis + 4, basis).
+    """Compute the steps of some voxels.
 
-    Steps are computed without the bound first, many voxels at a time; those that end below it are done again.
+    Steps are computed without the bound first; those that end below it are computed again.
+
+    Parameters
+    ----------
+    volumes : start, (basis, voxel)
+    inverse : inverse of each voxel's block, (pair, voxel)
+    cotangents : gradient at the start, (basis, voxel)
+    bounded : whether x >= 0 is required
+    first, last : voxels from `first` to one before `last`
+    room : scratch, (2 basis + 4, basis)
+    out : written, (basis, voxel)
     """
     bases = volumes.shape[0]
     factor, matrix = room[:bases], room[bases : 2 * bases]
@@ -147,7 +163,16 @@ def nonnegative_newton_step(volumes, inverse, cotangents, bounded, first, last, 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def inverse_blocks(blocks, floor, first, last, room, out):
-    """Write the inverses of voxels `first` to `last`; arrays are (pair, voxel), `room` is (2, basis, basis)."""
+    """Compute the inverse blocks of some voxels.
+
+    Parameters
+    ----------
+    blocks : upper triangles row by row, (pair, voxel)
+    floor : added to the diagonal, (basis,)
+    first, last : voxels from `first` to one before `last`
+    room : scratch, (2, basis, basis)
+    out : written, (pair, voxel)
+    """
     bases = floor.size
     factor, root = room[0], room[1]
     for voxel in range(np.uint64(first), np.uint64(last)):
@@ -156,7 +181,7 @@ def inverse_blocks(blocks, floor, first, last, room, out):
                 s = float(blocks[_pair(i, j, bases), voxel]) + (floor[i] if i == j else 0.0)
                 for k in range(j):
                     s -= factor[i, k] * factor[j, k]
-                factor[i, j] = sqrt(max(s, 1e-30 * floor[i])) if i == j else s / factor[j, j]
+                factor[i, j] = sqrt(max(s, SINGULAR * floor[i])) if i == j else s / factor[j, j]
         for j in range(bases):
             for i in range(j, bases):
                 s = 1.0 if i == j else 0.0

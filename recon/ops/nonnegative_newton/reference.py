@@ -1,4 +1,4 @@
-"""The nearest non-negative point by trying every set of coefficients that may be 0, in float64."""
+"""Nearest non-negative point by trying every set of coefficients that may be 0, in float64."""
 
 from itertools import product
 
@@ -11,7 +11,18 @@ def nonnegative_newton_step(
     inverse: Float[np.ndarray, "basis basis"],
     cotangent: Float[np.ndarray, " basis"],
 ) -> Float[np.ndarray, " basis"]:
-    """Minimum of ``cotangent x + (x - start) inverse^-1 (x - start) / 2`` over x >= 0, for one voxel."""
+    """Minimise ``cotangent x + (x - start) inverse^-1 (x - start) / 2`` over x >= 0, for one voxel.
+
+    Parameters
+    ----------
+    start : start of the step
+    inverse : inverse of the voxel's block
+    cotangent : gradient at the start
+
+    Returns
+    -------
+    x
+    """
     metric = np.linalg.inv(inverse)
     wanted = start - inverse @ cotangent
     best, least = np.zeros_like(wanted), np.inf

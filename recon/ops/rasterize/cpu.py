@@ -1,8 +1,9 @@
 """Numba kernels of the rasterizer.
 
 Three passes. `footprints` reduces a Gaussian seen in a view to 13 numbers; `forward` adds footprints to a band of image
-rows (each pixel sums its Gaussians in their order, so the result does not depend on bands or threads); `backward`
-gathers, per Gaussian, the sums over its pixels and carries them back to centre, whitening matrix and coefficients.
+rows (each pixel sums its Gaussians in their order, so the result does not depend on bands or threads); `backward` sums
+over the pixels of each Gaussian and computes from the sums, by the chain rule, the gradients of centre, whitening
+matrix and coefficients.
 
 In pixels (x, y) from the projected centre the integral is
     |d| amplitude E^-1/2 exp(-N / (2 E)),  N = (l11 x + l21 y)^2 + (l22 y)^2,
@@ -29,6 +30,7 @@ from phantomgen.ops.simd import (
     total,
     where_less,
 )
+from recon.ops.arguments import RayFrame
 from recon.ops.rasterize import near_field as near
 from recon.ops.rasterize.footprint_table import (
     AMPLITUDE,
@@ -50,18 +52,27 @@ from recon.ops.rasterize.footprint_table import (
     lattice_mass,
     row_span,
 )
+from recon.ops.rasterize.pixel_sums import no_pixels, row_terms, with_pixels, write_totals
 from spectra.ops.min_max import larger, smaller
 
-SCRATCH = 15  # rows of the scratch array of one Gaussian in one view
+SCRATCH = 21  # rows of the scratch array of one Gaussian in one view; the last 6 belong to `backpropagate`
 HIDDEN, NEAR = near.HIDDEN, near.NEAR
-NEAR_SOURCE = 0.5  # depth up to which a shadow is so large that it is not bounded
+NEAR_SOURCE = 0.5  # part of the way to the panel; up to there all pixels are visited, as a shadow may be that large
 f4 = np.float32
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def whitening(log_scales, quaternions, first, last, matrices):
-    """Write A = S^-1 R^T of Gaussians `first` to `last` into `matrices` (gaussian, 3, 3)."""
+    """Compute the whitening matrices A = S^-1 R^T of some Gaussians.
+
+    Parameters
+    ----------
+    log_scales : logarithm of the standard deviations [log mm], (gaussian, 3)
+    quaternions : orientations (w, x, y, z), not normalised, (gaussian, 4)
+    first, last : Gaussians from `first` to one before `last`
+    matrices : written [1/mm], (gaussian, 3, 3)
+    """
     for g in range(first, last):
         w, x, y, z = quaternions[g, 0], quaternions[g, 1], quaternions[g, 2], quaternions[g, 3]
         n = 2.0 / (w * w + x * x + y * y + z * z)
@@ -79,7 +90,15 @@ def whitening(log_scales, quaternions, first, last, matrices):
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def whitening_backward(log_scales, quaternions, matrices, cotangents, first, last, to_log_scales, to_quaternions):
-    """Carry `cotangents` of the whitening matrices back to logarithmic scales and unnormalised quaternions."""
+    """Compute gradients in logarithmic scales and quaternions from those in the whitening matrices.
+
+    Parameters
+    ----------
+    log_scales, quaternions, matrices : as in `whitening`
+    cotangents : gradients in the matrices, (gaussian, 3, 3)
+    first, last : Gaussians from `first` to one before `last`
+    to_log_scales, to_quaternions : written, (gaussian, 3) and (gaussian, 4); quaternions are those before normalisation
+    """
     r = np.empty((3, 3))
     for g in range(first, last):
         for i in range(3):
@@ -108,12 +127,22 @@ def whitening_backward(log_scales, quaternions, matrices, cotangents, first, las
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def look(centre, matrix, frame, inverse, box, affine, w):
-    """Fill the scratch vectors `w` of one Gaussian in one view; returns False where its centre is behind the source.
+def project_centre(centre, matrix, frame, inverse, box, affine, w):
+    """Compute what a footprint is made of, for one Gaussian in one view.
 
-    Rows of `w`: 0 offset, 1 u, 2 vx, 3 vy, 4 u x vx, 5 u x vy, 6 v at the centre, 7 (xc, yc, lambda),
-    8 narrow covariance, 9 wide precision, 10 (D0, mass kept, |d| of a local-affine centre), 11 (e1, e2, e3),
-    12 (e4, e5, 0), 13 and 14 the sum over pixels and its gradient.
+    Parameters
+    ----------
+    centre, matrix : of the Gaussian [mm], [1/mm]
+    frame, inverse : as in `recon.ops.arguments.RayFrame`
+    box : variance that the pixel adds [pixel^2]
+    affine : whether the projection is local-affine
+    w : written, (21, 3): 0 offset from the source, 1 u, 2 vx, 3 vy, 4 u x vx, 5 u x vy, 6 v at the centre,
+        7 (xc, yc, depth), 8 covariance before the pixel averages, 9 inverse of the covariance after that, 10 (D0, mass
+        kept, |d| of a local-affine centre), 11 (e1, e2, e3), 12 (e4, e5, 0), 13 and 14 sum over pixels and its gradient
+
+    Returns
+    -------
+    False where the centre lies behind the source, or the footprint is not finite
     """
     for i in range(3):
         w[0, i] = centre[i] - frame[0, i]
@@ -137,7 +166,7 @@ def look(centre, matrix, frame, inverse, box, affine, w):
     det_wide = 1 / det + box * (c11 + c22) + box * box
     w[8, 0], w[8, 1], w[8, 2] = c11, c12, c22
     w[9, 0], w[9, 1], w[9, 2] = (c22 + box) / det_wide, -c12 / det_wide, (c11 + box) / det_wide
-    lattice_mass(w[7, 0], w[7, 1], c11, c12, c22, box, w[13:].reshape(6))
+    lattice_mass(w[7, 0], w[7, 1], c11, c12, c22, box, w[13:15].reshape(6))
     w[10, 0], w[10, 1] = d0, 1 / (math.sqrt(det * det_wide) * w[13, 0])
     w[11, 0], w[11, 1], w[11, 2] = 2 * dot(w[6], w[2]) / d0, 2 * dot(w[6], w[3]) / d0, dot(w[2], w[2]) / d0
     w[12, 0], w[12, 1] = 2 * dot(w[2], w[3]) / d0, dot(w[3], w[3]) / d0
@@ -152,7 +181,20 @@ def look(centre, matrix, frame, inverse, box, affine, w):
 @njit(inline="always")
 @no_type_check
 def write_footprint(w, box, k2, rows, out):
-    """Write all numbers of a footprint but its rows, which are returned; nothing where there are none."""
+    """Write the numbers of a footprint except its rows; nothing where it has no rows.
+
+    Parameters
+    ----------
+    w : vectors of `project_centre`
+    box : variance that the pixel adds [pixel^2]
+    k2 : square of the cutoff
+    rows : of the panel
+    out : written, (13,)
+
+    Returns
+    -------
+    first row, and one past the last
+    """
     p11, p12, p22 = w[9, 0], w[9, 1], w[9, 2]
     e1, e2, e3, e4, e5 = w[11, 0], w[11, 1], w[11, 2], w[12, 0], w[12, 1]
     q11, q12, q22 = p11 - k2 * e3, p12 - k2 * e4 / 2, p22 - k2 * e5
@@ -174,21 +216,32 @@ def write_footprint(w, box, k2, rows, out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def footprints(centres, matrices, frame, inverse, box, cutoff, affine, rows, first, last, out):
-    """Write the 13 numbers of Gaussians `first` to `last` in one view into `out`; `box` is the pixel's variance.
+def footprints(gaussians, view, sampling, rows, first, last, out):
+    """Compute the 13 numbers of the footprints of some Gaussians in one view.
 
-    Those of a Gaussian near an end of the rays serve to bound it; `near` looks at its pixels.
+    Those of a Gaussian near an end of the rays only bound it; `recon.ops.rasterize.near_field` computes its pixels.
+
+    Parameters
+    ----------
+    gaussians : `recon.ops.arguments.GaussianArrays`
+    view : `recon.ops.arguments.RayFrame`
+    sampling : `recon.ops.rasterize.projector.PixelSampling`
+    rows : of the panel
+    first, last : Gaussians from `first` to one before `last`
+    out : written, (gaussian, 13)
     """
+    centres, matrices, frame, inverse = gaussians.centres, gaussians.matrices, view.frame, view.inverse
+    box, affine = sampling.box, sampling.affine
     w = np.empty((SCRATCH, 3))
-    k2 = cutoff * cutoff
+    k2 = sampling.cutoff * sampling.cutoff
     for g in range(first, last):
         out[g, ROW_0] = out[g, ROW_1] = f4(0)
         kind = near.BETWEEN
         if not affine:
-            kind = near.place(centres[g], matrices[g], frame, inverse, k2)
+            kind = near.classify(centres[g], matrices[g], view, k2)
             if kind == HIDDEN:
                 continue
-        seen = look(centres[g], matrices[g], frame, inverse, box, affine, w)
+        seen = project_centre(centres[g], matrices[g], frame, inverse, box, affine, w)
         if kind == NEAR and (not seen or w[7, 2] < NEAR_SOURCE):  # all pixels
             for i in range(XC, AMPLITUDE):
                 out[g, i] = f4(0)
@@ -203,12 +256,21 @@ def footprints(centres, matrices, frame, inverse, box, cutoff, affine, rows, fir
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 @no_type_check
-def forward(bases, table, coefficients, lengths, cutoff, columns, row_first, row_last, image):
-    """Add footprints to rows `row_first` to `row_last` of `image` (basis, row, padded column), times |d|.
+def forward(bases, table, coefficients, lengths, cutoff, row_first, row_last, image):
+    """Add footprints to some rows of an image, then multiply these rows by |d|.
 
-    `bases` is a tuple as long as there are bases, whose loops are then unrolled; its values do not count.
+    Parameters
+    ----------
+    bases : tuple with one entry per basis; its length is known when numba compiles, which unrolls the loops over bases
+    table : numbers of the footprints, (gaussian, 13)
+    coefficients : (gaussian, basis)
+    lengths : |d| of each ray [mm], (row, column)
+    cutoff : where a footprint ends [standard deviations]
+    row_first, row_last : rows from `row_first` to one before `row_last`
+    image : added to, then multiplied, (basis, row, column and `WIDTH` columns of padding)
     """
     _, rows, stride = image.shape
+    columns = lengths.shape[1]
     k2 = f4(cutoff * cutoff)
     for g in range(table.shape[0]):
         p = table[g]
@@ -218,8 +280,7 @@ def forward(bases, table, coefficients, lengths, cutoff, columns, row_first, row
             row = one_more(row)
             dy = row - p[YC]
             low, high = row_span(p, dy, k2, columns)
-            shear, across = p[L21] * dy, p[L22] * dy
-            flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
+            shear, across, flat, tilt = row_terms(p, dy)
             for base in range(low, high, WIDTH):
                 x = ramp(f4(base) - p[XC])
                 inverse = f4(1) / ((x * p[E3] + tilt) * x + flat)
@@ -241,19 +302,16 @@ def forward(bases, table, coefficients, lengths, cutoff, columns, row_first, row
 @njit(forceinline=True, fastmath=True, error_model="numpy")
 @no_type_check
 def _gather(bases, p, coefficients, cotangent, k2, columns, sums, to_coefficients):
-    """Sums over one Gaussian's pixels: see `backward` for their meaning."""
+    """Sum over one Gaussian's pixels; `backward` defines the sums."""
     _, rows, stride = cotangent.shape
-    zero = splat(f4(0))
-    w0, ax, ay, axx, axy, ayy = zero, zero, zero, zero, zero, zero
-    b0, bx, by, bxx, bxy, byy = zero, zero, zero, zero, zero, zero
+    found = no_pixels()
     first = int(p[ROW_0])
     row = f4(first - 1)
     for r in range(first, int(p[ROW_1])):
         row = one_more(row)
         dy = row - p[YC]
         low, high = row_span(p, dy, k2, columns)
-        shear, across = p[L21] * dy, p[L22] * dy
-        flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
+        shear, across, flat, tilt = row_terms(p, dy)
         for base in range(low, high, WIDTH):
             x = ramp(f4(base) - p[XC])
             inverse = f4(1) / ((x * p[E3] + tilt) * x + flat)
@@ -261,7 +319,7 @@ def _gather(bases, p, coefficients, cotangent, k2, columns, sums, to_coefficient
             q = (along * along + across * across) * inverse
             value = square_root(inverse) * exp_negative(minimum(q, k2) * f4(-0.5)) * p[AMPLITUDE]
             value = where_less(q, k2, value)
-            to_value = zero
+            to_value = splat(f4(0))
             for m in range(len(bases)):
                 incoming = load(cotangent, (m * rows + r) * stride + base)
                 to_value = to_value + incoming * coefficients[m]
@@ -269,34 +327,25 @@ def _gather(bases, p, coefficients, cotangent, k2, columns, sums, to_coefficient
             to_value = to_value * value
             alpha = to_value * inverse * f4(-0.5)
             beta = alpha - alpha * q
-            w0 = w0 + to_value
-            step, step_y = alpha * x, alpha * dy
-            ax, ay, axx, axy, ayy = ax + step, ay + step_y, axx + step * x, axy + step * dy, ayy + step_y * dy
-            step, step_y = beta * x, beta * dy
-            b0, bx, by = b0 + beta, bx + step, by + step_y
-            bxx, bxy, byy = bxx + step * x, bxy + step * dy, byy + step_y * dy
-    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = (
-        total(w0),
-        total(ax),
-        total(ay),
-        total(axx),
-        total(axy),
-        total(ayy),
-    )
-    sums[6], sums[7], sums[8], sums[9], sums[10], sums[11] = (
-        total(b0),
-        total(bx),
-        total(by),
-        total(bxx),
-        total(bxy),
-        total(byy),
-    )
+            found = with_pixels(found, to_value, alpha, beta, x, dy)
+    write_totals(found, sums)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def chain(w, s, box, affine, matrix, frame, inverse, t, to_centre, to_matrix):
-    """Carry pixel sums `s` back to centre and whitening matrix, the steps of `look` in reverse."""
+def backpropagate(w, s, affine, matrix, frame, inverse, to_centre, to_matrix):
+    """Compute gradients in centre and whitening matrix from sums over pixels: `project_centre` in reverse.
+
+    Parameters
+    ----------
+    w : vectors of `project_centre`
+    s : sums over the pixels of the footprint, see `backward`
+    affine : whether the projection is local-affine
+    matrix : whitening matrix [1/mm]
+    frame, inverse : as in `recon.ops.arguments.RayFrame`
+    to_centre, to_matrix : added to, (3,) and (3, 3)
+    """
+    t = w[15:]
     xc, yc, depth = w[7, 0], w[7, 1], w[7, 2]
     c11, c12, c22 = w[8, 0], w[8, 1], w[8, 2]
     p11, p12, p22 = w[9, 0], w[9, 1], w[9, 2]
@@ -349,34 +398,46 @@ def chain(w, s, box, affine, matrix, frame, inverse, t, to_centre, to_matrix):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def backward(
-    bases, centres, matrices, coefficients, frames, inverses, tables, cotangents, box, cutoff, affine, columns,
-    first, last, to_centres, to_matrices, to_coefficients,
-):  # fmt: skip
-    """Gradients of Gaussians `first` to `last`, summed over views in order.
+def backward(bases, gaussians, views, cotangents, sampling, first, last, gradients):
+    """Add the gradients of some Gaussians, summed over views in their order.
 
-    `bases` is that of `forward`; `cotangents` (view, basis, row, padded column) come multiplied by |d|. With v the
-    value of a pixel, w = v times the gradient in that value, alpha = -w / (2 E) belongs to N, beta = alpha (1 - N / E)
-    to E; the sums over pixels are w, alpha (x, y, x^2, x y, y^2) and beta (1, x, y, x^2, x y, y^2).
+    Parameters
+    ----------
+    bases : as in `forward`
+    gaussians : `recon.ops.arguments.GaussianArrays`
+    views : `recon.ops.rasterize.footprint_table.Views`
+    cotangents : gradient in the images, multiplied by |d|, (view, basis, row, column and `WIDTH` columns of padding)
+    sampling : `recon.ops.rasterize.projector.PixelSampling`
+    first, last : Gaussians from `first` to one before `last`
+    gradients : added to, `recon.ops.arguments.GaussianGradients`
+
+    Notes
+    -----
+    With v the value of a pixel, w = v times the gradient in that value, alpha = -w / (2 E) belongs to N, and
+    beta = alpha (1 - N / E) to E; the sums over pixels are w, alpha (x, y, x^2, x y, y^2) and
+    beta (1, x, y, x^2, x y, y^2).
     """
-    k2 = f4(cutoff * cutoff)
-    w, t, sums = np.zeros((SCRATCH, 3)), np.empty((6, 3)), np.empty(12)
+    # Named here, as numba counts a reference each time an array is taken out of a tuple.
+    centres, matrices, coefficients = gaussians
+    frames, inverses, tables = views
+    to_centres, to_matrices, to_coefficients = gradients
+    box, affine, k2 = sampling.box, sampling.affine, f4(sampling.cutoff * sampling.cutoff)
+    columns = cotangents.shape[3] - WIDTH
+    w, sums = np.zeros((SCRATCH, 3)), np.empty(12)
     lanes = np.empty(len(bases) * WIDTH, np.float32)
     for g in range(first, last):
-        for view in range(frames.shape[0]):
-            p = tables[view, g]
+        for v in range(frames.shape[0]):
+            p = tables[v, g]
             if p[ROW_1] < p[ROW_0]:
-                near.backward(
-                    coefficients[g], cotangents[view], centres[g], matrices[g], frames[view], inverses[view], p, box,
-                    cutoff, columns, to_centres[g], to_matrices[g], to_coefficients[g],
-                )  # fmt: skip
+                view = RayFrame(frames[v], inverses[v])
+                near.backward(gaussians, g, view, p, cotangents[v], sampling, gradients)
             if p[ROW_1] <= p[ROW_0]:
                 continue
             lanes[:] = f4(0)
-            _gather(bases, p, coefficients[g], cotangents[view], k2, columns, sums, lanes)
+            _gather(bases, p, coefficients[g], cotangents[v], k2, columns, sums, lanes)
             for m in range(len(bases)):
                 to_coefficients[g, m] += total(load(lanes, m * WIDTH))
-            look(centres[g], matrices[g], frames[view], inverses[view], box, affine, w)
+            project_centre(centres[g], matrices[g], frames[v], inverses[v], box, affine, w)
             if affine:
                 sums[6:] = 0.0
-            chain(w, sums, box, affine, matrices[g], frames[view], inverses[view], t, to_centres[g], to_matrices[g])
+            backpropagate(w, sums, affine, matrices[g], frames[v], inverses[v], to_centres[g], to_matrices[g])

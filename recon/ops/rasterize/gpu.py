@@ -23,16 +23,22 @@ _BLOCK = 128  # pixels at a time of a Gaussian's program
 
 
 class Footprints(NamedTuple):
-    """Gaussians as one view sees them."""
+    """Footprints of all Gaussians in one view.
+
+    Parameters
+    ----------
+    numbers : xc, yc, l11, l21, l22, e1 to e5, amplitude; as in `recon.ops.rasterize.cpu`
+    bounds : first row, one past the last, first column, one past the last
+    """
 
     numbers: Float32[Tensor, "gaussian 11"]
-    bounds: Int32[Tensor, "gaussian 4"]  # first row, one past the last, first column, one past the last
+    bounds: Int32[Tensor, "gaussian 4"]
 
 
 @triton.jit
 @no_type_check
 def _value(p, column, row, k2):
-    """Value of a footprint in pixels, their places (x, y) from its centre, 1 / E and N / E."""
+    """Compute the value of a footprint in pixels, their places (x, y) from its centre, 1 / E and N / E."""
     x, y = column.to(tl.float32) - tl.load(p), row.to(tl.float32) - tl.load(p + 1)
     flat = 1.0 + y * (tl.load(p + 6) + y * tl.load(p + 9))
     tilt = tl.load(p + 5) + tl.load(p + 8) * y
@@ -50,7 +56,7 @@ def _forward(
     numbers, coefficients, members, starts, out, rows, columns, across, bases, k2,
     TILE: tl.constexpr, PADDED: tl.constexpr,
 ):  # fmt: skip
-    """Pixels (basis, row, column) of a tile."""
+    """Compute the pixels (basis, row, column) of a tile."""
     tile, pixel, basis = tl.program_id(0), tl.arange(0, TILE * TILE), tl.arange(0, PADDED)
     row, column = tile // across * TILE + pixel // TILE, tile % across * TILE + pixel % TILE
     total = tl.zeros((TILE * TILE, PADDED), dtype=tl.float32)
@@ -69,7 +75,7 @@ def _backward(
     numbers, coefficients, bounds, cotangent, sums, to_coefficients, rows, columns, bases, k2,
     BLOCK: tl.constexpr, PADDED: tl.constexpr,
 ):  # fmt: skip
-    """Sums over the pixels of a Gaussian (gaussian, 12) and the gradient of its coefficients (gaussian, basis)."""
+    """Sum over the pixels of a Gaussian (gaussian, 12); also the gradient in its coefficients (gaussian, basis)."""
     g, basis = tl.program_id(0).to(tl.int64), tl.arange(0, PADDED)
     first_row, first_column = tl.load(bounds + 4 * g), tl.load(bounds + 4 * g + 2)
     width = tl.load(bounds + 4 * g + 3) - first_column
@@ -111,9 +117,22 @@ def _backward(
 
 
 def forward(
-    footprints: Footprints, coefficients: Float32[Tensor, "gaussian basis"], rows: int, columns: int, cutoff: float
+    footprints: Footprints, coefficients: Float32[Tensor, "gaussian basis"], panel: tuple[int, int], cutoff: float
 ) -> Float32[Tensor, "basis row column"]:
-    """Sum of all footprints, times their coefficients."""
+    """Sum all footprints, times their coefficients.
+
+    Parameters
+    ----------
+    footprints : of all Gaussians in one view
+    coefficients : contiguous
+    panel : rows and columns
+    cutoff : where a footprint ends [standard deviations]
+
+    Returns
+    -------
+    image of each basis, without |d|
+    """
+    rows, columns = panel
     bases = coefficients.shape[1]
     down, across = triton.cdiv(rows, _TILE), triton.cdiv(columns, _TILE)
     out = coefficients.new_empty((bases, rows, columns))
@@ -132,7 +151,19 @@ def backward(
     cotangent: Float32[Tensor, "basis row column"],
     cutoff: float,
 ) -> tuple[Float32[Tensor, "gaussian 12"], Float32[Tensor, "gaussian basis"]]:
-    """Sums of every footprint over its pixels, and the gradient of the coefficients; of contiguous tensors."""
+    """Sum over the pixels of every footprint.
+
+    Parameters
+    ----------
+    footprints : of all Gaussians in one view
+    coefficients : contiguous
+    cotangent : gradient in the image, times |d|; contiguous
+    cutoff : where a footprint ends [standard deviations]
+
+    Returns
+    -------
+    sums as in `recon.ops.rasterize.cpu.backward`, and the gradient in the coefficients
+    """
     (n, bases), (_, rows, columns) = coefficients.shape, cotangent.shape
     sums, to_coefficients = coefficients.new_empty((n, SUMS)), torch.empty_like(coefficients)
     if n and bases:

@@ -1,21 +1,25 @@
 """Numba kernels for Gaussians that reach the source or the panel, where rays begin and end.
 
-There the line integral is that of the whole line times what lies on the ray, and a projected centre may be at infinity,
-so nothing here is measured from one. With u = A (p - o), v = A d, m = u x v and J = [u x A du, u x A dv] a pixel is
+There the line integral is that of the whole line times the part that lies on the ray, and a projected centre may be at
+infinity, so no coordinate here is measured from one. With u = A (p - o), v = A d, m = u x v and
+J = [u x A du, u x A dv] a pixel is
     |d| amplitude / |v| exp(-m^T S m / (2 |v|^2)) (erf(z1 / sqrt 2) + erf(z0 / sqrt 2)) / 2,
 where S = (1 + c J J^T)^-1 averages over the pixel (c = box depth^2 / |u|^2, see `reference.rasterize`), z0 = u.v / |v|
 is the way from the source to the closest point of the ray and z1 = |v| - z0 the way on from there to the panel, both
 in standard deviations and of the ray through that part of the pixel where the Gaussian is seen, -c J^T S m pixels from
-its centre. All is float64, which also holds sources at 1e9 mm. Few Gaussians come here, so that a plain loop over
-pixels does.
+its centre. All numbers are float64, which suffices for sources at 1e9 mm. Few Gaussians are near an end of the rays,
+so a plain loop over pixels is fast enough.
 """
 
 import math
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
+from jaxtyping import Float64
 from numba import njit
 
+from phantomgen.ops.simd import WIDTH
+from recon.ops.arguments import TINY
 from recon.ops.rasterize.footprint_table import ROW_0, ROW_1, YC, apply, cross, dot, lattice_mass, row_span
 
 HIDDEN, BETWEEN, NEAR = range(3)
@@ -25,16 +29,64 @@ ROOT_HALF = math.sqrt(0.5)
 f4 = np.float32
 
 
+class _Ray(NamedTuple):
+    """Vectors of one Gaussian, and scratch for those of one ray.
+
+    Parameters
+    ----------
+    w : vectors of `project`; the other fields are rows of it
+    u, s : u and S
+    v, m, n : v, m = u x v and S m of the ray
+    seen : v of the ray through the part of the pixel where the Gaussian is seen
+    """
+
+    w: Float64[np.ndarray, "19 3"]
+    u: Float64[np.ndarray, "3"]
+    s: Float64[np.ndarray, "3 3"]
+    v: Float64[np.ndarray, "3"]
+    m: Float64[np.ndarray, "3"]
+    n: Float64[np.ndarray, "3"]
+    seen: Float64[np.ndarray, "3"]
+
+
+class _Sums(NamedTuple):
+    """Sums over the pixels of one Gaussian.
+
+    Parameters
+    ----------
+    vectors : gradients in u, vx, vy, A d0, the rows of S, a = u x vx and b = u x vy; then three rows of scratch
+    mass : sum of values times the gradient in them
+    to_c : gradient in c
+    """
+
+    vectors: Float64[np.ndarray, "12 3"]
+    mass: float
+    to_c: float
+
+
 @njit(inline="always")
 @no_type_check
-def place(centre, matrix, frame, inverse, k2):
-    """Whether a Gaussian is HIDDEN, lies BETWEEN source and panel, or comes NEAR one of them where rays meet it.
+def classify(centre, matrix, view, k2):
+    """Decide whether a Gaussian is outside the rays, between source and panel, or near an end of the rays.
 
+    Parameters
+    ----------
+    centre, matrix : of the Gaussian [mm], [1/mm]
+    view : `recon.ops.arguments.RayFrame`
+    k2 : square of the cutoff
+
+    Returns
+    -------
+    HIDDEN where no ray meets the Gaussian, NEAR where rays meet it near the source or the panel, else BETWEEN
+
+    Notes
+    -----
     A ray that passes within the cutoff and has its end within REACH of the closest point has that end within
-    `distance` of the centre. So a Gaussian which, up to there, lies between the planes through source and panel is cut
-    nowhere; near the plane of the source, what counts is the distance from the source itself, and whether the shadow of
-    the Gaussian is an ellipse: if not, its projected centre may be far from what is seen.
+    `distance` of the centre. A Gaussian that lies between the planes through source and panel up to this distance is
+    therefore not cut. Near the plane of the source the distance from the source itself decides, and whether the shadow
+    of the Gaussian is an ellipse: if not, its projected centre may be far from the pixels that see it.
     """
+    frame, inverse = view.frame, view.inverse
     square = REACH * REACH + k2
     depth, spread = 0.0, 0.0
     for i in range(3):
@@ -69,13 +121,23 @@ def place(centre, matrix, frame, inverse, k2):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def project(centre, matrix, frame, inverse, box, w):
-    """Fill the scratch vectors `w` of one Gaussian in one view.
+def project(centre, matrix, view, box, w):
+    """Compute the vectors of one Gaussian in one view.
 
-    Rows of `w`: 0 offset, 1 u, 2 vx, 3 vy, 4 u x vx, 5 u x vy, 6 A d0, 7 (depth, c, amplitude), 8 to 10 S,
-    11 (xc, yc, mass on the lattice), 12 narrow covariance in pixels, 13 and 14 the lattice's sum and its gradient,
-    15 to 18 belong to a pixel: v, u x v, S (u x v), and v where the Gaussian is seen.
+    Parameters
+    ----------
+    centre, matrix : of the Gaussian [mm], [1/mm]
+    view : `recon.ops.arguments.RayFrame`
+    box : variance that the pixel adds [pixel^2]
+    w : written, (19, 3): 0 offset from the source, 1 u, 2 vx, 3 vy, 4 u x vx, 5 u x vy, 6 A d0, 7 (depth, c,
+        amplitude), 8 to 10 S, 11 (xc, yc, unused), 12 covariance in pixels before the pixel averages, 13 and 14 the sum
+        over pixels and its gradient; 15 to 18 are left to a ray: v, u x v, S (u x v), and v where the Gaussian is seen
+
+    Returns
+    -------
+    False where the amplitude is not finite
     """
+    frame, inverse = view.frame, view.inverse
     for i in range(3):
         w[0, i] = centre[i] - frame[0, i]
     apply(matrix, w[0], w[1])
@@ -85,7 +147,7 @@ def project(centre, matrix, frame, inverse, box, w):
     cross(w[1], w[2], w[4])
     cross(w[1], w[3], w[5])
     depth = inverse[2, 0] * w[0, 0] + inverse[2, 1] * w[0, 1] + inverse[2, 2] * w[0, 2]
-    square = max(dot(w[1], w[1]), 1e-300)
+    square = max(dot(w[1], w[1]), TINY)
     c = box * depth * depth / square
     h = w[8:11]
     for i in range(3):
@@ -127,8 +189,16 @@ def _invert(h):
 
 @njit(inline="always")
 @no_type_check
-def _ray(w, u, s, column, row, v, m, n, seen):
+def _vectors(w):
+    """Name the vectors that the rays of a Gaussian need."""
+    return _Ray(w, w[1], w[8:11], w[15], w[16], w[17], w[18])
+
+
+@njit(inline="always")
+@no_type_check
+def _cast(ray, column, row):
     """Write the vectors of a pixel; returns |v|^2 and the squared distance of the ray in standard deviations."""
+    w, u, s, v, m, n, seen = ray
     for i in range(3):
         v[i] = w[6, i] + column * w[2, i] + row * w[3, i]
     cross(u, v, m)
@@ -149,21 +219,32 @@ def _part(z):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def forward(
-    which, centres, matrices, coefficients, frame, inverse, table, box, cutoff, columns, row_first, row_last, image
-):
-    """Add Gaussians `which`, without |d|, to rows `row_first` to `row_last` of `image` (basis, row, padded column)."""
-    k2 = cutoff * cutoff
+def forward(which, gaussians, view, table, sampling, row_first, row_last, image):
+    """Add some Gaussians to some rows of an image, without the factor |d|.
+
+    Parameters
+    ----------
+    which : numbers of the Gaussians near an end of the rays
+    gaussians : `recon.ops.arguments.GaussianArrays`
+    view : `recon.ops.arguments.RayFrame`
+    table : numbers of the footprints, which bound them, (gaussian, 13)
+    sampling : `recon.ops.rasterize.projector.PixelSampling`
+    row_first, row_last : rows from `row_first` to one before `row_last`
+    image : added to, (basis, row, column and `WIDTH` columns of padding)
+    """
+    coefficients, columns = gaussians.coefficients, image.shape[2] - WIDTH
+    k2 = sampling.cutoff * sampling.cutoff
     w = np.empty((SCRATCH, 3))
-    u, s, v, cross_uv, smooth, seen = w[1], w[8:11], w[15], w[16], w[17], w[18]
+    ray = _vectors(w)
+    u, seen = ray.u, ray.seen
     for g in which:
         p = table[g]
-        if not project(centres[g], matrices[g], frame, inverse, box, w):
+        if not project(gaussians.centres[g], gaussians.matrices[g], view, sampling.box, w):
             continue
         for row in range(max(int(p[ROW_1]), row_first), min(int(p[ROW_0]), row_last)):
             low, high = row_span(p, f4(row) - p[YC], f4(k2), columns)
             for column in range(low, high):
-                vv, q = _ray(w, u, s, float(column), float(row), v, cross_uv, smooth, seen)
+                vv, q = _cast(ray, float(column), float(row))
                 if q >= k2:
                     continue
                 length = math.sqrt(dot(seen, seen))
@@ -175,25 +256,32 @@ def forward(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def backward(
-    coefficients, cotangent, centre, matrix, frame, inverse, p, box, cutoff, columns,
-    to_centre, to_matrix, to_coefficients,
-):  # fmt: skip
-    """Add the gradients of one Gaussian in one view, whose footprint is bounded by `p`.
+def backward(gaussians, g, view, p, cotangent, sampling, gradients):
+    """Add the gradients of one Gaussian in one view.
 
-    `cotangent` (basis, row, padded column) comes times |d|.
+    Parameters
+    ----------
+    gaussians : `recon.ops.arguments.GaussianArrays`
+    g : number of the Gaussian
+    view : `recon.ops.arguments.RayFrame`
+    p : numbers of the footprint, which bound it, (13,)
+    cotangent : gradient in the image, multiplied by |d|, (basis, row, column and `WIDTH` columns of padding)
+    sampling : `recon.ops.rasterize.projector.PixelSampling`
+    gradients : added to, `recon.ops.arguments.GaussianGradients`
     """
-    k2 = cutoff * cutoff
+    coefficients, to_coefficients = gaussians.coefficients[g], gradients.coefficients[g]
+    k2, columns = sampling.cutoff * sampling.cutoff, cotangent.shape[2] - WIDTH
     w, t = np.empty((SCRATCH, 3)), np.zeros((12, 3))  # t: u, vx, vy, A d0, S (3 rows), a, b, and three to work with
-    if not project(centre, matrix, frame, inverse, box, w):
+    if not project(gaussians.centres[g], gaussians.matrices[g], view, sampling.box, w):
         return
+    ray = _vectors(w)
     bases, mass, to_c = len(coefficients), 0.0, 0.0
-    u, s, v, m, n, seen = w[1], w[8:11], w[15], w[16], w[17], w[18]
+    _, u, s, v, m, n, seen = ray
     to_seen, to_m, to_n, c = t[9], t[10], t[11], w[7, 1]
     for row in range(int(p[ROW_1]), int(p[ROW_0])):
         low, high = row_span(p, f4(row) - p[YC], f4(k2), columns)
         for column in range(low, high):
-            vv, q = _ray(w, u, s, float(column), float(row), v, m, n, seen)
+            vv, q = _cast(ray, float(column), float(row))
             if q >= k2:
                 continue
             length = math.sqrt(dot(seen, seen))
@@ -234,13 +322,15 @@ def backward(
                 t[1, i] += column * to_v - c * along_x * to_seen[i]
                 t[2, i] += row * to_v - c * along_y * to_seen[i]
                 t[3, i] += to_v
-    _chain(w, t, mass, to_c, box, matrix, frame, inverse, to_centre, to_matrix)
+    sums = _Sums(t, mass, to_c)
+    _backpropagate(w, sums, sampling.box, gaussians.matrices[g], view, gradients.centres[g], gradients.matrices[g])
 
 
 @njit(inline="always")
 @no_type_check
-def _chain(w, t, mass, to_c, box, matrix, frame, inverse, to_centre, to_matrix):
-    """Carry the sums `t` over pixels back to centre and whitening matrix, the steps of `project` in reverse."""
+def _backpropagate(w, sums, box, matrix, view, to_centre, to_matrix):
+    """Compute gradients in centre and whitening matrix from sums over pixels: `project` in reverse."""
+    t, mass, to_c, frame, inverse = sums.vectors, sums.mass, sums.to_c, view.frame, view.inverse
     depth, c, s, to_h = w[7, 0], w[7, 1], w[8:11], np.empty((3, 3))
     for i in range(3):
         for j in range(3):  # S = H^-1 and the amplitude det H^-1/2
@@ -254,7 +344,7 @@ def _chain(w, t, mass, to_c, box, matrix, frame, inverse, to_centre, to_matrix):
             to_a[i] += 2 * c * to_h[i, j] * w[4, j]
             to_b[i] += 2 * c * to_h[i, j] * w[5, j]
             to_c += to_h[i, j] * (w[4, i] * w[4, j] + w[5, i] * w[5, j])
-    square = max(dot(w[1], w[1]), 1e-300)
+    square = max(dot(w[1], w[1]), TINY)
     to_depth, to_square = to_c * 2 * box * depth / square, -to_c * c / square
     x = w[12]
     if mass != 0 and (w[13, 1] != 0 or w[13, 2] != 0 or w[14, 0] != 0 or w[14, 2] != 0):

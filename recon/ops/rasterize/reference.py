@@ -9,7 +9,16 @@ from torch import Tensor
 
 
 def rotation(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussian 3 3"]:
-    """Rotation matrices of quaternions (w, x, y, z), normalised first."""
+    """Compute rotation matrices.
+
+    Parameters
+    ----------
+    quaternions : (w, x, y, z); normalised here
+
+    Returns
+    -------
+    matrices whose columns are the rotated axes
+    """
     w, x, y, z = torch.nn.functional.normalize(quaternions, dim=-1).unbind(-1)
     rows = [
         torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
@@ -22,15 +31,36 @@ def rotation(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussia
 def whitening(
     log_scales: Float[Tensor, "gaussian 3"], quaternions: Float[Tensor, "gaussian 4"]
 ) -> Float[Tensor, "gaussian 3 3"]:
-    """A = S^-1 R^T, so that |A (x - p)| is the distance from the centre in standard deviations."""
+    """Compute whitening matrices A = S^-1 R^T.
+
+    Parameters
+    ----------
+    log_scales : logarithm of the standard deviations [log mm]
+    quaternions : orientation (w, x, y, z)
+
+    Returns
+    -------
+    matrices [1/mm]: |A (x - p)| is the distance of x from the centre p in standard deviations
+    """
     return torch.exp(-log_scales)[:, :, None] * rotation(quaternions).mT
 
 
 def lattice_mass(
     centres: Float[Tensor, "gaussian axis"], covariances: Float[Tensor, "gaussian axis axis"]
 ) -> Float[Tensor, " gaussian"]:
-    """Sum over all integer points of Gaussian densities of unit mass; not quite 1 for narrow ones.
+    """Sum Gaussian densities of unit mass over all integer points; not quite 1 for narrow ones.
 
+    Parameters
+    ----------
+    centres : in units of the spacing of the points
+    covariances : in the same units, squared
+
+    Returns
+    -------
+    sum of each density
+
+    Notes
+    -----
     Poisson summation: 1 + 2 sum_k exp(-2 pi^2 k^T C k) cos(2 pi k.x) over half of the integer vectors k, cut off after
     the nearest neighbours (0.3 % are left per axis for the narrowest, of variance 1/12).
     """
@@ -52,8 +82,19 @@ def rasterize(
     columns: int,
     footprint: float,
 ) -> Float[Tensor, "view basis row column"]:
-    """Line integral of every basis along the ray of every pixel, from the source to the panel.
+    """Compute the line integral of every basis along the ray of every pixel, from the source to the panel.
 
+    Parameters
+    ----------
+    centres, log_scales, quaternions, coefficients, frames, rows, columns : as in `recon.ops.rasterize.rasterize`
+    footprint : edge of the square that a pixel averages over [pixels]; 0 samples the pixel centre
+
+    Returns
+    -------
+    line integrals, dimensionless
+
+    Notes
+    -----
     With u = A (p - o) and v = A d the integral of exp(-|A (o + t d - p)|^2 / 2) over the whole line is
     |d| sqrt(2 pi) / |v| exp(-|m|^2 / (2 |v|^2)), m = u x v; the closest point is z0 = u.v / |v| standard deviations
     behind the source, so that the part (erf(z0 / sqrt 2) + erf((|v| - z0) / sqrt 2)) / 2 of it lies on the ray.
@@ -104,10 +145,21 @@ def local_affine(
     columns: int,
     footprint: float,
 ) -> Float[Tensor, "view basis row column"]:
-    """What rectified splatting makes of the same: a Gaussian in the panel, exact on the ray through the centre only.
+    """Compute line integrals by rectified splatting: Gaussians in the panel, exact on the ray through the centre only.
 
-    Its covariance is P Sigma P^T, with P the derivative of the projection at the centre, and its height
-    sqrt(2 pi / (e^T Sigma^-1 e)) for a unit vector e along the ray. Pixels average as in `rasterize`.
+    Parameters
+    ----------
+    centres, log_scales, quaternions, coefficients, frames, rows, columns : as in `recon.ops.rasterize.rasterize`
+    footprint : edge of the square that a pixel averages over [pixels]; 0 samples the pixel centre
+
+    Returns
+    -------
+    line integrals, dimensionless
+
+    Notes
+    -----
+    The covariance of such a Gaussian is P Sigma P^T, with P the derivative of the projection at the centre, and its
+    height is sqrt(2 pi / (e^T Sigma^-1 e)) for a unit vector e along the ray. Pixels average as in `rasterize`.
     """
     matrices = whitening(log_scales, quaternions)
     inverse = torch.linalg.inv(matrices)
@@ -134,6 +186,6 @@ def local_affine(
 
 
 def _directions(first: Tensor, du: Tensor, dv: Tensor, rows: int, columns: int) -> Float[Tensor, "row column 3"]:
-    """From the source to every pixel."""
+    """Compute the vectors from the source to every pixel [mm]."""
     along = torch.arange(columns, dtype=torch.float64)[None, :, None] * du + first
     return along + torch.arange(rows, dtype=torch.float64)[:, None, None] * dv

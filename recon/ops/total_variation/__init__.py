@@ -2,7 +2,7 @@
 
 TV(x) = sum over voxels of |W (D x)|, where D are the differences to the next voxel along z, y and x (0 at the far
 border), each over the voxel's size relative to the smallest, W mixes the bases, and the norm is over bases and axes
-together, so that edges of all bases like to coincide. TV(x) is the largest <p, W D x> over fields p with |p| <= 1.
+together, which favours edges that coincide in all bases. TV(x) is the largest <p, W D x> over fields p with |p| <= 1.
 
 References
 ----------
@@ -10,14 +10,12 @@ Rudin, Osher, Fatemi 1992, doi:10.1016/0167-2789(92)90242-F; jointly over channe
 doi:10.1109/83.661180; the dual: Chambolle 2004, doi:10.1023/B:JMIV.0000011325.36760.1e.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 from jaxtyping import Float
 
 from phantomgen.geometry.voxel_grid import Grid
+from recon.ops.pieces import run_in_pieces
 from recon.ops.total_variation import cpu
-from spectra.threads import run_parallel
 
 SLAB = 4  # slices per piece of work
 
@@ -27,22 +25,26 @@ Mixing = Float[np.ndarray, "basis basis"]
 
 
 def total_variation(volumes: Volumes, mixing: Mixing, grid: Grid) -> float:
-    """TV of volumes; the unit is theirs times that of `mixing`.
+    """Compute the total variation of volumes.
 
     Parameters
     ----------
     volumes : one per basis
-    mixing : W; any matrix with the same W^T W gives the same
+    mixing : W; matrices with the same W^T W give the same value
     grid : the voxels
+
+    Returns
+    -------
+    TV(x), in the unit of the volumes times that of `mixing`
     """
-    volumes, mixing = _plain(volumes), _plain(mixing)
+    volumes, operator = _plain(volumes), _operator(mixing, grid)
     parts = np.zeros(len(volumes[0]))
 
     def slab(first: int, last: int) -> None:
         room = np.empty((2, 3, *volumes.shape[::3]), np.float32)
-        cpu.total_variation(volumes, mixing, _scales(grid), first, last, room, parts)
+        cpu.total_variation(volumes, operator, first, last, room, parts)
 
-    _over_slabs(slab, len(parts))
+    run_in_pieces(slab, len(parts), SLAB)
     return float(parts.sum())
 
 
@@ -54,39 +56,59 @@ def ascend(
     steps: Float[np.ndarray, "z y x"],
     radii: Float[np.ndarray, "z y x"],
 ) -> None:
-    """Move a field, in place, by `steps` times W D x, and back into the ball of each voxel's radius around 0.
+    """Move a field, in place, by `steps` times W D x, and project it onto the ball of each voxel's radius around 0.
 
     Parameters
     ----------
     field : p of every voxel, float32
     volumes, mixing, grid : x, W and the voxels
     steps : length of the step of each voxel
-    radii : largest |p| of each voxel, what its differences count in the total variation
+    radii : largest |p| of each voxel, which is the weight of its differences in the total variation
     """
-    volumes, mixing, steps, radii = _plain(volumes), _plain(mixing), _plain(steps), _plain(radii)
+    volumes, operator, steps, radii = _plain(volumes), _operator(mixing, grid), _plain(steps), _plain(radii)
 
     def slab(first: int, last: int) -> None:
         room = np.empty((2, 3, *volumes.shape[::3]), np.float32)
-        cpu.ascend(field, volumes, mixing, _scales(grid), steps, radii, first, last, room)
+        cpu.ascend(field, volumes, operator, steps, radii, first, last, room)
 
-    _over_slabs(slab, field.shape[2])
+    run_in_pieces(slab, field.shape[2], SLAB)
 
 
 def gradient(field: Field, mixing: Mixing, grid: Grid) -> Volumes:
-    """D^T W^T p, the transpose of what `ascend` adds for steps of 1."""
-    mixing = _plain(mixing)
+    """Compute D^T W^T p, the transpose of what `ascend` adds for steps of 1.
+
+    Parameters
+    ----------
+    field : p of every voxel, float32
+    mixing, grid : W and the voxels
+
+    Returns
+    -------
+    volumes, float32
+    """
+    operator = _operator(mixing, grid)
     out = np.empty(field.shape[1:], np.float32)
 
     def slab(first: int, last: int) -> None:
         room = np.empty(out.shape[::3], np.float32)
-        cpu.gradient(field, mixing, _scales(grid), first, last, room, out)
+        cpu.gradient(field, operator, first, last, room, out)
 
-    _over_slabs(slab, field.shape[2])
+    run_in_pieces(slab, field.shape[2], SLAB)
     return out
 
 
 def neighbour_sums(values: Float[np.ndarray, "z y x"], grid: Grid) -> Float[np.ndarray, "z y x"]:
-    """Upper bound of |D diag(values)^(1/2)|^2 as ``sum_j values_j |(D^T p)_j|^2 <= sum_j out_j |p_j|^2``."""
+    """Bound the weighted norm of D^T p from above: ``sum_j values_j |(D^T p)_j|^2 <= sum_j out_j |p_j|^2``.
+
+    Parameters
+    ----------
+    values : weight of each voxel
+    grid : the voxels
+
+    Returns
+    -------
+    weights of the bound, one per voxel
+    """
     scales = _scales(grid)
     worst = values.copy()
     for axis in range(3):
@@ -97,15 +119,14 @@ def neighbour_sums(values: Float[np.ndarray, "z y x"], grid: Grid) -> Float[np.n
     return (values + worst) * np.float32(2 * (scales**2).sum())
 
 
+def _operator(mixing: Mixing, grid: Grid) -> cpu.MixedDifferences:
+    return cpu.MixedDifferences(_plain(mixing), _scales(grid))
+
+
 def _scales(grid: Grid) -> Float[np.ndarray, " axis"]:
-    """Factors of the differences along z, y and x."""
+    """Compute the factors of the differences along z, y and x."""
     return (min(grid.spacing) / np.array(grid.spacing)).astype(np.float32)
 
 
 def _plain(values: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
     return np.ascontiguousarray(values, np.float32)
-
-
-def _over_slabs(task: Callable[[int, int], None], slices: int) -> None:
-    for _ in run_parallel(lambda first: task(first, min(first + SLAB, slices)), range(0, slices, SLAB)):
-        pass

@@ -3,13 +3,27 @@
 A field p has the layout (axis, basis, z, y, x): the entry of a voxel belongs to the difference to its next neighbour.
 """
 
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
+from jaxtyping import Float32
 from numba import njit
 
 from phantomgen.ops.kernel_decorators import REORDER, reordered
 from spectra.ops.min_max import larger, smaller
+
+
+class MixedDifferences(NamedTuple):
+    """The operator W D: differences to the next voxels, mixed over the bases.
+
+    Parameters
+    ----------
+    mixing : W
+    scales : factors of the differences along z, y and x
+    """
+
+    mixing: Float32[np.ndarray, "basis basis"]
+    scales: Float32[np.ndarray, "3"]
 
 
 @reordered
@@ -45,8 +59,18 @@ def _mix(mixing, plain, mixed):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def total_variation(volumes, mixing, scales, first, last, room, parts):
-    """Write the sum over each slice into ``parts[first:last]``; `room` is (2, axis, basis, x)."""
+def total_variation(volumes, operator, first, last, room, parts):
+    """Compute the total variation of some slices.
+
+    Parameters
+    ----------
+    volumes : (basis, z, y, x)
+    operator : `MixedDifferences`
+    first, last : slices from `first` to one before `last`
+    room : scratch, (2, axis, basis, x)
+    parts : written, sum over each slice, (z,)
+    """
+    mixing, scales = operator.mixing, operator.scales
     plain, mixed = room[0], room[1]
     for z in range(first, last):
         total = 0.0
@@ -64,8 +88,20 @@ def total_variation(volumes, mixing, scales, first, last, room, parts):
 
 @njit(cache=True, nogil=True, fastmath=REORDER, error_model="numpy")
 @no_type_check
-def ascend(field, volumes, mixing, scales, steps, radii, first, last, room):
-    """Move the field of some slices and project it on balls; `room` is (2, axis, basis, x)."""
+def ascend(field, volumes, operator, steps, radii, first, last, room):
+    """Move the field of some slices by W D x, and project it onto balls.
+
+    Parameters
+    ----------
+    field : changed in place, (axis, basis, z, y, x)
+    volumes : x, (basis, z, y, x)
+    operator : `MixedDifferences`
+    steps : length of the step of each voxel, (z, y, x)
+    radii : radius of the ball of each voxel, (z, y, x)
+    first, last : slices from `first` to one before `last`
+    room : scratch, (2, axis, basis, x)
+    """
+    mixing, scales = operator.mixing, operator.scales
     plain, mixed = room[0], room[1]
     one = np.float32(1.0)
     for z in range(first, last):
@@ -96,7 +132,7 @@ def _transpose_differences(entries, scales, z, y, row):
     """Write D^T of a row of one basis; `entries` is (axis, z, y, x)."""
     _, depth, height, width = entries.shape
     low, before = larger(z - 1, 0), larger(y - 1, 0)
-    # The last entry along an axis has no next neighbour, the first no one before it.
+    # The last entry along an axis has no next neighbour, the first entry has no previous one.
     down, down_before = (scales[0] if z + 1 < depth else np.float32(0.0)), (scales[0] if z > 0 else np.float32(0.0))
     along, along_before = (scales[1] if y + 1 < height else np.float32(0.0)), (scales[1] if y > 0 else np.float32(0.0))
     for x in range(width):
@@ -110,8 +146,18 @@ def _transpose_differences(entries, scales, z, y, row):
 
 @njit(cache=True, nogil=True, fastmath=REORDER, error_model="numpy")
 @no_type_check
-def gradient(field, mixing, scales, first, last, room, out):
-    """Write D^T W^T p of some slices; `room` is (basis, x)."""
+def gradient(field, operator, first, last, room, out):
+    """Compute D^T W^T p of some slices.
+
+    Parameters
+    ----------
+    field : p, (axis, basis, z, y, x)
+    operator : `MixedDifferences`
+    first, last : slices from `first` to one before `last`
+    room : scratch, (basis, x)
+    out : written, (basis, z, y, x)
+    """
+    mixing, scales = operator.mixing, operator.scales
     bases = field.shape[1]
     for z in range(first, last):
         for y in range(field.shape[3]):

@@ -9,7 +9,9 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from phantomgen.geometry.voxel_grid import Grid
-from recon.ops.voxelize.cpu_calls import Scene
+from recon.ops.arguments import GaussianTensors
+from recon.ops.cpu_function import apply_on_cpu
+from recon.ops.voxelize.cpu_calls import VoxelizeCall
 
 CUTOFF = 4.5  # standard deviations; a Gaussian is below 4e-5 of its peak there
 
@@ -23,29 +25,43 @@ def voxelize(
     footprint: float = 1.0,
     cutoff: float = CUTOFF,
 ) -> Float[np.ndarray, "basis z y x"]:
-    """Volume of each basis [1/mm] on `grid`, float32.
+    """Compute the volume of each basis on a grid, each voxel holding the mean of the Gaussians in it.
+
+    Gaussians on a GPU are voxelized there.
 
     Parameters
     ----------
     centres : centres of the Gaussians [mm]
     log_scales : logarithm of the standard deviations along the principal axes [log mm]
-    quaternions : orientation (w, x, y, z)
+    quaternions : orientation (w, x, y, z); normalised here
     coefficients : value at the centre per basis [1/mm]
-    grid : where to evaluate; any part of a grid gives the same values as the whole
-    footprint : edge of the box a voxel averages over, in voxels; 0 samples the voxel centre
-    cutoff : where a Gaussian ends, in standard deviations
+    grid : voxels to fill; any part of a grid gives the same values as the whole
+    footprint : edge of the box that a voxel averages over [voxels]; 0 samples the voxel centre
+    cutoff : where a Gaussian ends [standard deviations]
 
-    Gaussians on a GPU are voxelized there.
+    Returns
+    -------
+    volumes [1/mm], float32
     """
     if _on_gpu(centres):
         with torch.no_grad():
             volume = voxelize_tensor(centres, log_scales, quaternions, coefficients, grid, footprint, cutoff)
         return volume.float().cpu().numpy()
-    return Scene(centres, log_scales, quaternions, coefficients, grid, footprint, cutoff).volume()
+    gaussians = GaussianTensors(centres, log_scales, quaternions, coefficients)
+    return VoxelizeCall(gaussians, grid, footprint, cutoff).values()
 
 
 def mass_within(cutoff: float) -> float:
-    """Part of a Gaussian's mass within so many standard deviations, which is what a volume cut off there keeps."""
+    """Compute the part of a Gaussian's mass within the cutoff, which a volume that is cut off there keeps.
+
+    Parameters
+    ----------
+    cutoff : where a Gaussian ends [standard deviations]
+
+    Returns
+    -------
+    part of the mass, 0 to 1
+    """
     return float(chi2(3).cdf(cutoff**2))
 
 
@@ -58,27 +74,23 @@ def voxelize_tensor(
     footprint: float = 1.0,
     cutoff: float = CUTOFF,
 ) -> Float[Tensor, "basis z y x"]:
-    """`voxelize` as a tensor on the device of the Gaussians, differentiable once in the first four arguments."""
+    """Compute the volume of `voxelize` as a tensor, differentiable once in the first four arguments.
+
+    Parameters
+    ----------
+    centres, log_scales, quaternions, coefficients, grid, footprint, cutoff : as in `voxelize`
+
+    Returns
+    -------
+    volumes [1/mm], on the device and in the type of the coefficients
+    """
+    gaussians = GaussianTensors(centres, log_scales, quaternions, coefficients)
     if _on_gpu(centres):
         from recon.ops.voxelize.gpu_calls import voxelize_on_gpu  # noqa: PLC0415 - Triton only where there is a GPU
 
-        return voxelize_on_gpu(centres, log_scales, quaternions, coefficients, grid, footprint, cutoff)
-    return _Voxelize.apply(centres, log_scales, quaternions, coefficients, grid, footprint, cutoff)  # type: ignore[return-value]
+        return voxelize_on_gpu(gaussians, grid, footprint, cutoff)
+    return apply_on_cpu(lambda parts: VoxelizeCall(parts, grid, footprint, cutoff), gaussians)
 
 
 def _on_gpu(centres: Tensor) -> bool:
     return centres.device.type == "cuda" and find_spec("triton") is not None
-
-
-class _Voxelize(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx, centres, log_scales, quaternions, coefficients, grid, footprint, cutoff):
-        scene = Scene(centres, log_scales, quaternions, coefficients, grid, footprint, cutoff)
-        ctx.scene, ctx.dtype, ctx.device = scene, centres.dtype, centres.device
-        return torch.from_numpy(scene.volume()).to(device=ctx.device, dtype=coefficients.dtype)
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx, *cotangents):
-        gradients = ctx.scene.gradients(cotangents[0])
-        return *(torch.from_numpy(g).to(device=ctx.device, dtype=ctx.dtype) for g in gradients), None, None, None

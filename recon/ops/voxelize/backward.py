@@ -1,14 +1,15 @@
-"""Gradients of the voxelizer, gathered per Gaussian: no atomics, the same bits for any number of threads.
+"""Gradients of the voxelizer, summed per Gaussian: no atomics, the same bits for any number of threads.
 
 With v the value of a Gaussian in a voxel, d the voxel's offset from the centre and w = v times the gradient in that
-value, all that is needed are the sums of w (1, d, d d^T) over the Gaussian's voxels. Covariance and centre follow from
-v = amplitude exp(-d^T C^-1 d / 2), where C includes the voxel's own variance.
+value, the gradients depend on the sums of w (1, d, d d^T) over the Gaussian's voxels. Those in covariance and centre
+follow from v = amplitude exp(-d^T C^-1 d / 2), where C includes the voxel's own variance.
 """
 
 import math
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
+from jaxtyping import Float64
 from numba import njit
 
 from phantomgen.ops.simd import (
@@ -47,11 +48,26 @@ from spectra.ops.min_max import larger
 f4 = np.float32
 
 
+class VoxelizeGradients(NamedTuple):
+    """Derivatives of a scalar in Gaussians.
+
+    Parameters
+    ----------
+    centres, matrices, coefficients : as in `recon.ops.arguments.GaussianGradients`
+    log_peaks : derivatives in the logarithm of the peaks
+    """
+
+    centres: Float64[np.ndarray, "gaussian 3"]
+    matrices: Float64[np.ndarray, "gaussian 3 3"]
+    coefficients: Float64[np.ndarray, "gaussian basis"]
+    log_peaks: Float64[np.ndarray, " gaussian"]
+
+
 # Inlined, as all that reorders sums: see `recon.ops.rasterize.cpu`.
 @njit(forceinline=True, fastmath=True, error_model="numpy")
 @no_type_check
 def _gather(bases, p, coefficients, cotangent, k2, columns, sums, to_coefficients):
-    """Sums of w, w (x, y, z) and w (xx, xy, xz, yy, yz, zz) over one Gaussian's voxels; one row of voxels at a time."""
+    """Sum w, w (x, y, z) and w (xx, xy, xz, yy, yz, zz) over one Gaussian's voxels, one row of voxels at a time."""
     _, slices, rows, stride = cotangent.shape
     nx, ny, nz = int(p[VOXEL_X]), int(p[VOXEL_Y]), int(p[VOXEL_Z])
     zero = splat(f4(0))
@@ -107,6 +123,7 @@ def _symmetric(upper, first, out):
 @njit(inline="always")
 @no_type_check
 def _product(a, b, out):
+    """Multiply two 3 x 3 matrices."""
     for i in range(3):
         for j in range(3):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
@@ -115,7 +132,7 @@ def _product(a, b, out):
 @njit(inline="always")
 @no_type_check
 def _inverse(c, p):
-    """Inverse `p` of a symmetric 3 x 3 matrix `c`."""
+    """Write the inverse `p` of a symmetric 3 x 3 matrix `c`."""
     p[0, 0], p[1, 1] = c[1, 1] * c[2, 2] - c[1, 2] ** 2, c[0, 0] * c[2, 2] - c[0, 2] ** 2
     p[2, 2], p[0, 1] = c[0, 0] * c[1, 1] - c[0, 1] ** 2, c[0, 2] * c[1, 2] - c[0, 1] * c[2, 2]
     p[0, 2], p[1, 2] = c[0, 1] * c[1, 2] - c[0, 2] * c[1, 1], c[0, 1] * c[0, 2] - c[0, 0] * c[1, 2]
@@ -128,14 +145,15 @@ def _inverse(c, p):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _chain(sums, centre, a, origin, spacing, box, t, to_centre, to_matrix):
-    """Carry the sums over voxels back to a Gaussian's centre and whitening matrix.
+def _backpropagate(sums, centre, a, sampling, t, to_centre, to_matrix):
+    """Compute gradients in a Gaussian's centre and whitening matrix from sums over voxels: `place` in reverse.
 
-    `t` is scratch of 8 matrices. What the peak owes to the standard deviations' product is left to the caller.
+    `t` is scratch, (8, 3, 3). The factor of the peak that is the product of the standard deviations is left out.
     """
+    spacing, box = sampling.spacing, sampling.box
     c, p, s, h, g, v = t[0], t[1], t[2], t[3], t[4], t[5]
     norms, x, voxel, slopes = t[6, 0], t[6, 1], t[6, 2], t[7].reshape(9)
-    place(centre, a, origin, spacing, box, norms, c, x, voxel)
+    place(centre, a, sampling, norms, c, x, voxel)
     per_mass = -sums[0] / lattice_mass(x, c, box, slopes)
     _inverse(c, p)
     _symmetric(sums, 4, s)
@@ -159,22 +177,29 @@ def _chain(sums, centre, a, origin, spacing, box, t, to_centre, to_matrix):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def backward(
-    bases, centres, matrices, coefficients, table, cotangent, origin, spacing, box, cutoff, columns, first, last,
-    to_centres, to_matrices, to_log_peaks, to_coefficients,
-):  # fmt: skip
-    """Gradients of Gaussians `first` to `last` in centre, whitening matrix, logarithm of the peak, and coefficients.
+def backward(bases, gaussians, table, cotangent, sampling, first, last, gradients):
+    """Compute the gradients of some Gaussians.
 
-    `bases` is that of `recon.ops.voxelize.cpu.fill`; `cotangent` is (basis, z, y, padded x), zero in the padding.
+    Parameters
+    ----------
+    bases : as in `recon.ops.voxelize.cpu.fill`
+    gaussians : `recon.ops.arguments.GaussianArrays`
+    table : numbers of the Gaussians, (gaussian, 15)
+    cotangent : gradient in the volume, zero in the padding, (basis, z, y, x and `WIDTH` voxels of padding)
+    sampling : `recon.ops.voxelize.cpu.VoxelSampling`
+    first, last : Gaussians from `first` to one before `last`
+    gradients : written, `VoxelizeGradients`
     """
-    k2 = f4(cutoff * cutoff)
+    k2, columns = f4(sampling.cutoff * sampling.cutoff), cotangent.shape[3] - WIDTH
     t, sums = np.zeros((8, 3, 3)), np.empty(10)
     lanes = np.empty(len(bases) * WIDTH, np.float32)
     for g in range(first, last):
         for i in range(len(bases) * WIDTH):
             lanes[i] = f4(0)
-        _gather(bases, table[g], coefficients[g], cotangent, k2, columns, sums, lanes)
+        _gather(bases, table[g], gaussians.coefficients[g], cotangent, k2, columns, sums, lanes)
         for m in range(len(bases)):
-            to_coefficients[g, m] = total(load(lanes, m * WIDTH))
-        to_log_peaks[g] = sums[0]
-        _chain(sums, centres[g], matrices[g], origin, spacing, box, t, to_centres[g], to_matrices[g])
+            gradients.coefficients[g, m] = total(load(lanes, m * WIDTH))
+        gradients.log_peaks[g] = sums[0]
+        _backpropagate(
+            sums, gaussians.centres[g], gaussians.matrices[g], sampling, t, gradients.centres[g], gradients.matrices[g]
+        )

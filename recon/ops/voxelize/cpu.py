@@ -1,16 +1,17 @@
 """Numba kernels of the voxelizer.
 
 `shapes` reduces a Gaussian to 15 numbers in voxel units; `fill` adds all Gaussians to a slab of slices, each voxel in
-the order of the Gaussians; `recon.ops.voxelize.backward` has the gradients. In voxels (x, y, z) from the centre the
-exponent is half of
-(u11 x + u12 y + u13 z)^2 + (u22 y + u23 z)^2 + (u33 z)^2, cut off where it exceeds cutoff^2. A centre is kept as
-the voxel it lies in and the offset from there, so that a part of a grid rounds like the whole.
+the order of the Gaussians; `recon.ops.voxelize.backward` computes the gradients. In voxels (x, y, z) from the centre
+the exponent is half of (u11 x + u12 y + u13 z)^2 + (u22 y + u23 z)^2 + (u33 z)^2, and a Gaussian is cut off where this
+sum exceeds cutoff^2. A centre is stored as the voxel that contains it and the offset from that voxel's centre, so that
+part of a grid gives the same rounding as the whole grid.
 """
 
 import math
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
+from jaxtyping import Float64
 from numba import njit
 
 from phantomgen.ops.simd import WIDTH, count_from, exp_negative, load, minimum, one_more, splat, store, where_less
@@ -21,17 +22,43 @@ from spectra.ops.min_max import larger, smaller
 X, Y, Z, U11, U12, U13, U22, U23, U33, AMPLITUDE, HALF_Z, HALF_Y, VOXEL_X, VOXEL_Y, VOXEL_Z = range(15)
 SHAPE_SIZE = 15
 FARTHEST = 2.0**22  # voxels from the grid's corner; integers are exact in float32 up to four times as much
-SLACK = 0.01  # voxels that rows are longer than the ellipsoid at either end; `where_less` has the last word
+SLACK = 0.01  # voxels by which rows are longer than the ellipsoid at either end; `where_less` cuts exactly
 f4 = np.float32
+
+
+class VoxelSampling(NamedTuple):
+    """Voxels of a grid, and how Gaussians are sampled on them.
+
+    Parameters
+    ----------
+    origin : centre of the first voxel (x, y, z) [mm]
+    spacing : distance between voxel centres (x, y, z) [mm]
+    box : variance that averaging over a voxel adds along each axis [voxel^2]
+    cutoff : where a Gaussian ends [standard deviations]
+    """
+
+    origin: Float64[np.ndarray, "3"]
+    spacing: Float64[np.ndarray, "3"]
+    box: float
+    cutoff: float
 
 
 @njit(inline="always")
 @no_type_check
 def lattice_mass(x, c, box, slopes):
-    """Sum of a density of unit mass over all voxels: 1 + 2 sum_k exp(-2 pi^2 k^T C k) cos(2 pi k.x), nearest k.
+    """Sum a density of unit mass over all voxels.
 
-    Writes its derivatives in x, y, z and in the covariance's entries 11, 12, 13, 22, 23, 33 (half of both for mixed
-    ones) into `slopes`.
+    Parameters
+    ----------
+    x : offset of the centre from its voxel [voxels], (3,)
+    c : covariance, that of the voxel included [voxel^2], (3, 3)
+    box : variance that the voxel adds [voxel^2]; where it is below that of a whole voxel, the sum is 1
+    slopes : written, (9,): derivatives of the sum in x, y, z and in the covariance's entries 11, 12, 13, 22, 23, 33
+        (half of both for mixed ones)
+
+    Returns
+    -------
+    1 + 2 sum_k exp(-2 pi^2 k^T C k) cos(2 pi k.x) over half of the nearest lattice neighbours k (Poisson summation)
     """
     mass = 1.0
     for i in range(9):
@@ -62,11 +89,24 @@ def lattice_mass(x, c, box, slopes):
 
 @njit(inline="always")
 @no_type_check
-def place(centre, a, origin, spacing, box, norms, c, x, voxel):
-    """A Gaussian in voxels: squared lengths of the rows of A, covariance with the voxel's, offset from its voxel.
+def place(centre, a, sampling, norms, c, x, voxel):
+    """Express a Gaussian in voxels.
 
-    Returns the determinant of the covariance without the voxel's.
+    Parameters
+    ----------
+    centre : [mm], (3,)
+    a : whitening matrix [1/mm], (3, 3)
+    sampling : `VoxelSampling`
+    norms : written, squared lengths of the rows of the matrix [1/mm^2], (3,)
+    c : written, covariance, that of the voxel included [voxel^2], (3, 3)
+    x : written, offset of the centre from its voxel [voxels], (3,)
+    voxel : written, number of the voxel that contains the centre, (3,)
+
+    Returns
+    -------
+    determinant of the covariance without that of the voxel [voxel^6]
     """
+    origin, spacing, box = sampling.origin, sampling.spacing, sampling.box
     for i in range(3):
         norms[i] = a[i, 0] ** 2 + a[i, 1] ** 2 + a[i, 2] ** 2
     for i in range(3):
@@ -86,15 +126,20 @@ def place(centre, a, origin, spacing, box, norms, c, x, voxel):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def shapes(centres, matrices, origin, spacing, box, cutoff, first, last, out):
-    """Write the 15 numbers of Gaussians `first` to `last` into `out`.
+def shapes(gaussians, sampling, first, last, out):
+    """Compute the 15 numbers of some Gaussians.
 
-    `matrices` are the whitening matrices A = S^-1 R^T, so the covariance is (A^T A)^-1; `origin` and `spacing` are
-    (x, y, z) [mm]; `box` is the variance of a voxel in voxels^2.
+    Parameters
+    ----------
+    gaussians : `recon.ops.arguments.GaussianArrays`; with the whitening matrix A the covariance is (A^T A)^-1
+    sampling : `VoxelSampling`
+    first, last : Gaussians from `first` to one before `last`
+    out : written, (gaussian, 15)
     """
+    box, cutoff = sampling.box, sampling.cutoff
     c, x, voxel, norms, slopes = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(9)
     for g in range(first, last):
-        narrow = place(centres[g], matrices[g], origin, spacing, box, norms, c, x, voxel)
+        narrow = place(gaussians.centres[g], gaussians.matrices[g], sampling, norms, c, x, voxel)
         # inverse of the Cholesky factor of C, from the last axis to the first: C = L L^T with L upper triangular
         l33 = math.sqrt(c[2, 2])
         l23, l13 = c[1, 2] / l33, c[0, 2] / l33
@@ -114,7 +159,19 @@ def shapes(centres, matrices, origin, spacing, box, cutoff, first, last, out):
 @njit(inline="always")
 @no_type_check
 def span(middle, half, voxel, first, last):
-    """First and one past the last index in [first, last) within `half` of `middle`, which is measured from `voxel`."""
+    """Find the indices within a distance of a point, along one axis.
+
+    Parameters
+    ----------
+    middle : the point, measured from `voxel` [voxels]
+    half : the distance [voxels]
+    voxel : number of a voxel
+    first, last : indices from `first` to one before `last` are allowed
+
+    Returns
+    -------
+    first index, and one past the last
+    """
     low = smaller(larger(middle - half - f4(SLACK), f4(first - voxel)), f4(last - voxel))
     high = smaller(larger(middle + half + f4(SLACK), f4(first - voxel - 1)), f4(last - voxel - 1))
     return voxel + round_up(low), voxel + round_down(high) + 1
@@ -122,12 +179,20 @@ def span(middle, half, voxel, first, last):
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 @no_type_check
-def fill(bases, table, coefficients, cutoff, columns, first, last, volume):
-    """Add all Gaussians to slices `first` to `last` of `volume` (basis, z, y, padded x).
+def fill(bases, table, coefficients, cutoff, first, last, volume):
+    """Add all Gaussians to some slices of a volume.
 
-    `bases` is a tuple as long as there are bases, whose loops are then unrolled; its values do not count.
+    Parameters
+    ----------
+    bases : tuple with one entry per basis; its length is known when numba compiles, which unrolls the loops over bases
+    table : numbers of the Gaussians, (gaussian, 15)
+    coefficients : (gaussian, basis)
+    cutoff : where a Gaussian ends [standard deviations]
+    first, last : slices from `first` to one before `last`
+    volume : added to, (basis, z, y, x and `WIDTH` voxels of padding)
     """
     _, slices, rows, stride = volume.shape
+    columns = stride - WIDTH
     k2 = f4(cutoff * cutoff)
     for g in range(table.shape[0]):
         p = table[g]

@@ -22,16 +22,22 @@ _BLOCK = 128  # voxels at a time of a Gaussian's program
 
 
 class Ellipsoids(NamedTuple):
-    """Gaussians on a grid."""
+    """Gaussians on a grid.
 
-    numbers: Float32[Tensor, "gaussian 10"]  # offset x, y, z from the voxel; u11, u12, u13, u22, u23, u33; amplitude
-    places: Int32[Tensor, "gaussian 9"]  # voxel x, y, z; then first index and one past the last along z, y and x
+    Parameters
+    ----------
+    numbers : offset x, y, z from the voxel; u11, u12, u13, u22, u23, u33; amplitude
+    places : voxel x, y, z; then first index and one past the last along z, y and x
+    """
+
+    numbers: Float32[Tensor, "gaussian 10"]
+    places: Int32[Tensor, "gaussian 9"]
 
 
 @triton.jit
 @no_type_check
 def _value(p, place, column, row, layer, k2):
-    """Value of a Gaussian in voxels, and their places (x, y, z) from its centre."""
+    """Compute the value of a Gaussian in voxels, and their places (x, y, z) from its centre."""
     x = (column - tl.load(place)).to(tl.float32) - tl.load(p)
     y = (row - tl.load(place + 1)).to(tl.float32) - tl.load(p + 1)
     z = (layer - tl.load(place + 2)).to(tl.float32) - tl.load(p + 2)
@@ -48,7 +54,7 @@ def _forward(
     numbers, places, coefficients, members, starts, out, layers, rows, columns, down, across, bases, k2,
     DEEP: tl.constexpr, HIGH: tl.constexpr, WIDE: tl.constexpr, PADDED: tl.constexpr,
 ):  # fmt: skip
-    """Voxels (basis, z, y, x) of a tile."""
+    """Compute the voxels (basis, z, y, x) of a tile."""
     tile, voxel, basis = tl.program_id(0), tl.arange(0, DEEP * HIGH * WIDE), tl.arange(0, PADDED)
     layer = tile // (down * across) * DEEP + voxel // (HIGH * WIDE)
     row = tile // across % down * HIGH + voxel // WIDE % HIGH
@@ -69,7 +75,7 @@ def _backward(
     numbers, places, coefficients, cotangent, sums, to_coefficients, layers, rows, columns, bases, k2,
     BLOCK: tl.constexpr, PADDED: tl.constexpr,
 ):  # fmt: skip
-    """Sums over the voxels of a Gaussian (gaussian, 10) and the gradient of its coefficients (gaussian, basis)."""
+    """Sum over the voxels of a Gaussian (gaussian, 10); also the gradient in its coefficients (gaussian, basis)."""
     g, basis = tl.program_id(0).to(tl.int64), tl.arange(0, PADDED)
     place = places + 9 * g
     first_row, first_column = tl.load(place + 5), tl.load(place + 7)
@@ -113,7 +119,19 @@ def forward(
     shape: tuple[int, int, int],
     cutoff: float,
 ) -> Float32[Tensor, "basis z y x"]:
-    """Sum of all Gaussians, times their coefficients."""
+    """Sum all Gaussians, times their coefficients.
+
+    Parameters
+    ----------
+    ellipsoids : Gaussians on the grid
+    coefficients : contiguous
+    shape : of the grid (z, y, x)
+    cutoff : where a Gaussian ends [standard deviations]
+
+    Returns
+    -------
+    volume of each basis
+    """
     bases = coefficients.shape[1]
     deep, down, across = (triton.cdiv(size, edge) for size, edge in zip(shape, _TILE, strict=True))
     out = coefficients.new_empty((bases, *shape))
@@ -132,7 +150,19 @@ def backward(
     cotangent: Float32[Tensor, "basis z y x"],
     cutoff: float,
 ) -> tuple[Float32[Tensor, "gaussian 10"], Float32[Tensor, "gaussian basis"]]:
-    """Sums of every Gaussian over its voxels, and the gradient of the coefficients; of contiguous tensors."""
+    """Sum over the voxels of every Gaussian.
+
+    Parameters
+    ----------
+    ellipsoids : Gaussians on the grid
+    coefficients : contiguous
+    cotangent : gradient in the volume; contiguous
+    cutoff : where a Gaussian ends [standard deviations]
+
+    Returns
+    -------
+    sums as in `recon.ops.voxelize.backward`, and the gradient in the coefficients
+    """
     (n, bases), (_, layers, rows, columns) = coefficients.shape, cotangent.shape
     sums, to_coefficients = coefficients.new_empty((n, SUMS)), torch.empty_like(coefficients)
     if n and bases:

@@ -1,6 +1,6 @@
 """One call of the voxelizer on a GPU: shapes of Gaussians by torch in float64, voxels by Triton in float32.
 
-Memory beside the volume: some 1 kB per Gaussian, and 16 bytes for every tile of 4 x 8 x 8 voxels that it reaches.
+Memory besides the volume: some 1 kB per Gaussian, and 16 bytes for every tile of 4 x 8 x 8 voxels that it reaches.
 """
 
 import itertools
@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from phantomgen.geometry.voxel_grid import Grid
+from recon.ops.arguments import GaussianTensors
 from recon.ops.rasterize.footprint_table import NARROWEST
 from recon.ops.rasterize.footprints import whitening
 from recon.ops.voxelize import gpu
@@ -21,16 +22,20 @@ _NEIGHBOURS = [k for k in itertools.product((-1.0, 0.0, 1.0), repeat=3) if k > (
 
 
 def voxelize_on_gpu(
-    centres: Float[Tensor, "gaussian 3"],
-    log_scales: Float[Tensor, "gaussian 3"],
-    quaternions: Float[Tensor, "gaussian 4"],
-    coefficients: Float[Tensor, "gaussian basis"],
-    grid: Grid,
-    footprint: float,
-    cutoff: float,
+    gaussians: GaussianTensors, grid: Grid, footprint: float, cutoff: float
 ) -> Float[Tensor, "basis z y x"]:
-    """What `recon.ops.voxelize.voxelize_tensor` gives, on the device of the Gaussians."""
-    return _VoxelizeOnGpu.apply(centres, log_scales, quaternions, coefficients, grid, footprint, cutoff)  # type: ignore[return-value]
+    """Compute the volume of `recon.ops.voxelize.voxelize_tensor` on the device of the Gaussians.
+
+    Parameters
+    ----------
+    gaussians : Gaussians on a GPU
+    grid, footprint, cutoff : as in `recon.ops.voxelize.voxelize`
+
+    Returns
+    -------
+    volumes [1/mm]
+    """
+    return _VoxelizeOnGpu.apply(*gaussians, grid, footprint, cutoff)  # type: ignore[return-value]
 
 
 class _VoxelizeOnGpu(torch.autograd.Function):
@@ -67,7 +72,7 @@ class _Shapes(NamedTuple):
     voxels: Float[Tensor, "gaussian 3"]
 
     def rounded(self, shape: tuple[int, int, int], cutoff: float) -> gpu.Ellipsoids:
-        """As the kernels want them: C^-1 = U^T U with U upper triangular, and the voxels within the cutoff."""
+        """Round to the types of the kernels: C^-1 = U^T U with U upper triangular, and the voxels within the cutoff."""
         offsets, c, log_amplitudes, voxels = (part.detach() for part in self)
         l33 = torch.sqrt(c[:, 2, 2])
         l23, l13 = c[:, 1, 2] / l33, c[:, 0, 2] / l33
@@ -85,7 +90,7 @@ class _Shapes(NamedTuple):
         return gpu.Ellipsoids(torch.cat([offsets, rows], 1).float().contiguous(), places)
 
     def gradients(self, sums: Float[Tensor, "gaussian 10"]) -> tuple[Tensor, Tensor, Tensor]:
-        """Gradients in offset, covariance and log amplitude that follow from sums over voxels."""
+        """Compute the gradients in offset, covariance and log amplitude from sums over voxels."""
         inverse = torch.linalg.inv(self.covariances.detach())
         squares = sums[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
         to_offsets = (inverse @ sums[:, 1:4, None])[:, :, 0]
@@ -99,7 +104,7 @@ def _shapes(
     grid: Grid,
     footprint: float,
 ) -> _Shapes:
-    """Shapes in float64, differentiable: the steps of `recon.ops.voxelize.cpu.shapes`."""
+    """Compute shapes in float64, differentiable: the steps of `recon.ops.voxelize.cpu.shapes`."""
     origin, spacing = (centres.new_tensor(values[::-1]) for values in (grid.origin, grid.spacing))
     box, place = footprint**2 / 12, (centres - origin) / spacing
     voxels = torch.floor(place.detach() + 0.5).clamp(-FARTHEST, FARTHEST)
@@ -116,7 +121,7 @@ def _shapes(
 def _lattice_mass(
     offsets: Float[Tensor, "gaussian 3"], covariances: Float[Tensor, "gaussian 3 3"]
 ) -> Float[Tensor, " gaussian"]:
-    """Sum of densities of unit mass over all voxels; see `recon.ops.voxelize.cpu.lattice_mass`."""
+    """Sum densities of unit mass over all voxels; see `recon.ops.voxelize.cpu.lattice_mass`."""
     total = torch.ones_like(offsets[:, 0])
     for k in offsets.new_tensor(_NEIGHBOURS):
         decay = torch.exp(-2 * math.pi**2 * torch.einsum("i,nij,j->n", k, covariances, k))

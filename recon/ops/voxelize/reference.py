@@ -15,8 +15,20 @@ def voxelize(
     axes: tuple[Float[Tensor, " z"], Float[Tensor, " y"], Float[Tensor, " x"]],
     voxel: tuple[float, float, float],
 ) -> Float[Tensor, "basis z y x"]:
-    """Value of every basis in voxels centred on `axes`, averaged over boxes of edges `voxel` (z, y, x) [mm].
+    """Compute the value of every basis in voxels, averaged over them.
 
+    Parameters
+    ----------
+    centres, log_scales, quaternions, coefficients : as in `recon.ops.voxelize.voxelize`
+    axes : voxel centres along z, y and x [mm]
+    voxel : edges of a voxel along z, y and x [mm]
+
+    Returns
+    -------
+    volumes [1/mm]
+
+    Notes
+    -----
     Averaging over a box adds edge^2 / 12 to the covariance along each axis and keeps the mass, also of a Gaussian that
     is too narrow for the voxels to sample evenly.
     """

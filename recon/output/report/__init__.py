@@ -1,1 +1,1 @@
-"""A page about one run, or about several of the same scan side by side: one file per section."""
+"""One page with the figures and scores of finished runs of one scan."""

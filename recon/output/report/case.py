@@ -1,4 +1,4 @@
-"""What a report is made from: runs, and as far as they are at hand the scan that they reconstruct and its truth."""
+"""Content of a report: runs, and where they are available the scan that they reconstruct and its truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Integer
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import Truth
@@ -18,23 +18,23 @@ from recon.output.report.finished_run import FinishedRun
 from spectra.errors import InputError
 
 Parts = tuple[Part, ...]
-LINES = ((RESULT, "-"), *BASIS_LINES)  # of runs: colours and dashes
+LINES = ((RESULT, "-"), *BASIS_LINES)  # colour and dashes of each run
 
 
 class LeftOut(Exception):  # noqa: N818 - nothing is wrong
-    """A section that these runs cannot have, and why."""
+    """Reason for which a section is not possible for these runs."""
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """What sections draw.
+    """Content of the sections of a report.
 
     Parameters
     ----------
-    runs : reconstructions of one scan, the first one is shown in detail
+    runs : reconstructions of one scan; the first one is shown in detail
     dataset : the scan, open; None where it was not found
-    truth : what was scanned; None where that is not known
-    folder : where figures are drawn
+    truth : truth of the scan; None where it is not known
+    folder : folder for figures
     """
 
     runs: tuple[FinishedRun, ...]
@@ -44,46 +44,92 @@ class Case:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Bases that are drawn: those of any run, in the order of the truth or else of the first one."""
+        """Bases that are drawn: those of any run, in the order of the truth, or else of the first run."""
         known = [name for run in self.runs for name in run.basis_names]
         order = [*(self.truth.basis_names if self.truth is not None else ()), *known]
         return tuple(name for name in dict.fromkeys(order) if name in known)
 
     @property
     def grid(self) -> Grid:
-        """Voxels to compare on: those of the truth, or else of the first run."""
+        """Grid on which volumes are compared: that of the truth, or else of the first run."""
         return self.runs[0].grid if self.truth is None else self.truth.grid
 
     @cached_property
     def true(self) -> Float[np.ndarray, "basis z y x"] | None:
-        """True volumes of `names` [1/mm]; None without truth, or where it is stated in other bases."""
+        """True volumes of `names` [1/mm]; None without truth, or where it has other bases."""
         if self.truth is None or not set(self.names) <= set(self.truth.basis_names):
             return None
         return self.truth.volumes[[self.truth.basis_names.index(name) for name in self.names]]
 
     @cached_property
-    def labels(self) -> Int[np.ndarray, "z y x"]:
-        """What fills most of each voxel, as the truth has it."""
+    def labels(self) -> Integer[np.ndarray, "z y x"]:
+        """Material that fills most of each voxel of the truth: 0 for background, i + 1 for material i."""
         return self.needs_truth().labels
 
     def volumes(self, run: FinishedRun) -> Float[np.ndarray, "basis z y x"]:
-        """Volumes of `names` on `grid` [1/mm]; zeros for bases that the run lacks."""
+        """Return the volumes of a run.
+
+        Parameters
+        ----------
+        run : a run of the report
+
+        Returns
+        -------
+        coefficients of `names` on `grid` [1/mm]; zeros for bases that the run lacks
+        """
         return np.stack([run.volume(name, self.grid) for name in self.names])
 
     def label(self, run: FinishedRun) -> str:
-        """How a run is called in a legend."""
+        """Return the name of a run in a legend.
+
+        Parameters
+        ----------
+        run : a run of the report
+
+        Returns
+        -------
+        name; ``result`` where there is one run only
+        """
         return run.name if len(self.runs) > 1 else "result"
 
     def who(self, run: FinishedRun) -> str:
-        """What a caption begins with."""
+        """Return the beginning of a caption.
+
+        Parameters
+        ----------
+        run : a run of the report
+
+        Returns
+        -------
+        name and a colon; empty where there is one run only
+        """
         return f"{run.name}: " if len(self.runs) > 1 else ""
 
     def path(self, name: str) -> Path:
-        """Name of a figure to draw."""
+        """Return the path of a figure.
+
+        Parameters
+        ----------
+        name : name of the figure
+
+        Returns
+        -------
+        path in the folder for figures
+        """
         return self.folder / f"{name}.svg"
 
     def needs_truth(self) -> Truth:
-        """The truth, in bases that the runs share with it."""
+        """Return the truth.
+
+        Returns
+        -------
+        truth, in bases that include those of the runs
+
+        Raises
+        ------
+        LeftOut
+            When there is none, or when it has other bases.
+        """
         if self.truth is None:
             raise LeftOut("no truth: the dataset was not found, or has none")
         if self.true is None:
@@ -91,14 +137,32 @@ class Case:
         return self.truth
 
     def needs_dataset(self) -> Dataset:
-        """The dataset."""
+        """Return the dataset.
+
+        Returns
+        -------
+        the open dataset
+
+        Raises
+        ------
+        LeftOut
+            When it was not found.
+        """
         if self.dataset is None:
             raise LeftOut("the dataset was not found: name it by --dataset")
         return self.dataset
 
 
 def check_same_scan(runs: Sequence[FinishedRun]) -> str:
-    """Name of the dataset that all runs reconstruct.
+    """Refuse runs of different scans.
+
+    Parameters
+    ----------
+    runs : runs of the report
+
+    Returns
+    -------
+    name of the dataset that all runs reconstruct
 
     Raises
     ------
@@ -116,5 +180,15 @@ def check_same_scan(runs: Sequence[FinishedRun]) -> str:
 
 
 def number(value: Any, layout: str = ".2f") -> str:
-    """A number for a table; a dash where there is none."""
+    """Format a number for a table.
+
+    Parameters
+    ----------
+    value : a number, or None
+    layout : format specification
+
+    Returns
+    -------
+    text; a dash for None, NaN and infinity
+    """
     return "–" if value is None or (isinstance(value, float) and not np.isfinite(value)) else format(value, layout)

@@ -1,4 +1,4 @@
-"""What runs cost: Gaussians or voxels, seconds, memory."""
+"""Cost of runs: Gaussians or voxels, seconds, memory."""
 
 import numpy as np
 
@@ -9,8 +9,17 @@ from recon.output.report.finished_run import FinishedRun
 
 
 def parts(case: Case) -> Parts:
-    """One row per run, and its recipe."""
-    header = ("run", "method", "unknowns", "time [s]", "of it", "peak memory [MiB]", "program")
+    """Create the table of costs, and the recipe and versions of each run.
+
+    Parameters
+    ----------
+    case : runs of the report
+
+    Returns
+    -------
+    parts of the page
+    """
+    header = ("run", "method", "unknowns", "time [s]", "longest stages [s]", "peak memory [MiB]", "program")
     table = csv_of(
         ("run", "method", "gaussians", "voxels", "peak_memory_mib", "stage", "seconds"),
         [
@@ -19,7 +28,7 @@ def parts(case: Case) -> Parts:
             for stage, seconds in run.metrics.get("seconds", {}).items()
         ],
     )
-    caption = "Wall time on the machine that made the run, with what it took most for; figures and scores included."
+    caption = "Wall time on the machine of the run, with its longest stages; figures and scores are included."
     found: list[Part] = [Table(header, tuple(_row(run) for run in case.runs), caption, "cost", table)]
     found += [Code(f"Recipe of {run.name}", run.recipe) for run in case.runs if run.recipe]
     found += [Code(f"Versions of {run.name}", _versions(run)) for run in case.runs if run.metrics.get("versions")]
@@ -27,28 +36,65 @@ def parts(case: Case) -> Parts:
 
 
 def seconds(run: FinishedRun) -> float:
-    """All stages together [s]."""
+    """Add up the time of all stages of a run.
+
+    Parameters
+    ----------
+    run : a run
+
+    Returns
+    -------
+    wall time [s]
+    """
     return float(sum(run.metrics.get("seconds", {}).values()))
 
 
 def memory(run: FinishedRun) -> float | None:
-    """Peak memory [MiB]; None where it is not known."""
+    """Return the peak memory of a run.
+
+    Parameters
+    ----------
+    run : a run
+
+    Returns
+    -------
+    peak memory [MiB]; None where it is not known
+    """
     return run.metrics.get("peak_memory_mib")
 
 
 def voxels(run: FinishedRun) -> int:
-    """Voxels of the volume."""
+    """Return the number of voxels of a run.
+
+    Parameters
+    ----------
+    run : a run
+
+    Returns
+    -------
+    number of voxels
+    """
     return int(np.prod(run.grid.shape))
 
 
 def size(run: FinishedRun) -> str:
-    """How large the model is."""
+    """Describe the size of a model.
+
+    Parameters
+    ----------
+    run : a run
+
+    Returns
+    -------
+    number of Gaussians, or shape of the grid of voxels, as text
+    """
     if "gaussians" in run.metrics:
         return f"{run.metrics['gaussians']:,} Gaussians"
     return f"{' x '.join(map(str, run.grid.shape))} voxels"
 
 
 def _row(run: FinishedRun) -> tuple[str, ...]:
+    """Cells of a run."""
     stages = sorted(run.metrics.get("seconds", {}).items(), key=lambda item: -item[1])
     longest = ", ".join(f"{name} {value:.1f}" for name, value in stages[:3])
     program = run.metrics.get("versions", {}).get("spectral-ct", "")
@@ -56,4 +102,5 @@ def _row(run: FinishedRun) -> tuple[str, ...]:
 
 
 def _versions(run: FinishedRun) -> str:
+    """Versions of the packages of a run, one per line."""
     return "\n".join(f"{name} {version}" for name, version in run.metrics["versions"].items())

@@ -1,4 +1,4 @@
-"""The energies of a scan: photons, channels, K edges, and basis functions, raw and conditioned."""
+"""Energies of a scan: photons, channels, K edges, and basis functions, raw and conditioned."""
 
 from pathlib import Path
 
@@ -15,25 +15,46 @@ from spectra.errors import InputError
 
 
 def parts(case: Case) -> Parts:
-    """Spectrum, channels and bases of the dataset."""
+    """Draw spectrum, channels and bases of the dataset.
+
+    Parameters
+    ----------
+    case : runs of the report
+
+    Returns
+    -------
+    parts of the page
+
+    Raises
+    ------
+    LeftOut
+        When the dataset was not found.
+    """
     s = case.needs_dataset().spectra
-    path = spectrum(
-        s.energy, s.edges, s.source, s.response, s.channels, s.basis.names, s.basis_values, case.path("spectrum"),
-        s.basis.breaks, PAGE_WIDTH,
-    )  # fmt: skip
-    found = [picture(path, "Incident photons and what each channel counts of them, above the raw basis functions.")]
+    path = spectrum(s, case.path("spectrum"), PAGE_WIDTH)
+    found = [picture(path, "Incident photons and the part that each channel counts, above the raw basis functions.")]
     drawn = conditioned_basis(s, case.path("conditioned_basis"))
     if drawn is not None:
         caption = (
-            "The same functions made orthonormal over all detected photons, as solvers use them. Far apart here and "
-            "nearly alike above means that noise in one coefficient is made up for by another."
+            "The same functions made orthonormal over all detected photons, as solvers use them. Functions that are "
+            "nearly equal above have coefficients whose noise is strongly correlated."
         )
         found.append(picture(drawn, caption))
     return tuple(found)
 
 
 def conditioned_basis(spectra: Spectra, path: Path) -> Path | None:
-    """Basis functions after whitening over the detected spectrum; None where they cannot be told apart there."""
+    """Draw the basis functions after whitening over the detected spectrum, with a CSV.
+
+    Parameters
+    ----------
+    spectra : spectra of the dataset
+    path : figure to write
+
+    Returns
+    -------
+    path; None where the basis functions cannot be distinguished
+    """
     seen = spectra.weights.sum(axis=0)
     kept = seen > 0
     try:

@@ -1,4 +1,4 @@
-"""A run folder as a report reads it, whatever method wrote it."""
+"""Run folder as a report reads it, for all methods."""
 
 import json
 from dataclasses import dataclass
@@ -6,14 +6,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.dataset.layout import array_at
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.versions import program_version
 from recon.gaussians.model import Gaussians
+from recon.runs.read_run import VOLUMES, read_volumes
 from recon.runs.run_folder import MODEL
 from recon.voxel.model import Voxels
 from spectra.errors import DatasetError
@@ -21,17 +20,17 @@ from spectra.errors import DatasetError
 
 @dataclass(frozen=True, eq=False)
 class FinishedRun:
-    """What a run left behind.
+    """Results in a run folder.
 
     Parameters
     ----------
-    folder : where
-    name : what to call it beside others
+    folder : run folder
+    name : name of the run in the report
     metrics : scores, seconds, memory
     log : one entry per step or iteration
-    volumes : of the bases [1/mm]
-    grid : their voxels
-    basis_names : their names
+    volumes : coefficients of the bases [1/mm]
+    grid : grid of the volumes
+    basis_names : names of the bases
     """
 
     folder: Path
@@ -44,14 +43,14 @@ class FinishedRun:
 
     @cached_property
     def model(self) -> Gaussians | Voxels:
-        """What predicts projections: the Gaussians, or the voxels of a method without any."""
+        """Model that predicts projections: the Gaussians, or the voxels of a method without Gaussians."""
         if (self.folder / MODEL).is_file():
             return Gaussians.load(self.folder / MODEL)
         return Voxels(self.volumes, self.grid, self.basis_names)
 
     @property
     def method(self) -> str:
-        """How it was reconstructed."""
+        """Name of the method, and of its pipeline where it has one."""
         settings = self.metrics.get("method")
         if isinstance(settings, dict):
             return " ".join(str(settings[key]) for key in ("method", "pipeline") if key in settings)
@@ -59,12 +58,22 @@ class FinishedRun:
 
     @property
     def recipe(self) -> str:
-        """What steered it, as YAML; empty where the folder does not say."""
+        """Settings of the run as YAML; empty where the folder has none."""
         path = self.folder / "recipe.yaml"
         return path.read_text(encoding="utf-8") if path.is_file() else ""
 
     def volume(self, name: str, grid: Grid) -> Float[np.ndarray, "z y x"]:
-        """One basis on a grid; zeros for a basis that the run does not have."""
+        """Return the volume of one basis on a grid.
+
+        Parameters
+        ----------
+        name : name of the basis
+        grid : grid of the volume
+
+        Returns
+        -------
+        coefficients [1/mm]; zeros for a basis that the run does not have
+        """
         if name not in self.basis_names:
             return np.zeros(grid.shape, np.float32)
         basis = self.basis_names.index(name)
@@ -78,8 +87,12 @@ def open_finished_run(folder: Path, name: str | None = None) -> FinishedRun:
 
     Parameters
     ----------
-    folder : that ``recon fit`` wrote, with any method
-    name : what to call it; that of the folder where left out
+    folder : folder that ``recon fit`` wrote, with any method
+    name : name of the run; that of the folder where it is None
+
+    Returns
+    -------
+    results of the run
 
     Raises
     ------
@@ -92,11 +105,22 @@ def open_finished_run(folder: Path, name: str | None = None) -> FinishedRun:
     if "interrupted" in metrics:
         raise DatasetError(f"{folder} holds a fit that was interrupted and is not scored: finish it by --resume")
     _check_version(folder, metrics)
-    volumes, grid, names = _read_volumes(folder / "volumes.h5", folder)
-    return FinishedRun(folder, name or folder.resolve().name, metrics, _read_log(folder), volumes, grid, names)
+    if not (folder / VOLUMES).is_file():
+        raise DatasetError(f"{folder} is incomplete: it has no {VOLUMES}; repeat recon fit with --overwrite")
+    stored = read_volumes(folder / VOLUMES)
+    return FinishedRun(
+        folder,
+        name or folder.resolve().name,
+        metrics,
+        _read_log(folder),
+        stored.values,
+        stored.grid,
+        stored.basis_names,
+    )
 
 
 def _read_json(path: Path) -> dict[str, Any]:
+    """Object in a JSON file."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
@@ -107,38 +131,22 @@ def _read_json(path: Path) -> dict[str, Any]:
 
 
 def _check_version(folder: Path, metrics: dict[str, Any]) -> None:
-    """Refuse folders of newer versions, whose files may mean other things."""
+    """Refuse folders of newer versions, whose files may have another meaning."""
     wrote = str(metrics.get("versions", {}).get("spectral-ct", ""))
     numbers = _numbers(wrote)
     if not numbers:
-        raise DatasetError(f"{folder} is of another version: its metrics.json does not say which program wrote it")
+        raise DatasetError(f"{folder} is of another version: its metrics.json does not name the program that wrote it")
     if program_version() != "0" and numbers[:2] > _numbers(program_version())[:2]:
         raise DatasetError(f"{folder} was written by version {wrote}, this program is {program_version()}: update it")
 
 
 def _numbers(version: str) -> list[int]:
+    """Numbers of a version such as ``1.2.3``."""
     return [int(part) for part in version.split(".")[:3] if part.isdigit()]
 
 
-def _read_volumes(path: Path, folder: Path) -> tuple[np.ndarray, Grid, tuple[str, ...]]:
-    """Basis volumes and where they are."""
-    if not path.is_file():
-        raise DatasetError(f"{folder} is incomplete: it has no volumes.h5; repeat recon fit with --overwrite")
-    try:
-        with h5py.File(path, "r") as file:
-            volumes = array_at(file, "basis/data")[()].astype(np.float32)
-            names = tuple(array_at(file, "basis/basis_name").asstr()[()])
-            shape, spacing, origin = (array_at(file, f"grid/{n}")[()].tolist() for n in ("shape", "spacing", "origin"))
-    except OSError:
-        raise DatasetError(f"{path} is damaged: it cannot be read as HDF5") from None
-    grid = Grid(tuple(shape), tuple(spacing), tuple(origin))
-    if volumes.shape != (len(names), *grid.shape):
-        raise DatasetError(f"{path}: volumes have shape {volumes.shape}, expected {(len(names), *grid.shape)}")
-    return volumes, grid, names
-
-
 def _read_log(folder: Path) -> tuple[dict[str, Any], ...]:
-    """Entries of the log; those that are no JSON are left out, as the last line of a run that died may be torn."""
+    """Entries of the log, without lines that are no JSON, as the last one of a run that ended early may be cut."""
     path = folder / "log.jsonl"
     if not path.is_file():
         return ()

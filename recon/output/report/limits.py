@@ -1,4 +1,4 @@
-"""Measured errors of materials against the least that counts allow anybody."""
+"""Errors of materials compared with the Cramér-Rao limit, the least that any estimate from the counts can reach."""
 
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,26 @@ from spectra.basis.basis import pretty
 from spectra.cramer_rao import least_deviations
 from spectra.errors import InputError
 
-MOST_VIEWS = 12  # whose information is computed; that of the others is alike
-COARSE = 2.0  # voxels that a pixel may be large
+MOST_VIEWS = 12  # views; largest number whose information is computed, as others have nearly the same; our choice
+COARSE = 2.0  # voxels; largest pixel to which views are binned; our choice
 
 
 def parts(case: Case) -> Parts:
-    """Errors of the means of all materials, and their limits."""
+    """Draw the errors of the means of all materials, and their limits.
+
+    Parameters
+    ----------
+    case : runs of the report
+
+    Returns
+    -------
+    parts of the page
+
+    Raises
+    ------
+    LeftOut
+        When the dataset, its truth or scores per material are missing, or when the counts do not determine the bases.
+    """
     truth, dataset = case.needs_truth(), case.needs_dataset()
     tables = {case.label(run): run.metrics["materials"] for run in case.runs if run.metrics.get("materials")}
     if not tables:
@@ -37,27 +51,38 @@ def parts(case: Case) -> Parts:
     try:
         limits = material_limits(dataset, truth)
     except InputError as error:
-        raise LeftOut(f"counts do not say: {error}") from None
+        raise LeftOut(f"the counts do not determine the bases: {error}") from None
     path = limit_figure(tables, limits, case.names, case.path("limits"))
     caption = (
         "Error of each material's mean against its Cramér-Rao limit: the least standard deviation that the counts of "
-        "the training views allow an unbiased estimate which even knows every shape. An error that stays well above "
-        "its limit is not noise, but the method or its model."
+        "the training views allow an unbiased estimate that knows every shape. An error well above its limit is not "
+        "noise, but comes from the method or its model."
     )
     return (picture(path, caption, _numbers(tables, limits)),)
 
 
 def material_limits(dataset: Dataset, truth: Truth) -> dict[str, dict[str, float]]:
-    """Least standard deviation of every coefficient of every material if all shapes were known [1/mm].
+    """Compute the least standard deviation of every coefficient of every material if all shapes were known.
 
-    With A_rk the length of ray r in material k and F_r the Fisher matrix of the ray's line integrals, the information
-    on coefficients (k, m) and (l, n) is sum_r A_rk A_rl (F_r)_mn. It is summed over some of the training views and
-    scaled to all.
+    Parameters
+    ----------
+    dataset : dataset with the counts
+    truth : true material fractions and coefficients
+
+    Returns
+    -------
+    standard deviations by material and basis [1/mm]
 
     Raises
     ------
     InputError
-        When the channels cannot tell the bases apart.
+        When the channels cannot distinguish the bases.
+
+    Notes
+    -----
+    With A_rk the length of ray r in material k and F_r the Fisher matrix of the ray's line integrals, the information
+    on coefficients (k, m) and (l, n) is sum_r A_rk A_rl (F_r)_mn. It is summed over some of the training views and
+    scaled to all.
     """
     train = dataset.splits["train"]
     picked = train[_spread(dataset.exposure[train])]
@@ -85,7 +110,7 @@ def material_limits(dataset: Dataset, truth: Truth) -> dict[str, dict[str, float
 
 
 def _spread(exposure: Float[np.ndarray, "view channel"]) -> Int[np.ndarray, " few"]:
-    """Some of the views; of every kind where tube voltages are switched."""
+    """Indices of some of the views; of every kind where tube voltages are switched."""
     kinds = kinds_of(exposure)
     if kinds.any():
         return spread(kinds, MOST_VIEWS)
@@ -95,7 +120,19 @@ def _spread(exposure: Float[np.ndarray, "view channel"]) -> Int[np.ndarray, " fe
 def limit_figure(
     tables: dict[str, dict[str, Any]], limits: dict[str, dict[str, float]], names: tuple[str, ...], path: Path
 ) -> Path:
-    """A panel per basis on a logarithmic axis: limits as ticks, absolute errors of means as points."""
+    """Draw limits as ticks and absolute errors of means as points, in a panel per basis with a logarithmic axis.
+
+    Parameters
+    ----------
+    tables : scores per material of each run, by the names of the runs
+    limits : limits by material and basis [1/mm]
+    names : names of the bases
+    path : figure to write
+
+    Returns
+    -------
+    path
+    """
     materials = list(limits)
     places = np.arange(len(materials))[::-1]
     with figure_file(path, (PAGE_WIDTH, 0.26 * len(materials) + 1.35)) as figure:
@@ -116,6 +153,7 @@ def limit_figure(
 
 
 def _numbers(tables: dict[str, dict[str, Any]], limits: dict[str, dict[str, float]]) -> str:
+    """Errors and limits as CSV [1/mm]."""
     rows = [
         (label, material, basis, scores[basis]["bias"], limits[material][basis])
         for label, table in tables.items()

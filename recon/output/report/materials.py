@@ -1,10 +1,10 @@
-"""Bias and noise inside every material, cross-talk, and how materials scatter in the plane of two bases."""
+"""Bias and noise inside every material, cross-talk, and scatter plots of materials in the plane of two bases."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Integer
 
 from phantomgen.display.figures.style import MILLI, PAGE_WIDTH, UNIT, few_ticks, figure_file
 from phantomgen.display.html import Part, Table, picture
@@ -12,15 +12,29 @@ from phantomgen.display.html.content import csv_of
 from recon.output.report.case import LINES, Case, LeftOut, Parts, number
 from spectra.basis.basis import pretty
 
-MARKERS = ("o", "s", "^", "D", "v")  # of runs
-MOST_POINTS = 6000  # voxels in a scatter plot
-# Colours that the colour-blind tell apart (Okabe and Ito); after them markers change.
+MARKERS = ("o", "s", "^", "D", "v")  # marker of each run
+MOST_POINTS = 6000  # voxels; largest number in a scatter plot, which limits the size of the page
+# hues of Okabe and Ito (2008); where there are more materials markers change
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#999999")
 _KEYS = ("true", "mean", "bias", "sd")
 
 
 def parts(case: Case) -> Parts:
-    """Means against the truth, errors with their noise, and cross-talk."""
+    """Draw means against the truth and errors with their noise, and create tables of cross-talk.
+
+    Parameters
+    ----------
+    case : runs of the report
+
+    Returns
+    -------
+    parts of the page
+
+    Raises
+    ------
+    LeftOut
+        When the runs have no scores per material.
+    """
     tables = {case.label(run): run.metrics["materials"] for run in case.runs if run.metrics.get("materials")}
     if not tables:
         raise LeftOut("no truth: the runs have no scores per material")
@@ -30,12 +44,12 @@ def parts(case: Case) -> Parts:
     found: list[Part] = [
         picture(
             identity,
-            "Mean of every material in each basis against its true coefficient; on the line, all is well. Bars are the "
-            "standard deviation over its voxels. Solutions of one agent make its linearity.",
+            "Mean of every material in each basis against its true coefficient; on the line both are equal. Bars are "
+            "the standard deviation over its voxels. Solutions of one agent show its linearity.",
             numbers,
         ),
         picture(
-            errors, "The same as errors: bias, with bars for the standard deviation over the voxels inside.", numbers
+            errors, "Errors of these means: bias, with bars for the standard deviation over the voxels inside.", numbers
         ),
     ]
     found += [_cross_talk(run.name, run.metrics["cross_talk"]) for run in case.runs if run.metrics.get("cross_talk")]
@@ -43,7 +57,21 @@ def parts(case: Case) -> Parts:
 
 
 def scatter_parts(case: Case) -> Parts:
-    """Voxels in the plane of the first two bases, by material."""
+    """Draw voxels in the plane of the first two bases, by material.
+
+    Parameters
+    ----------
+    case : runs of the report
+
+    Returns
+    -------
+    parts of the page
+
+    Raises
+    ------
+    LeftOut
+        When there is no truth, or one basis only.
+    """
     truth = case.needs_truth()
     if len(case.names) < 2:
         raise LeftOut("there is one basis only")
@@ -54,15 +82,26 @@ def scatter_parts(case: Case) -> Parts:
         values = case.volumes(run)[:2]
         text = scatter_figure(values, case.labels, truth.material_names, truth.coefficients[:, places], names, path)
         caption = (
-            f"{case.who(run)}Voxels in the plane of {pretty(names[0])} and {pretty(names[1])}, coloured by what fills "
-            "most of them; crosses are the true materials. Trails between crosses are voxels at edges."
+            f"{case.who(run)}Voxels in the plane of {pretty(names[0])} and {pretty(names[1])}, coloured by the "
+            "material that fills most of each; crosses are the true materials, and points between them voxels at edges."
         )
         found.append(picture(path, caption, text))
     return tuple(found)
 
 
 def identity_figure(tables: dict[str, dict[str, Any]], names: tuple[str, ...], path: Path) -> Path:
-    """Mean against true coefficient, a panel per basis."""
+    """Draw mean against true coefficient, in a panel per basis.
+
+    Parameters
+    ----------
+    tables : scores per material of each run, by the names of the runs
+    names : names of the bases
+    path : figure to write
+
+    Returns
+    -------
+    path
+    """
     across = min(len(names), 3)
     down = -(-len(names) // across)
     with figure_file(path, (PAGE_WIDTH, 1.75 * down + 0.55)) as figure:
@@ -71,7 +110,9 @@ def identity_figure(tables: dict[str, dict[str, Any]], names: tuple[str, ...], p
             ax.axis("off")
         for ax, name in zip(axes.flat, names, strict=False):
             found = _points(tables, name)
-            ends = np.array([0.0, max((point[0] for points in found.values() for point in points), default=1.0) * 1.1])
+            ends = np.array(
+                [0.0, max((point.true for points in found.values() for point in points), default=1.0) * 1.1]
+            )
             ax.plot(ends, ends, color="0.6", linewidth=0.8, zorder=0)
             for (label, points), (colour, _), marker in zip(found.items(), LINES, MARKERS, strict=False):
                 true, mean, sd = np.array(points).reshape(-1, 3).T
@@ -87,7 +128,18 @@ def identity_figure(tables: dict[str, dict[str, Any]], names: tuple[str, ...], p
 
 
 def error_figure(tables: dict[str, dict[str, Any]], names: tuple[str, ...], path: Path) -> Path:
-    """Bias with noise, a panel per basis and a line per material."""
+    """Draw bias with noise, in a panel per basis with a line per material.
+
+    Parameters
+    ----------
+    tables : scores per material of each run, by the names of the runs
+    names : names of the bases
+    path : figure to write
+
+    Returns
+    -------
+    path
+    """
     materials = list(dict.fromkeys(material for table in tables.values() for material in table))
     places = np.arange(len(materials))[::-1]
     with figure_file(path, (PAGE_WIDTH, 0.24 * len(materials) * max(1, len(tables) / 2) + 1.1)) as figure:
@@ -114,18 +166,26 @@ def error_figure(tables: dict[str, dict[str, Any]], names: tuple[str, ...], path
 
 def scatter_figure(
     values: Float[np.ndarray, "2 z y x"],
-    labels: Int[np.ndarray, "z y x"],
+    labels: Integer[np.ndarray, "z y x"],
     materials: tuple[str, ...],
     true: Float[np.ndarray, "material 2"],
     names: tuple[str, ...],
     path: Path,
 ) -> str:
-    """Draw some voxels of every material, and its true place; returns them as CSV.
+    """Draw some voxels of every material, and its true coefficients.
 
     Parameters
     ----------
     values : coefficients of two bases [1/mm]
     labels : 0 for background, i + 1 for material i
+    materials : names of the materials
+    true : true coefficients of the materials [1/mm]
+    names : names of the two bases
+    path : figure to write
+
+    Returns
+    -------
+    the voxels that are drawn, as CSV
     """
     rng, table = np.random.default_rng(0), []
     with figure_file(path, (PAGE_WIDTH, 3.7)) as figure:
@@ -147,11 +207,19 @@ def scatter_figure(
     return csv_of(("material", f"{names[0]}_per_mm", f"{names[1]}_per_mm"), table)
 
 
-def _points(tables: dict[str, dict[str, Any]], name: str) -> dict[str, list[tuple[float, float, float]]]:
-    """True, mean and standard deviation [1e-3/mm] of each material that has voxels inside."""
+class _Point(NamedTuple):
+    """Coefficient of a material: true value, mean and standard deviation of its voxels [1e-3/mm]."""
+
+    true: float
+    mean: float
+    deviation: float
+
+
+def _points(tables: dict[str, dict[str, Any]], name: str) -> dict[str, list[_Point]]:
+    """Points of each material that has voxels inside, by the names of the runs."""
     return {
         label: [
-            (_milli(s["true"]), _milli(s["mean"]), _milli(s["sd"]))
+            _Point(_milli(s["true"]), _milli(s["mean"]), _milli(s["sd"]))
             for s in (material.get(name) for material in table.values())
             if s is not None and s.get("mean") is not None
         ]
@@ -160,6 +228,7 @@ def _points(tables: dict[str, dict[str, Any]], name: str) -> dict[str, list[tupl
 
 
 def _milli(value: float | None) -> float:
+    """Value in 1e-3/mm; NaN for None."""
     return float("nan") if value is None else MILLI * value
 
 
@@ -176,8 +245,8 @@ def _numbers(tables: dict[str, dict[str, Any]]) -> str:
 
 
 def _cross_talk(name: str, matrix: dict[str, dict[str, float]]) -> Table:
-    """How mean coefficients follow true ones."""
+    """Table of the cross-talk of a run: mean coefficients per unit of true ones."""
     header = (name, *(f"true {pretty(b)}" for b in matrix))
     rows = tuple((pretty(row), *(number(v, ".4f") for v in cells.values())) for row, cells in matrix.items())
-    caption = "Cross-talk: how mean coefficients follow true ones; 1 on the diagonal and 0 elsewhere when all is well."
+    caption = "Cross-talk: mean coefficients per unit of true ones; ideal is 1 on the diagonal and 0 elsewhere."
     return Table(header, rows, caption, "cross_talk", csv_of(header, [(r, *c.values()) for r, c in matrix.items()]))

@@ -1,4 +1,4 @@
-"""The whole page: every topic that the runs, their dataset and its truth can give, and why others are missing."""
+"""Page of a report: the topics that runs, dataset and truth allow, and the reasons why others are missing."""
 
 from collections.abc import Callable, Sequence
 from datetime import date
@@ -43,14 +43,18 @@ def run_report(
     air: str | None = None,
     on_chapter: Callable[[str], None] = lambda name: None,
 ) -> Page:
-    """A page about runs of one scan.
+    """Create a page about runs of one scan.
 
     Parameters
     ----------
     folders : run folders
-    dataset : the scan; where left out it is looked for by its name beside the runs and in the current folder
+    dataset : the scan; where it is None it is searched by its name beside the runs and in the current folder
     air : a part of the panel that sees only air, for lack of flats
     on_chapter : called with the name of each chapter when it begins
+
+    Returns
+    -------
+    the page
 
     Raises
     ------
@@ -71,7 +75,21 @@ def run_report(
 
 
 def names_of(folders: Sequence[Path]) -> list[str]:
-    """What to call runs: their folders, with those above them where two are alike."""
+    """Create names of runs: those of their folders, with the parent folders where two have the same name.
+
+    Parameters
+    ----------
+    folders : run folders
+
+    Returns
+    -------
+    one name per run
+
+    Raises
+    ------
+    InputError
+        When a folder is given twice.
+    """
     paths = [folder.resolve() for folder in folders]
     for depth in range(1, 10):
         names = ["/".join(path.parts[-depth:]) for path in paths]
@@ -82,13 +100,28 @@ def names_of(folders: Sequence[Path]) -> list[str]:
 
 
 def find_dataset(name: str, folders: Sequence[Path]) -> Path | None:
-    """The dataset of that name beside a run or in the current folder; None where there is none."""
+    """Find a dataset beside a run or in the current folder.
+
+    Parameters
+    ----------
+    name : file name of the dataset
+    folders : run folders
+
+    Returns
+    -------
+    path; None where there is none
+    """
     places = [*(folder.resolve().parent for folder in folders), Path()]
     return next((place / name for place in places if name and (place / name).is_file()), None)
 
 
 def check_fits(dataset: Dataset, runs: Sequence[FinishedRun]) -> None:
     """Refuse a dataset that the runs do not reconstruct.
+
+    Parameters
+    ----------
+    dataset : the dataset
+    runs : runs of the report
 
     Raises
     ------
@@ -105,7 +138,7 @@ def check_fits(dataset: Dataset, runs: Sequence[FinishedRun]) -> None:
 
 
 def _page(case: Case, scan: str, on_chapter: Callable[[str], None]) -> Page:
-    """All chapters, and why topics are missing."""
+    """Page with all chapters, and the reasons why topics are missing."""
     done, left_out = [], _lacking(case)
     for title, topics in CHAPTERS.items():
         on_chapter(title)
@@ -130,7 +163,7 @@ def _page(case: Case, scan: str, on_chapter: Callable[[str], None]) -> Page:
 
 
 def _verdicts(case: Case) -> tuple[Section, ...]:
-    """What every run says of itself, on top."""
+    """Section with the verdict of every run."""
     parts = []
     for run in case.runs:
         who = f"{run.name}: " if len(case.runs) > 1 else ""
@@ -139,7 +172,7 @@ def _verdicts(case: Case) -> tuple[Section, ...]:
 
 
 def _lacking(case: Case) -> list[tuple[str, str]]:
-    """Bases of the file that a run did not fit, and scores and figures that failed in it."""
+    """Bases that a run did not fit, and scores and figures that failed in it, each with the reason."""
     found = []
     for run in case.runs:
         bases = run.metrics.get("bases_left_out") or ()
@@ -151,7 +184,7 @@ def _lacking(case: Case) -> list[tuple[str, str]]:
 
 
 def _facts(case: Case) -> tuple[tuple[str, str], ...]:
-    """What one wants to know first: PSNR of the first run, its size, time and memory."""
+    """Main numbers: PSNR of the first run, its size, time and memory."""
     run = case.runs[0]
     who = f", {run.name}" if len(case.runs) > 1 else ""
     facts = [

@@ -12,26 +12,51 @@ from phantomgen.display.html.content import csv_of
 from recon.output.report.case import LINES, Case, LeftOut, Parts
 from spectra.basis.basis import pretty
 
-MISFIT = ("deviance", "residual")  # what logs call their distance from the counts
+MISFIT = ("deviance", "residual")  # names of the misfit to the counts in a log
 
 
 def parts(case: Case) -> Parts:
-    """One row per basis, and one for the distance from the counts."""
+    """Draw one row per basis, and one for the misfit to the counts.
+
+    Parameters
+    ----------
+    case : runs of the report
+
+    Returns
+    -------
+    parts of the page
+
+    Raises
+    ------
+    LeftOut
+        When no run has a log.
+    """
     logs = {case.label(run): run.log for run in case.runs if run.log}
     if not logs:
         raise LeftOut("the runs have no log")
     rows = [n for n in case.names if any(f"psnr_{n}" in entry for log in logs.values() for entry in log)]
     path = progress_figure(logs, rows, case.path("progress"))
     caption = (
-        "Error against time and against steps or iterations: PSNR of models along the way, and their distance from the "
-        "counts of the views of each step: for Gaussians the deviance over what noise alone would leave, or "
-        "the residual of a method on voxels. Time starts with the fit, after what it starts from."
+        "Error against time and against steps or iterations: PSNR of intermediate models, and their misfit to the "
+        "counts of the views of each step: for Gaussians the deviance over that of noise alone, else the residual of "
+        "the method on voxels. Time starts with the fit, after its initial volumes."
     )
     return (picture(path, caption, _table(logs)),)
 
 
 def progress_figure(logs: dict[str, tuple[dict[str, Any], ...]], names: list[str], path: Path) -> Path:
-    """PSNR of each basis, and the misfit, against seconds and steps."""
+    """Draw PSNR of each basis, and the misfit, against seconds and steps.
+
+    Parameters
+    ----------
+    logs : entries of the log of each run, by the names of the runs
+    names : names of the bases
+    path : figure to write
+
+    Returns
+    -------
+    path
+    """
     with figure_file(path, (PAGE_WIDTH, 1.15 * (len(names) + 1) + 0.7)) as figure:
         axes = figure.subplots(len(names) + 1, 2, sharex="col", sharey="row", squeeze=False)
         for (label, log), (colour, dashes) in zip(logs.items(), LINES, strict=False):
@@ -61,15 +86,17 @@ def progress_figure(logs: dict[str, tuple[dict[str, Any], ...]], names: list[str
 
 
 def _seconds(entries: list[dict[str, Any]]) -> np.ndarray:
+    """Time of the entries [s]."""
     return np.array([float(entry["seconds"]) for entry in entries])
 
 
 def _steps(entries: list[dict[str, Any]]) -> np.ndarray:
+    """Step or iteration of the entries."""
     return np.array([int(entry.get("step", entry.get("iteration", 0))) for entry in entries])
 
 
 def _table(logs: dict[str, tuple[dict[str, Any], ...]]) -> str:
-    """All entries of all logs."""
+    """All entries of all logs as CSV."""
     keys = list(dict.fromkeys(key for log in logs.values() for entry in log for key in entry))
     rows = [(label, *(entry.get(key, "") for key in keys)) for label, log in logs.items() for entry in log]
     return csv_of(("run", *keys), rows)

@@ -1,11 +1,11 @@
-"""How sharp a reconstruction is and how its noise looks: edge response, MTF, and noise power spectrum."""
+"""Resolution and noise of a reconstruction: edge response, MTF, and noise power spectrum."""
 
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Real
+from jaxtyping import Bool, Float, Integer, Real
 from scipy import ndimage
 from scipy.special import erfinv
 
@@ -17,30 +17,40 @@ from recon.evaluation.scoring import FULL_FRACTION
 from recon.output.report.case import LINES, Case, LeftOut, Parts
 from spectra.basis.basis import pretty
 
-REACH = 3.0  # voxels on both sides of an edge
-STEP = 0.25  # voxels
-SMOOTHING = 1.0  # voxels, of the field that tells distances from an edge
-FLAT = 0.06  # deviation of that field's slope from a plane's that is allowed, as part of the steepest
-FEWEST = 8  # voxels in a bin of an edge response
-FILLED = 0.6  # part of the bins that must have so many; others are interpolated
-SMALLEST = 8  # voxels along the side of a region whose noise is analysed
+REACH = 3.0  # voxels; range of an edge response on both sides of the edge; our choice
+STEP = 0.25  # voxels; width of a bin of an edge response; our choice
+SMOOTHING = 1.0  # voxels; standard deviation of the smoothed fraction from which distances are computed; our choice
+FLAT = 0.06  # part of the steepest slope; largest deviation of that field's slope from that of a plane; our choice
+FEWEST = 8  # voxels; fewest in a bin of an edge response that is used; our choice
+FILLED = 0.6  # part of the bins; fewest that must have so many voxels, while others are interpolated; our choice
+SMALLEST = 8  # voxels; shortest side of a region whose noise is analysed; our choice
 
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """Voxels around the surface of one material, where it borders on one other.
+    """Voxels around the surface of one material, where it is next to one other material.
 
     Parameters
     ----------
-    distance : of each of them from the surface, outwards [voxel]
-    voxels : which ones
+    distance : distance of each of these voxels from the surface, positive outside [voxel]
+    voxels : True for these voxels
     """
 
     distance: Float[np.ndarray, " voxel"]
     voxels: Bool[np.ndarray, "z y x"]
 
     def response(self, volume: Real[np.ndarray, "z y x"]) -> tuple[np.ndarray, np.ndarray]:
-        """Distances [voxel] and the mean there, interpolated between mean places of bins; empty for too few voxels."""
+        """Compute the mean of a volume as a function of the distance from the surface.
+
+        Parameters
+        ----------
+        volume : values of all voxels
+
+        Returns
+        -------
+        distances [voxel] and means, interpolated between the mean distances of bins; empty arrays where there are too
+        few voxels
+        """
         edges = np.arange(-REACH, REACH + STEP / 2, STEP)
         number = np.histogram(self.distance, edges)[0]
         full = number >= FEWEST
@@ -54,16 +64,30 @@ class Edge:
 
 
 def parts(case: Case) -> Parts:
-    """Edge response and MTF per basis, and the spectrum of the noise in the largest uniform region."""
+    """Draw edge response and MTF per basis, and the spectrum of the noise in the largest uniform region.
+
+    Parameters
+    ----------
+    case : runs of the report
+
+    Returns
+    -------
+    parts of the page
+
+    Raises
+    ------
+    LeftOut
+        When there is no truth, or neither a surface that is large enough nor a uniform region.
+    """
     truth = case.needs_truth()
     found: list[Part] = []
     drawn = edge_figure(case, case.path("edge_response"))
     if drawn is not None:
         path, text = drawn
         caption = (
-            "Edge response (left) and MTF, its transform (right), at the surface of the material that stands out most "
-            "in each basis; distances of voxels from the surface come from the true fractions. Truth is the true "
-            f"volume treated alike, so it shows what voxels of this size can. 10 to 90 % of the edge: {text}."
+            "Edge response (left) and MTF, its transform (right), at the surface of the material with the largest "
+            "coefficient in each basis; distances of voxels from the surface come from the true fractions. Truth is "
+            f"the same for the true volume, the limit of voxels of this size. 10 to 90 % of the edge: {text}."
         )
         found.append(picture(path, caption))
     region = uniform_region(truth.fractions, truth.material_names)
@@ -82,7 +106,17 @@ def parts(case: Case) -> Parts:
 
 
 def edge_figure(case: Case, path: Path) -> tuple[Path, str] | None:
-    """A row per basis that has an edge; returns the widths of the edges in words as well."""
+    """Draw a row per basis that has an edge, with a CSV.
+
+    Parameters
+    ----------
+    case : runs of the report
+    path : figure to write
+
+    Returns
+    -------
+    path, and the widths of the edges as text; None where no basis has an edge
+    """
     truth, true = case.needs_truth(), case.true
     if true is None:
         return None
@@ -121,23 +155,46 @@ def edge_figure(case: Case, path: Path) -> tuple[Path, str] | None:
 
 
 def strongest_edge(
-    fractions: Int[np.ndarray, "material z y x"],
-    labels: Int[np.ndarray, "z y x"],
+    fractions: Integer[np.ndarray, "material z y x"],
+    labels: Integer[np.ndarray, "z y x"],
     coefficients: Float[np.ndarray, " material"],
 ) -> Edge | None:
-    """Surface of the material with the largest coefficient that fills some voxels whole; None where there is none."""
+    """Find the surface of the material with the largest coefficient among those that fill at least 100 voxels.
+
+    Parameters
+    ----------
+    fractions : material fractions, as integers
+    labels : 0 for background, i + 1 for material i
+    coefficients : coefficient of each material [1/mm]
+
+    Returns
+    -------
+    surface; None where there is none
+    """
     for material in np.argsort(-coefficients):
         if coefficients[material] > 0 and (labels == material + 1).sum() >= 100:
             return edge_of(fractions[material] / FULL_FRACTION, labels, int(material))
     return None
 
 
-def edge_of(fraction: Float[np.ndarray, "z y x"], labels: Int[np.ndarray, "z y x"], material: int) -> Edge:
-    """Voxels near the surface of one material, and how far they are from it.
+def edge_of(fraction: Float[np.ndarray, "z y x"], labels: Integer[np.ndarray, "z y x"], material: int) -> Edge:
+    """Compute the distance of voxels from the surface of one material.
 
+    Parameters
+    ----------
+    fraction : fraction of the material in each voxel, 0 to 1
+    labels : 0 for background, i + 1 for material i
+    material : index of the material
+
+    Returns
+    -------
+    voxels near the surface, without those where the slope of the field is not that of a plane (corners, thin parts),
+    and without those near third materials
+
+    Notes
+    -----
     A plane at distance d from a voxel, averaged over voxels and smoothed by a Gaussian of variance s^2, fills
-    Phi(-d / s') of it with s'^2 = s^2 + 1/12; solved for d. Where the field's slope is not that of a plane (corners,
-    thin parts), and next to third materials, voxels are left out.
+    Phi(-d / s') of it with s'^2 = s^2 + 1/12, which is solved for d.
     """
     inside = labels == material + 1
     reach = int(REACH + 3 * SMOOTHING) + 1
@@ -162,7 +219,17 @@ def edge_of(fraction: Float[np.ndarray, "z y x"], labels: Int[np.ndarray, "z y x
 
 
 def mtf(response: Float[np.ndarray, " bin"], step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Modulation transfer: the spectrum of the edge response's derivative, 1 at frequency 0 [1/voxel]."""
+    """Compute the modulation transfer function: the spectrum of the derivative of an edge response.
+
+    Parameters
+    ----------
+    response : edge response at equal steps
+    step : distance of two values [voxel]
+
+    Returns
+    -------
+    frequencies [1/voxel], and transfer, 1 at frequency 0
+    """
     line = np.diff(response) * np.hanning(len(response) + 1)[1:-1]
     padded = 8 * len(line)
     transfer = np.abs(np.fft.rfft(line, padded))
@@ -170,7 +237,17 @@ def mtf(response: Float[np.ndarray, " bin"], step: float) -> tuple[np.ndarray, n
 
 
 def edge_width(distance: Float[np.ndarray, " bin"], response: Float[np.ndarray, " bin"]) -> float:
-    """Distance in which an edge falls from 90 to 10 % of its height; NaN where it does not."""
+    """Compute the distance over which an edge falls from 90 to 10 % of its height.
+
+    Parameters
+    ----------
+    distance : distances from the surface [voxel]
+    response : edge response, from 1 to 0
+
+    Returns
+    -------
+    distance [voxel]; NaN where it does not fall so
+    """
 
     def crossing(level: float) -> float:
         for (a, ya), (b, yb) in pairwise(zip(distance, response, strict=True)):
@@ -182,9 +259,19 @@ def edge_width(distance: Float[np.ndarray, " bin"], response: Float[np.ndarray, 
 
 
 def uniform_region(
-    fractions: Int[np.ndarray, "material z y x"], names: tuple[str, ...]
+    fractions: Integer[np.ndarray, "material z y x"], names: tuple[str, ...]
 ) -> tuple[str, tuple[slice, slice, slice]] | None:
-    """The material and box of the largest square that one material fills alone, in all slices where it does."""
+    """Find the largest square that one material fills alone, in all slices where it does.
+
+    Parameters
+    ----------
+    fractions : material fractions, as integers
+    names : names of the materials
+
+    Returns
+    -------
+    name of the material, and box (z, y, x) of voxels; None where no square of `SMALLEST` voxels is found
+    """
     best: tuple[int, str, tuple[slice, slice, slice]] | None = None
     for name, fraction in zip(names, fractions, strict=True):
         pure = pure_voxels(fraction, FULL_FRACTION)
@@ -205,7 +292,17 @@ def uniform_region(
 def noise_power(
     volume: Real[np.ndarray, "z y x"], grid: Grid, box: tuple[slice, slice, slice]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Radial frequencies [1/mm] and the mean power of slices [value^2 mm^2], planes subtracted.
+    """Compute the noise power spectrum of axial slices, with their mean planes subtracted.
+
+    Parameters
+    ----------
+    volume : values of all voxels
+    grid : grid of the volume
+    box : region (z, y, x) of voxels, square in y and x
+
+    Returns
+    -------
+    radial frequencies [1/mm], and mean power of the slices [value^2 mm^2]
 
     References
     ----------
@@ -226,7 +323,18 @@ def noise_power(
 
 
 def noise_figure(case: Case, box: tuple[slice, slice, slice], path: Path) -> Path:
-    """A panel per basis, all runs in each, with a CSV."""
+    """Draw the noise power spectra of all runs, in a panel per basis, with a CSV.
+
+    Parameters
+    ----------
+    case : runs of the report
+    box : region (z, y, x) of voxels
+    path : figure to write
+
+    Returns
+    -------
+    path
+    """
     table = {}
     with figure_file(path, (PAGE_WIDTH, 1.35 * len(case.names) + 0.6)) as figure:
         axes = figure.subplots(len(case.names), 1, sharex=True, squeeze=False)[:, 0]

@@ -1,4 +1,4 @@
-"""Scores of all runs in tables: against the truth, and on views that no fit has seen."""
+"""Tables of the scores of all runs: against the truth, and on views that no fit has used."""
 
 from dataclasses import replace
 from typing import Any
@@ -14,7 +14,21 @@ _CHANNEL = ("psnr", "psnr_noise", "chi_square_all", "chi_square_away", "away")
 
 
 def parts(case: Case) -> Parts:
-    """Tables of scores."""
+    """Create the tables of scores.
+
+    Parameters
+    ----------
+    case : runs of the report
+
+    Returns
+    -------
+    parts of the page
+
+    Raises
+    ------
+    LeftOut
+        When the runs have no scores.
+    """
     found: list[Part] = [*_against_truth(case), *_on_test_views(case)]
     if not found:
         raise LeftOut("the runs have no scores: their dataset has neither truth nor test views")
@@ -37,12 +51,12 @@ def _against_truth(case: Case) -> list[Table]:
     table = csv_of(("run", "basis", *keys), [(run.name, name, *(s.get(k) for k in keys)) for run, name, s in scored])
     caption = (
         "Against the truth. PSNR is 10 log10(max(truth)² / MSE) over the whole volume; a result near that of a volume "
-        "of zeros means nothing. SSIM is the mean over axial slices."
+        "of zeros has no value. SSIM is the mean over axial slices."
     )
     if marked:
         caption += (
-            " Elsewhere leaves out the voxels whose bases the counts do not tell, which the verdict names; the peak of "
-            "that PSNR is the largest true value of the others."
+            " Elsewhere leaves out the voxels whose bases the counts do not determine, which the verdict names; the "
+            "peak of that PSNR is the largest true value of the others."
         )
     return [_without_run(Table(header, tuple(rows), caption, "scores", table), case)]
 
@@ -58,29 +72,32 @@ def _on_test_views(case: Case) -> list[Table]:
         ("run", "channel", *_CHANNEL), [(run.name, name, *(s.get(k) for k in _CHANNEL)) for run, name, s in scored]
     )
     caption = (
-        "On test views, which no fit has seen. PSNR of log projections, and what the true model would score; "
+        "On test views, which no fit has used. PSNR of log projections, and that of the true model; "
         "chi-square is 1 where model and noise agree."
     )
     return [_without_run(Table(header, tuple(rows), caption, "test_views", table), case)]
 
 
 def _without_run(table: Table, case: Case) -> Table:
-    """The table without its first column where there is one run only; what is saved keeps it."""
+    """Table without its first column where there is one run only; its CSV keeps the column."""
     if len(case.runs) > 1:
         return table
     return replace(table, header=table.header[1:], rows=tuple(row[1:] for row in table.rows))
 
 
 def _basis_cells(scores: dict[str, Any]) -> tuple[str, ...]:
+    """Cells of the scores of a basis."""
     cells = [number(scores.get(key), ".2f") for key in _BASIS[:3]]
     return (*cells, number(scores.get("ssim"), ".3f"), *(number(scores.get(key), ".1e") for key in _BASIS[4:]))
 
 
 def _elsewhere_cells(scores: dict[str, Any]) -> tuple[str, ...]:
+    """Cells of the scores without unreliable voxels."""
     return number(scores.get("psnr_elsewhere"), ".2f"), number(scores.get("rmse_elsewhere"), ".1e")
 
 
 def _channel_cells(scores: dict[str, Any]) -> tuple[str, ...]:
+    """Cells of the scores of a channel."""
     part = scores.get("away")
     cells = [number(scores.get(key), ".2f") for key in _CHANNEL[:2]]
     cells += [number(scores.get(key), ".3f") for key in _CHANNEL[2:4]]

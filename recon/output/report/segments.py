@@ -1,4 +1,4 @@
-"""Material maps of runs that `recon segment` has looked at: overlap and confusion, where it left its scores."""
+"""Scores of the material maps of `recon segment`, where a run has them: overlap and confusion."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,21 @@ TABLE = Path("segment", "materials.json")
 
 
 def parts(case: Case) -> Parts:
-    """Dice and confusion of every run that has them."""
+    """Create tables of Dice coefficients and confusion of every run that has them.
+
+    Parameters
+    ----------
+    case : runs of the report
+
+    Returns
+    -------
+    parts of the page
+
+    Raises
+    ------
+    LeftOut
+        When no run has scored material maps.
+    """
     found: list[Part] = []
     for run in case.runs:
         scores = _scores(run.folder / TABLE)
@@ -34,7 +48,7 @@ def _scores(path: Path) -> dict[str, Any]:
 
 
 def _overlap(who: str, scores: dict[str, Any]) -> Table:
-    """Which cluster is which material, and how well they overlap."""
+    """Table of the cluster of each material, with their overlap."""
     header = ("material", "segmented as", "Dice", "voxels")
     rows = [(name, s.get("cluster") or "–", s.get("dice"), s.get("voxels")) for name, s in scores["materials"].items()]
     shown = tuple((name, cluster, number(dice, ".3f"), number(voxels, "d")) for name, cluster, dice, voxels in rows)
@@ -43,7 +57,7 @@ def _overlap(who: str, scores: dict[str, Any]) -> Table:
 
 
 def _confusion(who: str, scores: dict[str, Any]) -> Table:
-    """Voxels by what they are and what they were taken for."""
+    """Table of voxels by their true material and by their segment."""
     table = scores["confusion"]
     header = ("true", *map(str, table["columns"]))
     rows = [(name, *counts) for name, counts in zip(table["rows"], table["voxels"], strict=True)]

@@ -1,4 +1,4 @@
-"""Volumes as pictures: three planes, profiles, and a virtual monoenergetic image."""
+"""Figures of volumes: three planes, profiles, and a virtual monoenergetic image."""
 
 from pathlib import Path
 
@@ -14,12 +14,21 @@ from spectra.basis.basis import Basis
 from spectra.materials.material import Material
 
 PLANES = ("axial", "coronal", "sagittal")
-MONO = 70.0  # keV
+MONO = 70.0  # keV; energy of the virtual monoenergetic image, the reference energy of the bases
 _WATER = Material("water", composition="H2O", density=1.0)
 
 
 def parts(case: Case) -> Parts:
-    """Every basis of every run in three planes."""
+    """Draw every basis of every run in three planes.
+
+    Parameters
+    ----------
+    case : runs of the report
+
+    Returns
+    -------
+    parts of the page
+    """
     found: list[Part] = []
     for i, run in enumerate(case.runs):
         volumes, suffix = case.volumes(run), "" if i == 0 else f"_{i}"
@@ -37,27 +46,40 @@ def parts(case: Case) -> Parts:
 
 
 def profile_parts(case: Case) -> Parts:
-    """All runs along one line through edges."""
-    first, *more = case.runs
-    line = figures.profile_line((case.volumes(first) if case.true is None else case.true)[-1], case.grid)
-    others = {run.name: case.volumes(run) for run in more}
-    path = figures.profiles(
-        case.volumes(first),
-        case.true,
-        case.names,
-        case.grid,
-        case.path("profiles"),
-        line,
-        PAGE_WIDTH,
-        others,
-        case.label(first),
-    )
+    """Draw all runs along one line through edges.
+
+    Parameters
+    ----------
+    case : runs of the report
+
+    Returns
+    -------
+    parts of the page
+    """
+    results = {case.label(run): case.volumes(run) for run in case.runs}
+    strongest = results[case.label(case.runs[0])] if case.true is None else case.true
+    line = figures.profile_line(strongest[-1], case.grid)
+    path = figures.profiles(results, case.true, case.names, case.grid, case.path("profiles"), line, PAGE_WIDTH)
     caption = "Every basis along one line through the regions where the last one is strongest."
     return (picture(path, caption),)
 
 
 def mono_parts(case: Case) -> Parts:
-    """A virtual monoenergetic image."""
+    """Draw a virtual monoenergetic image of every run.
+
+    Parameters
+    ----------
+    case : runs of the report
+
+    Returns
+    -------
+    parts of the page
+
+    Raises
+    ------
+    LeftOut
+        When the dataset was not found, or has other bases than the runs.
+    """
     basis = case.needs_dataset().spectra.basis
     if not set(case.names) <= set(basis.names):
         raise LeftOut("the dataset states other bases than the reconstruction")
@@ -75,7 +97,19 @@ def mono_parts(case: Case) -> Parts:
 def hounsfield(
     volumes: Real[np.ndarray, "basis z y x"], basis: Basis, names: tuple[str, ...], energy: float = MONO
 ) -> Float[np.ndarray, "z y x"]:
-    """1000 (mu - mu_water) / mu_water at one energy [HU]; bases that `names` lacks count as none."""
+    """Compute a virtual monoenergetic image, 1000 (mu - mu_water) / mu_water.
+
+    Parameters
+    ----------
+    volumes : coefficients of `names` [1/mm]
+    basis : basis functions of the dataset
+    names : names of the bases of `volumes`; bases of the dataset that are not among them count as 0
+    energy : energy [keV]
+
+    Returns
+    -------
+    CT numbers [HU]
+    """
     values = dict(zip(basis.names, basis.evaluate(np.array([energy]))[:, 0], strict=True))
     water = _WATER.attenuation(np.array([energy]))[0]
     mu = np.tensordot(np.array([values[name] for name in names]), np.asarray(volumes, dtype=np.float64), axes=1)
@@ -85,14 +119,23 @@ def hounsfield(
 def mono_figure(
     result: Float[np.ndarray, "z y x"], truth: Float[np.ndarray, "z y x"] | None, grid: Grid, path: Path
 ) -> Path:
-    """Middle axial slice in HU: truth, result and difference, or the result alone; with a CSV of the central row."""
+    """Draw the middle axial slice: truth, result and difference, or the result alone, with the central row as CSV.
+
+    Parameters
+    ----------
+    result, truth : CT numbers [HU]; None where there is no truth
+    grid : grid of the volumes
+    path : figure to write
+
+    Returns
+    -------
+    path
+    """
     middle = grid.shape[0] // 2
     images = {"result": result[middle]} if truth is None else {"truth": truth[middle], "result": result[middle]}
     reference = result if truth is None else truth
     low, high = -1000.0, float(np.ceil(np.quantile(reference, 0.999) / 100 + 1) * 100)
-    x, y = grid.axis("x"), grid.axis("y")
-    half = grid.spacing[1] / 2
-    extent = (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half)
+    extent = (*figures.borders(grid, "x"), *figures.borders(grid, "y"))
     with figure_file(path, (PAGE_WIDTH, 2.3 if truth is not None else 3.4)) as figure:
         axes = figure.subplots(1, len(images) + (truth is not None), sharey=True, squeeze=False)[0]
         for ax, (title, image) in zip(axes, images.items(), strict=False):
@@ -111,12 +154,12 @@ def mono_figure(
             ax.spines[:].set_visible(True)
             ax.set_xlabel("x [mm]")
     row = grid.shape[1] // 2
-    write_csv(path, {"x_mm": x, **{f"{name}_HU": image[row] for name, image in images.items()}})
+    write_csv(path, {"x_mm": grid.axis("x"), **{f"{name}_HU": image[row] for name, image in images.items()}})
     return path
 
 
 def _write_numbers(volumes: np.ndarray, case: Case, plane: str, path: Path) -> None:
-    """What a picture of slices shows as numbers: range of each basis there, and its error."""
+    """Write the numbers of a figure of slices: the range of each basis in the slice, and its error."""
     axis = PLANES.index(plane)
     cut = volumes.take(case.grid.shape[axis] // 2, axis=axis + 1)
     table = {"basis": np.arange(len(cut)), "lowest_per_mm": cut.min((1, 2)), "highest_per_mm": cut.max((1, 2))}

@@ -1,4 +1,4 @@
-"""Measured views, what the model expects there, and what is left, in standard deviations of the noise."""
+"""Measured views, those that the model predicts, and residuals in standard deviations of the noise."""
 
 import numpy as np
 
@@ -11,25 +11,39 @@ from recon.output.report.case import Case, Parts
 from recon.output.report.finished_run import FinishedRun
 from spectra.errors import InputError
 
-MOST_CHANNELS = 6  # in one picture
+MOST_CHANNELS = 6  # channels; largest number in one figure, for the width of a page
 
 
 def parts(case: Case) -> Parts:
-    """One test view of every run, and the sinograms."""
+    """Draw one test view of every run, and the sinograms.
+
+    Parameters
+    ----------
+    case : runs of the report
+
+    Returns
+    -------
+    parts of the page
+
+    Raises
+    ------
+    LeftOut
+        When the dataset was not found.
+    """
     dataset = case.needs_dataset()
     found: list[Part] = []
     if len(dataset.splits["test"]):
         for i, run in enumerate(case.runs):
             found += _view_of(case, run, i)
     caption = (
-        "Sinograms: log projections of the middle row of pixels in the training views, which the fit has seen. The "
+        "Sinograms: log projections of the middle row of pixels in the training views, which the fit used. The "
         "table has their mean in the first channel."
     )
     return (*found, picture(sinograms(dataset, case.path("sinograms")), caption))
 
 
 def _view_of(case: Case, run: FinishedRun, number: int) -> list[Part]:
-    """A test view: images per channel, and residuals with their histograms."""
+    """Test view of a run: images per channel, and residuals with their histograms."""
     dataset = case.needs_dataset()
     try:
         view = next(held_out_views(dataset, run.model))
@@ -50,11 +64,12 @@ def _view_of(case: Case, run: FinishedRun, number: int) -> list[Part]:
     return [
         picture(
             shown,
-            f"{case.who(run)}Test view {index}: {s.units}, their negative logarithm, and the one the model expects.",
+            f"{case.who(run)}Test view {index}: {s.units}, their negative logarithm, and that of the model.",
         ),
         picture(
             residuals,
-            f"{case.who(run)}What is left of it, in standard deviations of the expected noise, and its distribution "
-            "against the unit normal; above it the part of the rays beyond 6σ, of all and of those away from edges.",
+            f"{case.who(run)}Residuals of this view in standard deviations of the expected noise, and their "
+            "distribution beside the unit normal; above it the part of rays beyond 6σ, of all and of those away "
+            "from edges.",
         ),
     ]

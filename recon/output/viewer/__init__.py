@@ -1,6 +1,6 @@
-"""Looking at a run: truth, result and difference of every basis, surfaces, and the Gaussians themselves.
+"""Viewer of a run: truth, result and difference of every basis, surfaces, and the Gaussians.
 
-`content` says what there is to see, `load` reads it from a run folder, `surfaces` and `markers` make shapes of it, and
-`drawing` puts it into a window of several panels. How pictures and pages are written is the business of
-`phantomgen.display.viewer`, which shows scans.
+`content` has the numbers, `load` reads them from a run folder, `surfaces` and `ellipsoid_markers` create shapes, and
+`drawing` draws them into a window of several panels. `phantomgen.display.viewer`, which shows scans, writes pictures
+and pages.
 """

@@ -1,4 +1,4 @@
-"""What there is to see of a run, as numbers."""
+"""Content of a viewer of a run, as numbers."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,24 +13,24 @@ from recon.evaluation.metrics import psnr
 from recon.gaussians.model import Gaussians
 from spectra.errors import InputError
 
-SHOWN_FROM = 0.02  # part of the end of a colour bar: smaller values are taken for empty
-_FEW_VOXELS = 99.5  # percentile that the colour bar of a result without truth, or of a difference, ends at
+SHOWN_FROM = 0.02  # part of the end of a colour bar; smaller values are taken for empty; our choice
+_FEW_VOXELS = 99.5  # percentile; end of the colour bar of a difference, or of a result without truth; our choice
 
 
 @dataclass(frozen=True, eq=False)
 class RunContent:
-    """What is shown of a run.
+    """Content that is shown of a run.
 
     Parameters
     ----------
-    name : of the run
-    grid : voxels of all volumes
-    basis_names : of the run and of the truth
+    name : name of the run
+    grid : grid of all volumes
+    basis_names : names of the bases of the run and of the truth
     result : coefficients; zeros for a basis that the run lacks [1/mm]
-    truth : of the scan, None where nobody knows it
-    true : its coefficients, in the order of `basis_names` [1/mm]
-    gaussians : the model, None where the method has none
-    at : where the planes x, y and z cut the volumes [mm]
+    truth : truth of the scan; None where it is not known
+    true : coefficients of the truth, in the order of `basis_names` [1/mm]
+    gaussians : model; None where the method has none
+    at : positions of the planes x, y and z [mm]
     """
 
     name: str
@@ -60,7 +60,22 @@ class RunContent:
         gaussians: Gaussians | None,
         at: Triple | None = None,
     ) -> "RunContent":
-        """With the bases of the run and of the truth, zeros where either lacks one; the planes cut the centre."""
+        """Create the content with the bases of the run and of the truth, and zeros where either lacks one.
+
+        Parameters
+        ----------
+        name : name of the run
+        grid : grid of all volumes
+        basis_names : names of the bases of the run
+        result : coefficients of the run [1/mm]
+        truth : truth of the scan; None where it is not known
+        gaussians : model; None where the method has none
+        at : positions of the planes x, y and z [mm]; the centre of the grid where it is None
+
+        Returns
+        -------
+        content
+        """
         names, true = basis_names, None
         if truth is not None:
             names = truth.basis_names + tuple(name for name in basis_names if name not in truth.basis_names)
@@ -73,9 +88,16 @@ class RunContent:
         return f"RunContent({self.name}: {', '.join(self.basis_names)}, {self.truth!r}, {self.gaussians!r})"
 
     def scale(self, basis: int) -> tuple[float, int]:
-        """End of the colour bar of truth and result [1/mm], and how many ticks it has.
+        """Compute the colour bar of truth and result.
 
-        It holds what the truth reaches, or all but a few voxels of the result, which may overshoot at edges.
+        Parameters
+        ----------
+        basis : number of the basis
+
+        Returns
+        -------
+        end of the colour bar [1/mm], and its number of ticks. It reaches the largest usual value of the truth, or all
+        but a few voxels of the result, which may overshoot at edges
         """
         top = 0.0 if self.true is None else usual_top(self.true[basis])
         if top == 0.0:
@@ -85,14 +107,28 @@ class RunContent:
         return round_scale(top)
 
     def difference(self, basis: int) -> Float[np.ndarray, "z y x"]:
-        """Result minus truth [1/mm]."""
+        """Compute result minus truth.
+
+        Parameters
+        ----------
+        basis : number of the basis
+
+        Returns
+        -------
+        differences [1/mm]
+
+        Raises
+        ------
+        InputError
+            When there is no truth.
+        """
         if self.true is None:
             raise InputError(f"{self.name} has no truth to compare with")
         return self.result[basis] - self.true[basis]
 
     @cached_property
     def filled(self) -> Bool[np.ndarray, "z y x"]:
-        """Where there is something to show: in any basis of the truth or of the result."""
+        """True for voxels that are not empty in any basis of the truth or of the result."""
         found = np.zeros(self.grid.shape, bool)
         for basis in range(len(self.basis_names)):
             least = SHOWN_FROM * self.scale(basis)[0]
@@ -102,13 +138,31 @@ class RunContent:
         return found
 
     def difference_scale(self, basis: int) -> float:
-        """End of the colour bar of a difference, which few errors exceed [1/mm]."""
+        """Compute the end of the colour bar of a difference.
+
+        Parameters
+        ----------
+        basis : number of the basis
+
+        Returns
+        -------
+        end of the colour bar [1/mm], above all but a few differences
+        """
         errors = np.abs(self.difference(basis)[self.filled])
         usual = float(np.percentile(errors, _FEW_VOXELS)) if errors.size else 0.0
         return round_scale(usual)[0]
 
     def errors(self, basis: int) -> str:
-        """How large the differences are, in words."""
+        """Describe the size of the differences.
+
+        Parameters
+        ----------
+        basis : number of the basis
+
+        Returns
+        -------
+        PSNR and root mean square as text
+        """
         square = float(np.mean(self.difference(basis).astype(np.float64) ** 2))
         found = psnr(float(self.true[basis].max()), square) if self.true is not None else None
         said = f"rms {np.sqrt(square):.2g} 1/mm"
@@ -117,7 +171,7 @@ class RunContent:
 
 def _in_order(
     names: tuple[str, ...], own: tuple[str, ...], volumes: Float[np.ndarray, "basis z y x"]
-) -> Float[np.ndarray, "basis z y x"]:
+) -> Float[np.ndarray, "shown_basis z y x"]:
     """Volumes by names, zeros for those that are missing."""
     if names == own:
         return volumes

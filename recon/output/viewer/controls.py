@@ -1,4 +1,4 @@
-"""What the keys of a window do: other bases, and planes that move through all volumes together."""
+"""Keys of a window: other bases, and planes that move through all volumes together."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,15 +12,15 @@ from recon.output.viewer.content import RunContent
 
 @dataclass
 class Controls:
-    """The state of a window.
+    """State of a window.
 
     Parameters
     ----------
-    content : what is shown
-    panes : those of slices, by what they show and by the place of their basis in `bases`
-    draw : draws a panel: what it shows, basis, point of the planes
-    bases : numbers of those that are shown
-    at : where the planes cut (x, y, z) [mm]
+    content : content that is shown
+    panes : panels of slices, by their kind and by the position of their basis in `bases`
+    draw : function that draws a panel from its kind, its basis and the positions of the planes
+    bases : numbers of the bases that are shown
+    at : positions of the planes (x, y, z) [mm]
     """
 
     content: RunContent
@@ -30,13 +30,24 @@ class Controls:
     at: Triple
 
     def turn(self, step: int) -> None:
-        """Show other bases, `step` further."""
+        """Show other bases.
+
+        Parameters
+        ----------
+        step : number of bases by which to go on
+        """
         count = len(self.content.basis_names)
         self.bases = [(basis + step) % count for basis in self.bases]
         self._redraw()
 
     def move(self, axis: str, step: int) -> None:
-        """Move a plane by `step` voxels, not beyond the volume."""
+        """Move a plane, not beyond the volume.
+
+        Parameters
+        ----------
+        axis : ``x``, ``y`` or ``z``
+        step : number of voxels
+        """
         i, places = "xyz".index(axis), self.content.grid.axis(axis)
         layer = min(max(layer_at(self.content.grid, axis, self.at[i]) + step, 0), len(places) - 1)
         x, y, z = (float(places[layer]) if j == i else value for j, value in enumerate(self.at))
@@ -44,7 +55,7 @@ class Controls:
         self._redraw()
 
     def bind(self) -> None:
-        """Make keys of the window do this."""
+        """Connect the keys of the window."""
         plotter: Any = next(iter(self.panes.values())).plotter  # whose wrapped methods confuse type checkers
         plotter.add_key_event("Right", partial(self.turn, 1))
         plotter.add_key_event("Left", partial(self.turn, -1))

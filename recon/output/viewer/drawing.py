@@ -1,4 +1,4 @@
-"""The window of a run: slices of truth, result and difference, surfaces, and Gaussians."""
+"""Window of a run: slices of truth, result and difference, surfaces, and Gaussians."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -8,32 +8,32 @@ from typing import Any
 import numpy as np
 import pyvista
 
-from phantomgen.display.viewer.content import Material, Triple
+from phantomgen.display.viewer.content import Triple
 from phantomgen.display.viewer.drawing import SIZE, SOLID, draw_planes, draw_surfaces, look_at_volume, usual_size
 from phantomgen.display.viewer.panes import FONT, Pane
 from recon.output.viewer.content import RunContent
 from recon.output.viewer.controls import Controls
 from recon.output.viewer.ellipsoid_markers import COARSE, FINE, MOST, MOST_IN_A_PAGE, ellipsoids
-from recon.output.viewer.surfaces import surfaces
+from recon.output.viewer.surfaces import SurfacePanel, surfaces
 from spectra.basis.basis import pretty
 
 DIVERGING = "RdBu_r"
 TRUTH, RESULT, DIFFERENCE = "truth", "result", "difference"
 
 Place = tuple[int, int]
-Key = tuple[str, int]  # what a panel shows, and of which basis or of how many
+Key = tuple[str, int]  # kind of a panel, and position of its basis
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the panels are.
+    """Positions of the panels.
 
     Parameters
     ----------
     shape : rows and columns of cells
     groups : cells that are one panel, as pyvista takes them
-    slices : places of the panels of kind k and row or column b
-    others : places of surfaces and Gaussians
+    slices : positions of the panels of slices, by kind and by row or column
+    others : positions of the panels of surfaces and Gaussians
     """
 
     shape: Place
@@ -50,16 +50,21 @@ def draw(
     off_screen: bool = True,
     for_page: bool = False,
 ) -> tuple[pyvista.Plotter, list[Pane]]:
-    """A window with everything, and its panels; all of them turn together.
+    """Create a window with all panels, which turn together.
 
     Parameters
     ----------
-    content : what is shown
-    bases : numbers of those whose slices are shown
-    levels : of surfaces [1/mm]; see `recon.output.viewer.surfaces.surfaces`
-    size : width and height [pixel]; None for one that holds all panels
-    off_screen : for a picture, not for a window that opens
-    for_page : leave out the words, which the caller finds in the panels, and what would make a page heavy
+    content : content to show
+    bases : numbers of the bases whose slices are shown
+    levels : levels of surfaces [1/mm]; see `recon.output.viewer.surfaces.surfaces`
+    size : width and height [pixel]; None for a size that holds all panels
+    off_screen : whether it is for a picture, and no window opens
+    for_page : whether it is for a page: words are not drawn, as the caller finds them in the panels, and Gaussians are
+        fewer and coarser
+
+    Returns
+    -------
+    window and panels
     """
     bodies = surfaces(content, levels)
     kinds = [RESULT] if content.true is None else [TRUTH, RESULT, DIFFERENCE]
@@ -79,8 +84,8 @@ def draw(
     for (kind, i), pane in panes.items():
         draw_slices(pane, kind, bases[i], content.at, content)
         look_at_volume(pane, content.grid)
-    for pane, (title, shown, colours) in zip(others, bodies, strict=False):
-        draw_bodies(pane, content, title, shown, colours)
+    for pane, panel in zip(others, bodies, strict=False):
+        draw_bodies(pane, content, panel)
     if content.gaussians is not None:
         draw_gaussians(others[-1], content)
     every = [*panes.values(), *others]
@@ -97,7 +102,16 @@ def draw(
 
 
 def draw_slices(pane: Pane, kind: str, basis: int, at: Triple, content: RunContent) -> None:
-    """Three slices through the truth, the result or the difference of one basis, with a colour bar."""
+    """Draw three slices through the truth, the result or the difference of one basis, with a colour bar.
+
+    Parameters
+    ----------
+    pane : panel
+    kind : ``truth``, ``result`` or ``difference``
+    basis : number of the basis
+    at : positions of the planes (x, y, z) [mm]
+    content : content to show
+    """
     pane.plotter.subplot(*pane.place)
     (top, ticks), name = content.scale(basis), pretty(content.basis_names[basis])
     if kind == DIFFERENCE:
@@ -112,14 +126,27 @@ def draw_slices(pane: Pane, kind: str, basis: int, at: Triple, content: RunConte
         pane.words.note = content.errors(basis)
 
 
-def draw_bodies(pane: Pane, content: RunContent, title: str, shown: list[Material], colours: list[str]) -> None:
-    """Translucent surfaces of materials, or of levels."""
-    draw_surfaces(pane, shown, colours, content.grid)
-    pane.words.title = title
+def draw_bodies(pane: Pane, content: RunContent, panel: SurfacePanel) -> None:
+    """Draw translucent surfaces of materials, or of levels.
+
+    Parameters
+    ----------
+    pane : panel
+    content : content to show
+    panel : title, bodies and colours
+    """
+    draw_surfaces(pane, panel.bodies, panel.colours, content.grid)
+    pane.words.title = panel.title
 
 
 def draw_gaussians(pane: Pane, content: RunContent) -> None:
-    """Ellipsoids of the Gaussians beyond the plane y, in colours mixed from their bases."""
+    """Draw ellipsoids of the Gaussians beyond the plane y, in colours mixed from their bases.
+
+    Parameters
+    ----------
+    pane : panel
+    content : content to show
+    """
     from recon.figures.basis_colours import basis_colours  # noqa: PLC0415
 
     if content.gaussians is None:
@@ -138,7 +165,18 @@ def draw_gaussians(pane: Pane, content: RunContent) -> None:
 
 
 def layout(kinds: list[str], bases: int, others: int) -> Layout:
-    """Panels of one basis lie in a row above the others; those of several bases in columns, the others in one more."""
+    """Arrange the panels.
+
+    Parameters
+    ----------
+    kinds : kinds of slices
+    bases : number of bases whose slices are shown
+    others : number of panels of surfaces and Gaussians
+
+    Returns
+    -------
+    positions: slices of one basis in a row above the others; those of several bases in columns, the others in one more
+    """
     if len(kinds) > 1 and bases > 1:
         shape = (max(len(kinds), others), bases + 1)
         slices = {(kind, i): (k, i) for k, kind in enumerate(kinds) for i in range(bases)}
@@ -157,5 +195,5 @@ def layout(kinds: list[str], bases: int, others: int) -> Layout:
 
 
 def _smaller(shape: Place) -> float:
-    """Letters shrink a little where panels are many."""
+    """Factor of the size of letters, for many panels."""
     return 0.82 if shape[0] > 2 else 1.0

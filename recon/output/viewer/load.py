@@ -1,4 +1,4 @@
-"""What there is to see, from a run folder, and the dataset that it was made from where that can be found."""
+"""Content of a viewer from a run folder, and the dataset from which the run was made where it can be found."""
 
 from pathlib import Path
 
@@ -10,14 +10,18 @@ from spectra.errors import DatasetError, Error, InputError
 
 
 def load_run(folder: Path, dataset: Path | None = None, at: Triple | None = None) -> RunContent:
-    """What there is to see of a run.
+    """Read the content that is shown of a run.
 
     Parameters
     ----------
-    folder : of the run
-    dataset : whose truth it is compared with, on the grid of the truth; by default the one that it was made from,
-        where that lies beside the run or in the current folder and its truth has the grid of the run
-    at : where the slices cut (x, y, z) [mm], by default the centre
+    folder : run folder
+    dataset : dataset whose truth is compared, on the grid of the truth; where it is None the dataset from which the run
+        was made, if it is beside the run or in the current folder and its truth has the grid of the run
+    at : positions of the slices (x, y, z) [mm]; the centre where it is None
+
+    Returns
+    -------
+    content
 
     Raises
     ------
@@ -33,6 +37,7 @@ def load_run(folder: Path, dataset: Path | None = None, at: Triple | None = None
 
 
 def _truth_of(run: StoredRun, dataset: Path) -> Truth:
+    """Truth of a dataset that is named; refuses one without truth or with other bases."""
     truth = read_truth(dataset)
     if truth is None:
         raise DatasetError(f"{dataset} holds no truth to compare with")
@@ -43,14 +48,14 @@ def _truth_of(run: StoredRun, dataset: Path) -> Truth:
 
 
 def _own_truth(run: StoredRun) -> Truth | None:
-    """The truth of the scan that was reconstructed, None where it is not found."""
+    """Truth of the scan that was reconstructed; None where it is not found."""
     for folder in (run.folder.resolve().parent, Path()):
         path = folder / run.dataset
         if not (run.dataset and path.is_file()):
             continue
         try:
             truth = read_truth(path)
-        except Error:  # nobody asked for this file
+        except Error:  # this file was not asked for
             continue
         if truth is not None and truth.grid == run.grid and set(truth.basis_names) & set(run.basis_names):
             return truth

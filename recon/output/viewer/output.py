@@ -1,4 +1,4 @@
-"""Where a look at a run goes: a picture, a page, or a window."""
+"""Output of the viewer of a run: a picture, a page, or a window."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,11 +23,11 @@ def show(
 
     Parameters
     ----------
-    content : what is shown
-    bases : numbers of those whose slices are shown; in a window the first of them is
-    levels : of surfaces [1/mm]; see `recon.output.viewer.surfaces.surfaces`
+    content : content to show
+    bases : numbers of the bases whose slices are shown; a window shows the first of them
+    levels : levels of surfaces [1/mm]; see `recon.output.viewer.surfaces.surfaces`
     screenshot, html : files to write
-    size : of picture or window, width and height [pixel]; None for one that holds all panels
+    size : width and height of picture or window [pixel]; None for a size that holds all panels
     """
 
     def draw(for_page: bool, off_screen: bool) -> "Drawn":
@@ -40,7 +40,16 @@ def show(
 
 
 def chosen_bases(content: RunContent, basis: str | None) -> list[int]:
-    """Numbers of the bases that are asked for, by default all.
+    """Return the numbers of the bases that are asked for.
+
+    Parameters
+    ----------
+    content : content to show
+    basis : name of a basis; None for all
+
+    Returns
+    -------
+    numbers of the bases
 
     Raises
     ------

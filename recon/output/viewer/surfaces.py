@@ -1,9 +1,10 @@
 """Surfaces in volumes of a result: of the materials that are known, or where a basis crosses a level."""
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Integer
 from scipy.ndimage import gaussian_filter
 
 from phantomgen.dataset.truth import Truth
@@ -14,16 +15,35 @@ from recon.output.viewer.content import RunContent
 from spectra.basis.basis import pretty
 from spectra.errors import InputError
 
-_SMOOTHING = 1.0  # voxels: a shell of one voxel, where another material shines through an edge, stays below one half
+_SMOOTHING = 1.0  # voxels; a layer of one voxel at an edge that looks like a third material stays below one half
 
 
-def surfaces(content: RunContent, levels: dict[str, float] | None) -> list[tuple[str, list[Material], list[str]]]:
-    """Panels of surfaces: title, bodies and their colours; first those of the truth, where there is one.
+class SurfacePanel(NamedTuple):
+    """Panel of surfaces.
 
     Parameters
     ----------
-    content : what is shown
-    levels : of some bases [1/mm]; None for materials, or `usual_levels` where there is no truth
+    title : title of the panel
+    bodies : bodies whose surfaces are drawn
+    colours : colour of each body
+    """
+
+    title: str
+    bodies: list[Material]
+    colours: list[str]
+
+
+def surfaces(content: RunContent, levels: dict[str, float] | None) -> list[SurfacePanel]:
+    """Create the panels of surfaces, first those of the truth where there is one.
+
+    Parameters
+    ----------
+    content : content to show
+    levels : levels of some bases [1/mm]; None for materials, or `usual_levels` where there is no truth
+
+    Returns
+    -------
+    panels
     """
     from phantomgen.display.viewer.drawing import colour_of  # noqa: PLC0415 - pyvista
 
@@ -31,23 +51,30 @@ def surfaces(content: RunContent, levels: dict[str, float] | None) -> list[tuple
         true = materials(content.truth)
         found = [m for m in result_materials(content, content.truth) if m.fraction.max() > m.level]
         panels = (("true materials", true), ("materials in the result", found))
-        return [(title, shown, [colour_of(m) for m in shown]) for title, shown in panels]
+        return [SurfacePanel(title, shown, [colour_of(m) for m in shown]) for title, shown in panels]
     chosen = checked_levels(content, levels) if levels is not None else usual_levels(content)
     colours = basis_colours(content.basis_names)
     volumes = [("true levels", content.true)] if content.true is not None else []
     panels = []
     for title, values in [*volumes, ("levels in the result", content.result)]:
         shown = list(level_bodies(values, content.grid, content.basis_names, chosen))
-        panels.append((title, shown, [colours[m.index] for m in shown]))
+        panels.append(SurfacePanel(title, shown, [colours[m.index] for m in shown]))
     return panels
 
 
 def result_materials(content: RunContent, truth: Truth) -> list[Material]:
-    """Where the result looks most like each material of the truth.
+    """Find where the result is nearest to each material of the truth.
 
-    Every voxel gets the material whose coefficients are nearest, each basis relative to its largest coefficient; the
-    parts are smoothed a little, so that the shell of one voxel at an edge, which may look like a third material, and
-    single voxels of noise have no surface.
+    Parameters
+    ----------
+    content : content to show
+    truth : truth of the scan
+
+    Returns
+    -------
+    materials of the truth, each with the voxels of the result whose coefficients are nearest to it. The parts are
+    smoothed by one voxel: the layer of one voxel at an edge, which may look like a third material, and single voxels of
+    noise have no surface then
     """
     labels = nearest_materials(content.result[: len(truth.basis_names)], truth.coefficients)
     shown = materials(truth)
@@ -58,8 +85,18 @@ def result_materials(content: RunContent, truth: Truth) -> list[Material]:
 
 def nearest_materials(
     volumes: Float[np.ndarray, "basis z y x"], coefficients: Float[np.ndarray, "material basis"]
-) -> Int[np.ndarray, "z y x"]:
-    """0 where a voxel is nearest to nothing, i + 1 where it is nearest to material i."""
+) -> Integer[np.ndarray, "z y x"]:
+    """Label voxels by the material whose coefficients are nearest, each basis relative to its largest coefficient.
+
+    Parameters
+    ----------
+    volumes : coefficients [1/mm]
+    coefficients : coefficients of the materials [1/mm]
+
+    Returns
+    -------
+    0 where a voxel is nearest to zero, i + 1 where it is nearest to material i
+    """
     largest = coefficients.max(axis=0)
     scale = np.where(largest > 0, largest, 1.0)
     centres = np.concatenate([np.zeros((1, len(scale))), coefficients / scale])
@@ -71,7 +108,15 @@ def nearest_materials(
 
 
 def usual_levels(content: RunContent) -> dict[str, float]:
-    """The level of each basis that parts its voxels best in two [1/mm]; a basis without positive values has none.
+    """Compute the level of each basis that divides its voxels best into two classes.
+
+    Parameters
+    ----------
+    content : content to show
+
+    Returns
+    -------
+    levels by basis [1/mm]; a basis without positive values has none
 
     References
     ----------
@@ -84,12 +129,20 @@ def usual_levels(content: RunContent) -> dict[str, float]:
 
 
 def parse_levels(texts: tuple[str, ...]) -> dict[str, float] | None:
-    """``"compton=0.01"`` and others as numbers, None where there are none.
+    """Read texts such as ``"compton=0.01"``.
+
+    Parameters
+    ----------
+    texts : a basis and a level [1/mm] each
+
+    Returns
+    -------
+    levels by basis; None where there are no texts
 
     Raises
     ------
     InputError
-        When one is no name with a positive number.
+        When a text is no name with a positive number.
     """
     found = {}
     for text in texts:
@@ -104,7 +157,22 @@ def parse_levels(texts: tuple[str, ...]) -> dict[str, float] | None:
 
 
 def checked_levels(content: RunContent, levels: dict[str, float]) -> dict[str, float]:
-    """The same, where all bases are there."""
+    """Refuse levels of bases that do not exist.
+
+    Parameters
+    ----------
+    content : content to show
+    levels : levels by basis [1/mm]
+
+    Returns
+    -------
+    the levels
+
+    Raises
+    ------
+    InputError
+        When there is no such basis.
+    """
     for name in levels:
         if name not in content.basis_names:
             raise InputError(f"{content.name} has no basis {name!r}, only {', '.join(content.basis_names)}")
@@ -114,7 +182,19 @@ def checked_levels(content: RunContent, levels: dict[str, float]) -> dict[str, f
 def level_bodies(
     volumes: Float[np.ndarray, "basis z y x"], grid: Grid, names: tuple[str, ...], levels: dict[str, float]
 ) -> Iterator[Material]:
-    """What lies above each level; a body that holds another is marked to be translucent."""
+    """Create the body above each level; a body that holds another is marked to be translucent.
+
+    Parameters
+    ----------
+    volumes : coefficients [1/mm]
+    grid : grid of the volumes
+    names : names of the bases
+    levels : levels by basis [1/mm]
+
+    Yields
+    ------
+    bodies
+    """
     above = {i: volumes[i] > levels[name] for i, name in enumerate(names) if name in levels}
     boxes = {i: box_of(filled) for i, filled in above.items() if filled.any()}
     for i, box in boxes.items():
@@ -126,15 +206,15 @@ def level_bodies(
         yield Material(name, i, place, values, np.zeros_like(values) if holds else None, levels[names[i]])
 
 
-def _smoothed(labels: Int[np.ndarray, "z y x"], label: int) -> Float[np.ndarray, "z y x"]:
-    """How much of a neighbourhood has a label, with one empty voxel around."""
+def _smoothed(labels: Integer[np.ndarray, "z y x"], label: int) -> Float[np.ndarray, "z y x"]:
+    """Smoothed indicator of a label, with one empty voxel around the grid."""
     return np.pad(gaussian_filter((labels == label).astype(np.float32), _SMOOTHING, mode="constant"), 1)
 
 
 def _sum_within(
     material: Material, shown: list[Material], parts: dict[int, Float[np.ndarray, "z y x"]]
 ) -> Float[np.ndarray, "z y x"] | None:
-    """What lies within a material according to the truth, None where nothing does."""
+    """Sum of the materials that lie within one according to the truth; None where there are none."""
     if material.inner is None:
         return None
     low, high = _ends(material)
@@ -147,5 +227,6 @@ def _sum_within(
 
 
 def _ends(material: Material) -> tuple[np.ndarray, np.ndarray]:
+    """First and last corner (z, y, x) of the grid of a material [mm]."""
     first = np.array(material.grid.origin)
     return first, first + np.multiply(material.grid.shape, material.grid.spacing)

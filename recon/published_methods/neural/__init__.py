@@ -1,6 +1,6 @@
-"""Published methods that are networks: attenuation as a function of the place, fitted to rays that are sampled.
+"""Published methods that are networks: attenuation as a function of position, fitted to sampled rays.
 
-`rays` picks rays and points on them, `networks` holds what maps points to attenuation, `training` the loop. A file
-each: `field` (in the manner of IntraTomo and NAF) and `sax_nerf` (in the manner of SAX-NeRF), which say what is
-simplified.
+`rays` chooses rays and points on them, `networks` computes attenuation from positions, `training` has the settings and
+the loop that all share. Each method has a file, which names its article and what is simplified: `naf` (NAF and
+IntraTomo) and `sax_nerf` (SAX-NeRF).
 """

@@ -1,4 +1,4 @@
-"""From places to attenuation: grids of features that are learned, a perceptron, and a transformer along segments."""
+"""Attenuation from positions: grids of features that are learned, a perceptron, and a transformer along segments."""
 
 import math
 from itertools import pairwise
@@ -7,9 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-SEGMENT = 8  # points of a ray that attend to each other
-QUIET = 2.0  # softplus(-2) = 0.13: what an untrained network answers, in units of attenuation
-SMALL = 1e-2  # largest feature at the start
+SEGMENT = 8  # points of a ray that attend to each other; our choice
+QUIET = 2.0  # no unit; subtracted from raw outputs: an untrained network gives softplus(-2) = 0.13; our choice
+SMALL = 1e-2  # no unit; largest first feature; our choice
 
 Places = Float[Tensor, "line point 3"]
 Attenuation = Float[Tensor, "line point channel"]
@@ -18,13 +18,15 @@ Attenuation = Float[Tensor, "line point channel"]
 class FeatureGrids(nn.Module):
     """Features at the nodes of cubic grids from coarse to fine, interpolated linearly.
 
-    What a hash grid is (Mueller et al. 2022, doi:10.1145/3528223.3530127) whose table is large enough for all nodes.
-
     Parameters
     ----------
     levels : number of grids, each finer than the one before by the same factor
-    coarsest, finest : nodes along an edge of the first and the last
+    coarsest, finest : nodes along an edge of the first and the last grid
     features : numbers per node
+
+    References
+    ----------
+    Mueller, Evans, Schied, Keller 2022, doi:10.1145/3528223.3530127: a hash grid whose table has room for all nodes.
     """
 
     def __init__(self, levels: int, coarsest: int, finest: int, features: int) -> None:
@@ -35,7 +37,16 @@ class FeatureGrids(nn.Module):
         self.width = levels * features
 
     def forward(self, places: Places) -> Float[Tensor, "line point feature"]:
-        """Features of all grids, one after the other."""
+        """Interpolate the features of all grids.
+
+        Parameters
+        ----------
+        places : positions in the box of the grid, -1 to 1 (x, y, z)
+
+        Returns
+        -------
+        features of the grids from coarse to fine, one after the other
+        """
         flat = places.reshape(1, -1, 1, 1, 3)
         options = {"mode": "bilinear", "padding_mode": "border", "align_corners": True}
         found = [nn.functional.grid_sample(grid, flat, **options)[0, :, :, 0, 0] for grid in self.grids]
@@ -43,7 +54,15 @@ class FeatureGrids(nn.Module):
 
 
 class Perceptron(nn.Module):
-    """Every point by itself."""
+    """Perceptron that computes each point by itself.
+
+    Parameters
+    ----------
+    inputs : number of features
+    hidden : width of the hidden layers
+    layers : number of hidden layers
+    outputs : number of outputs
+    """
 
     def __init__(self, inputs: int, hidden: int, layers: int, outputs: int) -> None:
         super().__init__()
@@ -52,15 +71,35 @@ class Perceptron(nn.Module):
         self.steps = nn.Sequential(*steps, nn.Linear(widths[-1], outputs))
 
     def forward(self, features: Float[Tensor, "line point feature"]) -> Attenuation:
-        """Raw outputs."""
+        """Compute raw outputs.
+
+        Parameters
+        ----------
+        features : features of the points
+
+        Returns
+        -------
+        raw outputs of the points
+        """
         return self.steps(features)
 
 
 class Lineformer(nn.Module):
-    """Points of a line attend to those of their segment of `SEGMENT` points, as SAX-NeRF's do.
+    """Transformer in which points of a line attend to those of their segment of `SEGMENT` points.
 
-    Cai et al. 2024, arXiv:2311.10959. A block is attention, then a perceptron, both behind a normalisation and beside
-    an identity.
+    A block is attention, then a perceptron, each after a normalisation and added to its input.
+
+    Parameters
+    ----------
+    inputs : number of features
+    hidden : width of the blocks
+    blocks : number of blocks
+    heads : heads of the attention of a block
+    outputs : number of outputs
+
+    References
+    ----------
+    Cai, Wang, Yuille, Zhou, Wang 2024, arXiv:2311.10959.
     """
 
     def __init__(self, inputs: int, hidden: int, blocks: int, heads: int, outputs: int) -> None:
@@ -69,31 +108,40 @@ class Lineformer(nn.Module):
         self.enter, self.leave = nn.Linear(inputs, hidden), nn.Linear(hidden, outputs)
         self.attend = nn.ModuleList([nn.Linear(hidden, 3 * hidden) for _ in range(blocks)])
         self.mix = nn.ModuleList([nn.Linear(hidden, hidden) for _ in range(blocks)])
-        self.think = nn.ModuleList([Perceptron(hidden, 2 * hidden, 1, hidden) for _ in range(blocks)])
+        self.perceptrons = nn.ModuleList([Perceptron(hidden, 2 * hidden, 1, hidden) for _ in range(blocks)])
         self.norms = nn.ModuleList([nn.LayerNorm(hidden) for _ in range(2 * blocks)])
 
     def forward(self, features: Float[Tensor, "line point feature"]) -> Attenuation:
-        """Raw outputs; the number of points on a line is a multiple of `SEGMENT`."""
+        """Compute raw outputs.
+
+        Parameters
+        ----------
+        features : features of the points; the number of points on a line is a multiple of `SEGMENT`
+
+        Returns
+        -------
+        raw outputs of the points
+        """
         lines, points, _ = features.shape
         x = self.enter(features).reshape(lines * points // SEGMENT, SEGMENT, -1)
-        for number, (attend, mix, think) in enumerate(zip(self.attend, self.mix, self.think, strict=True)):
+        for number, (attend, mix, perceptron) in enumerate(zip(self.attend, self.mix, self.perceptrons, strict=True)):
             parts = attend(self.norms[2 * number](x)).reshape(len(x), SEGMENT, 3, self.heads, -1)
             query, key, value = parts.permute(2, 0, 3, 1, 4)
             weights = torch.softmax(query @ key.mT / math.sqrt(query.shape[-1]), dim=-1)
             x = x + mix((weights @ value).transpose(1, 2).reshape(len(x), SEGMENT, -1))
-            x = x + think(self.norms[2 * number + 1](x))
+            x = x + perceptron(self.norms[2 * number + 1](x))
         return self.leave(x).reshape(lines, points, -1)
 
 
 class Field(nn.Module):
-    """Attenuation of every channel anywhere in the box, never negative.
+    """Attenuation of every channel at any position in the box, never negative.
 
     Parameters
     ----------
-    encoding : features of a place
-    network : from features to raw outputs
-    units : attenuation that counts as 1 per channel [1/mm]
-    seed : of the first weights
+    encoding : features of a position
+    network : network from features to raw outputs
+    units : attenuation that is 1 for the network, per channel [1/mm]
+    seed : seed of the first weights
     """
 
     def __init__(self, encoding: FeatureGrids, network: nn.Module, units: Float[Tensor, " channel"], seed: int) -> None:
@@ -110,5 +158,14 @@ class Field(nn.Module):
                 grid.uniform_(-SMALL, SMALL, generator=generator)
 
     def forward(self, places: Places) -> Attenuation:
-        """Attenuation [1/mm]."""
+        """Compute attenuation.
+
+        Parameters
+        ----------
+        places : positions in the box of the grid, -1 to 1 (x, y, z)
+
+        Returns
+        -------
+        attenuation [1/mm]
+        """
         return self.units * nn.functional.softplus(self.network(self.encoding(places)) - QUIET)

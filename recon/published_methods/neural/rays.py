@@ -1,6 +1,7 @@
-"""Which rays a step looks at, and the points on them."""
+"""Choice of the rays of a step, and of the points on them."""
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import torch
@@ -10,10 +11,12 @@ from torch import Tensor
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.voxel.method import Images, Weights
-from recon.voxel.projector_pair import Pair
+from recon.voxel.projector_pair import ProjectorPair
 
-WINDOW = 8  # pixels, edge of the pieces of a view that are sampled as a whole
-FOREGROUND = 0.05  # part of the largest image value above which a ray is taken to meet the object
+RayNumbers: TypeAlias = Int[np.ndarray, " ray"]
+
+WINDOW = 8  # pixels; edge of the windows of a view that are sampled as a whole; our choice
+FOREGROUND = 0.05  # part of the largest image value above which a ray is taken to meet the object; our choice
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,8 +25,8 @@ class Points:
 
     Parameters
     ----------
-    places : in the box of the grid, -1 to 1 (x, y, z)
-    steps : length of ray that each point stands for [mm]
+    places : positions in the box of the grid, -1 to 1 (x, y, z)
+    steps : length of ray that each point represents [mm]
     """
 
     places: Float[Tensor, "ray point 3"]
@@ -35,11 +38,11 @@ class Rays:
 
     Parameters
     ----------
-    images : what they measure, per channel
-    weights : 0 for rays that were not measured; all count alike if None
+    images : line integrals per channel [no unit]
+    weights : 0 for rays that were not measured; None where all were
     geometry : poses of the views
-    grid : the volume
-    seed : of the choice
+    grid : grid of the volume
+    seed : seed of the choice
 
     Raises
     ------
@@ -48,7 +51,7 @@ class Rays:
     """
 
     def __init__(self, images: Images, weights: Weights | None, geometry: Geometry, grid: Grid, seed: int) -> None:
-        pair = Pair(geometry, grid)
+        pair = ProjectorPair(geometry, grid)
         met = pair.lengths > 0 if weights is None else (pair.lengths > 0) & (weights > 0)
         bright = np.max(images, axis=0)
         self.images, self.shape, self.rng = images, met.shape, np.random.default_rng([seed, 4])
@@ -60,14 +63,34 @@ class Rays:
         size = np.array(grid.shape[::-1]) * grid.spacing[::-1]
         self.low, self.high = first, first + size
 
-    def anywhere(self, count: int) -> Int[np.ndarray, " ray"]:
-        """Numbers of `count` rays, any that meet the grid."""
+    def anywhere(self, count: int) -> RayNumbers:
+        """Choose rays among all that meet the grid.
+
+        Parameters
+        ----------
+        count : number of rays
+
+        Returns
+        -------
+        numbers of the rays
+        """
         return self.rng.choice(self.met_numbers, count)
 
-    def masked(self, count: int) -> Int[np.ndarray, " ray"]:
-        """Half of them anywhere, half in windows in front of the object: SAX-NeRF's local-global sampling.
+    def masked(self, count: int) -> RayNumbers:
+        """Choose half of the rays anywhere, and half in windows in front of the object.
 
-        The original keeps to the front of the object throughout; rays beside it say where there is nothing.
+        Parameters
+        ----------
+        count : number of rays, about
+
+        Returns
+        -------
+        numbers of the rays, those of the windows first
+
+        Notes
+        -----
+        This is the masked local-global sampling of SAX-NeRF, which chooses all rays in front of the object. Rays beside
+        the object are added here, as they show where attenuation is zero.
         """
         _, rows, columns = self.shape
         windows = max(count // 2 // WINDOW**2, 1)
@@ -80,12 +103,31 @@ class Rays:
         local = local[self.met.ravel()[local]]
         return np.concatenate([local, self.anywhere(max(count - len(local), 1))])
 
-    def measured(self, numbers: Int[np.ndarray, " ray"]) -> Float[Tensor, "ray channel"]:
-        """What rays measure [no unit]."""
+    def measured(self, numbers: RayNumbers) -> Float[Tensor, "ray channel"]:
+        """Return the measured values of rays.
+
+        Parameters
+        ----------
+        numbers : numbers of the rays
+
+        Returns
+        -------
+        line integrals per channel [no unit]
+        """
         return torch.from_numpy(self.images.reshape(len(self.images), -1)[:, numbers].T.astype(np.float32))
 
-    def points(self, numbers: Int[np.ndarray, " ray"], count: int) -> Points:
-        """One point at random in each of `count` equal parts of a ray's way through the grid."""
+    def points(self, numbers: RayNumbers, count: int) -> Points:
+        """Choose one random point in each of `count` equal parts of a ray's path through the grid.
+
+        Parameters
+        ----------
+        numbers : numbers of the rays
+        count : points per ray
+
+        Returns
+        -------
+        points and their lengths
+        """
         view, row, column = np.unravel_index(numbers, self.shape)
         source, first, column_step, row_step = np.moveaxis(self.frames[view], 1, 0)
         along = first + column[:, None] * column_step + row[:, None] * row_step

@@ -1,52 +1,45 @@
-"""A line-segment transformer, in the manner of SAX-NeRF (Cai et al. 2024, arXiv:2311.10959).
+"""A line-segment transformer, after SAX-NeRF.
 
-The points of a ray are cut into segments, and those of one attend to each other before they become attenuation; half of
-the rays of a step come from windows of 8 x 8 pixels in front of the object, half from anywhere. Simplified: two blocks
-of 32 numbers that train on a CPU; one network for all channels; dense grids of features in the place of a hash table,
-as in `recon.published_methods.neural.naf`. A volume is read off along rows of voxels, as the original does: what a
-voxel gets depends on its neighbours in x.
+The points of a ray are divided into segments, and the points of one segment attend to each other before attenuation is
+computed; half of the rays of a step come from windows of 8 x 8 pixels in front of the object, half from anywhere.
+Simplified: two blocks of width 32 that train on a CPU; one network for all channels; dense grids of features in place
+of a hash table, as in `recon.published_methods.neural.naf`. As in the original, a volume is computed along rows of
+voxels, so that the value of a voxel depends on its neighbours in x.
+
+References
+----------
+Cai, Wang, Yuille, Zhou, Wang 2024, Structure-aware sparse-view X-ray 3D reconstruction, CVPR, arXiv:2311.10959.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
-from phantomgen.geometry.poses import Geometry
-from phantomgen.geometry.voxel_grid import Grid
-from recon.published_methods.neural.networks import SEGMENT, FeatureGrids, Field, Lineformer
-from recon.published_methods.neural.rays import Rays
-from recon.published_methods.neural.training import Schedule, attenuation_units, train
-from recon.voxel.method import Images, OnIteration, Volumes, Weights, unwatched
+from torch import nn
+
+from recon.published_methods.neural.networks import SEGMENT, Lineformer
+from recon.published_methods.neural.rays import RayNumbers, Rays
+from recon.published_methods.neural.training import CoordinateNetwork
 from spectra.errors import InputError
-from spectra.threads import without_other_pools
-
-REPORT_EVERY = 10  # steps
 
 
 @dataclass(frozen=True)
-class SaxNerf:
-    """A line-segment transformer as a method.
+class SaxNerf(CoordinateNetwork):
+    """A grid of features and a line-segment transformer; `points` is a multiple of 8.
 
     Parameters
     ----------
-    iterations : steps of Adam
-    rays, points : rays per step, about, and points on each, a multiple of 8
-    levels, coarsest, features : grids of features; the finest has as many nodes along an edge as the volume has voxels
-    hidden, blocks, heads : size of the transformer
-    rate, network_rate : first learning rates of features and transformer; they fall to a tenth
-    seed : of the first weights and the choice of rays
+    iterations, points, network_rate : as in `CoordinateNetwork`, with other values
+    blocks, heads : number of blocks of the transformer, and heads of each
     """
 
     iterations: int = 300
-    rays: int = 1024
     points: int = 64
-    levels: int = 6
-    coarsest: int = 8
-    features: int = 2
-    hidden: int = 32
+    network_rate: float = 0.005
     blocks: int = 2
     heads: int = 2
-    rate: float = 0.1
-    network_rate: float = 0.005
-    seed: int = 0
+
+    report_every: ClassVar[int] = 10  # steps between two reports
 
     def __post_init__(self) -> None:
         if self.points % SEGMENT:
@@ -56,23 +49,32 @@ class SaxNerf:
 
     @property
     def name(self) -> str:
-        """What ``--method`` calls it."""
+        """Name of the method for ``--method``."""
         return "sax-nerf"
 
-    @without_other_pools()
-    def reconstruct(
-        self,
-        line_integrals: Images,
-        weights: Weights | None,
-        geometry: Geometry,
-        grid: Grid,
-        on_iteration: OnIteration = unwatched,
-    ) -> Volumes:
-        """See `recon.voxel.method.LinearMethod`."""
-        rays = Rays(line_integrals, weights, geometry, grid, self.seed)
-        encoding = FeatureGrids(self.levels, self.coarsest, max(grid.shape), self.features)
-        network = Lineformer(encoding.width, self.hidden, self.blocks, self.heads, len(line_integrals))
-        field = Field(encoding, network, attenuation_units(line_integrals, grid), self.seed)
-        rates = (self.rate, self.network_rate)
-        schedule = Schedule(self.iterations, self.rays, self.points, *rates, REPORT_EVERY)
-        return train(field, rays, rays.masked, grid, schedule, on_iteration)
+    def network(self, inputs: int, outputs: int) -> nn.Module:
+        """Create the transformer.
+
+        Parameters
+        ----------
+        inputs : number of features of a position
+        outputs : number of channels or bases
+
+        Returns
+        -------
+        line-segment transformer
+        """
+        return Lineformer(inputs, self.hidden, self.blocks, self.heads, outputs)
+
+    def sampler(self, rays: Rays) -> Callable[[int], RayNumbers]:
+        """Choose half of the rays in front of the object.
+
+        Parameters
+        ----------
+        rays : rays of the scan
+
+        Returns
+        -------
+        function that chooses about a number of rays
+        """
+        return rays.masked

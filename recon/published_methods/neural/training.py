@@ -1,106 +1,180 @@
-"""The loop of both networks: Adam on the squared residual of a few rays per step, and volumes that are read off."""
+"""Settings and loop of all networks: Adam on the squared residuals of some rays per step, and volumes of a network."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
-from torch import Tensor
+from jaxtyping import Float
+from torch import Tensor, nn
 
+from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
-from recon.published_methods.neural.networks import SEGMENT, Field
-from recon.published_methods.neural.rays import Rays
-from recon.voxel.method import Images, Iteration, OnIteration, Volumes
+from recon.published_methods.neural.networks import SEGMENT, FeatureGrids, Field
+from recon.published_methods.neural.rays import RayNumbers, Rays
+from recon.voxel.method import Images, Iteration, OnIteration, Volumes, Weights, unwatched
+from spectra.threads import without_other_pools
 
-BRIGHTEST = 0.999  # quantile of the images that sets the unit of attenuation
-VOXELS_AT_ONCE = 2**16
-LAST_RATE = 0.1  # learning rate at the end over that at the start
+BRIGHTEST = 0.999  # quantile of the images that sets the unit of attenuation; our choice
+VOXELS_AT_ONCE = 2**16  # voxels; piece of a volume that is computed at once, which limits memory
+LAST_RATE = 0.1  # no unit; learning rate at the end over that at the start; our choice
+BETAS = (0.9, 0.99)  # no unit; decay of the moments of Adam; Mueller et al. 2022, doi:10.1145/3528223.3530127
+EPSILON = 1e-15  # no unit; constant of Adam that avoids division by zero; Mueller et al. 2022
 
 
 @dataclass(frozen=True)
-class Schedule:
-    """How long and how finely a network is trained.
+class CoordinateNetwork(ABC):
+    """A network that computes attenuation from position, as a `recon.voxel.method.LinearMethod`.
 
     Parameters
     ----------
-    steps : of Adam
-    rays : per step, about
-    points : per ray
-    rate : first learning rate of the features; it falls to a tenth
-    network_rate : that of the network
-    report_every : steps between two reports
+    iterations : steps of Adam
+    rays, points : rays per step (about), and points on each
+    levels, coarsest, features : number of grids, nodes along an edge of the coarsest, and features per node; the finest
+        has as many nodes along an edge as the volume has voxels
+    hidden : width of the network
+    rate, network_rate : first learning rates of features and network; they decrease to a tenth
+    seed : seed of the first weights and the choice of rays
     """
 
-    steps: int
-    rays: int
-    points: int
-    rate: float
-    network_rate: float
-    report_every: int
+    iterations: int = 1000
+    rays: int = 1024
+    points: int = 96
+    levels: int = 6
+    coarsest: int = 8
+    features: int = 2
+    hidden: int = 32
+    rate: float = 0.1
+    network_rate: float = 0.01
+    seed: int = 0
+
+    report_every: ClassVar[int]
+
+    @abstractmethod
+    def network(self, inputs: int, outputs: int) -> nn.Module:
+        """Create the network behind the grids of features.
+
+        Parameters
+        ----------
+        inputs : number of features of a position
+        outputs : number of channels or bases
+
+        Returns
+        -------
+        network that computes raw outputs from features of points on lines
+        """
+
+    @abstractmethod
+    def sampler(self, rays: Rays) -> Callable[[int], RayNumbers]:
+        """Choose how rays are sampled.
+
+        Parameters
+        ----------
+        rays : rays of the scan
+
+        Returns
+        -------
+        function that chooses about a number of rays
+        """
+
+    @without_other_pools()
+    def reconstruct(
+        self,
+        line_integrals: Images,
+        weights: Weights | None,
+        geometry: Geometry,
+        grid: Grid,
+        on_iteration: OnIteration = unwatched,
+    ) -> Volumes:
+        """Reconstruct volumes from line integrals.
+
+        Parameters
+        ----------
+        line_integrals : one image per channel or basis and view [no unit]
+        weights : 0 for rays that were not measured; all others have equal statistical weight
+        geometry : poses of the views
+        grid : grid of the volume
+        on_iteration : called every few steps, with the relative residual ||b - A x|| / ||b|| of the rays in between
+
+        Returns
+        -------
+        volumes [1/mm]
+        """
+        rays = Rays(line_integrals, weights, geometry, grid, self.seed)
+        encoding = FeatureGrids(self.levels, self.coarsest, max(grid.shape), self.features)
+        network = self.network(encoding.width, len(line_integrals))
+        field = Field(encoding, network, attenuation_units(line_integrals, grid), self.seed)
+        return self._train(field, rays, grid, on_iteration)
+
+    def _train(self, field: Field, rays: Rays, grid: Grid, on_iteration: OnIteration) -> Volumes:
+        """Fit a field to rays, and compute its volumes [1/mm]."""
+        groups = [
+            {"params": field.encoding.parameters(), "lr": self.rate},
+            {"params": field.network.parameters(), "lr": self.network_rate},
+        ]
+        adam = torch.optim.Adam(groups, betas=BETAS, eps=EPSILON)
+        decay = torch.optim.lr_scheduler.ExponentialLR(adam, LAST_RATE ** (1 / self.iterations))
+        bright, choose = field.units * _half_edge(grid), self.sampler(rays)
+        squares, whole, volumes = 0.0, 0.0, np.zeros((0, 0, 0, 0), np.float32)
+        for step in range(1, self.iterations + 1):
+            numbers = choose(self.rays)
+            measured, points = rays.measured(numbers), rays.points(numbers, self.points)
+            predicted = field(points.places).sum(dim=1) * points.steps
+            loss = ((predicted - measured) / bright).square().mean()
+            adam.zero_grad()
+            loss.backward()
+            adam.step()
+            decay.step()
+            squares += float((predicted.detach() - measured).square().sum())
+            whole += float(measured.square().sum())
+            if step % self.report_every == 0 or step == self.iterations:
+                volumes = read(field, grid)
+                residual = (squares / whole) ** 0.5 if whole > 0 else 0.0
+                on_iteration(Iteration(step, self.iterations, residual, volumes))
+                squares, whole = 0.0, 0.0
+        return volumes
 
 
 def attenuation_units(images: Images, grid: Grid) -> Float[Tensor, " channel"]:
-    """Attenuation of each channel that counts as 1: a bright ray's over half of the longest edge [1/mm]."""
-    bright = np.quantile(np.maximum(images, 0).reshape(len(images), -1), BRIGHTEST, axis=1)
-    edge = max(n * spacing for n, spacing in zip(grid.shape, grid.spacing, strict=True))
-    units = np.where(bright > 0, bright, 1.0) / (edge / 2)
-    return torch.from_numpy(units).float()
-
-
-def train(
-    field: Field,
-    rays: Rays,
-    choose: Callable[[int], Int[np.ndarray, " ray"]],
-    grid: Grid,
-    schedule: Schedule,
-    on_iteration: OnIteration,
-) -> Volumes:
-    """Fit a field to rays; returns its volumes [1/mm].
+    """Compute the unit of attenuation of each channel: that of a bright ray over half of the longest edge.
 
     Parameters
     ----------
-    field : first weights; they are changed
-    rays : what was measured
-    choose : picks about so many rays
-    grid : where to read the field
-    schedule : numbers
-    on_iteration : told every few steps, with the residual ||b - A x|| / ||b|| of the rays in between
+    images : line integrals [no unit]
+    grid : grid of the volume
+
+    Returns
+    -------
+    attenuation that is 1 for the network [1/mm]
     """
-    groups = [
-        {"params": field.encoding.parameters(), "lr": schedule.rate},
-        {"params": field.network.parameters(), "lr": schedule.network_rate},
-    ]
-    adam = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15)
-    fall = torch.optim.lr_scheduler.ExponentialLR(adam, LAST_RATE ** (1 / schedule.steps))
-    edge = max(n * spacing for n, spacing in zip(grid.shape, grid.spacing, strict=True))
-    bright = field.units * (edge / 2)
-    left, whole = 0.0, 0.0
-    for step in range(1, schedule.steps + 1):
-        numbers = choose(schedule.rays)
-        measured, points = rays.measured(numbers), rays.points(numbers, schedule.points)
-        predicted = field(points.places).sum(dim=1) * points.steps
-        loss = ((predicted - measured) / bright).square().mean()
-        adam.zero_grad()
-        loss.backward()
-        adam.step()
-        fall.step()
-        left += float((predicted.detach() - measured).square().sum())
-        whole += float(measured.square().sum())
-        if step % schedule.report_every == 0 and step < schedule.steps:
-            residual = (left / whole) ** 0.5 if whole > 0 else 0.0
-            on_iteration(Iteration(step, schedule.steps, residual, read(field, grid)))
-            left, whole = 0.0, 0.0
-    volumes = read(field, grid)
-    on_iteration(Iteration(schedule.steps, schedule.steps, (left / whole) ** 0.5 if whole > 0 else 0.0, volumes))
-    return volumes
+    bright = np.quantile(np.maximum(images, 0).reshape(len(images), -1), BRIGHTEST, axis=1)
+    units = np.where(bright > 0, bright, 1.0) / _half_edge(grid)
+    return torch.from_numpy(units).float()
+
+
+def _half_edge(grid: Grid) -> float:
+    """Half the longest edge of a grid [mm]."""
+    return max(n * spacing for n, spacing in zip(grid.shape, grid.spacing, strict=True)) / 2
 
 
 @torch.no_grad()
 def read(field: Field, grid: Grid) -> Volumes:
-    """Attenuation at voxel centres [1/mm]; rows of voxels along x are the lines of a network that looks along lines.
+    """Compute attenuation at the centres of voxels; rows of voxels along x are the lines of a transformer.
 
-    Rows are continued by a few points past the last voxel where the segments of such a network need it.
+    Parameters
+    ----------
+    field : network
+    grid : grid of the volume
+
+    Returns
+    -------
+    volumes [1/mm]
+
+    Notes
+    -----
+    Rows are continued beyond the last voxel until their number of points is a multiple of `SEGMENT`.
     """
     columns = -(-grid.shape[2] // SEGMENT) * SEGMENT
     x = (2 * torch.arange(columns) + 1) / grid.shape[2] - 1

@@ -1,4 +1,4 @@
-"""Adam with a learning rate per group of parameters, whose rows may come and go."""
+"""Adam with a learning rate per group of parameters, for models whose number of rows changes."""
 
 import torch
 from torch import Tensor
@@ -7,9 +7,22 @@ from recon.published_methods.paper.learned_edge import KEdge
 from recon.published_methods.paper.model import FactorisedGaussians, Units
 from recon.published_methods.paper.recipe import PaperRecipe, Rate
 
+# no unit; constant of Adam that avoids division by zero; R2-Gaussian
+EPSILON = 1e-15
+
 
 def rates(recipe: PaperRecipe, units: Units) -> dict[str, Rate]:
-    """Learning rate of each parameter; that of the centres in mm."""
+    """Return the learning rate of each parameter of the Gaussians.
+
+    Parameters
+    ----------
+    recipe : rates, and the components that change them
+    units : units of the scene
+
+    Returns
+    -------
+    rates by the names of `FactorisedGaussians`; that of the centres in mm
+    """
     centre = Rate(recipe.centre_rate.first * units.length, recipe.centre_rate.last * units.length)
     fraction = recipe.fraction_rate if recipe.uses("fraction-rate") else recipe.density_rate
     found = {
@@ -25,11 +38,11 @@ def rates(recipe: PaperRecipe, units: Units) -> dict[str, Rate]:
 
 
 class GroupedAdam:
-    """Adam on the parameters of a model, which it owns.
+    """Adam on the parameters of a model.
 
     Parameters
     ----------
-    model : what to optimise; its tensors are replaced when rows come and go
+    model : model to optimise; its tensors are replaced when rows are added or removed
     rates : learning rate of each parameter
     """
 
@@ -38,10 +51,15 @@ class GroupedAdam:
         for name, value in model.tensors().items():
             setattr(model, name, value.detach().clone().requires_grad_())
         groups = [{"params": [value], "name": name} for name, value in model.tensors().items()]
-        self.adam = torch.optim.Adam(groups, lr=1.0, eps=1e-15)
+        self.adam = torch.optim.Adam(groups, lr=1.0, eps=EPSILON)
 
     def step(self, fraction: float) -> None:
-        """One step at a fraction of the fit, 0 to 1; gradients are used up."""
+        """Make one step of Adam, and clear the gradients.
+
+        Parameters
+        ----------
+        fraction : part of the fit that is done, 0 to 1, which sets the learning rates
+        """
         for group in self.adam.param_groups:
             rate = self.rates[group["name"]]
             group["lr"] = rate.first * (rate.last / rate.first) ** fraction
@@ -49,7 +67,13 @@ class GroupedAdam:
         self.adam.zero_grad()
 
     def replace_rows(self, kept: Tensor, added: dict[str, Tensor]) -> None:
-        """Keep the rows at indices `kept` with their moments, and append rows without any."""
+        """Keep some rows with their moments, and append new rows with moments of zero.
+
+        Parameters
+        ----------
+        kept : indices of the rows to keep
+        added : new rows of each parameter
+        """
         for group in self.adam.param_groups:
             name = group["name"]
             old = group["params"][0]
@@ -63,7 +87,13 @@ class GroupedAdam:
             setattr(self.model, name, new)
 
     def overwrite(self, name: str, values: Tensor) -> None:
-        """Give a parameter new values and forget its moments."""
+        """Set the values of a parameter, and set its moments to zero.
+
+        Parameters
+        ----------
+        name : name of the parameter
+        values : new values
+        """
         parameter = getattr(self.model, name)
         parameter.detach().copy_(values)
         for moment in ("exp_avg", "exp_avg_sq"):
@@ -72,12 +102,12 @@ class GroupedAdam:
 
 
 class EdgeAdam:
-    """The K edge's own Adam; the edge stays on the energy grid.
+    """Adam for the K edge, whose energy stays between the limits of the energy grid.
 
     Parameters
     ----------
-    edge : what to optimise
-    recipe : rates and the energies that the edge may take
+    edge : edge to optimise
+    recipe : learning rates and the limits of the energy
     """
 
     def __init__(self, edge: KEdge, recipe: PaperRecipe) -> None:
@@ -89,7 +119,7 @@ class EdgeAdam:
         self.adam = torch.optim.Adam(groups)
 
     def step(self) -> None:
-        """One step; gradients are used up."""
+        """Make one step of Adam, and clear the gradients."""
         self.adam.step()
         self.adam.zero_grad()
         self.edge.energy.detach().clamp_(self.lowest, self.highest)

@@ -1,6 +1,7 @@
-"""Adaptive density control: clone and split where the gradient is large, prune what is empty, reset fractions.
+"""Adaptive density control: clone and split Gaussians with a large gradient, remove empty ones, reset fractions.
 
-R2-Gaussian's strategy, with a gradient threshold of its own for splitting.
+This is the strategy of R2-Gaussian (Zha et al. 2024, arXiv:2405.20693), with a gradient threshold of its own for
+splitting (table 4c of the paper).
 """
 
 from dataclasses import dataclass
@@ -16,28 +17,49 @@ from recon.published_methods.paper.adam import GroupedAdam
 from recon.published_methods.paper.model import FactorisedGaussians, Units, inverse_bounded, inverse_softplus
 from recon.published_methods.paper.recipe import PaperRecipe
 
-SHRINK = 1.6  # a split Gaussian's standard deviations over those of its halves
+SHRINK = 1.6  # no unit; standard deviation of a split Gaussian over that of its parts; R2-Gaussian
 
 
 class PanelGradient:
-    """Mean gradient in normalised detector coordinates, over the views in which a Gaussian was seen."""
+    """Mean gradient in normalised detector coordinates over the views in which a Gaussian is visible.
+
+    Parameters
+    ----------
+    count : number of Gaussians
+    """
 
     def __init__(self, count: int) -> None:
         self.total, self.views = torch.zeros(count), torch.zeros(count)
 
     def add(self, gradient: Float[Tensor, " gaussian"]) -> None:
-        """Gradients of one view; those of exactly 0 were not seen."""
+        """Add the gradients of one view.
+
+        Parameters
+        ----------
+        gradient : length of the gradient in normalised detector coordinates; exactly 0 where a Gaussian is not visible
+        """
         self.total += gradient
         self.views += gradient > 0
 
     def mean(self) -> Float[Tensor, " gaussian"]:
-        """Mean per view."""
+        """Compute the mean over the views that were added.
+
+        Returns
+        -------
+        mean gradient per Gaussian; 0 for one that was never visible
+        """
         return self.total / self.views.clamp_min(1)
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What is to happen to which Gaussians."""
+    """Gaussians to clone and Gaussians to split.
+
+    Parameters
+    ----------
+    clone : True for Gaussians to clone
+    split : True for Gaussians to split; none is in both
+    """
 
     clone: Bool[Tensor, " gaussian"]
     split: Bool[Tensor, " gaussian"]
@@ -46,14 +68,18 @@ class Choice:
 def choose(
     panel_gradient: Float[Tensor, " gaussian"], sigma: Float[Tensor, "gaussian 3"], edge: float, recipe: PaperRecipe
 ) -> Choice:
-    """Small Gaussians that are pulled at are cloned, large ones split, the strongest first if there is no room for all.
+    """Choose small Gaussians with a large gradient to be cloned, and large ones to be split.
 
     Parameters
     ----------
     panel_gradient : mean gradient, see `PanelGradient`
     sigma : standard deviations [mm]
     edge : longest edge of the grid [mm]
-    recipe : thresholds, and how many Gaussians there may be
+    recipe : thresholds, and the largest number of Gaussians
+
+    Returns
+    -------
+    the choice; those with the largest gradients where the number of Gaussians is limited
     """
     large = sigma.max(dim=1).values > recipe.large * edge
     threshold = recipe.split_gradient if recipe.uses("split-threshold") else recipe.clone_gradient
@@ -74,7 +100,17 @@ def densify(
     recipe: PaperRecipe,
     rng: np.random.Generator,
 ) -> None:
-    """Clone, split and prune the Gaussians of an optimiser."""
+    """Clone, split and remove the Gaussians of an optimiser.
+
+    Parameters
+    ----------
+    adam : optimiser, whose model is changed
+    panel_gradient : gradients since the last call
+    grid : grid of the volume; Gaussians whose centres are outside are removed
+    units : units of the scene
+    recipe : thresholds and components
+    rng : random numbers for the centres of split Gaussians
+    """
     model = adam.model
     none = torch.zeros(len(model), dtype=torch.bool)
     choice = Choice(none, none)
@@ -94,19 +130,25 @@ def densify(
 
 @torch.no_grad()
 def reset_fractions(adam: GroupedAdam) -> None:
-    """Draw all fractions half way to equal ones, so that none stays too close to 0 to be moved by the gradient."""
+    """Average all fractions with equal ones, so that none stays so close to 0 that its gradient vanishes.
+
+    Parameters
+    ----------
+    adam : optimiser, whose model is changed
+    """
     fractions = adam.model.material_fractions()
     adam.overwrite("fractions", torch.log((fractions + 1 / fractions.shape[1]) / 2))
 
 
 def _rows(model: FactorisedGaussians, some: Bool[Tensor, " gaussian"]) -> dict[str, Tensor]:
+    """Parameters of some Gaussians by name, as copies."""
     return {name: values[some].clone() for name, values in model.tensors().items()}
 
 
 def _halves(
     model: FactorisedGaussians, some: Bool[Tensor, " gaussian"], units: Units, rng: np.random.Generator
 ) -> dict[str, Tensor]:
-    """Smaller Gaussians of half the density at random places inside the given ones."""
+    """Parameters of smaller Gaussians of half the density, at random points drawn from the given ones."""
     rows = _rows(model, some)
     sigma = model.sigma(units)[some]
     offsets = sigma.numpy() * rng.standard_normal(sigma.shape)
@@ -121,7 +163,7 @@ def _halves(
 def _empty(
     densities: Float[Tensor, "gaussian 1"], centres: Float[Tensor, "gaussian 3"], grid: Grid, recipe: PaperRecipe
 ) -> Bool[Tensor, " gaussian"]:
-    """Which Gaussians have no density, or left the grid."""
+    """True for Gaussians of nearly no density, or with their centre outside the grid."""
     spacing, origin = torch.tensor(grid.spacing[::-1]), torch.tensor(grid.origin[::-1])
     voxel = (centres - origin) / spacing
     outside = ((voxel < -0.5) | (voxel > torch.tensor(grid.shape[::-1]) - 0.5)).any(dim=1)

@@ -1,6 +1,6 @@
 """First Gaussians: random voxels of a filtered back-projection of the lowest channel, as in R2-Gaussian.
 
-First material fractions follow from density: dense means photoelectric, very dense means K edge.
+First material fractions follow from density: a dense voxel is photoelectric, a very dense one also K edge.
 """
 
 import numpy as np
@@ -13,12 +13,31 @@ from recon.published_methods.paper.model import FactorisedGaussians, Units
 from recon.published_methods.paper.recipe import PaperRecipe
 from spectra.errors import InputError
 
-NEIGHBOURS = 3
-TOP = 0.999  # quantile of the voxels above zero that counts as density 1
+NEIGHBOURS = 3  # nearest points whose distances give the first standard deviation; R2-Gaussian
+TOP = 0.999  # quantile of the positive voxels that is density 1 in the normalised scene; our choice
+LEAST_MEAN = (
+    0.1  # no unit; least attenuation per density over the largest mean, as a conditioned column may be negative
+)
+MOST_EDGE = 0.5  # no unit; f_max, largest part of f_PE that becomes K edge; our choice
+UNGATED = 0.2  # no unit; value of the gate g where the component is switched off; our choice
+ODDS = float(np.log(9.0))  # log odds; a sigmoid rises from 0.5 to 0.9 between the two quantiles that set its slope
+MIDDLE, HIGH = 0.5, 0.9  # quantiles of density that set rho_0 and the slope a; our choice
+DENSE, DENSEST = 0.95, 0.99  # quantiles of density that set rho_K and the slope a_K; our choice
+LEAST_SPREAD = 1e-3  # no unit; least relative difference of two quantiles, for objects of one density
 
 
 def units_of(volume: Float[np.ndarray, "z y x"], grid: Grid, recipe: PaperRecipe) -> Units:
-    """Units in which the volume's highest density is 1 and the grid's longest edge 2.
+    """Compute units in which the highest density of a volume is 1 and the longest edge of its grid 2.
+
+    Parameters
+    ----------
+    volume : attenuation [1/mm]
+    grid : grid of the volume
+    recipe : bounds of standard deviations
+
+    Returns
+    -------
+    units; the quantile `TOP` of the positive voxels is taken for the highest density
 
     Raises
     ------
@@ -37,21 +56,25 @@ def first_gaussians(
     units: Units,
     recipe: PaperRecipe,
 ) -> FactorisedGaussians:
-    """Gaussians at the centres of random voxels that are dense enough.
+    """Place Gaussians at the centres of random voxels that are dense enough.
 
     Parameters
     ----------
-    volume : attenuation seen by the lowest channel [1/mm]
+    volume : attenuation in the lowest channel [1/mm]
     grid : grid of `volume`
-    means : mean of each basis function over what the lowest channel counts
-    units : of the scene
+    means : mean of each basis function over the counts of the lowest channel
+    units : units of the scene
     recipe : numbers and components
+
+    Returns
+    -------
+    first Gaussians
 
     Notes
     -----
     Standard deviations are the root mean square distance to the three nearest neighbours. R2-Gaussian places its points
-    half a voxel off; here they are at voxel centres. Densities are attenuation over what the fractions attenuate in
-    this channel, so that the start projects as the volume does.
+    half a voxel off; here they are at voxel centres. The density of a Gaussian is the attenuation of its voxel, divided
+    by that of its fractions per density in this channel: the start and the volume have the same projections.
     """
     rng = np.random.default_rng([recipe.seed, 1])
     voxels = np.argwhere(volume > recipe.emptiest * units.density)
@@ -68,7 +91,19 @@ def first_gaussians(
 def initial_volumes(
     volume: Float[np.ndarray, "z y x"], means: Float[np.ndarray, " basis"], units: Units, recipe: PaperRecipe
 ) -> Float[np.ndarray, "basis z y x"]:
-    """What the start says of each basis, voxel by voxel: the volume, split by the first fractions [1/mm]."""
+    """Split a volume into the bases by the first fractions, voxel by voxel.
+
+    Parameters
+    ----------
+    volume : attenuation in the lowest channel [1/mm]
+    means : mean of each basis function over the counts of the lowest channel
+    units : units of the scene
+    recipe : numbers and components
+
+    Returns
+    -------
+    coefficient of each basis [1/mm]; 0 in voxels that are not dense enough for a Gaussian
+    """
     out = np.zeros((len(means), *volume.shape))
     dense = volume > recipe.emptiest * units.density
     attenuation = volume[dense].astype(np.float64)
@@ -80,46 +115,46 @@ def initial_volumes(
 def _fractions(
     attenuation: Float[np.ndarray, " voxel"], bases: int, recipe: PaperRecipe
 ) -> Float[np.ndarray, "voxel basis"]:
+    """First fractions of voxels, with the components that the recipe uses."""
     return fractions_of_density(attenuation, bases, recipe.uses("fraction-start"), recipe.uses("kedge-gate"))
 
 
 def _attenuation_of(
     fractions: Float[np.ndarray, "voxel basis"], means: Float[np.ndarray, " basis"]
 ) -> Float[np.ndarray, " voxel"]:
-    """Attenuation per density; never less than a tenth of the largest mean, as a conditioned column may be negative."""
-    return np.maximum(fractions @ means, 0.1 * np.abs(means).max())
+    """Attenuation per density of each voxel, at least `LEAST_MEAN` of the largest mean."""
+    return np.maximum(fractions @ means, LEAST_MEAN * np.abs(means).max())
 
 
 def _neighbour_distance(points: Float[np.ndarray, "point 3"], default: float) -> Float[np.ndarray, " point"]:
-    """Root mean square distance to the nearest points [mm]; `default` for a lonely one."""
+    """Root mean square distance to the nearest points [mm]; `default` for a single point."""
     count = min(NEIGHBOURS, len(points) - 1)
     if count < 1:
         return np.full(len(points), default)
     return np.sqrt((KDTree(points).query(points, k=count + 1)[0][:, 1:] ** 2).mean(axis=1))
 
 
-MOST_EDGE = 0.5  # f_K,max
-UNGATED = 0.2  # of it where there is no gate
-ODDS = float(np.log(9.0))  # a sigmoid goes from one half to nine tenths between the two quantiles that set its slope
-MIDDLE, HIGH = 0.5, 0.9  # quantiles of density that set rho_0 and the slope a
-DENSE, DENSEST = 0.95, 0.99  # quantiles that set rho_K and the slope a_K
-LEAST_SPREAD = 1e-3  # between quantiles, relative; objects of one density give nearly a step
-
-
 def fractions_of_density(
     density: Float[np.ndarray, " gaussian"], bases: int, by_density: bool = True, gate: bool = True
 ) -> Float[np.ndarray, "gaussian basis"]:
-    """f_PE = s(a (log rho - log rho_0)) and f_C = 1 - f_PE; a gate moves part of f_PE to the K edge.
-
-    With g = s(a_K (rho / rho_K - 1)) the K edge gets f_K = f_max g f_PE, and photoelectric keeps the rest. The paper
-    takes rho_0, rho_K and both slopes from quantiles that it does not state.
+    """Compute first fractions from density.
 
     Parameters
     ----------
-    density : positive, in any unit
-    bases : 2 or 3
+    density : positive densities, in any unit
+    bases : number of bases, 2 or 3
     by_density : whether fractions depend on density; they are equal otherwise
     gate : whether the K edge's part of f_PE depends on density
+
+    Returns
+    -------
+    fractions of photoelectric, Compton and, for three bases, K edge, which add up to 1
+
+    Notes
+    -----
+    f_PE = s(a (log rho - log rho_0)) and f_C = 1 - f_PE, with s the logistic function. With the gate
+    g = s(a_K (rho / rho_K - 1)), f_K = f_max g f_PE is moved from photoelectric to the K edge. The paper takes rho_0,
+    rho_K and both slopes from quantiles that it does not state; `MIDDLE`, `HIGH`, `DENSE` and `DENSEST` are our choice.
     """
     if not by_density:
         return np.full((len(density), bases), 1 / bases)

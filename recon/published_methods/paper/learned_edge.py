@@ -1,8 +1,8 @@
 """Basis functions of the paper: photoelectric, Compton, and a K edge that is learned and conditioned.
 
-The K-edge column is alpha_K s(gamma_K (E - E_K)). Photoelectric and Compton are 1 at E_ref = 70 keV; the logistic
-function is 1 above its edge, and is left so: to divide it by its value at 70 keV, as the paper's words may be read,
-cancels alpha_K and has a pole once the column is orthogonal to the others.
+The K-edge column is alpha_K s(gamma_K (E - E_K)), with s the logistic function. Photoelectric and Compton are 1 at
+E_ref = 70 keV. The K-edge column is not divided by its value at 70 keV, as the text of the paper can be understood:
+that would cancel alpha_K, and would have a pole once the column is orthogonal to the others.
 """
 
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from torch import Tensor
 
 from spectra.basis.basis import BasisFunction
 
-FIXED = ("photoelectric", "compton")
+FIXED = ("photoelectric", "compton")  # kinds of the columns that are not learned
 
 
 @dataclass
 class KEdge:
-    """Learnable parameters of the third column.
+    """Learned parameters of the K-edge column.
 
     Parameters
     ----------
@@ -34,32 +34,65 @@ class KEdge:
 
     @classmethod
     def at(cls, energy: float, slope: float) -> "KEdge":
-        """An edge of amplitude 1."""
+        """Create an edge of amplitude 1.
+
+        Parameters
+        ----------
+        energy : E_K [keV]
+        slope : gamma_K [1/keV]
+
+        Returns
+        -------
+        the edge, in float64
+        """
         return cls(*(torch.tensor(x, dtype=torch.float64) for x in (energy, float(np.log(slope)), 0.0)))
 
     def tensors(self) -> tuple[Tensor, Tensor, Tensor]:
-        """The three parameters."""
+        """Return the three parameters.
+
+        Returns
+        -------
+        energy, log slope and log amplitude, not copies
+        """
         return self.energy, self.log_slope, self.log_amplitude
 
     def column(self, energy: Float[Tensor, " energy"]) -> Float[Tensor, " energy"]:
-        """alpha_K s(gamma_K (E - E_K)) at `energy` [keV]."""
+        """Compute alpha_K s(gamma_K (E - E_K)), the K-edge column.
+
+        Parameters
+        ----------
+        energy : energies [keV]
+
+        Returns
+        -------
+        values at the energies, differentiable in the three parameters
+        """
         return torch.exp(self.log_amplitude) * torch.sigmoid(torch.exp(self.log_slope) * (energy - self.energy))
 
 
 def fixed_columns(energy: Float[np.ndarray, " energy"]) -> Float[Tensor, "2 energy"]:
-    """Photoelectric and Compton columns, 1 at 70 keV."""
+    """Compute the photoelectric and the Compton column, 1 at 70 keV.
+
+    Parameters
+    ----------
+    energy : energies [keV]
+
+    Returns
+    -------
+    values at the energies
+    """
     return torch.from_numpy(np.stack([BasisFunction(kind).evaluate(energy) for kind in FIXED]))
 
 
 class ConditionedBasis:
-    """Columns of the fit: the K edge minus what photoelectric and Compton explain of it, in the norm of the signal.
+    """Columns of the fit: the K edge minus its projection on photoelectric and Compton, in the norm of the signal.
 
     Parameters
     ----------
-    energy : nodes of the fine grid [keV]
-    signal : detected photons at the nodes, the diagonal weighting
-    edge : the third column; None for two bases
-    conditioned : whether the third column is made orthogonal to the others
+    energy : energies of the fine grid [keV]
+    signal : detected photons at these energies, which weight the norm
+    edge : K-edge column; None for two bases
+    conditioned : whether the K-edge column is made orthogonal to the others
     """
 
     def __init__(
@@ -78,13 +111,27 @@ class ConditionedBasis:
         return 2 if self.edge is None else 3
 
     def overlap(self) -> Float[Tensor, "2"]:
-        """How much of the photoelectric and the Compton column the K edge holds; zeros where it is not conditioned."""
+        """Compute the coefficients of the projection of the K edge on photoelectric and Compton.
+
+        Returns
+        -------
+        the two coefficients; zeros where the column is not made orthogonal
+        """
         if self.edge is None or not self.conditioned:
             return torch.zeros(2, dtype=torch.float64)
         return self._project @ self.edge.column(self.energy)
 
     def columns(self, energy: Float[np.ndarray, " energy"]) -> Float[Tensor, "basis energy"]:
-        """The columns at any energies; gradients reach the K edge, also through its overlap with the others."""
+        """Compute the columns at any energies.
+
+        Parameters
+        ----------
+        energy : energies [keV]
+
+        Returns
+        -------
+        values of all columns, differentiable in the K edge, also through its overlap with the others
+        """
         fixed = fixed_columns(energy)
         if self.edge is None:
             return fixed
@@ -93,11 +140,22 @@ class ConditionedBasis:
 
     @torch.no_grad()
     def to_raw(self, raw: Float[np.ndarray, "raw energy"]) -> Float[Tensor, "basis raw"]:
-        """Matrix T with coefficients_raw = coefficients T, for raw functions given at the nodes of the fine grid.
+        """Compute the matrix T of coefficients_raw = coefficients T.
 
+        Parameters
+        ----------
+        raw : values of the raw functions at the energies of the fine grid
+
+        Returns
+        -------
+        matrix T
+
+        Notes
+        -----
         Photoelectric and Compton keep their coefficients. With p and q the overlap, a K-edge coefficient k of the
-        conditioned column is k of the learned edge, -p k of photoelectric and -q k of Compton; that edge in turn is the
-        combination of raw functions nearest to it, in the norm of the signal. Exact where the raw functions span it.
+        conditioned column is k of the learned edge, -p k of photoelectric and -q k of Compton. The learned edge is
+        replaced by the combination of raw functions that is nearest to it in the norm of the signal. That is exact
+        where the raw functions span it.
         """
         root = self.share.sqrt()
         own = self.columns(self.energy.numpy())

@@ -7,38 +7,49 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.ops.voxelize import CUTOFF, voxelize_tensor
 from recon.published_methods.paper.model import FactorisedGaussians, Units
-from recon.published_methods.paper.projections import line_integrals
+from recon.published_methods.paper.projections import Projections, line_integrals
 from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.paper.spectral_model import SpectralModel
 
 Images = Float[Tensor, "view channel row column"]
 Seen = Bool[Tensor, "view channel row column"]
 
+WINDOW, SIGMA = 11, 1.5  # pixels; edge and standard deviation of the window; Wang et al. 2004
+C1, C2 = 0.01**2, 0.03**2  # no unit; constants of structural similarity for a data range of 1; Wang et al. 2004
+
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """A loss and what it was computed from.
+    """Loss of one view and the prediction from which it was computed.
 
     Parameters
     ----------
-    loss : eq. 8
-    log_projections : what the model predicts
-    nudge : added to the centres before they were projected; its gradient is that of the projector alone
+    loss : loss (eq. 8)
+    log_projections : predicted log projections
+    offset : zeros that were added to the centres for the projection; their gradient is that of the projections alone
     """
 
     loss: Float[Tensor, ""]
     log_projections: Images
-    nudge: Float[Tensor, "gaussian 3"]
+    offset: Float[Tensor, "gaussian 3"]
 
 
 def data_loss(predicted: Images, measured: Images, seen: Seen, dssim: float) -> Float[Tensor, ""]:
-    """(1 - dssim) L1 + dssim (1 - SSIM), each a mean over pixels, summed over channels.
+    """Compute the loss of images: (1 - dssim) L1 + dssim (1 - SSIM), means over pixels, summed over channels.
 
-    Where a pixel was not measured the prediction stands in for it: it adds nothing, and its neighbours are not misled.
+    Parameters
+    ----------
+    predicted, measured : images, with values between 0 and about 1
+    seen : pixels that were measured
+    dssim : weight of structural dissimilarity
+
+    Returns
+    -------
+    loss, differentiable in `predicted`. Pixels that were not measured take the predicted value, so that they add
+    nothing and do not disturb the structural similarity of their neighbours
     """
     measured = torch.where(seen, measured, predicted.detach())
     loss = (1 - dssim) * (predicted - measured).abs().mean(dim=(0, 2, 3)).sum()
@@ -48,48 +59,64 @@ def data_loss(predicted: Images, measured: Images, seen: Seen, dssim: float) -> 
 def total_loss(
     model: FactorisedGaussians,
     spectral: SpectralModel,
-    measured: Images,
-    seen: Seen,
-    geometry: Geometry,
+    view: Projections,
     grid: Grid,
     units: Units,
     recipe: PaperRecipe,
     rng: np.random.Generator,
 ) -> Rendered:
-    """Eq. 8 for one view and a random piece of the volume.
+    """Compute the loss of one view and a random patch of the volume (eq. 8).
 
+    Parameters
+    ----------
+    model : Gaussians
+    spectral : model of log projections
+    view : measured projections of one view
+    grid : grid of the volume
+    units : units of the scene
+    recipe : weights and components
+    rng : random numbers for the position of the patch
+
+    Returns
+    -------
+    loss and predicted log projections
+
+    Notes
+    -----
     Images are divided by `Units.line_integral` and volumes by `Units.density` first: R2-Gaussian's weights, and the
-    constants of structural similarity, presume densities up to 1 in a box of edge 2.
+    constants of structural similarity, assume densities up to 1 in a box of edge 2.
     """
-    nudge = torch.zeros_like(model.centres, requires_grad=True)
+    offset = torch.zeros_like(model.centres, requires_grad=True)
     shape = (model.log_scales(units), model.quaternions)
     coefficients = model.coefficients(units)
     projector = "local-affine" if recipe.uses("local-affine") else "exact"
-    images = line_integrals(model.centres + nudge, *shape, coefficients, geometry, projector)
+    images = line_integrals(model.centres + offset, *shape, coefficients, view.geometry, projector)
     predicted = spectral.log_projections(images)
-    scale = 1 / units.line_integral
-    loss = data_loss(predicted * scale, measured * scale, seen, recipe.dssim if recipe.uses("dssim") else 0.0)
+    scale, dssim = 1 / units.line_integral, recipe.dssim if recipe.uses("dssim") else 0.0
+    loss = data_loss(predicted * scale, view.log() * scale, view.seen, dssim)
     if recipe.uses("tv") and recipe.uses("image-tv"):
         loss = loss + recipe.image_tv * total_variation(images[0] * scale).sum()
     if recipe.uses("tv") and recipe.uses("volume-tv"):
         patch = random_patch(grid, recipe.patch, rng)
         volumes = patch_of_channels(model.centres, *shape, coefficients, spectral.channel_means(), patch)
         loss = loss + recipe.volume_tv * total_variation(volumes / units.density).mean()
-    return Rendered(loss, predicted.detach(), nudge)
+    return Rendered(loss, predicted.detach(), offset)
 
 
-WINDOW, SIGMA = 11, 1.5
-C1, C2 = 0.01**2, 0.03**2  # for images between 0 and 1
+def ssim(image: Images, other: Images) -> Images:
+    """Compute the structural similarity of two images at each pixel.
 
+    Parameters
+    ----------
+    image, other : images with a data range of 1
 
-def ssim(
-    image: Float[Tensor, "view channel row column"], other: Float[Tensor, "view channel row column"]
-) -> Float[Tensor, "view channel row column"]:
-    """Map of structural similarity: a Gaussian window of 11 x 11 pixels and standard deviation 1.5, zeros outside.
+    Returns
+    -------
+    structural similarity, from a Gaussian window of 11 x 11 pixels and standard deviation 1.5, with zeros outside
 
     References
     ----------
-    Wang, Bovik, Sheikh, Simoncelli 2004, doi:10.1109/TIP.2003.819861, eq. 13, for a data range of 1.
+    Wang, Bovik, Sheikh, Simoncelli 2004, doi:10.1109/TIP.2003.819861, eq. 13.
     """
     stack = torch.cat([image, other, image * image, other * other, image * other], dim=1)
     mean, other_mean, square, other_square, product = _blur(stack).chunk(5, dim=1)
@@ -112,7 +139,16 @@ def _blur(images: Float[Tensor, "view image row column"]) -> Float[Tensor, "view
 
 
 def total_variation(images: Float[Tensor, "image *axes"]) -> Float[Tensor, " image"]:
-    """Mean absolute forward difference of each image, summed over its axes (anisotropic); 0 along an axis of one."""
+    """Compute the anisotropic total variation: the mean absolute forward difference, summed over axes.
+
+    Parameters
+    ----------
+    images : images or volumes
+
+    Returns
+    -------
+    total variation of each; an axis of length 1 adds 0
+    """
     total = images.new_zeros(len(images))
     for axis in range(1, images.ndim):
         if images.shape[axis] > 1:
@@ -121,7 +157,18 @@ def total_variation(images: Float[Tensor, "image *axes"]) -> Float[Tensor, " ima
 
 
 def random_patch(grid: Grid, edge: int, rng: np.random.Generator) -> Grid:
-    """A cube of at most `edge` voxels along each axis, anywhere inside a grid."""
+    """Choose a sub-volume at random.
+
+    Parameters
+    ----------
+    grid : grid of the volume
+    edge : number of voxels along each axis, or that of the grid where it is smaller
+    rng : random numbers
+
+    Returns
+    -------
+    grid of the sub-volume
+    """
     shape = [min(edge, n) for n in grid.shape]
     first = [int(rng.integers(0, n - size + 1)) for n, size in zip(grid.shape, shape, strict=True)]
     origin = [o + f * s for o, f, s in zip(grid.origin, first, grid.spacing, strict=True)]
@@ -136,9 +183,20 @@ def patch_of_channels(
     means: Float[Tensor, "channel basis"],
     patch: Grid,
 ) -> Float[Tensor, "channel z y x"]:
-    """Attenuation that each channel sees in a patch [1/mm]: the bases' volumes, weighted by the channel's means.
+    """Compute the attenuation of each channel in a patch from the Gaussians that reach into it.
 
-    Only Gaussians that may reach into the patch are looked at.
+    Parameters
+    ----------
+    centres : centres (x, y, z) [mm]
+    log_scales : logarithm of the standard deviations [log mm]
+    quaternions : orientation (w, x, y, z)
+    coefficients : coefficients of the bases [1/mm]
+    means : mean of each basis function in each channel
+    patch : grid of the patch
+
+    Returns
+    -------
+    attenuation [1/mm], differentiable in the parameters of the Gaussians
     """
     near = _near(centres.detach(), log_scales.detach(), patch)
     bases = voxelize_tensor(centres[near], log_scales[near], quaternions[near], coefficients[near], patch)
@@ -148,7 +206,7 @@ def patch_of_channels(
 def _near(
     centres: Float[Tensor, "gaussian 3"], log_scales: Float[Tensor, "gaussian 3"], patch: Grid
 ) -> Int[Tensor, " near"]:
-    """Indices of the Gaussians whose ball of `CUTOFF` standard deviations, and a voxel or two, meets the patch."""
+    """Indices of the Gaussians whose sphere of `CUTOFF` standard deviations, and one or two voxels, meets the patch."""
     spacing = torch.tensor(patch.spacing[::-1])
     reach = CUTOFF * torch.exp(log_scales.max(dim=1).values)[:, None] + spacing * (1 + CUTOFF / 12**0.5)
     low = torch.tensor(patch.origin[::-1])

@@ -1,7 +1,7 @@
-"""Factorised Gaussians: one density and fractions of the bases that add up to 1 (eq. 1 and 2).
+"""Factorised Gaussians: one density, and fractions of the bases that add up to 1 (eq. 1 and 2).
 
-All parameters are free; what they mean follows from R2-Gaussian's activations: softplus for densities, a sigmoid
-between bounds for standard deviations, and a softmax that puts fractions on the simplex.
+All parameters are unconstrained. R2-Gaussian's activation functions turn them into physical values: softplus for
+densities, a sigmoid between bounds for standard deviations. A softmax gives fractions that add up to 1.
 """
 
 from dataclasses import dataclass, fields
@@ -14,18 +14,18 @@ from torch import Tensor
 from phantomgen.geometry.voxel_grid import Grid
 from recon.gaussians.model import Gaussians
 
-LEAST_FRACTION = 1e-4
-LEAST_DENSITY = 1e-6  # of a start, in `Units.density`
+LEAST_FRACTION = 1e-4  # no unit; least first fraction, as the logarithm is taken; our choice
+LEAST_DENSITY = 1e-6  # in `Units.density`; least first density, as softplus is positive; our choice
 
 
 @dataclass(frozen=True)
 class Units:
-    """What R2-Gaussian's normalised scene means here.
+    """Scales between mm and 1/mm and the normalised scene of R2-Gaussian.
 
     Parameters
     ----------
-    length : half the grid's longest edge [mm]
-    density : the density that counts as 1 [1/mm]
+    length : half the longest edge of the grid [mm]
+    density : density that is 1 in the normalised scene [1/mm]
     narrowest, widest : bounds of standard deviations [mm]
     """
 
@@ -36,27 +36,38 @@ class Units:
 
     @classmethod
     def of(cls, grid: Grid, density: float, narrowest: float, widest: float) -> "Units":
-        """Units of a grid; bounds come as parts of its longest edge."""
+        """Create the units of a grid.
+
+        Parameters
+        ----------
+        grid : grid of the volume
+        density : density that is 1 in the normalised scene [1/mm]
+        narrowest, widest : bounds of standard deviations over the longest edge of the grid
+
+        Returns
+        -------
+        units of the grid
+        """
         edge = max(n * spacing for n, spacing in zip(grid.shape, grid.spacing, strict=True))
         return cls(edge / 2, density, narrowest * edge, widest * edge)
 
     @property
     def line_integral(self) -> float:
-        """The line integral that counts as 1 [no unit]."""
+        """Line integral that is 1 in the normalised scene [no unit]."""
         return self.length * self.density
 
 
 @dataclass
 class FactorisedGaussians:
-    """Free parameters; every one has a row per Gaussian.
+    """Unconstrained parameters of Gaussians; each array has one row per Gaussian.
 
     Parameters
     ----------
-    centres : (x, y, z) [mm]
+    centres : centres (x, y, z) [mm]
     densities : inverse softplus of the density over `Units.density`
     scales : inverse of the bounded sigmoid of the standard deviations
     quaternions : orientation (w, x, y, z)
-    fractions : logits of the material fractions
+    fractions : logits of the fractions of the bases
     """
 
     centres: Float[Tensor, "gaussian 3"]
@@ -77,7 +88,20 @@ class FactorisedGaussians:
         fractions: Float[np.ndarray, "gaussian basis"],
         units: Units,
     ) -> "FactorisedGaussians":
-        """Upright Gaussians of given densities [1/mm], standard deviations [mm] and fractions."""
+        """Create Gaussians whose principal axes are parallel to x, y and z.
+
+        Parameters
+        ----------
+        centres : centres (x, y, z) [mm]
+        density : density at the centre [1/mm]
+        sigma : standard deviations along x, y and z [mm]
+        fractions : fractions of the bases, which add up to 1
+        units : units of the scene
+
+        Returns
+        -------
+        Gaussians, with densities of at least `LEAST_DENSITY` and fractions of at least `LEAST_FRACTION`
+        """
         upright = torch.zeros(len(centres), 4)
         upright[:, 0] = 1
         relative = torch.from_numpy(np.maximum(density / units.density, LEAST_DENSITY))
@@ -90,41 +114,113 @@ class FactorisedGaussians:
         )
 
     def tensors(self) -> dict[str, Tensor]:
-        """Parameters by name."""
+        """Return the parameters by name.
+
+        Returns
+        -------
+        tensors, not copies, in the order of the fields
+        """
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def density(self) -> Float[Tensor, "gaussian 1"]:
-        """Density rho over `Units.density`."""
+        """Compute the density rho of each Gaussian.
+
+        Returns
+        -------
+        density over `Units.density`, differentiable
+        """
         return torch.nn.functional.softplus(self.densities)
 
     def sigma(self, units: Units) -> Float[Tensor, "gaussian 3"]:
-        """Standard deviations [mm]."""
+        """Compute the standard deviations of each Gaussian.
+
+        Parameters
+        ----------
+        units : units of the scene
+
+        Returns
+        -------
+        standard deviations along the principal axes [mm], differentiable
+        """
         return units.narrowest + (units.widest - units.narrowest) * torch.sigmoid(self.scales)
 
     def log_scales(self, units: Units) -> Float[Tensor, "gaussian 3"]:
-        """Logarithm of the standard deviations [log mm]."""
+        """Compute the logarithm of the standard deviations.
+
+        Parameters
+        ----------
+        units : units of the scene
+
+        Returns
+        -------
+        logarithm of the standard deviations along the principal axes [log mm], differentiable
+        """
         return torch.log(self.sigma(units))
 
     def material_fractions(self) -> Float[Tensor, "gaussian basis"]:
-        """Fractions f >= 0 that add up to 1."""
+        """Compute the fractions f of the bases (eq. 2).
+
+        Returns
+        -------
+        fractions, not negative; they add up to 1 for each Gaussian
+        """
         return torch.softmax(self.fractions, dim=1)
 
     def coefficients(self, units: Units) -> Float[Tensor, "gaussian basis"]:
-        """Coefficients b = rho f, in the basis that the fit uses [1/mm]."""
+        """Compute the coefficients b = rho f in the basis of the fit.
+
+        Parameters
+        ----------
+        units : units of the scene
+
+        Returns
+        -------
+        coefficients [1/mm], differentiable
+        """
         return units.density * self.density() * self.material_fractions()
 
     @torch.no_grad()
     def gaussians(self, units: Units, to_raw: Float[Tensor, "basis raw"], names: tuple[str, ...]) -> Gaussians:
-        """The project's Gaussians: coefficients in a raw basis, b_raw = b to_raw; they may be negative there."""
+        """Convert the model to this project's Gaussians, with coefficients in a raw basis.
+
+        Parameters
+        ----------
+        units : units of the scene
+        to_raw : matrix T of b_raw = b T
+        names : names of the raw basis functions
+
+        Returns
+        -------
+        Gaussians without gradients; their raw coefficients may be negative
+        """
         raw = self.coefficients(units) @ to_raw.float()
         return Gaussians(self.centres.clone(), self.log_scales(units), self.quaternions.clone(), raw, names)
 
 
 def inverse_softplus(value: Tensor) -> Tensor:
-    """The x with log(1 + exp(x)) = value > 0."""
+    """Compute the x for which log(1 + exp(x)) is a value.
+
+    Parameters
+    ----------
+    value : positive values
+
+    Returns
+    -------
+    x, of the shape of `value`
+    """
     return value + torch.log(-torch.expm1(-value))
 
 
 def inverse_bounded(sigma: Tensor, units: Units) -> Tensor:
-    """Free parameters of standard deviations [mm]; those at a bound are moved off it by a millionth of the range."""
+    """Compute the unconstrained parameters of standard deviations.
+
+    Parameters
+    ----------
+    sigma : standard deviations [mm]
+    units : units of the scene, which give the bounds
+
+    Returns
+    -------
+    parameters; a standard deviation at a bound is moved inside by a millionth of the range
+    """
     return torch.logit((sigma - units.narrowest) / (units.widest - units.narrowest), eps=1e-6)

@@ -1,4 +1,4 @@
-"""The paper's optimisation: Adam, one random view per step, density control, and a K edge that wakes up late."""
+"""The paper's optimisation: Adam, one random view per step, density control, and a K edge that is fitted later."""
 
 import time
 from collections.abc import Callable
@@ -31,23 +31,23 @@ def fit(
     recipe: PaperRecipe,
     on_step: Callable[[Progress], bool | None] = lambda progress: None,
 ) -> FactorisedGaussians:
-    """Run all steps of the recipe; `model`, and the K edge of `spectral`, are changed.
+    """Run all steps of the recipe.
 
     Parameters
     ----------
-    model : first Gaussians
+    model : first Gaussians; they are changed
     projections : training views
-    spectral : from line integrals to log projections
-    raw : names and values, at the energies of the basis, of the functions that results are given in
-    grid : where the volume is
-    units : of the scene
+    spectral : model of log projections; its K edge is changed
+    raw : names of the functions in which results are given, and their values at the energies of the basis
+    grid : grid of the volume
+    units : units of the scene
     recipe : numbers and components
     on_step : called after every step, with deviance and chi-square of the counts of its view; the fit ends early where
         it returns True
 
     Returns
     -------
-    The fitted model. The thread count does not enter.
+    the fitted model; it does not depend on the number of threads
     """
     adam = GroupedAdam(model, rates(recipe, units))
     edge = spectral.basis.edge
@@ -56,18 +56,16 @@ def fit(
     order, rng = views_in_random_order(len(projections), recipe.seed), np.random.default_rng([recipe.seed, 3])
     panel_gradient, began = PanelGradient(len(model)), time.perf_counter()
     for step in range(1, recipe.steps + 1):
-        view = next(order)
-        views = slice(view, view + 1)
-        geometry = projections.geometry[views]
-        seen = torch.from_numpy(projections.open_beam[views] > 0)
+        view = projections.view(next(order))
+        seen = view.seen
         for value in edge.tensors() if edge is not None else ():
             value.requires_grad_(edge_adam is not None and step > freeze)
-        rendered = total_loss(model, spectral, projections.log(views), seen, geometry, grid, units, recipe, rng)
+        rendered = total_loss(model, spectral, view, grid, units, recipe, rng)
         rendered.loss.backward()
-        # per channel, as the loss adds channels up and the thresholds are those of a single one
-        nudged = rendered.nudge.grad
-        if nudged is not None:
-            panel_gradient.add(detector_gradient(model.centres.detach(), nudged, geometry) / seen.shape[1])
+        # mean over channels, as the loss is a sum over channels and the thresholds are those of one channel
+        gradient = rendered.offset.grad
+        if gradient is not None:
+            panel_gradient.add(detector_gradient(model.centres.detach(), gradient, view.geometry) / seen.shape[1])
         adam.step((step - 1) / max(recipe.steps - 1, 1))
         if edge_adam is not None and step > freeze:
             edge_adam.step()
@@ -76,8 +74,8 @@ def fit(
             panel_gradient = PanelGradient(len(model))
         if is_due(step, recipe.fraction_reset, recipe) and recipe.uses("fraction-reset"):
             reset_fractions(adam)
-        counts = torch.from_numpy(projections.counts[views])
-        expected = torch.from_numpy(projections.open_beam[views]) * torch.exp(-rendered.log_projections.detach())
+        counts = torch.from_numpy(view.counts)
+        expected = torch.from_numpy(view.open_beam) * torch.exp(-rendered.log_projections.detach())
         misfit = float(deviance(counts, expected)[seen].sum() / expected_deviance(expected)[seen].sum())
         found, noise = chi_square(counts, expected), expected_chi_square(expected)
         squares, least = (torch.where(seen, x, 0).sum(dim=(0, 2, 3)).double() for x in (found, noise))

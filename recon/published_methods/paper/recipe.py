@@ -1,4 +1,4 @@
-"""Every number of the paper's method, when each part acts, and which parts can be switched off (table 4c)."""
+"""All numbers of the paper's method, the step at which each component acts, and the names of components (table 4c)."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
@@ -7,13 +7,19 @@ import numpy as np
 
 from spectra.errors import InputError
 
-PAPER_STEPS = 30_000
-IODINE_EDGE = 33.1694  # keV
+PAPER_STEPS = 30_000  # steps; length of a fit in the paper and in R2-Gaussian
+IODINE_EDGE = 33.1694  # keV; K edge of iodine, the paper's first value
 
 
 @dataclass(frozen=True)
 class Rate:
-    """Learning rate that falls exponentially from `first` to `last` over the fit."""
+    """Learning rate that decreases exponentially during the fit.
+
+    Parameters
+    ----------
+    first : learning rate at the first step
+    last : learning rate at the last step
+    """
 
     first: float
     last: float
@@ -21,34 +27,34 @@ class Rate:
 
 @dataclass(frozen=True)
 class PaperRecipe:
-    """Hyper-parameters of the paper; what it does not state is R2-Gaussian's, or marked as our choice.
+    """Hyper-parameters of the paper; what it does not state is R2-Gaussian's, or is marked as our choice.
 
-    Lengths are in units of half the grid's longest edge and densities in units of the start's highest, as R2-Gaussian's
-    numbers presume. Counts of steps are those of a fit of 30 000 steps; `scaled` shrinks them with `steps`.
+    Lengths are in units of half the grid's longest edge and densities in units of the highest initial density, as
+    R2-Gaussian's numbers assume. Numbers of steps are those of a fit of 30 000; `scaled` converts them to `steps`.
 
     Parameters
     ----------
     steps : Adam steps, one view each
     without : components that are switched off, see `COMPONENTS`
-    seed : of the first Gaussians, the order of views, split offsets and patches
-    gaussians, most : Gaussians at the start and at most
-    lowest_energy, highest_energy, energies : midpoint rule over energy [keV]
-    dssim, volume_tv, image_tv : weights of the loss terms (eq. 8)
-    patch : edge of the random sub-volume whose total variation is taken [voxel] (R2-Gaussian)
-    emptiest : density that a voxel needs to get a Gaussian (R2-Gaussian)
+    seed : seed of the first Gaussians, the order of views, offsets of split Gaussians, and patches
+    gaussians, most : number of Gaussians at the start, and largest number
+    lowest_energy, highest_energy, energies : limits [keV] and number of points of the midpoint rule over energy
+    dssim, volume_tv, image_tv : weights of the terms of the loss (eq. 8)
+    patch : edge of the random sub-volume whose total variation is computed [voxel] (R2-Gaussian)
+    emptiest : density above which a voxel may get a Gaussian (R2-Gaussian)
     density_share : density of a Gaussian over that of its voxel at the start (R2-Gaussian)
     narrowest, widest : bounds of standard deviations over the grid's longest edge (R2-Gaussian)
-    centre_rate, density_rate, scale_rate, rotation_rate : of Adam (R2-Gaussian)
-    fraction_rate : twice that of the density; the paper says 'higher' (our choice)
-    edge_start : first energy of the K edge, that of iodine [keV]
-    edge_slope : first gamma of the K edge [1/keV] (our choice)
-    edge_rate, edge_shape_rate : Adam's steps of the edge's energy [keV], and of log amplitude and slope (our choice)
-    edge_freeze : steps before the K edge moves
-    densify_from, densify_until, densify_every : when Gaussians are added and pruned (R2-Gaussian)
+    centre_rate, density_rate, scale_rate, rotation_rate : learning rates of Adam (R2-Gaussian)
+    fraction_rate : learning rate of the fractions, twice that of the density; the paper says 'higher' (our choice)
+    edge_start : initial energy of the K edge, that of iodine [keV]
+    edge_slope : initial gamma of the K edge [1/keV] (our choice)
+    edge_rate, edge_shape_rate : learning rates of the edge energy [keV] and of log amplitude and slope (our choice)
+    edge_freeze : steps before the K edge is fitted
+    densify_from, densify_until, densify_every : first step, last step and interval of density control (R2-Gaussian)
     clone_gradient : mean gradient in normalised detector coordinates that clones a small Gaussian (R2-Gaussian)
-    split_gradient : the same that splits a large one (our choice)
+    split_gradient : mean gradient that splits a large Gaussian (our choice)
     large : standard deviation above which a Gaussian is large, over the grid's longest edge (R2-Gaussian)
-    least_density : below it a Gaussian is pruned (R2-Gaussian)
+    least_density : density below which a Gaussian is removed (R2-Gaussian)
     fraction_reset : steps between two resets of the fractions (3D Gaussian splatting's opacity resets)
     """
 
@@ -95,61 +101,108 @@ class PaperRecipe:
                 raise InputError(f"recipe {field.name} must be positive, got {value}")
 
     def uses(self, component: str) -> bool:
-        """Whether a component is switched on."""
+        """Report whether a component is switched on.
+
+        Parameters
+        ----------
+        component : a name of `COMPONENTS`
+
+        Returns
+        -------
+        True when the component is used
+        """
         return component not in self.without
 
     def scaled(self, steps: int) -> int:
-        """Steps of the paper's 30 000 as steps of this fit, at least one."""
+        """Convert a number of steps of the paper's 30 000 to this fit.
+
+        Parameters
+        ----------
+        steps : number of steps in a fit of 30 000
+
+        Returns
+        -------
+        number of steps in this fit, at least 1
+        """
         return max(round(steps * self.steps / PAPER_STEPS), 1)
 
     @property
     def says(self) -> str:
-        """How long the fit is beside the paper's, and what it leaves out: one line."""
+        """Sentence on the length of the fit, compared with the paper's, and on the components that are left out."""
         share = "" if self.steps == PAPER_STEPS else f" in place of {PAPER_STEPS}, all schedules scaled to match"
         left_out = f"; without {', '.join(self.without)}" if self.without else ""
         return f"recipe of the paper: {self.steps} steps{share}{left_out}"
 
 
 def is_due(step: int, interval: int, recipe: PaperRecipe) -> bool:
-    """Whether something that happens at an interval of the paper's steps, until densification ends, happens now."""
+    """Report whether something that happens at an interval happens at this step.
+
+    Parameters
+    ----------
+    step : step of this fit, from 1
+    interval : interval in steps of a fit of 30 000
+    recipe : recipe of the fit
+
+    Returns
+    -------
+    True at multiples of the interval, while density control lasts
+    """
     return step < recipe.scaled(recipe.densify_until) and step % recipe.scaled(interval) == 0
 
 
 def views_in_random_order(count: int, seed: int) -> Iterator[int]:
-    """Every view once in random order, again and again."""
+    """Yield the views in random order; every view comes once before any view comes again.
+
+    Parameters
+    ----------
+    count : number of views
+    seed : seed of the order
+
+    Yields
+    ------
+    indices of views, without end
+    """
     rng = np.random.default_rng([seed, 2])
     while True:
         yield from rng.permutation(count).tolist()
 
 
 COMPONENTS = {
-    "kedge-freezing": "parameters of the K edge rest at first (table 4c)",
+    "kedge-freezing": "the K edge is constant at first (table 4c)",
     "tv": "both total variations (table 4c)",
-    "split-threshold": "a threshold of its own for splitting (table 4c); one for both without",
-    "polychromatic": "the integral over energy (table 4c); one energy per channel without",
-    "local-affine": "the footprint of R2-Gaussian; the exact line integral without",
+    "split-threshold": "a separate threshold for splitting (table 4c); without: one for both",
+    "polychromatic": "the integral over energy (table 4c); without: one energy per channel",
+    "local-affine": "the footprint of R2-Gaussian; without: the exact line integral",
     "volume-tv": "total variation of the channels' volumes",
     "image-tv": "total variation of the bases' projections",
     "dssim": "structural dissimilarity beside L1",
-    "conditioning": "the K-edge column made orthogonal to the other two",
-    "kedge-learning": "the K edge follows the gradient; it stays where it starts without",
-    "kedge-gate": "dense Gaussians start with more K edge; all with the same part of photoelectric without",
-    "fraction-start": "first fractions from density; equal ones without",
-    "fraction-reset": "fractions are drawn back to the middle from time to time",
-    "fraction-rate": "fractions learn faster than density; as fast without",
-    "rate-decay": "learning rates fall; they stay without",
+    "conditioning": "the K-edge column is made orthogonal to the other two",
+    "kedge-learning": "the K edge is fitted; without: it stays where it starts",
+    "kedge-gate": "dense Gaussians start with more K edge; without: all with the same part of photoelectric",
+    "fraction-start": "first fractions depend on density; without: they are equal",
+    "fraction-reset": "fractions are averaged with equal ones at intervals",
+    "fraction-rate": "fractions have a higher learning rate than density; without: the same",
+    "rate-decay": "learning rates decrease; without: they are constant",
     "densification": "Gaussians are cloned and split",
-    "pruning": "Gaussians without density or outside the grid are removed",
+    "pruning": "Gaussians of nearly no density or outside the grid are removed",
 }
 
 
 def checked(names: Iterable[str]) -> tuple[str, ...]:
-    """Names of components, each once, in the order of `COMPONENTS`.
+    """Check and sort names of components.
+
+    Parameters
+    ----------
+    names : names of components
+
+    Returns
+    -------
+    each name once, in the order of `COMPONENTS`
 
     Raises
     ------
     InputError
-        When there is no such component; the sentence lists those that there are.
+        When a component does not exist; the sentence lists all components.
     """
     wanted = set(names)
     unknown = sorted(wanted - set(COMPONENTS))

@@ -1,4 +1,4 @@
-"""From a dataset to a model by the paper's method. Nothing in here knows the truth."""
+"""Reconstruction of a dataset by the paper's method; it does not read the truth."""
 
 from collections.abc import Callable
 
@@ -40,15 +40,15 @@ def reconstruct_paper(
     ----------
     dataset : an open dataset; only ``/entry`` is read
     recipe : hyper-parameters
-    bases : 2 or 3, default as many as the dataset has
-    on_stage, on_step : called when a stage begins, and after each step of the fit
+    bases : number of bases, 2 or 3; that of the dataset where it is None
+    on_stage : called with the name of each stage when it begins
+    on_step : called after each step of the fit; the fit ends early where it returns True
 
     Returns
     -------
-    A reconstruction in the raw basis of the dataset, in which it is scored. The fit itself uses photoelectric, Compton,
-    and the learned edge made orthogonal to both; see
-    `recon.published_methods.paper.learned_edge.ConditionedBasis.to_raw` for the way back. With a large overlap the raw
-    coefficients of photoelectric and Compton may become negative.
+    a reconstruction in the raw basis of the dataset, in which it is scored. The fit itself uses photoelectric, Compton,
+    and the learned edge made orthogonal to both; `recon.published_methods.paper.learned_edge.ConditionedBasis.to_raw`
+    converts back. If the overlap is large, the raw coefficients of photoelectric and Compton may be negative
 
     Raises
     ------
@@ -73,7 +73,7 @@ def reconstruct_paper(
         coarse = measured.completed().binned(matching_bin(measured.geometry, min(grid.spacing)))
         counts_something = (coarse.gains > 0).any(axis=(1, 2))
         lowest = int(np.argmin(np.where(counts_something, dataset.spectra.effective_energy, np.inf)))
-        images = Projections.of(coarse).log(slice(None))[:, lowest : lowest + 1].numpy()
+        images = Projections.of(coarse).log()[:, lowest : lowest + 1].numpy()
         blind = coarse.gains[lowest] <= 0
         volume = volumes_of_rays(inpainted(images, blind), blind, coarse.geometry, grid, method)[0]
     with stage("initialize"):
@@ -91,7 +91,7 @@ def reconstruct_paper(
 def _node_error(
     measured: Measurements, energies: EnergyGrid, raw: Float[np.ndarray, "raw energy"], gaussians: Gaussians
 ) -> float:
-    """Worst error of log projections that the midpoint rule causes on rays of the first view."""
+    """Largest error of log projections that the midpoint rule causes on rays of the first view."""
     lengths = np.moveaxis(gaussians.line_integrals(measured.geometry[:1]).double().numpy(), 1, -1)
     lengths = measured.with_profile(lengths)[:, ::4, ::4]
     few = Transmission.from_spectrum(energies.weights, np.concatenate([raw, energies.profile]))

@@ -11,18 +11,18 @@ from phantomgen.dataset.spectral_model import Spectra
 from recon.published_methods.paper.learned_edge import ConditionedBasis
 from spectra.errors import InputError
 
-LEAST = 1e-30  # part of the open beam; logarithms stay finite behind it
+LEAST = 1e-30  # part of the open beam; least transmission of which a logarithm is taken, above float32's least
 
 
 @dataclass(frozen=True, eq=False)
 class EnergyGrid:
-    """Energies and what each channel counts there in the open beam.
+    """Energies, and the counts of each channel at these energies in the open beam.
 
     Parameters
     ----------
-    energy : nodes E_k [keV]
+    energy : energies E_k [keV]
     weights : I_0(E_k) S_c(E_k) w_k [counts]
-    profile : attenuation of a bowtie's parts at the nodes [1/mm]; no rows where there is none
+    profile : attenuation of the materials of a bowtie filter at the energies [1/mm]; no rows where there is none
     """
 
     energy: Float[np.ndarray, " energy"]
@@ -31,18 +31,33 @@ class EnergyGrid:
 
     @property
     def signal(self) -> Float[np.ndarray, " energy"]:
-        """Detected photons of all channels."""
+        """Detected photons of all channels at each energy."""
         return self.weights.sum(axis=0)
 
     def monochromatic(self) -> "EnergyGrid":
-        """One energy per channel, the mean of what it counts in the open beam."""
+        """Replace the energies by one per channel, the mean energy of its counts in the open beam.
+
+        Returns
+        -------
+        grid of as many energies as there are channels
+        """
         total = self.weights.sum(axis=1)
         energy = self.weights @ self.energy / total
         return EnergyGrid(energy, np.diag(total), _at(energy, self.energy, self.profile))
 
 
 def energy_grid(spectra: Spectra, lowest: float, highest: float, count: int) -> EnergyGrid:
-    """The dataset's spectra on `count` midpoints; photons of a bin go to the midpoints whose cells it overlaps.
+    """Resample the spectra of a dataset to equal intervals of energy.
+
+    Parameters
+    ----------
+    spectra : spectra of the dataset
+    lowest, highest : limits of the grid [keV]
+    count : number of intervals
+
+    Returns
+    -------
+    midpoints of the intervals; photons of a bin are shared between the intervals that it overlaps
 
     Raises
     ------
@@ -65,17 +80,18 @@ def energy_grid(spectra: Spectra, lowest: float, highest: float, count: int) -> 
 def _at(
     wanted: Float[np.ndarray, " wanted"], energy: Float[np.ndarray, " energy"], rows: Float[np.ndarray, "row energy"]
 ) -> Float[np.ndarray, "row wanted"]:
+    """Rows of values at other energies [keV], by linear interpolation."""
     return np.array([np.interp(wanted, energy, row) for row in rows]).reshape(len(rows), len(wanted))
 
 
 class SpectralModel:
-    """From line integrals of the bases to log projections of the channels.
+    """Model of log projections of the channels from line integrals of the bases.
 
     Parameters
     ----------
     grid : energies and weights of the channels
     basis : columns of the fit
-    profile : lengths in a bowtie's parts [mm], None where there is none
+    profile : path lengths in the materials of a bowtie filter [mm]; None where there is none
     """
 
     def __init__(
@@ -93,7 +109,16 @@ class SpectralModel:
     def log_projections(
         self, line_integrals: Float[Tensor, "view basis row column"]
     ) -> Float[Tensor, "view channel row column"]:
-        """-log(I_c / I_0c); differentiable in the line integrals and in the K edge."""
+        """Compute -log(I_c / I_0c) of each channel (eq. 3 and 4).
+
+        Parameters
+        ----------
+        line_integrals : line integrals of the bases [no unit]
+
+        Returns
+        -------
+        log projections, differentiable in the line integrals and in the K edge
+        """
         columns = self.basis.columns(self.grid.energy).to(line_integrals)
         beam = torch.exp(-line_integrals.movedim(1, -1) @ columns)
         part = beam @ self.weights.T
@@ -102,5 +127,10 @@ class SpectralModel:
         return -torch.log(part.clamp_min(LEAST)).movedim(-1, 1)
 
     def channel_means(self) -> Float[Tensor, "channel basis"]:
-        """Columns averaged over what each channel counts in the open beam."""
+        """Average the columns over the counts of each channel in the open beam.
+
+        Returns
+        -------
+        mean of each basis function in each channel
+        """
         return self.weights @ self.basis.columns(self.grid.energy).T.float()

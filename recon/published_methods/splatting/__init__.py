@@ -1,5 +1,6 @@
-"""Published methods that splat: one set of primitives per channel or basis, fitted by Adam as R2-Gaussian does.
+"""Published methods that splat: one set of primitives per channel or basis, fitted by Adam as in R2-Gaussian.
 
-`training` is the loop that they share, `look` what a primitive looks like in a view. A file each: `gaussian_mono`
-(R2-Gaussian), `ellipsoid` (after X-Field) and `x_gaussian` (after X-Gaussian, which has no volume).
+`primitives` has the kinds of primitive, `training` the settings and the loop that all share, `volume_method` what the
+methods with a volume share. Each method has a file, which names its article and what is simplified: `r2_gaussian`,
+`x_field`, and `x_gaussian`, which has no volume.
 """

@@ -1,12 +1,10 @@
-"""What a set of primitives looks like in a view, and what is asked of it beside that: one class per kind.
+"""Kinds of primitive, one class each: images of a set of primitives, their volume, and their part of the loss.
 
-All kinds have the parameters of `recon.published_methods.paper.model.FactorisedGaussians`, of which the fractions are
-not used.
+All kinds have the parameters of `recon.published_methods.paper.model.FactorisedGaussians`; fractions are not used.
 """
 
 import math
-from dataclasses import dataclass
-from typing import Protocol
+from abc import ABC, abstractmethod
 
 import numpy as np
 import torch
@@ -24,84 +22,190 @@ from recon.published_methods.paper.recipe import PaperRecipe
 Image = Float[Tensor, "view 1 row column"]
 
 
-class Primitives(Protocol):
-    """One kind of primitive."""
+class Primitives(ABC):
+    """One kind of primitive: its images, and the terms of the loss that do not depend on a view."""
 
+    @abstractmethod
     def unit(self, units: Units) -> float:
-        """What counts as 1 in an image of this kind."""
-        ...
+        """Return the value that is 1 in an image of the normalised scene.
 
+        Parameters
+        ----------
+        units : units of the channel
+
+        Returns
+        -------
+        value of an image [no unit]
+        """
+
+    @abstractmethod
     def images(
         self, centres: Float[Tensor, "gaussian 3"], model: FactorisedGaussians, units: Units, geometry: Geometry
     ) -> Image:
-        """What the model shows in some views with its centres [mm] at `centres`; differentiable."""
-        ...
+        """Compute the images of a model in some views.
+
+        Parameters
+        ----------
+        centres : centres in place of those of the model (x, y, z) [mm]
+        model : primitives
+        units : units of the channel
+        geometry : poses of the views
+
+        Returns
+        -------
+        images [no unit], differentiable
+        """
 
     def penalty(
         self, model: FactorisedGaussians, grid: Grid, units: Units, recipe: PaperRecipe, rng: np.random.Generator
     ) -> Float[Tensor, ""] | float:
-        """What is added to the loss whatever the view."""
-        ...
+        """Compute the part of the loss that does not depend on a view: 0 unless a kind of primitive has one.
+
+        Parameters
+        ----------
+        model : primitives
+        grid : grid of the volume
+        units : units of the channel
+        recipe : weights
+        rng : random numbers
+
+        Returns
+        -------
+        part of the loss
+        """
+        return 0.0
 
 
-class VolumePrimitives(Primitives, Protocol):
+class VolumePrimitives(Primitives):
     """One kind of primitive that attenuates."""
 
-    def volume(self, model: FactorisedGaussians, units: Units, grid: Grid) -> Float[np.ndarray, "z y x"]:
-        """Attenuation on a grid [1/mm]."""
-        ...
-
-
-@dataclass(frozen=True)
-class Attenuation:
-    """Gaussians of attenuation with the rectified local-affine footprint of R2-Gaussian, and its total variation."""
-
     def unit(self, units: Units) -> float:
-        """See `Primitives`."""
+        """Return the line integral that is 1 in the normalised scene.
+
+        Parameters
+        ----------
+        units : units of the channel
+
+        Returns
+        -------
+        line integral [no unit]
+        """
         return units.line_integral
+
+    @abstractmethod
+    def volume(self, model: FactorisedGaussians, units: Units, grid: Grid) -> Float[np.ndarray, "z y x"]:
+        """Compute attenuation on a grid.
+
+        Parameters
+        ----------
+        model : primitives
+        units : units of the channel
+        grid : grid of the volume
+
+        Returns
+        -------
+        volume [1/mm]
+        """
+
+
+class Attenuation(VolumePrimitives):
+    """Gaussians of attenuation with the rectified local-affine footprint of R2-Gaussian, and its total variation."""
 
     def images(
         self, centres: Float[Tensor, "gaussian 3"], model: FactorisedGaussians, units: Units, geometry: Geometry
     ) -> Image:
-        """See `Primitives`."""
+        """Compute line integrals in some views.
+
+        Parameters
+        ----------
+        centres : centres in place of those of the model (x, y, z) [mm]
+        model : Gaussians
+        units : units of the channel
+        geometry : poses of the views
+
+        Returns
+        -------
+        line integrals [no unit], differentiable
+        """
         coefficients = units.density * model.density()
-        return line_integrals(
-            centres, model.log_scales(units), model.quaternions, coefficients, geometry, "local-affine"
-        )
+        parts = (centres, model.log_scales(units), model.quaternions, coefficients)
+        return line_integrals(*parts, geometry, "local-affine")
 
     def penalty(
         self, model: FactorisedGaussians, grid: Grid, units: Units, recipe: PaperRecipe, rng: np.random.Generator
     ) -> Float[Tensor, ""]:
-        """Total variation of a random piece of the volume."""
+        """Compute the weighted total variation of a random patch of the volume.
+
+        Parameters
+        ----------
+        model : Gaussians
+        grid : grid of the volume
+        units : units of the channel
+        recipe : weight and size of the patch
+        rng : random numbers for the position of the patch
+
+        Returns
+        -------
+        part of the loss
+        """
         parts = (model.centres, model.log_scales(units), model.quaternions, model.density())
-        return (
-            recipe.volume_tv
-            * total_variation(patch_of_channels(*parts, torch.ones(1, 1), random_patch(grid, recipe.patch, rng))).sum()
-        )
+        patch = patch_of_channels(*parts, torch.ones(1, 1), random_patch(grid, recipe.patch, rng))
+        return recipe.volume_tv * total_variation(patch).sum()
 
     def volume(self, model: FactorisedGaussians, units: Units, grid: Grid) -> Float[np.ndarray, "z y x"]:
-        """See `VolumePrimitives`."""
+        """Compute attenuation on a grid.
+
+        Parameters
+        ----------
+        model : Gaussians
+        units : units of the channel
+        grid : grid of the volume
+
+        Returns
+        -------
+        volume [1/mm]
+        """
         centres, log_scales, turns = (x.detach() for x in (model.centres, model.log_scales(units), model.quaternions))
         return voxelize(centres, log_scales, turns, units.density * model.density().detach(), grid)[0]
 
 
-@dataclass(frozen=True)
-class Radiance:
-    """Gaussians that shine: each adds its radiance times exp(-q/2) on the panel, however long a ray is inside it.
+class Radiance(Primitives):
+    """Gaussians of radiance: each adds its radiance times exp(-q/2) to an image, whatever the path length of a ray.
 
-    A local-affine footprint has the height b sqrt(2 pi) / |S^-1 R^T e| for a ray with unit vector e through the centre;
-    divided by all but b it is the same from every side. So what one view says of a Gaussian is wrong in others, and
-    there is no volume that has these projections.
+    A local-affine footprint has the height b sqrt(2 pi) / |S^-1 R^T e| for a ray with unit vector e through the centre.
+    Divided by all but b, the height is the same from every side, whatever the path length. There is no volume that has
+    these projections.
     """
 
     def unit(self, units: Units) -> float:
-        """See `Primitives`; `Units.density` holds a radiance."""
+        """Return the radiance that is 1 in the normalised scene.
+
+        Parameters
+        ----------
+        units : units of the channel, whose density is a radiance here
+
+        Returns
+        -------
+        radiance [no unit]
+        """
         return units.density
 
     def images(
         self, centres: Float[Tensor, "gaussian 3"], model: FactorisedGaussians, units: Units, geometry: Geometry
     ) -> Image:
-        """See `Primitives`."""
+        """Compute the sum of radiances in some views.
+
+        Parameters
+        ----------
+        centres : centres in place of those of the model (x, y, z) [mm]
+        model : Gaussians
+        units : units of the channel
+        geometry : poses of the views
+
+        Returns
+        -------
+        log projections [no unit], differentiable
+        """
         log_scales = model.log_scales(units)
         radiance = units.density * model.density()
         views = []
@@ -111,12 +215,6 @@ class Radiance:
             parts = (centres, log_scales, model.quaternions, radiance / height[:, None])
             views.append(line_integrals(*parts, geometry[number : number + 1], "local-affine"))
         return torch.cat(views)
-
-    def penalty(
-        self, model: FactorisedGaussians, grid: Grid, units: Units, recipe: PaperRecipe, rng: np.random.Generator
-    ) -> float:
-        """Nothing: X-Gaussian looks at images only."""
-        return 0.0
 
 
 def _stretch(

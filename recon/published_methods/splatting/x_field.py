@@ -1,14 +1,20 @@
-"""Hard ellipsoids with chord lengths, after X-Field (Wang et al. 2025, arXiv:2503.08596).
+"""Ellipsoids of constant attenuation with chord lengths, after X-Field.
 
-Each ellipsoid has one attenuation per channel, and a ray takes that times its chord: `recon.ops.chords` says what is
-smoothed at outlines, where chords have no gradient. Simplified: attenuations add up where ellipsoids overlap, in the
-place of an order of precedence; the start is a filtered back-projection, and clone, split and prune are those of
-R2-Gaussian, in the place of progressive and material-based steps. There is a volume to read, without one more
-reconstruction from rendered views.
+Each ellipsoid has one attenuation per channel, and adds it times the chord of a ray to the line integral:
+`recon.ops.chords` describes how outlines are smoothed, where the derivative of a chord is infinite. Simplified:
+attenuations add up where ellipsoids overlap, in place of an order of precedence; the start is a filtered
+back-projection, and clone, split and prune are those of R2-Gaussian, in place of progressive and material-based steps.
+The volume is that of the ellipsoids, without another reconstruction from rendered views.
+
+References
+----------
+Wang, Tao, Wu, Wang, Duan, Wang, Yang, Yan 2025, X-Field: a physically grounded representation for 3D X-ray
+reconstruction, arXiv:2503.08596.
 """
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -19,90 +25,68 @@ from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.ops.chords import chords, fill
 from recon.published_methods.paper.model import FactorisedGaussians, Units
-from recon.published_methods.paper.recipe import PaperRecipe
-from recon.published_methods.splatting.primitives import Image
-from recon.published_methods.splatting.r2_gaussian import splat
-from recon.published_methods.splatting.training import UNUSED, paced
-from recon.voxel.method import Images, OnIteration, Volumes, Weights, unwatched
+from recon.published_methods.splatting.primitives import Image, VolumePrimitives
+from recon.published_methods.splatting.volume_method import VolumeSplatting
 
-RADII = math.sqrt(5)  # semi-axes over standard deviations of the Gaussian with the same second moments
+RADII = math.sqrt(5)  # no unit; semi-axes over the standard deviations of the Gaussian with the same second moments
 
 
-@dataclass(frozen=True)
-class Chords:
+class Chords(VolumePrimitives):
     """Ellipsoids of constant attenuation that have the second moments of the model's Gaussians."""
-
-    def unit(self, units: Units) -> float:
-        """See `recon.published_methods.splatting.primitives.Primitives`."""
-        return units.line_integral
 
     def images(
         self, centres: Float[Tensor, "gaussian 3"], model: FactorisedGaussians, units: Units, geometry: Geometry
     ) -> Image:
-        """See `recon.published_methods.splatting.primitives.Primitives`."""
+        """Compute attenuation times chord length in some views, summed over ellipsoids.
+
+        Parameters
+        ----------
+        centres : centres in place of those of the model (x, y, z) [mm]
+        model : ellipsoids
+        units : units of the channel
+        geometry : poses of the views
+
+        Returns
+        -------
+        line integrals [no unit], differentiable
+        """
         parts = (centres, _log_axes(model, units), model.quaternions, units.density * model.density())
         return chords(*parts, torch.from_numpy(geometry.ray_frames()), geometry.panel.rows, geometry.panel.columns)
 
-    def penalty(
-        self, model: FactorisedGaussians, grid: Grid, units: Units, recipe: PaperRecipe, rng: np.random.Generator
-    ) -> float:
-        """Nothing: hard ellipsoids give a total variation no gradient."""
-        return 0.0
-
     def volume(self, model: FactorisedGaussians, units: Units, grid: Grid) -> Float[np.ndarray, "z y x"]:
-        """See `recon.published_methods.splatting.primitives.VolumePrimitives`."""
+        """Compute attenuation on a grid.
+
+        Parameters
+        ----------
+        model : ellipsoids
+        units : units of the channel
+        grid : grid of the volume
+
+        Returns
+        -------
+        volume [1/mm]
+        """
         inside = units.density * model.density()[:, 0]
         return fill(model.centres, _log_axes(model, units), model.quaternions, inside, grid)
 
 
 @dataclass(frozen=True)
-class Ellipsoid:
-    """Hard ellipsoids as a method; other numbers are those of `recon.published_methods.splatting.r2_gaussian`.
+class Ellipsoid(VolumeSplatting):
+    """Ellipsoids of constant attenuation as a method.
 
     Parameters
     ----------
-    iterations : Adam steps of each channel, one view each
-    gaussians, most : ellipsoids of each channel at the start, and at most
     density_share : attenuation of an ellipsoid over that of its voxel at the start
-    dssim : weight of structural dissimilarity
-    clone_gradient : mean gradient on the panel that clones or splits an ellipsoid
-    pace : learning rates over those of R2-Gaussian
-    seed : of the first ellipsoids, the order of views and split offsets
     """
 
-    iterations: int = 500
-    gaussians: int = 20_000
-    most: int = 40_000
     density_share: float = 0.06
-    dssim: float = 0.25
-    clone_gradient: float = 5e-5
-    pace: float = 8.0
-    seed: int = 0
+
+    primitives: ClassVar[Chords] = Chords()
 
     @property
     def name(self) -> str:
-        """What ``--method`` calls it."""
+        """Name of the method for ``--method``."""
         return "ellipsoid"
-
-    @property
-    def recipe(self) -> PaperRecipe:
-        """All numbers."""
-        recipe = PaperRecipe(
-            steps=self.iterations, without=UNUSED, seed=self.seed, gaussians=self.gaussians, most=self.most,
-            density_share=self.density_share, dssim=self.dssim, clone_gradient=self.clone_gradient,
-        )  # fmt: skip
-        return paced(recipe, self.pace)
-
-    def reconstruct(
-        self,
-        line_integrals: Images,
-        weights: Weights | None,
-        geometry: Geometry,
-        grid: Grid,
-        on_iteration: OnIteration = unwatched,
-    ) -> Volumes:
-        """See `recon.voxel.method.LinearMethod`."""
-        return splat(line_integrals, weights, geometry, grid, Chords(), self.recipe, on_iteration)
 
 
 def _log_axes(model: FactorisedGaussians, units: Units) -> Float[Tensor, "gaussian 3"]:

@@ -1,9 +1,15 @@
-"""Radiative Gaussians for novel views only, after X-Gaussian (Cai et al. 2024, arXiv:2403.04116).
+"""Radiative Gaussians that predict views only, after X-Gaussian.
 
-A Gaussian adds radiance that does not depend on how long a ray is inside it, so that views agree with no volume: there
-is none to return, and no basis can be scored. The start is X-Gaussian's: a uniform cuboid of points with random
-radiance, no filtered back-projection. Simplified: radiances add up, where the original composites them by depth with
-clamped opacities; the pixel is sampled, where the original widens footprints by 0.3 pixel^2; opacities are not reset.
+A Gaussian adds radiance that does not depend on the path length of a ray in it. No volume has such projections: the
+method returns none, and bases get no score. The start is X-Gaussian's: a uniform cuboid of points with random radiance,
+no filtered back-projection. Simplified: radiances add up, where the original composites them by depth with clamped
+opacities; pixels are sampled at their centres, where the original widens footprints by 0.3 pixel^2; opacities are not
+reset.
+
+References
+----------
+Cai, Liang, Wang, Wang, Zhang, Yang, Zhou, Yuille 2024, Radiative Gaussian splatting for efficient X-ray novel view
+synthesis, ECCV, arXiv:2403.04116.
 """
 
 from collections.abc import Sequence
@@ -18,17 +24,18 @@ from phantomgen.geometry.voxel_grid import Grid
 from recon.published_methods.paper.model import FactorisedGaussians, Units
 from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.splatting.primitives import Radiance
-from recon.published_methods.splatting.training import UNUSED, Training, paced, seen_rays, train
+from recon.published_methods.splatting.training import Splatting, Training, seen_rays, train
 from recon.voxel.method import Images, Iteration, OnIteration, Weights, unwatched
 from spectra.threads import without_other_pools
 
-BRIGHTEST = 0.999  # quantile of the images that counts as radiance 1
-LEAST = 1e-12  # of a mean that is divided by
+BRIGHTEST = 0.999  # quantile of the images that is radiance 1 in the normalised scene; our choice
+LEAST = 1e-12  # no unit; least mean radiance that is divided by
+DIMMING_VIEWS = 8  # views, about; from which the mean radiance of the start is computed; our choice
 
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """What radiative Gaussians show of each channel from anywhere.
+    """Log projections of each channel in any views, from radiative Gaussians.
 
     Parameters
     ----------
@@ -39,53 +46,35 @@ class Views:
 
     @torch.no_grad()
     def __call__(self, geometry: Geometry) -> Float[np.ndarray, "channel view row column"]:
-        """Log projections in the views of a geometry."""
+        """Compute log projections in the views of a geometry (channel, view, row, column)."""
         nothing = np.zeros((len(geometry), geometry.panel.rows, geometry.panel.columns), np.float32)
         return np.stack(
             [
-                nothing if t is None else t.look.images(t.model.centres, t.model, t.units, geometry)[:, 0].numpy()
+                nothing if t is None else t.primitives.images(t.model.centres, t.model, t.units, geometry)[:, 0].numpy()
                 for t in self.trainings
             ]
         )
 
 
 @dataclass(frozen=True)
-class XGaussian:
-    """X-Gaussian as a method.
-
-    Other numbers are those of R2-Gaussian, see `recon.published_methods.splatting.r2_gaussian`.
+class XGaussian(Splatting):
+    """X-Gaussian as a method, a `recon.voxel.method.ViewMethod`.
 
     Parameters
     ----------
-    iterations : Adam steps of each channel, one view each
-    gaussians, most : of each channel in the cuboid at the start, about, and at most
+    gaussians : Gaussians of each channel in the cuboid at the start, about
     dssim : weight of structural dissimilarity
-    clone_gradient : mean gradient on the panel that clones or splits a Gaussian
-    pace : learning rates over those of R2-Gaussian
-    seed : of the first radiances, the order of views and split offsets
+    clone_gradient : mean gradient in normalised detector coordinates that clones or splits a Gaussian
     """
 
-    iterations: int = 500
     gaussians: int = 8000
-    most: int = 40_000
     dssim: float = 0.2
     clone_gradient: float = 2.6e-5
-    pace: float = 8.0
-    seed: int = 0
 
     @property
     def name(self) -> str:
-        """What ``--method`` calls it."""
+        """Name of the method for ``--method``."""
         return "x-gaussian"
-
-    @property
-    def recipe(self) -> PaperRecipe:
-        """All numbers."""
-        recipe = PaperRecipe(
-            steps=self.iterations, without=UNUSED, seed=self.seed, gaussians=self.gaussians, most=self.most,
-            dssim=self.dssim, clone_gradient=self.clone_gradient,
-        )  # fmt: skip
-        return paced(recipe, self.pace)
 
     @without_other_pools()
     def learn_views(
@@ -96,7 +85,20 @@ class XGaussian:
         grid: Grid,
         on_iteration: OnIteration = unwatched,
     ) -> Views:
-        """See `recon.voxel.method.ViewMethod`."""
+        """Fit Gaussians to log projections, and predict other views with them.
+
+        Parameters
+        ----------
+        log_projections : one image per channel and view [no unit]
+        weights : 0 for rays that were not measured; all others have equal statistical weight
+        geometry : poses of the views
+        grid : grid that holds the object
+        on_iteration : called every few steps
+
+        Returns
+        -------
+        function that computes log projections of all channels in other views
+        """
         seen, recipe = seen_rays(log_projections, weights), self.recipe
         views = Views([_begin(images, seen, geometry, grid, recipe) for images in log_projections])
         nothing = np.zeros((0, 0, 0, 0), np.float32)
@@ -115,24 +117,22 @@ def _begin(
     grid: Grid,
     recipe: PaperRecipe,
 ) -> Training | None:
-    """A cuboid of Gaussians as bright as the images in the mean; None for images that are nowhere positive."""
+    """A cuboid of Gaussians with the mean radiance of the images; None for images that are nowhere positive."""
     brightest = float(np.quantile(images[seen], BRIGHTEST)) if seen.any() else 0.0
     if brightest <= 0:
         return None
-    units, look = Units.of(grid, brightest, recipe.narrowest, recipe.widest), Radiance()
+    units, radiance = Units.of(grid, brightest, recipe.narrowest, recipe.widest), Radiance()
     rng = np.random.default_rng([recipe.seed, 1])
     centres, cell = _cuboid(grid, recipe.gaussians)
-    random, sigma = (
-        rng.uniform(0, 2, len(centres)),
-        np.clip(np.tile(cell / 2, (len(centres), 1)), units.narrowest, None),
-    )
-    every = max(len(geometry) // 8, 1)
+    random = rng.uniform(0, 2, len(centres))
+    sigma = np.clip(np.tile(cell / 2, (len(centres), 1)), units.narrowest, None)
+    every = max(len(geometry) // DIMMING_VIEWS, 1)
     model = FactorisedGaussians.of(centres, brightest * random, sigma, np.ones((len(centres), 1)), units)
     with torch.no_grad():
-        bright = look.images(model.centres, model, units, geometry[::every])[:, 0].numpy()[seen[::every]].mean()
+        bright = radiance.images(model.centres, model, units, geometry[::every])[:, 0].numpy()[seen[::every]].mean()
     dimmed = random * max(float(images[::every][seen[::every]].mean()), 0.0) / max(float(bright), LEAST)
     model = FactorisedGaussians.of(centres, brightest * dimmed, sigma, np.ones((len(centres), 1)), units)
-    return Training(model, look, images, seen, geometry, grid, units, recipe)
+    return Training(model, radiance, images, seen, geometry, grid, units, recipe)
 
 
 def _cuboid(grid: Grid, count: int) -> tuple[Float[np.ndarray, "gaussian 3"], Float[np.ndarray, "3"]]:

@@ -1,1 +1,1 @@
-"""What a segmentation leaves: volumes, pictures, the table."""
+"""Files of a segmentation: volumes, pictures, the table."""

@@ -1,4 +1,4 @@
-"""What a segmentation leaves: volumes in HDF5, coloured Gaussians, pictures, and the table as JSON."""
+"""Files of a segmentation: volumes in HDF5, coloured Gaussians, and the table as JSON."""
 
 import shutil
 from pathlib import Path
@@ -11,18 +11,19 @@ from phantomgen.dataset.layout import new_group, put
 from phantomgen.dataset.truth import write_grid
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.disk import one_sentence
+from phantomgen.runtime.outputs import check_output_folder
 from phantomgen.runtime.plain_json import write_json
 from recon.gaussians.model import Gaussians
 from recon.segmentation.result import Segmentation
 from spectra.errors import InputError
 
 VOLUMES, TABLE, POINTS = "segment.h5", "materials.json", "gaussians.ply"
-_DC = 0.28209479177387814  # spherical harmonic of degree 0: what viewers of Gaussian splats multiply colours by
+_DC = 0.28209479177387814  # 1 / sqrt(4 pi), the spherical harmonic of degree 0, by which viewers multiply colours
 _PACKING: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 
 
 class SegmentFolder:
-    """A folder that appears under its name when it is complete; use it in a ``with`` statement.
+    """A folder that gets its name when it is complete; use it in a ``with`` statement.
 
     Parameters
     ----------
@@ -38,12 +39,7 @@ class SegmentFolder:
     def __init__(self, path: Path, overwrite: bool) -> None:
         self.path = path
         self.part = path.absolute().with_name(path.absolute().name + ".part")
-        if path.exists() and not overwrite:
-            raise InputError(f"the output {path} exists: choose another name by --out, or add --overwrite")
-        if path.exists() and not (path / VOLUMES).is_file():
-            raise InputError(f"the output {path} is not a folder that recon segment wrote; it will not be replaced")
-        if not path.absolute().parent.is_dir():
-            raise InputError(f"the folder {path.parent} for the output {path.name} does not exist")
+        check_output_folder(path, overwrite, "recon segment", lambda folder: (folder / VOLUMES).is_file())
 
     def __enter__(self) -> Path:
         with one_sentence(self.part):
@@ -60,7 +56,13 @@ class SegmentFolder:
 
 
 def write_segmentation(path: Path, segmentation: Segmentation) -> None:
-    """Write ``/labels``, ``/materials`` [1/mm], ``/rgb`` and ``/readouts`` as NeXus plots with axes in mm."""
+    """Write ``/labels``, ``/materials`` [1/mm], ``/rgb`` and ``/readouts`` as NeXus plots with axes in mm.
+
+    Parameters
+    ----------
+    path : file to write
+    segmentation : material maps
+    """
     s, grid = segmentation, segmentation.subject.grid
     names = np.array([c.name for c in s.clusters], dtype=object)
     with one_sentence(path), h5py.File(path, "w") as file:
@@ -80,7 +82,7 @@ def write_segmentation(path: Path, segmentation: Segmentation) -> None:
 
 
 def _write_readouts(group: h5py.Group, segmentation: Segmentation) -> None:
-    """Volumes of physical numbers; atomic numbers and densities are NaN in air."""
+    """Write volumes of physical numbers; atomic numbers are NaN in air."""
     s, values, grid = segmentation.readouts, segmentation.subject.volumes, segmentation.subject.grid
     plain = s.without_contrast(values)
     for energy in segmentation.options.energies:
@@ -97,7 +99,7 @@ def _volume(
     parent: h5py.Group, name: str, values: np.ndarray, grid: Grid, first: tuple[str, ...], units: str = "",
     after: tuple[str, ...] = (),
 ) -> h5py.Dataset:  # fmt: skip
-    """A plot with axes (..., z, y, x, ...)."""
+    """Write a plot with axes (..., z, y, x, ...)."""
     group = new_group(parent, name, "NXdata", signal="data", axes=(*first, "z", "y", "x", *after))
     kept = values.astype(np.float32) if values.dtype.kind == "f" else values
     chunks = (*(1 for _ in first), 1, *kept.shape[len(first) + 1 :])
@@ -112,8 +114,20 @@ def _volume(
 def write_points(path: Path, segmentation: Segmentation) -> None:
     """Write Gaussians as ``.ply`` in the layout of 3D Gaussian splatting, in the colours of their materials.
 
+    Parameters
+    ----------
+    path : file to write
+    segmentation : material maps
+
+    Raises
+    ------
+    InputError
+        When the run was segmented in voxels.
+
+    Notes
+    -----
     Positions are in mm, scales in logarithms of mm, rotations w, x, y, z; opacity is the logit of the density over its
-    99 % quantile. Beside that red, green and blue for viewers of point clouds, ``material`` (the number of the
+    99 % quantile. Besides, there are red, green and blue for viewers of point clouds, ``material`` (the number of the
     label), and ``basis_<i>`` [1/mm].
     """
     model, own = segmentation.subject.gaussians, segmentation.gaussian_labels
@@ -133,7 +147,7 @@ def write_points(path: Path, segmentation: Segmentation) -> None:
 
 
 def _point_columns(model: Gaussians, colours: np.ndarray, own: np.ndarray) -> dict[str, np.ndarray]:
-    """Properties by name, in order."""
+    """Properties of the Gaussians by name, in the order of the file."""
     density = model.coefficients.numpy().sum(axis=1)
     share = np.clip(density / max(float(np.quantile(density, 0.99)), 1e-12), 1e-3, 0.99)
     floats: dict[str, np.ndarray] = dict(zip("xyz", model.centres.numpy().T, strict=True))
@@ -150,5 +164,11 @@ def _point_columns(model: Gaussians, colours: np.ndarray, own: np.ndarray) -> di
 
 
 def write_table(path: Path, content: dict[str, Any]) -> None:
-    """Write indented JSON; NaN is refused."""
+    """Write the table as indented JSON.
+
+    Parameters
+    ----------
+    path : file to write
+    content : the table, see `recon.segmentation.output.table.record`; NaN is refused
+    """
     write_json(path, content)

@@ -1,4 +1,4 @@
-"""The table of materials, as text and as JSON."""
+"""Table of the materials, as text and for JSON."""
 
 from typing import Any
 
@@ -9,7 +9,17 @@ from recon.segmentation.scoring.scores import numbers_of
 
 
 def record(segmentation: Segmentation, scores: dict[str, Any] | None) -> dict[str, Any]:
-    """Everything but the volumes, for JSON; `scores` is None where there is no truth."""
+    """Collect everything but the volumes, for JSON.
+
+    Parameters
+    ----------
+    segmentation : material maps
+    scores : scores against the truth; None where there is none
+
+    Returns
+    -------
+    options, materials and scores
+    """
     s, options = segmentation, segmentation.options
     return {
         "domain": options.domain,
@@ -35,7 +45,17 @@ def record(segmentation: Segmentation, scores: dict[str, Any] | None) -> dict[st
 
 
 def table(segmentation: Segmentation, scores: dict[str, Any] | None) -> str:
-    """One row per material, and the scores where there is a truth."""
+    """Write the table as text: one row per material, then the scores.
+
+    Parameters
+    ----------
+    segmentation : material maps
+    scores : scores against the truth; None where there is none
+
+    Returns
+    -------
+    text of several lines
+    """
     clusters, options = segmentation.clusters, segmentation.options
     energies, agents = options.energies, tuple(segmentation.readouts.agents)
     virtual = bool(segmentation.readouts.mechanisms.edges)
@@ -61,7 +81,7 @@ def table(segmentation: Segmentation, scores: dict[str, Any] | None) -> str:
 
 
 def _score_lines(scores: dict[str, Any] | None) -> list[str]:
-    """Scores against the truth."""
+    """Lines of the scores against the truth."""
     if scores is None:
         return []
     missed = [name for name, row in scores["materials"].items() if row["cluster"] is None and row["voxels"]]
@@ -82,17 +102,28 @@ def _score_lines(scores: dict[str, Any] | None) -> list[str]:
 
 
 def _dice_by_cluster(scores: dict[str, Any] | None) -> dict[str, float]:
+    """Dice coefficient of each cluster that was matched to a material."""
     if scores is None:
         return {}
     return {row["cluster"]: row["dice"] for row in scores["materials"].values() if row["cluster"] is not None}
 
 
 def _known(value: float | None, digits: int) -> str:
+    """Number as text, or a dash where it is not known."""
     return "-" if value is None or not np.isfinite(value) else f"{value:.{digits}f}"
 
 
 def legend(clusters: tuple[Cluster, ...]) -> list[str]:
-    """Name of each material with the number that tells it from its kind."""
+    """Create the text of each material in a legend: its name, and the concentration or density that distinguishes it.
+
+    Parameters
+    ----------
+    clusters : materials
+
+    Returns
+    -------
+    one text per material
+    """
     texts = []
     for c in clusters:
         agent, amount = max(c.concentrations.items(), key=lambda item: item[1], default=("", 0.0))

@@ -1,1 +1,1 @@
-"""Material maps against the truth."""
+"""Scores of material maps against the truth."""

@@ -1,6 +1,6 @@
 """Concentrations of contrast agents against the truth: slope, intercept, limit of detection, cross-talk."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -9,18 +9,33 @@ from recon.evaluation.metrics import pure_voxels
 from recon.segmentation.result import Segmentation
 from recon.segmentation.scoring.reference import Reference
 
-DETECTION = 3.3  # standard deviations of a blank, as in ICH guideline Q2
+DETECTION = 3.3  # standard deviations of a blank; limit of detection of ICH guideline Q2
+
+
+class _Point(NamedTuple):
+    """Material, its true concentration, and mean and standard deviation of the measured ones [mg/ml]."""
+
+    material: str
+    true: float
+    measured: float
+    deviation: float
 
 
 def regress(segmentation: Segmentation, reference: Reference) -> dict[str, Any]:
-    """Concentrations of each contrast agent: mean over pure voxels of the materials that hold it and of blanks.
+    """Fit measured against true concentrations of each contrast agent.
+
+    Parameters
+    ----------
+    segmentation : material maps
+    reference : truth
 
     Returns
     -------
-    By element ``slope``, ``intercept`` [mg/ml] and ``r_squared`` of measured against true; ``detection_limit`` [mg/ml]
-    of one voxel, 3.3 standard deviations of the blanks' voxels over the slope; ``crosstalk`` [mg/ml], the largest mean
-    in a material of another agent; ``points``: material, true, measured, standard deviation. A pure voxel is filled by
-    one material, and so are those at most two away.
+    by element ``slope``, ``intercept`` [mg/ml] and ``r_squared`` of measured against true; ``detection_limit`` [mg/ml]
+    of one voxel, 3.3 standard deviations of the blanks' voxels over the slope; ``crosstalk`` [mg/ml], the largest
+    absolute mean in a material of another agent; ``points``: material, true, measured, standard deviation. Values are
+    means over pure voxels of the materials that hold the agent, and of blanks. A voxel is pure where one material fills
+    it and all voxels at most two away
     """
     volumes, true = segmentation.subject.volumes, reference.truth
     inside = [pure_voxels(f, FRACTION_SCALE) for f in true.fractions]
@@ -38,7 +53,7 @@ def regress(segmentation: Segmentation, reference: Reference) -> dict[str, Any]:
             if any(holds.values()) and not holds[element]:
                 others.append(abs(float(values.mean())))
                 continue
-            points.append((name, material.concentrations[element], float(values.mean()), float(values.std())))
+            points.append(_Point(name, material.concentrations[element], float(values.mean()), float(values.std())))
             if not holds[element]:
                 blanks.append(values - values.mean())
         result[element] = _line(points) | {"crosstalk": max(others), "points": points}
@@ -48,9 +63,9 @@ def regress(segmentation: Segmentation, reference: Reference) -> dict[str, Any]:
     return result
 
 
-def _line(points: list[tuple[str, float, float, float]]) -> dict[str, float | None]:
+def _line(points: list[_Point]) -> dict[str, float | None]:
     """Least squares through measured against true concentrations."""
-    x, y = (np.array([p[i] for p in points]) for i in (1, 2))
+    x, y = np.array([p.true for p in points]), np.array([p.measured for p in points])
     if len(x) < 2 or np.ptp(x) == 0:
         return {"slope": None, "intercept": None, "r_squared": None}
     slope, intercept = np.polyfit(x, y, 1)

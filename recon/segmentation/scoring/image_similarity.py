@@ -1,4 +1,4 @@
-"""How alike two pictures in colour are: PSNR, SSIM, and LPIPS where its weights are at hand."""
+"""Similarity of two RGB images: PSNR, SSIM, and LPIPS where its weights are available."""
 
 from collections.abc import Callable, Iterable
 from importlib import import_module
@@ -13,15 +13,19 @@ from recon.evaluation.metrics import SSIM_WINDOW, Scores, psnr
 Picture = Float[np.ndarray, "row column 3"]
 
 
-def likeness(pairs: Iterable[tuple[Picture, Picture]]) -> Scores:
-    """Means over pairs of a picture and its truth, colours between 0 and 1.
+def image_similarity(pairs: Iterable[tuple[Picture, Picture]]) -> Scores:
+    """Compute the mean similarity of pairs of images.
+
+    Parameters
+    ----------
+    pairs : an image and its truth, RGB 0 to 1
 
     Returns
     -------
     ``psnr`` [dB] with peak 1 over all pixels and colours; ``ssim`` with a Gaussian window of sigma 1.5 and range 1,
     mean of the colours (Wang et al. 2004, doi:10.1109/TIP.2003.819861); ``lpips`` of AlexNet, lower is better (Zhang
-    et al. 2018, arXiv:1801.03924). None for what does not exist: a PSNR without error, an SSIM of pictures smaller
-    than its window, LPIPS without its package and weights.
+    et al. 2018, arXiv:1801.03924). None for what does not exist: a PSNR without error, an SSIM of images smaller
+    than its window, LPIPS without its package and weights
     """
     distance = _lpips()
     found: dict[str, list[float | None]] = {"psnr": [], "ssim": [], "lpips": []}
@@ -33,6 +37,7 @@ def likeness(pairs: Iterable[tuple[Picture, Picture]]) -> Scores:
 
 
 def _ssim(image: Picture, truth: Picture) -> float | None:
+    """Mean structural similarity; None for images smaller than its window."""
     from skimage.metrics import structural_similarity  # noqa: PLC0415 - a third of a second
 
     if min(truth.shape[:2]) < SSIM_WINDOW:
@@ -43,12 +48,13 @@ def _ssim(image: Picture, truth: Picture) -> float | None:
 
 
 def _mean(values: list[float | None]) -> float | None:
+    """Mean of the known values; None where there is none."""
     known = [v for v in values if v is not None]
     return float(np.mean(known)) if known else None
 
 
 def _lpips() -> Callable[[Picture, Picture], float] | None:
-    """The distance, or None; nothing is downloaded."""
+    """LPIPS of AlexNet; None without its package and weights, as nothing is downloaded."""
     try:
         package = import_module("lpips")  # never required
     except ImportError:

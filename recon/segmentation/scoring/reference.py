@@ -1,4 +1,4 @@
-"""The truth of a dataset, described as a segmentation is, to score one against."""
+"""Truth of a dataset, described as a segmentation is, to score one against."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ from recon.segmentation.rendering import slices_rgb, views_around
 from recon.segmentation.result import Cluster, Segmentation, describe
 from spectra.errors import InputError
 
-VIEWS = 10  # that pictures are compared from
+VIEWS = 10  # views in which images are compared; our choice
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +25,10 @@ class Reference:
 
     Parameters
     ----------
-    truth : see there
-    readouts : for all basis functions of the dataset
-    materials : as clusters, in the order of the truth
-    geometry : views that pictures are compared from
+    truth : material fractions and coefficients of the dataset
+    readouts : conversion of coefficients to physical numbers, for all basis functions of the dataset
+    materials : materials as clusters, in the order of the truth
+    geometry : views in which images are compared
     """
 
     truth: Truth
@@ -43,22 +43,36 @@ class Reference:
 
     @property
     def colours(self) -> Float[np.ndarray, "material 3"]:
-        """RGB of each material."""
+        """RGB of each material, 0 to 1."""
         return np.array([m.colour for m in self.materials])
 
     @property
     def volumes(self) -> Float[np.ndarray, "material z y x"]:
-        """Density of each material [1/mm]."""
+        """Density of each material in each voxel [1/mm]."""
         scale = (self.densities / FRACTION_SCALE).astype(np.float32)
         return self.truth.fractions * scale[:, None, None, None]
 
     def rgb(self) -> Float[np.ndarray, "z y x 3"]:
-        """The volume in colours between 0 and 1."""
+        """Compute RGB of all voxels.
+
+        Returns
+        -------
+        RGB, 0 to 1
+        """
         return slices_rgb(self.volumes, self.densities, self.colours, self.truth.labels > NOTHING)
 
 
 def read_reference(path: Path, segmentation: Segmentation) -> Reference | None:
-    """The truth of a dataset; None where it has none.
+    """Read the truth of a dataset.
+
+    Parameters
+    ----------
+    path : dataset
+    segmentation : material maps that will be scored
+
+    Returns
+    -------
+    truth; None where the dataset has none
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Circular orbits about the z axis, as filtered back-projection sees them."""
+"""Circular orbits about the z axis, and what filtered back-projection needs to know of them."""
 
 from dataclasses import dataclass
 
@@ -9,28 +9,29 @@ from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from spectra.errors import GeometryError
 
-_EVEN = 1.5  # widest gap between neighbouring views over the mean one
-_SAME = 0.01  # by what part distances may differ between views
-_FLAT = 0.02  # largest slope of the central ray, and tilt of a panel that is upright [rad]
-_STEEP = 0.8  # largest angle between a panel and an upright one; in its plane it may be turned at will [rad]
-_CENTRED = 0.05  # largest distance of the central ray from the middle of a centred panel, as a part of its columns
-_OVERLAP = 0.02  # part of its columns by which a panel must reach over the axis
+# Tolerances of an orbit; all chosen by hand, not measured.
+_EVEN = 1.5  # no unit; widest gap between neighbouring views over the mean gap
+_SAME = 0.01  # no unit; largest relative difference of distances between views
+_FLAT = 0.02  # rad; largest slope of the central ray, and largest tilt of a panel that counts as upright
+_STEEP = 0.8  # rad; largest angle between a panel and an upright one; the rotation in its plane is not limited
+_CENTRED = 0.05  # of the columns; largest distance of the central ray from the middle of a centred panel
+_OVERLAP = 0.02  # of the columns; least part of a panel that lies beyond the axis
 
 
 @dataclass(frozen=True, eq=False)
 class CircularOrbit:
-    """A full circle, or an arc on which every ray is met at least once.
+    """A full circle, or an arc on which every ray is measured at least once.
 
     Parameters
     ----------
-    angles : of the source from the beginning of the arc, counter-clockwise, that of a view in the middle of what it
-        stands for [rad]
-    arc : the whole of it [rad]; 2 pi for a full circle
-    sod, sdd : distance from the source to the axis, and to the panel, along the central ray if that is tilted [mm]
+    angles : angle of the source from the beginning of the arc, counter-clockwise; each view stands for a piece of the
+        arc with its angle in the middle [rad]
+    arc : length of the arc [rad]; 2 pi for a full circle
+    sod, sdd : distance from the source to the axis, and to the panel; along the central ray if the panel is tilted [mm]
     outward : unit vectors from the axis to the source
-    middle : column that the central ray meets, in pixels
-    tilt : the larger of the angles between the panel and an upright one, and its rows and the circle's plane [rad]
-    is_centred : whether the panel sees both sides of the axis alike
+    middle : column that the central ray meets [pixel]
+    tilt : the larger of two angles: panel to an upright panel, and panel rows to the plane of the circle [rad]
+    is_centred : whether the panel covers both sides of the axis equally
     """
 
     angles: Float[np.ndarray, " view"]
@@ -44,33 +45,37 @@ class CircularOrbit:
 
     @property
     def is_full(self) -> bool:
-        """Whether the orbit goes all the way round."""
+        """Whether the orbit is a full circle."""
         return self.arc >= 2 * np.pi
 
     @property
     def is_z_aligned(self) -> bool:
-        """Whether the rows of the panel run along the circle."""
+        """Whether the rows of the panel are parallel to the plane of the circle."""
         return self.tilt <= _FLAT
 
     @property
     def spare(self) -> float:
-        """Half of what the arc has beyond half a turn [rad]."""
+        """Half of the arc beyond half a turn [rad]."""
         return max((self.arc - np.pi) / 2, 0.0)
 
 
 def circular_orbit_of(geometry: Geometry, grid: Grid | None = None) -> CircularOrbit:
-    """What filtered back-projection needs to know of an orbit.
+    """Describe an orbit for filtered back-projection.
 
     Parameters
     ----------
-    geometry : of the views
-    grid : the volume; a short scan need only meet every ray through it, not every ray of the panel
+    geometry : poses of the views
+    grid : the volume; a short scan must measure every ray through it, not every ray of the panel
+
+    Returns
+    -------
+    the circular orbit
 
     Raises
     ------
     GeometryError
-        With what is in the way, unless views stand evenly on a full circle about the z axis or on an arc of at least
-        half a turn and the fan, and the panel sees the axis.
+        Unless views stand evenly on a full circle about the z axis or on an arc of at least half a turn and the fan,
+        and the panel covers the axis; the sentence names the reason.
     """
     if len(geometry) < 2:
         raise _refusal(geometry, "it has fewer than two views")
@@ -128,7 +133,7 @@ def _degrees(angles: Float[np.ndarray, " angle"]) -> list[str]:
 
 
 def _check_rays(geometry: Geometry, grid: Grid | None, circle: CircularOrbit) -> None:
-    """Refuse arcs that miss rays, and panels that do not see the axis."""
+    """Refuse arcs that miss rays, and panels that do not cover the axis."""
     columns = geometry.panel.columns
     sides = np.array([circle.middle.min() + 0.5, columns - 0.5 - circle.middle.max()])
     if sides.min() < _OVERLAP * columns:

@@ -24,14 +24,20 @@ from spectra.errors import InputError
 
 @dataclass(frozen=True)
 class Fdk:
-    """Filtered back-projection as a method; parameters as of `fdk`. Every ray counts alike, whatever its weight."""
+    """Filtered back-projection as a method; weights of rays are ignored.
+
+    Parameters
+    ----------
+    window : window of the ramp filter, see `fdk`; ``cosine`` by `benchmarks.reconstruction.comparison_methods`
+    cutoff : cutoff of the window [Nyquist frequencies]
+    """
 
     window: str = "cosine"
     cutoff: float = 1.0
 
     @property
     def name(self) -> str:
-        """What ``--method`` calls it."""
+        """Name of the method, as in ``--method``."""
         return "fdk"
 
     def reconstruct(
@@ -42,14 +48,27 @@ class Fdk:
         grid: Grid,
         on_iteration: OnIteration = unwatched,
     ) -> Volumes:
-        """See `recon.voxel.method.LinearMethod`."""
+        """Reconstruct volumes from line integrals.
+
+        Parameters
+        ----------
+        line_integrals : one image per basis and view [no unit]
+        weights : ignored
+        geometry : circular orbit, see `recon.voxel.filtered.circular_orbit`
+        grid : the volume to reconstruct
+        on_iteration : called once
+
+        Returns
+        -------
+        volumes of the bases [1/mm]
+        """
         del weights
         volumes = fdk(np.moveaxis(line_integrals, 0, 1), geometry, grid, self.window, self.cutoff)
         on_iteration(Iteration(1, 1, 0.0, volumes))
         return volumes
 
 
-VIEWS_AT_ONCE = 16
+VIEWS_AT_ONCE = 16  # views; filtered and back-projected together, which bounds the memory
 
 
 def fdk(
@@ -59,15 +78,19 @@ def fdk(
     window: str = "hann",
     cutoff: float = 1.0,
 ) -> Float[np.ndarray, "basis z y x"]:
-    """Volumes [1/mm] of line integrals [no unit] on a circular orbit of evenly spaced views.
+    """Reconstruct volumes from line integrals on a circular orbit of evenly spaced views.
 
     Parameters
     ----------
-    line_integrals : one image per view and basis
+    line_integrals : one image per view and basis [no unit]
     geometry : circular orbit about the z axis, full or at least half a turn and the fan
     grid : the volume to reconstruct
-    window : what tames the ramp filter: ``ram-lak`` (nothing), ``shepp-logan``, ``cosine`` or ``hann``
-    cutoff : frequency from which nothing is left, in Nyquist frequencies
+    window : window of the ramp filter: ``ram-lak`` (none), ``shepp-logan``, ``cosine`` or ``hann``
+    cutoff : frequency above which the filter is zero [Nyquist frequencies]
+
+    Returns
+    -------
+    volumes of the bases [1/mm]
 
     Raises
     ------
@@ -98,7 +121,7 @@ def fdk(
 
 
 def _cosines(geometry: Geometry) -> Float[np.ndarray, "view row column"]:
-    """Cosine of the angle between each ray and the panel's normal."""
+    """Cosine of the angle between each ray and the normal of the panel."""
     rows, columns = geometry.panel.rows, geometry.panel.columns
     out = np.empty((len(geometry), rows, columns), np.float32)
     for i, (frame, normal) in enumerate(zip(geometry.ray_frames(), geometry.normals(), strict=True)):
@@ -111,7 +134,7 @@ def _cosines(geometry: Geometry) -> Float[np.ndarray, "view row column"]:
 def _half_fan(
     images: Float[np.ndarray, "view basis row column"], geometry: Geometry, circle: CircularOrbit
 ) -> tuple[Float[np.ndarray, "view basis row column"], Geometry]:
-    """Weighted images on a panel that is made symmetric by columns of zeros, where the filter leaves its tails."""
+    """Weighted images on a panel made symmetric by columns of zeros, which receive the tails of the filter."""
     columns, pitch = geometry.panel.columns, geometry.panel.column_pitch
     across = (np.arange(columns) - circle.middle[:, None]) * pitch
     low, high = circle.middle.min() + 0.5, columns - 0.5 - circle.middle.max()
@@ -126,7 +149,7 @@ def _half_fan(
 
 
 def _parker(geometry: Geometry, circle: CircularOrbit) -> Float[np.ndarray, "view column"]:
-    """Weights of a short scan."""
+    """Redundancy weights of a short scan."""
     counter_clockwise = np.cross([0.0, 0.0, 1.0], circle.outward)
     steps = np.einsum("vi,vi->v", geometry.column_step, counter_clockwise)
     across = (np.arange(geometry.panel.columns) - circle.middle[:, None]) * steps[:, None]

@@ -1,4 +1,4 @@
-"""The ramp filter of filtered back-projection, and the windows that tame it."""
+"""The ramp filter of filtered back-projection, and its windows."""
 
 from collections.abc import Callable
 
@@ -16,14 +16,22 @@ WINDOWS: dict[str, Callable[[np.ndarray], np.ndarray]] = {  # of frequencies in 
 def ramp_filtered(
     images: Float[np.ndarray, "view basis row column"], pitch: float, window: str, cutoff: float
 ) -> Float[np.ndarray, "view basis row column"]:
-    """Half the band-limited ramp filter along rows, sampled in space (Kak & Slaney 1988, eq. 3.61), zero-padded.
+    """Apply half the band-limited ramp filter along rows, sampled in space, with zero padding.
 
     Parameters
     ----------
-    images : what to filter
-    pitch : distance between columns, at the isocentre [mm]
+    images : weighted line integrals [no unit]
+    pitch : distance between columns at the isocentre [mm]
     window : one of `WINDOWS`
-    cutoff : frequency from which nothing is left, in Nyquist frequencies
+    cutoff : frequency above which the filter is zero [Nyquist frequencies]
+
+    Returns
+    -------
+    filtered images [1/mm]
+
+    References
+    ----------
+    Kak & Slaney 1988, Principles of Computerized Tomographic Imaging, eq. 3.61.
     """
     columns = images.shape[-1]
     size = 1 << (2 * columns - 1).bit_length()

@@ -1,4 +1,4 @@
-"""Weights of rays that a circular orbit meets more than once, relative to a full circle, which meets all twice."""
+"""Weights of rays that a circular orbit measures more than once, relative to the two of a full circle."""
 
 import numpy as np
 from jaxtyping import Float
@@ -7,16 +7,20 @@ from jaxtyping import Float
 def half_fan_weights(
     across: Float[np.ndarray, " column"], overlap: float, distance: float
 ) -> Float[np.ndarray, " column"]:
-    """Weights of a panel that sees one side of the axis fully, and the other up to `overlap`.
+    """Compute the weights of a panel that covers one side of the axis fully, and the other up to `overlap`.
 
-    They rise from 0 to 2 over the part of the panel that is seen from both sides, smoothly, and those of opposite
+    The weights rise smoothly from 0 to 2 over the part of the panel that covers both sides, and those of opposite
     columns add up to 2.
 
     Parameters
     ----------
-    across : position of the columns from the central ray, positive on the side that is seen fully [mm]
-    overlap : how far the panel reaches to the other side [mm]
-    distance : from source to panel, the same as that in which lengths on the panel are given [mm]
+    across : position of the columns from the central ray, positive on the side that is covered fully [mm]
+    overlap : width of the panel beyond the axis on the other side [mm]
+    distance : distance from the source to the plane in which `across` and `overlap` are measured [mm]
+
+    Returns
+    -------
+    weight of each column, from 0 to 2
 
     References
     ----------
@@ -29,15 +33,20 @@ def half_fan_weights(
 def parker_weights(
     angles: Float[np.ndarray, " view"], fan: Float[np.ndarray, "view column"], spare: float
 ) -> Float[np.ndarray, "view column"]:
-    """Weights of an arc of half a turn and `2 spare`; those of the two views of a ray add up to 2.
+    """Compute the weights of an arc of half a turn and `2 spare`, which add up to 2 over the two views of a ray.
 
-    With the fan of the panel for `spare` they are Parker's; longer arcs take all of their overlap, as Silver proposed.
+    If `spare` is half the fan of the panel, the weights are those of Parker; longer arcs use their whole overlap, as
+    proposed by Silver.
 
     Parameters
     ----------
-    angles : of the source from the beginning of the arc [rad]
-    fan : fan angle of each column from the central ray, counter-clockwise as seen from the source's path [rad]
-    spare : half of what the arc has beyond half a turn [rad]
+    angles : angle of the source from the beginning of the arc [rad]
+    fan : fan angle of each column from the central ray, counter-clockwise as seen from the path of the source [rad]
+    spare : half of the arc beyond half a turn [rad]
+
+    Returns
+    -------
+    weight of each view and column, from 0 to 2
 
     References
     ----------

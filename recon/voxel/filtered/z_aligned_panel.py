@@ -1,4 +1,4 @@
-"""The same rays on an z-aligned panel: what a tilted panel has measured, resampled."""
+"""Resampling of images from a tilted panel to a z-aligned one."""
 
 from dataclasses import replace
 
@@ -14,10 +14,21 @@ from recon.voxel.filtered.circular_orbit import CircularOrbit
 def on_z_aligned_panel(
     images: Float[np.ndarray, "view basis row column"], geometry: Geometry, circle: CircularOrbit
 ) -> tuple[Float[np.ndarray, "view basis row column"], Geometry]:
-    """Images on a panel across the central ray whose rows run along the circle, and its geometry.
+    """Resample images to a panel normal to the central ray whose rows are parallel to the plane of the circle.
 
-    A line integral belongs to a ray and not to a panel, so each pixel of the new panel takes what its ray has left on
-    the old one, by cubic splines. It covers all of the old panel; pixels beyond take the value at the border.
+    A line integral belongs to a ray and not to a panel, so each pixel of the new panel takes the value where its ray
+    meets the old one, by cubic splines. The new panel covers all of the old one; pixels beyond take the value at the
+    border.
+
+    Parameters
+    ----------
+    images : line integrals on the tilted panel [no unit]
+    geometry : poses of the tilted panel
+    circle : orbit of `geometry`
+
+    Returns
+    -------
+    images on the z-aligned panel, and its geometry
     """
     z_aligned = _z_aligned_panel(geometry, circle)
     rows, columns = np.meshgrid(np.arange(z_aligned.panel.rows), np.arange(z_aligned.panel.columns), indexing="ij")
@@ -31,7 +42,7 @@ def on_z_aligned_panel(
 
 
 def _z_aligned_panel(geometry: Geometry, circle: CircularOrbit) -> Geometry:
-    """z-aligned panels in the distance of the tilted ones that cover them in all views."""
+    """z-aligned panels at the distance of the tilted ones, large enough to cover them in all views."""
     tangent = np.stack([-circle.outward[:, 1], circle.outward[:, 0], np.zeros(len(geometry))], axis=1)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     tangent *= np.where(np.einsum("vi,vi->v", tangent, geometry.column_step) < 0, -1.0, 1.0)[:, None]
@@ -60,7 +71,7 @@ def _extent(
     normal: Float[np.ndarray, "view 3"],
     distance: Float[np.ndarray, " view"],
 ) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]]:
-    """Smallest and largest position along and down where rays to the panel's corners meet the upright plane [mm]."""
+    """Smallest and largest position across and along where rays to the panel corners meet the upright plane [mm]."""
     panel, frames = geometry.panel, geometry.ray_frames()
     across, along = [], []
     for column in (-0.5, panel.columns - 0.5):

@@ -1,1 +1,1 @@
-"""Iterative reconstructions of voxels, one method per file, and what they share."""
+"""Iterative reconstruction of voxels: one method per file, the loop of the linear ones, likelihood and grids."""

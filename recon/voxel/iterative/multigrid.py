@@ -1,4 +1,4 @@
-"""The same volumes on coarser and finer grids."""
+"""Volumes on coarser and finer grids: resampling, sharpening, and the box that holds the object."""
 
 import numpy as np
 from jaxtyping import Float
@@ -6,16 +6,28 @@ from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter, unifo
 
 from phantomgen.geometry.voxel_grid import Grid
 
-SHARPER = 2.0  # times what a blur takes away is added
-BLUR = 1.5  # its standard deviation [voxels]
-NOTHING = 1e-2  # of the largest value of a basis, as a mean over 3 x 3 x 3 voxels
-MARGIN = 3  # voxels around what is there
+# Unsharp mask of `sharpened`; both values were chosen on benchmarks/scenes/development.yaml.
+SHARPENING = 2.0  # no unit; factor of the difference between a volume and the blurred volume
+BLUR = 1.5  # voxels; standard deviation of the Gaussian that blurs
+# no unit, over the largest value of a basis; a mean over 3 x 3 x 3 voxels below is empty; chosen by hand, not measured
+EMPTY = 1e-2
+MARGIN = 3  # voxels; border around what is not empty; chosen by hand, not measured
 
 Box = tuple[slice, slice, slice]
 
 
 def coarser(grid: Grid, factor: int) -> Grid:
-    """A grid of voxels `factor` times as large that covers the same box; its last voxels may reach beyond."""
+    """Make a grid of voxels `factor` times as large that covers the same box; its last voxels may reach beyond.
+
+    Parameters
+    ----------
+    grid : the fine grid
+    factor : size of the voxels over that of `grid`
+
+    Returns
+    -------
+    the coarse grid
+    """
     shape = tuple(-(-n // factor) for n in grid.shape)
     spacing = tuple(factor * s for s in grid.spacing)
     origin = tuple(o + (factor - 1) / 2 * s for o, s in zip(grid.origin, grid.spacing, strict=True))
@@ -23,7 +35,18 @@ def coarser(grid: Grid, factor: int) -> Grid:
 
 
 def resampled(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, onto: Grid) -> Float[np.ndarray, "basis z y x"]:
-    """Volumes on another grid, by linear interpolation; beyond the border the nearest voxel counts."""
+    """Interpolate volumes linearly on another grid; beyond the border the nearest voxel gives the value.
+
+    Parameters
+    ----------
+    volumes : coefficients [1/mm]
+    grid : grid of `volumes`
+    onto : grid of the result
+
+    Returns
+    -------
+    coefficients [1/mm] on `onto`
+    """
     if onto == grid:
         return volumes
     out = volumes
@@ -34,26 +57,42 @@ def resampled(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, onto: Grid)
 
 
 def sharpened(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "basis z y x"]:
-    """Volumes with steeper edges, for volumes that come from a coarser grid.
+    """Sharpen the edges of volumes that come from a coarser grid.
 
     Unsharp masking, in which no voxel leaves the range of its neighbours: nothing overshoots and noise hardly grows.
-    Iterations that start from it need not sharpen every edge by themselves, which takes them long where few rays see
-    it. Strength and blur were chosen on ``benchmarks/scenes/development.yaml``.
+    Iterations that start from the result need not sharpen every edge by themselves, which takes many passes where few
+    rays cross it.
+
+    Parameters
+    ----------
+    volumes : coefficients [1/mm]
+
+    Returns
+    -------
+    coefficients with steeper edges [1/mm]
     """
     out = np.empty_like(volumes)
     for volume, sharp in zip(volumes, out, strict=True):
-        steeper = volume + SHARPER * (volume - gaussian_filter(volume, BLUR))
+        steeper = volume + SHARPENING * (volume - gaussian_filter(volume, BLUR))
         np.clip(steeper, minimum_filter(volume, 3), maximum_filter(volume, 3), out=sharp)
     return out
 
 
 def occupied(volumes: Float[np.ndarray, "basis z y x"]) -> Box:
-    """The smallest box (z, y, x) with all that volumes hold, and a margin; all voxels where they hold nothing.
+    """Find the smallest box that holds all voxels that are not empty, with a margin.
 
-    Where the mean over 3 x 3 x 3 voxels is below a hundredth of the largest value, in every basis, there is nothing but
-    specks of noise.
+    A voxel is empty where the mean over 3 x 3 x 3 voxels is below a hundredth of the largest value in every basis:
+    there is nothing but noise.
+
+    Parameters
+    ----------
+    volumes : coefficients [1/mm]
+
+    Returns
+    -------
+    ranges of voxels along z, y, x; all voxels if all are empty
     """
-    something = np.any([uniform_filter(v, 3, mode="nearest") > NOTHING * v.max() for v in volumes], axis=0)
+    something = np.any([uniform_filter(v, 3, mode="nearest") > EMPTY * v.max() for v in volumes], axis=0)
     box = []
     for axis, size in enumerate(something.shape):
         found = np.flatnonzero(something.any(axis=tuple({0, 1, 2} - {axis})))
@@ -63,9 +102,9 @@ def occupied(volumes: Float[np.ndarray, "basis z y x"]) -> Box:
 
 
 def _along(
-    volumes: Float[np.ndarray, "basis z y x"], place: Float[np.ndarray, " voxel"], axis: int
+    volumes: Float[np.ndarray, "basis _ _ _"], place: Float[np.ndarray, " voxel"], axis: int
 ) -> Float[np.ndarray, "basis z y x"]:
-    """Linear interpolation along one axis, at places in voxels."""
+    """Linear interpolation along one axis, at positions in voxels."""
     last = volumes.shape[axis] - 1
     place = np.clip(place, 0, last)
     low = np.minimum(place.astype(int), max(last - 1, 0))

@@ -1,14 +1,16 @@
 """One-step reconstruction of voxels: from counts to basis volumes without line integrals in between.
 
-The minimum of half the deviance of all counts, all channels at once, plus a joint total variation, over non-negative
-coefficients. Each step is a separable quadratic surrogate of the likelihood of some of the views (ordered subsets),
-with blocks that mix the bases, and Nesterov's momentum, which restarts where it points backwards. The total variation
-and x >= 0 are met in the metric of the surrogate, by a few steps on the dual that begin where the last ones ended.
-Coarse voxels come first, with pixels summed to match, so that no other reconstruction is needed to start from; their
-edges are made steeper before finer voxels take over, which spares those most of their passes. Rays close to each other
-get the same say, as voxels cannot tell them apart (`recon.data.partial_volume`), and the total variation has less of it
-where rays know little, as behind thick metal; what comes out there are means over voxels (`means_in_metal`). Memory
-grows with voxels, not with views: some 40 volumes of 32-bit numbers for three bases.
+The method minimises half the deviance of all counts, all channels together, plus a joint total variation, over
+non-negative coefficients. Each step minimises a separable quadratic surrogate of the likelihood of some of the views
+(ordered subsets), with blocks that couple the bases, and Nesterov's momentum, which restarts where it points against
+the descent. The total variation and x >= 0 are solved for in the metric of the surrogate, by a few dual steps that
+start from the last dual. Coarse voxels come first, with pixels summed to match, so that no other reconstruction is
+needed as a start; their edges are sharpened before finer voxels follow, which saves these most of their passes.
+
+Rays close to each other have equal statistical weight, as voxels cannot resolve them (`recon.data.partial_volume`).
+The total variation has less weight where the counts carry little information, as behind thick metal; the values there
+are returned as means over voxels (`means_in_metal`). Memory grows with voxels, not with views: some 40 volumes of
+32-bit numbers for three bases.
 
 References
 ----------
@@ -17,7 +19,6 @@ with subsets: Kim, Ramani, Fessler 2015, doi:10.1109/TMI.2014.2350962. Restart: 
 doi:10.1007/s10208-013-9150-3.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil, sqrt
 
@@ -34,39 +35,59 @@ from recon.ops.total_variation import ascend, neighbour_sums
 from recon.ops.total_variation import gradient as total_variation_gradient
 from recon.voxel.iterative.likelihood import curvature, deviance_and_gradient
 from recon.voxel.iterative.multigrid import coarser, occupied, resampled, sharpened
-from recon.voxel.method import Iteration, Report, unwatched
+from recon.voxel.method import OnIteration, Report, Volumes, unwatched
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
 
-CURVATURE_STEP = 3.236  # views of a kind between two that give the curvature
-ASTRAY = 1.5  # times the least deviance of a pass
-LITTLE = 0.5  # of the typical curvature; below it the total variation counts less
-FADING = 0.7  # power of the curvature by which it does; noise goes by 0.5, information by 1
-RENEWED = 3  # passes of a level after which the curvature is computed anew
-MANY = 100  # views; the more there are beyond, the more subsets there are, and the fewer passes
-FEWEST = 2  # passes, however many views there are
-FEW = 75  # views; of fewer, there are more passes, by the root of what is missing: noise comes in with every pass
-NO_AGENT = 0.1  # precision of K edges at 0, over their curvature, in metal twice as dense as the least dense metal
-UNMET = 1e-4  # of the mean curvature; voxels that no ray meets stay as they are, those in thick metal have little more
-_MEAN = (1 / 8, 3 / 4, 1 / 8)  # of a piecewise linear function over a voxel, by its values in the centres
-
-Volumes = Float[np.ndarray, "basis z y x"]
+# views of a kind; distance of two views whose curvature is computed, as that of the others is similar; no whole number,
+# so that it follows no period of the orbit; chosen by hand, not measured
+CURVATURE_STEP = 3.236
+# no unit, over the least deviance of a pass; where a pass exceeds it, the subsets have diverged, and half as many go on
+# from the best volumes; chosen by hand, not measured
+DIVERGED = 1.5
+# no unit, over the typical curvature; below it the total variation has less weight; a quarter, with power 1, is 1 dB
+# worse with an implant, as measured when it was chosen (docs/development/decisions/0009-metal.md)
+LOW_CURVATURE = 0.5
+# no unit; power of the relative curvature with which the total variation fades, between that of noise (0.5) and that of
+# information (1); by its root, an opaque block of 2 per mm ends at 1.4 (as above)
+CURVATURE_POWER = 0.7
+# passes of a level; after them the curvature is computed again at the current volumes; chosen by hand, not measured
+METRIC_RENEWED = 3
+# views; of more, subsets are more and passes fewer in proportion; with 180 views of development.yaml that has the same
+# PSNR within 0.1 dB in half the time, as measured when it was chosen
+MANY_VIEWS = 100
+# passes; the least number for any number of views; chosen by hand, not measured
+FEWEST_PASSES = 2
+# views; of fewer, passes are more by the root of 75 over their number, as measured with 10 and 25 views when it was
+# chosen
+FEW_VIEWS = 75
+# no unit; precision of the prior of K edges at 0 over their curvature, in metal twice as dense as the least dense one;
+# ten times as much gains 0.3 dB of iodine and loses 0.4 dB of Compton beside a pin, as above
+AGENT_PRIOR = 0.1
+# no unit, over the mean curvature; floor of the curvature, so that voxels without rays stay as they are; 1e-3 holds
+# back voxels in thick metal, as above
+CURVATURE_FLOOR = 1e-4
+# no unit; weights of voxel centres in the mean of a piecewise linear function over a voxel; exact
+_MEAN = (1 / 8, 3 / 4, 1 / 8)
 
 
 @dataclass(frozen=True)
 class OneStep:
     """One-step reconstruction with its settings.
 
+    Levels, strength and dispersion were compared by `benchmarks.reconstruction.comparison_methods`
+    (`docs/reference/benchmarks/voxel_methods.md`); the other values were chosen by hand.
+
     Parameters
     ----------
-    levels : voxels of each level in voxels of the grid asked for, and passes over the views, of which more than 100
-        take fewer, and fewer than 75 more; a start of one's own wants the level 1 alone
-    pixel : largest pixel as seen at the isocentre, in voxels of the level; finer ones are summed
-    subsets : parts of the views that take turns, of more than 100 views more; of fewer, more than 6 need not converge
-    dispersion : relative model error added to the Poisson variance
-    strength : weight of the total variation; at 1 the noise of a voxel's gradient is as large as its bound
-    dual_steps : steps towards the least total variation for every step of the likelihood
-    momentum : whether steps gather speed
+    levels : size of the voxels of each level [voxels of the requested grid], and passes over the views; more than 100
+        views take fewer passes, fewer than 75 take more; with an initial volume use level 1 alone
+    pixel : largest pixel as seen at the isocentre [voxels of the level]; smaller ones are summed
+    subsets : number of subsets of the views, more for more than 100 views; with few views, more than 6 may diverge
+    dispersion : relative model error added to the Poisson variance [no unit]
+    strength : weight of the total variation; at 1 its bound equals the standard deviation of the gradient of a voxel
+    dual_steps : steps on the dual of the total variation per step of the likelihood
+    momentum : whether to use Nesterov's momentum
     """
 
     levels: tuple[tuple[int, int], ...] = ((4, 8), (2, 8), (1, 16))
@@ -79,7 +100,7 @@ class OneStep:
 
     @property
     def name(self) -> str:
-        """What ``--method`` calls it."""
+        """Name of the method, as in ``--method``."""
         return "one-step"
 
     def __post_init__(self) -> None:
@@ -100,17 +121,22 @@ class OneStep:
         self,
         measurements: Measurements,
         grid: Grid,
-        on_iteration: Callable[[Iteration], None] = unwatched,
+        on_iteration: OnIteration = unwatched,
         start: Volumes | None = None,
     ) -> Volumes:
-        """Volumes [1/mm] of every basis; any number of threads gives the same ones.
+        """Reconstruct volumes from counts; any number of threads gives the same ones.
 
         Parameters
         ----------
-        measurements : views to use, unbinned, whatever their orbit
-        grid : voxels to reconstruct
-        on_iteration : called after every pass over the views
-        start : first guess on `grid`, default zeros; what lies outside of the box that it fills stays empty
+        measurements : views to use, unbinned, of any orbit
+        grid : the volume to reconstruct
+        on_iteration : called after every pass over the views, with the deviance per count
+        start : initial volumes on `grid` [1/mm], zeros by default; what lies outside of the box that they fill stays
+            empty
+
+        Returns
+        -------
+        volumes of the bases [1/mm]
         """
         volumes, here = np.zeros((len(measurements.basis_names), *grid.shape), np.float32), grid
         if start is not None:
@@ -126,16 +152,25 @@ class OneStep:
             data = measurements.binned(matching_bin(measurements.geometry, self.pixel * min(level.spacing)))
             data = data.weighted(self.dispersion)
             volumes = _descend(volumes, data, level, self, passes, report)
-        return _shown(resampled(volumes, here, grid), self)
+        return _voxel_means(resampled(volumes, here, grid), self)
 
 
 def means_in_metal(volumes: Volumes) -> Volumes:
-    """Volumes with means over voxels in metal, where the values that fit the rays are something else.
+    """Replace values in metal by means over voxels.
 
-    The projector interpolates between the centres of voxels. The mean of what it sees over a voxel is 3/4 of its own
-    value and 1/8 of that of either neighbour, along each axis. Elsewhere a total variation decides between values that
-    fit as well, and takes those of even pieces; the edges of these lie on faces of voxels, and their values are means.
-    In metal, where it counts little, values overshoot and those beside them fall too low.
+    The projector interpolates between the centres of voxels, so that values which fit the rays are values at centres.
+    The mean of the interpolated function over a voxel is 3/4 of its own value and 1/8 of that of each neighbour, along
+    each axis. Outside of metal the total variation prefers piecewise constant volumes, whose edges lie on faces of
+    voxels and whose values are means already. In metal, where it has little weight, values overshoot and those beside
+    them are too low.
+
+    Parameters
+    ----------
+    volumes : values at the centres of voxels [1/mm]
+
+    Returns
+    -------
+    volumes with means in metal, the more the denser it is [1/mm]
     """
     over = over_metal(volumes)
     if over.max(initial=1) <= 1:
@@ -149,49 +184,49 @@ def means_in_metal(volumes: Volumes) -> Volumes:
 def _descend(
     volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep, passes: int, report: Report
 ) -> Volumes:
-    """Improve volumes on one grid, where they hold something; where subsets lead astray, fewer of them go on."""
+    """Improve volumes on one grid, inside the box that holds the object; where subsets diverge, fewer of them go on."""
     box = occupied(volumes)
     inner, whole = grid.part(box), np.zeros_like(volumes)
     counts = max(int(np.count_nonzero(data.gains, axis=(1, 2)) @ np.count_nonzero(data.exposure, axis=0)), 1)
     first = np.ascontiguousarray(volumes[:, *box])
-    walk = _Walk(first, np.zeros((3, *first.shape), np.float32))
+    state = _State(first, np.zeros((3, *first.shape), np.float32))
     more, best, least, metric = _more_than_many(data), first, np.inf, None
     parts = min(round(more * settings.subsets), len(data))
     for i in range(passes):
-        if metric is None or i == ceil(RENEWED / more):
-            metric = _metric(walk.volumes, data, inner, settings)
-        deviance = _pass(walk, data, inner, settings, metric, parts)
-        if not deviance < ASTRAY * least and parts > 1:
-            walk = _Walk(best, np.zeros_like(walk.field))
+        if metric is None or i == ceil(METRIC_RENEWED / more):
+            metric = _metric(state.volumes, data, inner, settings)
+        deviance = _pass(state, data, inner, settings, metric, parts)
+        if not deviance < DIVERGED * least and parts > 1:
+            state = _State(best, np.zeros_like(state.field))
             parts = parts // 2 | 1
         elif deviance < least:
-            best, least = walk.volumes, deviance
-        whole[:, *box] = _shown(walk.volumes, settings)
+            best, least = state.volumes, deviance
+        whole[:, *box] = _voxel_means(state.volumes, settings)
         report(whole, deviance / counts, grid)
-    whole[:, *box] = walk.volumes
+    whole[:, *box] = state.volumes
     return whole
 
 
 def _passes(asked: int, views: int) -> int:
-    """As many as are asked for, fewer over many views and more over few."""
-    if views < FEW:
-        return ceil(asked * sqrt(FEW / views))
-    return max(ceil(asked * min(MANY / views, 1.0)), min(asked, FEWEST))
+    """Passes of a level, fewer than asked for with many views and more with few."""
+    if views < FEW_VIEWS:
+        return ceil(asked * sqrt(FEW_VIEWS / views))
+    return max(ceil(asked * min(MANY_VIEWS / views, 1.0)), min(asked, FEWEST_PASSES))
 
 
 def _more_than_many(data: Measurements) -> float:
-    """Views over `MANY`, at least 1: subsets are as many times more and passes fewer, so that steps are as many."""
-    return max(len(data) / MANY, 1.0)
+    """Views over `MANY_VIEWS`, at least 1: with so many times more subsets and fewer passes, steps stay as many."""
+    return max(len(data) / MANY_VIEWS, 1.0)
 
 
-def _shown(volumes: Volumes, settings: OneStep) -> Volumes:
-    """What comes out; without a total variation, values are left as they fit the rays, everywhere alike."""
+def _voxel_means(volumes: Volumes, settings: OneStep) -> Volumes:
+    """Volumes with means in metal; without a total variation, values stay as they fit the rays everywhere."""
     return means_in_metal(volumes) if settings.strength else volumes
 
 
 @dataclass
-class _Walk:
-    """Where a descent stands: volumes, dual of the total variation, point of the next step, speed."""
+class _State:
+    """State of a descent: volumes, dual of the total variation, extrapolated point of the next step, momentum."""
 
     volumes: Volumes
     field: Float[np.ndarray, "axis basis z y x"]
@@ -199,30 +234,34 @@ class _Walk:
     speed: float = 1.0
 
 
-def _pass(walk: _Walk, data: Measurements, grid: Grid, settings: OneStep, metric: "_Metric", parts: int) -> float:
-    """Every view once, in so many parts; returns the sum of the deviances that were met."""
+def _pass(state: _State, data: Measurements, grid: Grid, settings: OneStep, metric: "_Metric", parts: int) -> float:
+    """Use every view once, in so many subsets, and return the sum of the deviances before the steps."""
     total, agreement = 0.0, 0.0
     subsets = parts_of(kinds_of(data.exposure), parts)
     for first in _order(len(subsets)):
         some = data[subsets[first]]
-        point = walk.volumes if walk.point is None else walk.point
+        point = state.volumes if state.point is None else state.point
         deviance, gradient = deviance_and_gradient(point, some, grid, settings.dispersion)
         gradient *= np.float32(len(data) / len(some))
-        new = _proximal(point, gradient, walk.field, metric, grid, settings)
-        step = new - walk.volumes
+        new = _proximal(point, gradient, state.field, metric, grid, settings)
+        step = new - state.volumes
         agreement += _inner(point - new, step, metric.mixing)
-        faster = (1 + np.sqrt(1 + 4 * walk.speed**2)) / 2 if settings.momentum else 1.0
-        walk.point = new + np.float32((walk.speed - 1) / faster) * step
-        walk.volumes, walk.speed = new, faster
+        faster = (1 + np.sqrt(1 + 4 * state.speed**2)) / 2 if settings.momentum else 1.0
+        state.point = new + np.float32((state.speed - 1) / faster) * step
+        state.volumes, state.speed = new, faster
         total += deviance
     if agreement > 0:
-        walk.point, walk.speed = None, 1.0
+        state.point, state.speed = None, 1.0
     return total
 
 
 @dataclass(frozen=True)
 class _Metric:
-    """Inverse blocks of the surrogate; W of the total variation; steps of its dual, and its bounds; precision at 0."""
+    """Metric of the surrogate.
+
+    Inverse blocks; matrix W by which the total variation mixes the bases; steps of its dual and their bounds; precision
+    of the prior at 0, None where there is no metal.
+    """
 
     inverse: Float[np.ndarray, "pair z y x"]
     mixing: Float[np.ndarray, "basis basis"]
@@ -232,10 +271,10 @@ class _Metric:
 
 
 def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep) -> _Metric:
-    """The metric at volumes.
+    """Compute the metric at volumes.
 
-    Metal holds no contrast agent, but no mixture of bases attenuates as metal does, and what is missing looks like a K
-    edge. So K edges have a prior at 0 there, the more the denser the metal.
+    Metal holds no contrast agent, but no combination of bases attenuates as metal does, and the difference resembles a
+    K edge. So K edges have a prior at 0 in metal, the stronger the denser the metal.
     """
     some = data[every(kinds_of(data.exposure), CURVATURE_STEP)]
     share = len(data) / len(some)
@@ -247,10 +286,10 @@ def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep)
     edges, over = metal_without_agents(volumes, data.basis_names)
     empty = None
     if over.max(initial=1) > 1:
-        empty = edges[:, None, None, None] * (blocks[upper[0] == upper[1]] * np.float32(NO_AGENT) * (over - 1))
+        empty = edges[:, None, None, None] * (blocks[upper[0] == upper[1]] * np.float32(AGENT_PRIOR) * (over - 1))
         empty = empty.astype(np.float32)
         blocks[upper[0] == upper[1]] += empty
-    inverse = inverse_blocks(blocks, UNMET * diagonal + 1e-30)
+    inverse = inverse_blocks(blocks, CURVATURE_FLOOR * diagonal + 1e-30)
     ridge = (1e-12 * np.trace(covariance) + 1e-30) * np.eye(len(volumes))
     mixing = np.sqrt(share) * np.linalg.cholesky(covariance + ridge).T
     bounds = np.float32(settings.strength) * _statistical_weights(own, volumes.sum(axis=0))
@@ -260,21 +299,22 @@ def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep)
 def _statistical_weights(
     curvatures: Float[np.ndarray, "basis z y x"], density: Float[np.ndarray, "z y x"]
 ) -> Float[np.ndarray, "z y x"]:
-    """What differences of a voxel count in the total variation: 1, and less where curvature is far below the typical.
+    """Weight of the total variation in every voxel: 1, and less where the curvature is far below the typical one.
 
-    What a total variation takes off an edge is its weight over what rays know. One that counts as much where they know
-    little would rule there: in thick metal it would exchange photoelectric absorption for Compton scattering until
-    their edges were least. In proportion to what they know, it would leave edges in metal as soft as rays see them. So
-    it counts by a power in between. Of a voxel and its neighbours, the least counts.
+    The amount by which a total variation lowers an edge is its weight over the information of the rays. With the same
+    weight everywhere, it would dominate where rays carry little information: in thick metal it would exchange
+    photoelectric absorption for Compton scattering until their edges were smallest. With a weight in proportion to the
+    information, edges in metal would stay as soft as the rays show them. So the weight follows a power in between. It
+    is the least of a voxel and its neighbours.
     """
     weights = density / density.sum() if density.any() else np.full_like(density, 1 / density.size)
     typical = np.einsum("bzyx,zyx->b", curvatures, weights)
     relative = (curvatures / np.maximum(typical, 1e-30)[:, None, None, None]).mean(axis=0)
-    return minimum_filter(np.minimum((relative / LITTLE) ** FADING, 1), 3)
+    return minimum_filter(np.minimum((relative / LOW_CURVATURE) ** CURVATURE_POWER, 1), 3)
 
 
 def _largest(inverse: Float[np.ndarray, "pair z y x"], mixing: Float[np.ndarray, "basis basis"]) -> np.ndarray:
-    """Bound of the eigenvalues of W H^-1 W^T in every voxel, the Frobenius norm."""
+    """Upper bound of the eigenvalues of W H^-1 W^T in every voxel: the Frobenius norm."""
     out = np.empty(inverse.shape[1:], np.float32)
     for z in range(len(out)):
         mixed = mixing @ as_matrices(inverse[:, z]) @ mixing.T
@@ -290,7 +330,7 @@ def _proximal(
     grid: Grid,
     settings: OneStep,
 ) -> Volumes:
-    """Minimum of the surrogate plus total variation over x >= 0, nearly; `field`, the dual, is improved in place."""
+    """Approximate minimum of surrogate plus total variation over x >= 0; `field`, the dual, is improved in place."""
     if metric.empty is not None:
         gradient = gradient + metric.empty * point
     if settings.strength == 0:
@@ -307,12 +347,12 @@ def _proximal(
 
 
 def _inner(one: Volumes, other: Volumes, mixing: Float[np.ndarray, "basis basis"]) -> float:
-    """Inner product in which every basis counts by its information."""
+    """Inner product in which every basis is weighted by its information."""
     products = one.reshape(len(one), -1) @ other.reshape(len(other), -1).T
     return float(np.sum(products * (mixing.T @ mixing)))
 
 
 def _order(count: int) -> list[int]:
-    """Subsets in an order in which neighbours are far apart."""
+    """Order of the subsets in which neighbours are far apart on the orbit."""
     stride = next(s for s in range(max(int(0.38 * count), 1), count + 1) if np.gcd(s, count) == 1)
     return [i * stride % count for i in range(count)]

@@ -1,11 +1,11 @@
 """Least squares with a joint total variation and x >= 0, by the primal-dual hybrid gradient method.
 
-Minimises ``sum_r (A x - L)_r^T F_r (A x - L)_r / 2 + strength TV(x)`` over non-negative x, where L are line integrals
-of several bases, F_r their Fisher matrices, or one matrix for all rays, and TV the joint total variation in the metric
-of the noise. Steps mix the bases as the mean Fisher matrix does, so nothing depends on their units. Those of the rays
-have the ramp filter along the rows of the panel, so that fine detail converges as fast as what is coarse; where rays
-have weights of their own, steps are diagonal instead, and many more are needed. With one component and weights of None
-this is TV-regularised CT of a channel's log projections.
+The method minimises ``sum_r (A x - L)_r^T F_r (A x - L)_r / 2 + strength TV(x)`` over non-negative x, where L are line
+integrals of several bases, F_r their Fisher matrices, or one matrix for all rays, and TV the joint total variation in
+the metric of the noise. Steps couple the bases by the mean Fisher matrix, so that nothing depends on the units of the
+bases. Dual steps of the rays contain the ramp filter along the rows of the panel, so that high and low frequencies
+converge equally fast; where each ray has its own weight, steps are diagonal instead, and many more are needed. With one
+component and weights of None this is TV-regularised CT of the log projections of a channel.
 
 References
 ----------
@@ -14,7 +14,6 @@ over-relaxation: Condat 2013, doi:10.1007/s10957-012-0245-9; in CT: Sidky, Jorge
 doi:10.1088/0031-9155/57/10/3065. The duality gap is over a box (ibid. eq. 9).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,18 +27,20 @@ from recon.ops.total_variation import ascend, total_variation
 from recon.ops.total_variation import gradient as total_variation_gradient
 from recon.voxel.iterative.likelihood import forward, transpose
 from recon.voxel.iterative.ray_weights import RayWeights, UniformWeights, inner, noise_information
-from recon.voxel.method import Iteration, Report, unwatched
+from recon.voxel.method import Images, OnIteration, Report, Volumes, unwatched
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
 
-GAP_EVERY = 10  # iterations between two looks at the duality gap
-ROW_SUM, COLUMN_SUM = 2.0, 6.0  # of absolute differences: each has two voxels, each voxel six
-NORM_ROUNDS, NORM_MARGIN = 10, 1.1  # of the power method, which comes near a norm from below
-FAR = 1e3  # step of rays that do not meet the grid: their dual is where it must be at once
-LARGEST = 2.0  # the box of the duality gap, over the largest coefficient of a basis
+GAP_EVERY = 10  # iterations; interval at which the duality gap is computed; chosen by hand, not measured
+# no unit; sums of absolute coefficients of differences: two voxels per difference, six differences per voxel
+ROW_SUM, COLUMN_SUM = 2.0, 6.0
+# iterations; no unit; power method, which approaches a norm from below, and the factor on it; chosen by hand
+NORM_ROUNDS, NORM_MARGIN = 10, 1.1
+# no unit; dual step of rays that do not meet the grid, large enough that their dual converges in one step
+FAR = 1e3
+# no unit; bound of the box of the duality gap over the largest coefficient of a basis; chosen by hand, not measured
+LARGEST = 2.0
 
-Volumes = Float[np.ndarray, "basis z y x"]
-Images = Float[np.ndarray, "basis view row column"]
 Weights = (
     Float[np.ndarray, "basis basis"] | Float[np.ndarray, "pair view row column"] | Float[np.ndarray, "view row column"]
 )
@@ -49,14 +50,17 @@ Weights = (
 class PdhgTv:
     """PDHG-TV with its settings.
 
+    The strength was compared by `benchmarks.reconstruction.comparison_methods`
+    (`docs/reference/benchmarks/voxel_methods.md`, which also has the steps); the other values were chosen by hand.
+
     Parameters
     ----------
-    iterations : at most
-    tolerance : duality gap, over the objective, at which it is done; volumes stand still long before, as most of the
-        gap is what the box could hold where the dual is not quite feasible
-    strength : weight of the total variation; at 1 the noise of a voxel's gradient is as large as its bound
+    iterations : largest number of iterations
+    tolerance : duality gap over the objective at which iterations end [no unit]; volumes converge long before, as most
+        of the gap is what the box could hold where the dual is not quite feasible
+    strength : weight of the total variation; at 1 its bound equals the standard deviation of the gradient of a voxel
     balance : length of dual steps over that of primal ones, in units of noise
-    relaxation : every step is made so many times as long, at least 1 and less than 2
+    relaxation : over-relaxation of every step [no unit], at least 1 and less than 2
     """
 
     iterations: int = 400
@@ -67,7 +71,7 @@ class PdhgTv:
 
     @property
     def name(self) -> str:
-        """What ``--method`` calls it."""
+        """Name of the method, as in ``--method``."""
         return "pdhg-tv"
 
     def __post_init__(self) -> None:
@@ -86,20 +90,25 @@ class PdhgTv:
         weights: Weights | None,
         geometry: Geometry,
         grid: Grid,
-        on_iteration: Callable[[Iteration], None] = unwatched,
+        on_iteration: OnIteration = unwatched,
         start: Volumes | None = None,
     ) -> Volumes:
-        """Volumes [1/mm]; any number of threads gives the same ones.
+        """Reconstruct volumes from line integrals; any number of threads gives the same ones.
 
         Parameters
         ----------
-        line_integrals : of every basis [no unit]
-        weights : Fisher matrix of all rays, or of each, the upper triangle row by row; None for that of the noise
-            which the images show, and (view, row, column) for this times a factor of each ray
+        line_integrals : one image per basis and view [no unit]
+        weights : one Fisher matrix (basis, basis) for all rays, or (pair, view, row, column) the upper triangle of each
+            ray, row by row; None for the inverse covariance of the noise in the images, and (view, row, column) for
+            this times a factor of each ray
         geometry : poses of the views, on any orbit
-        grid : voxels to reconstruct
+        grid : the volume to reconstruct
         on_iteration : called after every iteration
-        start : first guess, default zeros
+        start : initial volumes [1/mm], zeros by default
+
+        Returns
+        -------
+        volumes of the bases [1/mm]
         """
         if weights is None or weights.shape == line_integrals.shape[1:]:
             shown = noise_information(line_integrals)
@@ -120,7 +129,7 @@ class PdhgTv:
 
 @dataclass
 class _State:
-    """Volumes and their projections; duals of the rays and of the differences; the gradient at the volumes."""
+    """Volumes and their projections; duals of the rays and of the differences; gradient at the volumes."""
 
     volumes: Volumes
     images: Images
@@ -129,13 +138,13 @@ class _State:
     volume_gradients: Volumes
 
     def move(self, reached: "_State", relaxation: float) -> None:
-        """Go beyond what a step has reached, in place; that is what is feasible, this need not be."""
+        """Over-relax towards the result of a step, in place; the result is feasible, this state need not be."""
         for name, mine in vars(self).items():
             mine[:] = np.float32(1 - relaxation) * mine + np.float32(relaxation) * getattr(reached, name)
 
 
 class _Problem:
-    """Everything that stays the same from one iteration to the next."""
+    """Data, step lengths and weights, which all iterations share."""
 
     def __init__(self, measured: Images, weights: Weights, geometry: Geometry, grid: Grid, settings: PdhgTv) -> None:
         if weights.ndim not in (2, 4):
@@ -166,16 +175,16 @@ class _Problem:
         self.inverse = np.linalg.inv(mean)[np.triu_indices(len(mean))][:, None, None, None] * voxel_steps
 
     def begin(self, volumes: Volumes) -> _State:
-        """First state."""
+        """Make the first state."""
         rays = np.zeros_like(self.measured)
         field = np.zeros((3, *volumes.shape), np.float32)
         return _State(volumes, forward(volumes, self.geometry, self.grid), rays, field, np.zeros_like(volumes))
 
     def step(self, state: _State) -> _State:
-        """One iteration: moves a state, and returns what is feasible."""
+        """Do one iteration: move `state` in place, and return the feasible result."""
         new = nonnegative_newton_step(state.volumes, self.inverse, state.volume_gradients)
         images = forward(new, self.geometry, self.grid)
-        rays = self.weights.toward(state.rays, 2 * images - state.images, self.measured)
+        rays = self.weights.proximal(state.rays, 2 * images - state.images, self.measured)
         field = state.field.copy()
         ascend(field, 2 * new - state.volumes, self.mixing, self.grid, self.field_steps, self.radii)
         volume_gradients = transpose(rays, self.geometry, self.grid) + total_variation_gradient(
@@ -186,7 +195,7 @@ class _Problem:
         return reached
 
     def gap(self, state: _State) -> float:
-        """Primal minus dual objective, over the primal one."""
+        """Compute the primal minus the dual objective, over the primal one."""
         primal = self.weights.half_square(state.images - self.measured)
         primal += self.strength * total_variation(state.volumes, self.mixing, self.grid)
         dual = -self.weights.half_inverse_square(state.rays) - inner(state.rays, self.measured)
@@ -196,7 +205,7 @@ class _Problem:
 
 
 def _gradient_noise(rows: Float[np.ndarray, "view row column"], geometry: Geometry, grid: Grid) -> float:
-    """Root mean square of the noise of a voxel's gradient where that of the rays is 1, from one draw."""
+    """Standard deviation of the gradient of a voxel for rays with noise of standard deviation 1, from one draw."""
     draws = np.random.default_rng(0).standard_normal((1, *rows.shape), np.float32)
     seen = transpose(draws, geometry, grid)
     seen = seen[seen != 0]
@@ -204,12 +213,12 @@ def _gradient_noise(rows: Float[np.ndarray, "view row column"], geometry: Geomet
 
 
 def _ramp(columns: int) -> Float[np.ndarray, " frequency"]:
-    """Ramp along rows, 1 at the highest frequency; the constant counts as the lowest wave."""
+    """Ramp along rows, 1 at the highest frequency; frequency 0 has the value of the lowest other one."""
     return np.maximum(np.arange(columns // 2 + 1), 1.0) / max(columns // 2, 1)
 
 
 def _filtered_norm(ramp: Float[np.ndarray, " frequency"], geometry: Geometry, grid: Grid) -> float:
-    """Largest eigenvalue of a projection, the filter, and the transpose, by the power method."""
+    """Largest eigenvalue of projection, ramp filter and transpose in sequence, by the power method."""
     volume = np.random.default_rng(0).standard_normal((1, *grid.shape), np.float32)
     size = 1.0
     for _ in range(NORM_ROUNDS):

@@ -1,25 +1,34 @@
-"""Simultaneous iterative reconstruction: gradient descent with row and column sums for scales.
+"""Simultaneous iterative reconstruction technique: gradient descent scaled by row and column sums.
 
-With A the matrix of path lengths, R and C the inverses of its row and column sums, and w the weights of rays::
+With A the matrix of path lengths, R and C the inverses of its row and column sums, and w the weights of the rays::
 
     x <- x + relaxation C A^T R w (b - A x)
 
+References
+----------
 Gilbert 1972, doi:10.1016/0022-5193(72)90180-4; in this form Gregor & Benson 2008, doi:10.1109/TMI.2008.923696.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
-
-from phantomgen.geometry.poses import Geometry
-from phantomgen.geometry.voxel_grid import Grid
-from recon.voxel.method import Images, Iteration, OnIteration, Volumes, Weights, unwatched
-from recon.voxel.projector_pair import Pair, inverse_or_zero
+from recon.voxel.iterative.iteration import IterativeMethod, LinearSystem, UpdateRule, weighted_norm
+from recon.voxel.method import Volumes
+from recon.voxel.projector_pair import inverse_or_zero
 
 
 @dataclass(frozen=True)
-class Sirt:
-    """SIRT as a method; parameters as of `sirt`."""
+class Sirt(IterativeMethod):
+    """SIRT as a method.
+
+    The residual of a pass is ||(R w)^1/2 (b - A x)|| before it, over that of x = 0.
+
+    Parameters
+    ----------
+    iterations : passes over all views; 80 by `benchmarks.reconstruction.comparison_methods`, as noise grows beyond
+    relaxation : length of a step [no unit]; SIRT converges below 2, and fastest near it
+    non_negative : whether negative values become 0 after each step
+    """
 
     iterations: int = 80
     relaxation: float = 1.9
@@ -27,67 +36,27 @@ class Sirt:
 
     @property
     def name(self) -> str:
-        """What ``--method`` calls it."""
+        """Name of the method, as in ``--method``."""
         return "sirt"
 
-    def reconstruct(
-        self,
-        line_integrals: Images,
-        weights: Weights | None,
-        geometry: Geometry,
-        grid: Grid,
-        on_iteration: OnIteration = unwatched,
-    ) -> Volumes:
-        """See `recon.voxel.method.LinearMethod`."""
-        steps = self.iterations, self.relaxation, self.non_negative
-        return sirt(line_integrals, geometry, grid, *steps, weights=weights, on_iteration=on_iteration)
+    def update_rule(self, system: LinearSystem) -> UpdateRule:
+        """Prepare the passes over the views.
 
+        Parameters
+        ----------
+        system : line integrals to explain, with their weights and projector
 
-def sirt(
-    line_integrals: Images,
-    geometry: Geometry,
-    grid: Grid,
-    iterations: int = 80,
-    relaxation: float = 1.9,
-    non_negative: bool = True,
-    weights: Weights | None = None,
-    on_iteration: OnIteration = unwatched,
-) -> Volumes:
-    """Volumes [1/mm] of line integrals [no unit], from zero.
+        Returns
+        -------
+        one pass, which is one step with all views
+        """
+        projector = system.projector
+        column_scales = self.relaxation * inverse_or_zero(projector.transpose(system.ray_weights[None])[0])
 
-    Parameters
-    ----------
-    line_integrals : one image per basis and view
-    geometry : any poses
-    grid : the volume to reconstruct
-    iterations : passes over all views
-    relaxation : size of a step; converges below 2, and fastest near it
-    non_negative : project on what is not negative after each step
-    weights : how much each ray counts, at most 1; all alike if None
-    on_iteration : called after every iteration; the residual is ||R^1/2 (b - A x)|| before it, over that of x = 0
+        def update(volumes: Volumes, _: int) -> Iterator[float]:
+            residual = system.line_integrals - projector.project(volumes)
+            relative = weighted_norm(residual, system.row_scales) / system.norm
+            volumes += column_scales * projector.transpose(residual * system.row_scales)
+            yield relative
 
-    Raises
-    ------
-    GeometryError
-        When no ray meets the grid.
-    """
-    pair = Pair(geometry, grid)
-    rows = pair.row_scales(weights)
-    seen = (rows > 0).astype(np.float32) if weights is None else (weights * (rows > 0)).astype(np.float32)
-    columns = relaxation * inverse_or_zero(pair.transpose(seen[None])[0])
-    volumes = np.zeros((len(line_integrals), *grid.shape), np.float32)
-    whole = weighted_norm(line_integrals, rows)
-    for done in range(1, iterations + 1):
-        left = line_integrals - pair.project(volumes)
-        residual = weighted_norm(left, rows) / whole
-        volumes += columns * pair.transpose(left * rows)
-        if non_negative:
-            np.maximum(volumes, 0, out=volumes)
-        on_iteration(Iteration(done, iterations, residual, volumes))
-    return volumes
-
-
-def weighted_norm(images: Images, weights: Weights) -> float:
-    """Root of the weighted sum of squares; the smallest number above 0 where that is 0, to divide by."""
-    total = sum(float(np.vdot(weights, image * image)) for image in images)
-    return max(float(np.sqrt(total)), float(np.finfo(np.float32).tiny))
+        return update

@@ -15,6 +15,7 @@ from spectra.threads import run_parallel
 
 __all__ = ["expected_and_jacobian", "expected_counts", "expected_ray", "log_counts_and_slopes"]
 
+# Rays per piece of work of a thread; changes time, not results.
 _RAYS_PER_PIECE = 16384
 Lengths = Float[np.ndarray, "ray basis"]
 Columns = Float[np.ndarray, "basis node"]

@@ -10,7 +10,7 @@ from phantomgen.effects import FocalSpot
 from phantomgen.effects.focal_spot import FWHM, LATTICES, spot_lattice
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
-from phantomgen.ops.expected_counts import expected_counts
+from phantomgen.ops.expected_counts import Spectrum, expected_counts
 from phantomgen.scene.scan import load_scene
 from phantomgen.shapes import Box, solids_of
 from phantomgen.simulation.checks.verification import SPOT_RAYS, quick_check
@@ -20,7 +20,7 @@ from phantomgen.simulation.forward_model.exposure import Exposure
 from spectra.errors import InputError, SceneError
 
 SOD, SDD, PITCH = 500.0, 800.0, 0.5
-GREY = (np.array([[50.0]]), np.array([1.0]), np.array([0, 1]))
+GREY = Spectrum(np.array([[50.0]]), np.array([1.0]), np.array([0, 1]))
 
 
 @pytest.mark.parametrize("n", list(LATTICES))
@@ -69,11 +69,11 @@ def test_an_edge_is_blurred_by_the_magnification_less_one_times_the_spot(shape, 
     size, pixels, thin = 1.7, 16, 1e-3
     middle = (0.0, -2000.0, 0.0) if upright else (0.0, 0.0, -2000.0)
     screen = Box(middle, (thin, 4000.0, 4000.0))
-    opaque = (np.array([[1e6]]), *GREY[1:])
+    opaque = GREY._replace(attenuation=np.array([[1e6]]))
     spot = FocalSpot(size, 0.0, shape) if upright else FocalSpot(0.0, size, shape)
     frames = spot.frames(frame_of(pixels), 53)
     seen = np.mean(
-        [expected_counts(f, pixels, pixels, solids_of([(screen, 0)]), *opaque).counts[0] for f in frames], axis=0
+        [expected_counts(f, pixels, pixels, solids_of([(screen, 0)]), opaque).counts[0] for f in frames], axis=0
     )
     profile = seen[pixels // 2] if upright else seen[::-1, pixels // 2]
     place = (np.arange(pixels) - (pixels - 1) / 2) * PITCH

@@ -95,7 +95,7 @@ VERTEBRA(1,-(2+3),2)
     np.testing.assert_allclose(box.bounds, [[10, -51, -10], [50, -49, 10]])
     inside = cylinder.contains(np.array([[10.0, -63, 0], [10.0, -64, 0]]))
     assert inside.tolist() == [True, False]  # y > -6.35 cm
-    assert rod.contains(np.array([[3, 7, 0], [7, -3, 5]]) * 10).tolist() == [True, False]
+    assert rod.contains(np.array([[3, 7, 0], [7, -3, 5]]) * 10.0).tolist() == [True, False]
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,16 @@ from hypothesis import strategies as st
 
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
-from phantomgen.ops.expected_counts import CROSSED, EMPTY, NEAR, SMOOTH, expected_counts, expected_counts_by_grid
+from phantomgen.ops.expected_counts import (
+    CROSSED,
+    EMPTY,
+    NEAR,
+    SMOOTH,
+    Sampling,
+    Spectrum,
+    expected_counts,
+    expected_counts_by_grid,
+)
 from phantomgen.ops.expected_counts.reference import expose_one
 from phantomgen.ops.silhouette.forms import cone_silhouettes, parallel_silhouettes
 from phantomgen.ops.silhouette.quadrature import CONICS, make_room, make_rules, square_nodes
@@ -35,7 +44,7 @@ ATTENUATION = np.array(
 )
 WEIGHTS = np.array([1e4, 2e4, 3e4, 4e4])
 STARTS = np.arange(5)
-SPECTRUM = (ATTENUATION, WEIGHTS, STARTS)
+SPECTRUM = Spectrum(ATTENUATION, WEIGHTS, STARTS)
 
 
 def frame_of(pixels: int, pitch: float, angle: float = 0.3) -> np.ndarray:
@@ -49,19 +58,19 @@ def log_error(found, brute: np.ndarray, pixels: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("angle", [0.0, 0.3, 1.9])
 def test_nested_cylinders_against_many_rays(angle: float) -> None:
     frame, solids = frame_of(64, 3.2, angle), solids_of(NESTED)
-    found = expected_counts(frame, 64, 64, solids, *SPECTRUM)
+    found = expected_counts(frame, 64, 64, solids, SPECTRUM)
     pixels = np.argwhere(found.classes != EMPTY)[::7]
-    error = log_error(found, expected_counts_by_grid(frame, pixels, solids, *SPECTRUM, n=128), pixels)
+    error = log_error(found, expected_counts_by_grid(frame, pixels, solids, SPECTRUM, n=128), pixels)
     assert np.sqrt((error**2).mean()) < 2e-4
     assert error.max() < 3e-3  # pixels four times as wide as the preset's, and rays that are not enough themselves
 
 
 def test_brute_converges_to_it() -> None:
     frame, solids = frame_of(64, 3.2), solids_of(NESTED)
-    found = expected_counts(frame, 64, 64, solids, *SPECTRUM)
+    found = expected_counts(frame, 64, 64, solids, SPECTRUM)
     pixels = np.argwhere(found.classes == CROSSED)[::29]
     errors = [
-        log_error(found, expected_counts_by_grid(frame, pixels, solids, *SPECTRUM, n=n), pixels).max()
+        log_error(found, expected_counts_by_grid(frame, pixels, solids, SPECTRUM, n=n), pixels).max()
         for n in (16, 64, 512)
     ]
     assert errors[0] > errors[1] > errors[2]
@@ -72,15 +81,15 @@ def test_brute_is_the_definition() -> None:
     objects = [(Ellipsoid((3, 2, 1), (10, 40, 20), (1, 2, 3)), 0), (Box((20, 0, 0), (30, 20, 25), (3, 2, 1)), 1)]
     frame, solids = frame_of(16, 12.8), solids_of(objects)
     for pixel in ((7, 8), (6, 6), (9, 10)):
-        expected = expose_one(frame, pixel, solids, *SPECTRUM, n=5, background=3)
-        found = expected_counts_by_grid(frame, np.array([pixel]), solids, *SPECTRUM, background=3, n=5)
+        expected = expose_one(frame, pixel, solids, SPECTRUM, n=5, background=3)
+        found = expected_counts_by_grid(frame, np.array([pixel]), solids, SPECTRUM, background=3, n=5)
         np.testing.assert_allclose(found[0], expected, rtol=1e-12)
 
 
 def test_box_face_on_is_exact() -> None:
     """A box of 10 mm seen along its faces, in parallel to a very distant source: areas and one exponential."""
     frame = Geometry.circular(1e7, 1e7 + 100, np.zeros(1), Panel(9, 9, 3.0)).ray_frames()[0]
-    found = expected_counts(frame, 9, 9, solids_of([(Box((0, 0, 0), (10, 10, 10)), 0)]), *SPECTRUM)
+    found = expected_counts(frame, 9, 9, solids_of([(Box((0, 0, 0), (10, 10, 10)), 0)]), SPECTRUM)
     covered = np.clip(5 - np.abs(np.arange(-4, 5) * 3.0) + 1.5, 0, 3) / 3
     hit = np.outer(covered, covered)
     expected = WEIGHTS[:, None, None] * (1 - hit * -np.expm1(-10 * ATTENUATION[0])[:, None, None])
@@ -88,7 +97,7 @@ def test_box_face_on_is_exact() -> None:
 
 
 def test_effort_goes_where_it_is_needed() -> None:
-    found = expected_counts(frame_of(128, 1.6), 128, 128, solids_of(NESTED), *SPECTRUM)
+    found = expected_counts(frame_of(128, 1.6), 128, 128, solids_of(NESTED), SPECTRUM)
     share = {kind: (found.classes == kind).mean() for kind in (EMPTY, SMOOTH, NEAR, CROSSED)}
     assert share[EMPTY] > 0.1
     assert share[EMPTY] + share[SMOOTH] > 0.5
@@ -100,8 +109,8 @@ def test_effort_goes_where_it_is_needed() -> None:
 def test_air_needs_no_ray_and_background_does() -> None:
     nothing = solids_of([])
     frame = frame_of(8, 3.2)
-    assert expected_counts(frame, 8, 8, nothing, *SPECTRUM).rays.sum() == 0
-    found = expected_counts(frame, 8, 8, nothing, *SPECTRUM, background=0)
+    assert expected_counts(frame, 8, 8, nothing, SPECTRUM).rays.sum() == 0
+    found = expected_counts(frame, 8, 8, nothing, SPECTRUM, background=0)
     length = np.linalg.norm(frame[1] + 3 * frame[2] + 4 * frame[3])
     centre = WEIGHTS * np.exp(-length * ATTENUATION[0])
     np.testing.assert_allclose(found.counts[:, 4, 3], centre, rtol=1e-4)  # the pixel's average differs by that much
@@ -114,15 +123,16 @@ def test_same_counts_whatever_the_threads() -> None:
     for threads in (1, 3):
         set_threads(threads)
         results.append(
-            list(run_parallel(lambda frame: expected_counts(frame, 32, 32, solids, *SPECTRUM).counts, frames))
+            list(run_parallel(lambda frame: expected_counts(frame, 32, 32, solids, SPECTRUM).counts, frames))
         )
     set_threads(None)
     np.testing.assert_array_equal(results[0], results[1])
 
 
+@pytest.mark.wrong_types
 def test_refuses_spectrum_that_does_not_match() -> None:
     with pytest.raises(InputError, match="do not match"):
-        expected_counts(frame_of(4, 1.0), 4, 4, solids_of(NESTED), ATTENUATION, WEIGHTS[:3], STARTS)
+        expected_counts(frame_of(4, 1.0), 4, 4, solids_of(NESTED), Spectrum(ATTENUATION, WEIGHTS[:3], STARTS))
 
 
 @pytest.mark.parametrize(
@@ -183,7 +193,7 @@ def crowd(count: int) -> list[tuple[Shape, int]]:
 def test_many_objects_are_traced_like_the_definition() -> None:
     """Rays that look at near objects only find what rays that sort all crossings find."""
     frame, solids = frame_of(48, 4.3), solids_of(crowd(120))
-    found = expected_counts(frame, 48, 48, solids, *SPECTRUM, sub_rays=1)
+    found = expected_counts(frame, 48, 48, solids, SPECTRUM, sampling=Sampling(sub_rays=1))
     directions = np.array([frame[1] + c * frame[2] + r * frame[3] for r in range(48) for c in range(48)])
     lengths = trace(np.tile(frame[0], (48 * 48, 1)), directions, solids, 4)
     for i in range(7, 48 * 48, 497):
@@ -194,16 +204,16 @@ def test_many_objects_are_traced_like_the_definition() -> None:
 
 def test_a_plain_grid_is_the_mean_of_its_rays_and_converges() -> None:
     frame, solids = frame_of(48, 4.3), solids_of(crowd(60))
-    exact = expected_counts(frame, 48, 48, solids, *SPECTRUM, sub_rays=16)
+    exact = expected_counts(frame, 48, 48, solids, SPECTRUM, sampling=Sampling(sub_rays=16))
     pixels = np.argwhere(exact.classes == CROSSED)[::25]
-    coarse = expected_counts(frame, 48, 48, solids, *SPECTRUM, sub_rays=4)
+    coarse = expected_counts(frame, 48, 48, solids, SPECTRUM, sampling=Sampling(sub_rays=4))
     np.testing.assert_allclose(
         coarse.counts[:, pixels[:, 0], pixels[:, 1]].T,
-        expected_counts_by_grid(frame, pixels, solids, *SPECTRUM, n=4),
+        expected_counts_by_grid(frame, pixels, solids, SPECTRUM, n=4),
         rtol=1e-12,
     )
-    brute = expected_counts_by_grid(frame, pixels, solids, *SPECTRUM, n=96)
-    found = [expected_counts(frame, 48, 48, solids, *SPECTRUM, sub_rays=n) for n in (1, 4, 16)]
+    brute = expected_counts_by_grid(frame, pixels, solids, SPECTRUM, n=96)
+    found = [expected_counts(frame, 48, 48, solids, SPECTRUM, sampling=Sampling(sub_rays=n)) for n in (1, 4, 16)]
     errors = [log_error(each, brute, pixels) for each in found]
     assert errors[0].mean() > 8 * errors[1].mean() > 64 * errors[2].mean()
 
@@ -211,7 +221,7 @@ def test_a_plain_grid_is_the_mean_of_its_rays_and_converges() -> None:
 @pytest.mark.parametrize("sub_rays", [0, 17])
 def test_refuses_impossible_sub_rays(sub_rays: int) -> None:
     with pytest.raises(InputError, match=f"1 to 16, got {sub_rays}"):
-        expected_counts(frame_of(4, 1.0), 4, 4, solids_of(NESTED), *SPECTRUM, sub_rays=sub_rays)
+        expected_counts(frame_of(4, 1.0), 4, 4, solids_of(NESTED), SPECTRUM, sampling=Sampling(sub_rays=sub_rays))
 
 
 @settings(max_examples=40, deadline=None)
@@ -277,7 +287,7 @@ def test_too_many_conics_fall_back_to_a_grid() -> None:
     assert room.nodes[:count, 2].sum() == pytest.approx(1)
     crowd = [(Cylinder((0, 0, 0), 1.0 + 0.01 * i, 10.0), i % 4) for i in range(12)][::-1]
     frame, solids = frame_of(24, 0.8), solids_of(crowd)
-    found = expected_counts(frame, 24, 24, solids, *SPECTRUM)
+    found = expected_counts(frame, 24, 24, solids, SPECTRUM)
     pixels = np.argwhere(found.classes == CROSSED)
-    error = log_error(found, expected_counts_by_grid(frame, pixels, solids, *SPECTRUM, n=96), pixels)
+    error = log_error(found, expected_counts_by_grid(frame, pixels, solids, SPECTRUM, n=96), pixels)
     assert error.max() < 5e-3

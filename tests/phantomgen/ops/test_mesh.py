@@ -186,8 +186,8 @@ def lengths_in_pixels(frame: np.ndarray, meshes: list[MeshArrays], uv: np.ndarra
     column, row = np.minimum(np.floor(uv + 0.5), SIDE - 1).astype(np.int64).T
     out = np.empty((len(meshes), len(uv)))
     for m in range(len(meshes)):
-        lists = (view.corners, view.triangles, view.starts[m], view.candidates)
-        cpu.ray_lengths(*lists, uv, np.ones(len(uv)), row * (SIDE + 3) + column, np.empty(view.room), out[m])
+        at = row * (SIDE + 3) + column
+        cpu.ray_lengths(view.lists(m), uv, at, np.ones(len(uv)), np.empty(view.room), out[m])
     return out
 
 

@@ -6,7 +6,7 @@ import pytest
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.ops.expected_counts import VOXELS, expected_counts, expected_counts_by_grid
+from phantomgen.ops.expected_counts import VOXELS, Spectrum, expected_counts, expected_counts_by_grid
 from phantomgen.ops.trace import trace
 from phantomgen.ops.voxel_maps import VoxelMap
 from phantomgen.ops.voxelize_shapes import fractions
@@ -18,7 +18,7 @@ TURN = rotation_matrix((0.3, 0.4, 0.5))
 TURNED = Voxels(VoxelMap.of_labels(LABELS, [1, 2]), TURN * np.array([3.5, 4.5, 3.0]), np.array([1.0, 2, 3]))
 BELOW, ABOVE = Sphere((0, 0, 0), 3.0), Cylinder((1, 2, 3), 1.0, 20.0)
 AMONG = [(BELOW, 0), (TURNED, (1, 2)), (ABOVE, 0)]
-SPECTRUM = (np.array([[0.02], [0.06], [0.03]]), np.array([1e5]), np.array([0, 1]))
+SPECTRUM = Spectrum(np.array([[0.02], [0.06], [0.03]]), np.array([1e5]), np.array([0, 1]))
 
 
 def materials_at(points: np.ndarray) -> np.ndarray:
@@ -100,10 +100,10 @@ CYLINDERS = solids_of([(Cylinder((0, 0, 0), 45.0, 80.0), 0), (Cylinder((15, 5, 0
 def test_pixel_averages_are_those_of_many_rays(pixels: int, worst: float, rms: float) -> None:
     shapes = [(Voxels(cylinder_map(64), 50 * np.eye(3), np.zeros(3)), (0, 1)), (Sphere((-20, 3, 1), 9.0), 2)]
     frame = Geometry.circular(500.0, 800.0, np.array([0.3]), Panel(pixels, pixels, 192 / pixels)).ray_frames()[0]
-    found = expected_counts(frame, pixels, pixels, solids_of(shapes), *SPECTRUM)
+    found = expected_counts(frame, pixels, pixels, solids_of(shapes), SPECTRUM)
     assert (found.classes == VOXELS).mean() > 0.5
     chosen = np.argwhere(found.classes > 0)[:: pixels**2 // 200]
-    brute = expected_counts_by_grid(frame, chosen, solids_of(shapes), *SPECTRUM, n=64)
+    brute = expected_counts_by_grid(frame, chosen, solids_of(shapes), SPECTRUM, n=64)
     error = np.log(found.counts[:, chosen[:, 0], chosen[:, 1]].T / brute)
     assert np.abs(error).max() < worst
     assert np.sqrt((error**2).mean()) < rms
@@ -111,11 +111,11 @@ def test_pixel_averages_are_those_of_many_rays(pixels: int, worst: float, rms: f
 
 def test_projections_of_a_voxelized_scene_come_closer_with_resolution() -> None:
     frame = Geometry.circular(500.0, 800.0, np.array([0.3]), Panel(32, 32, 6.0)).ray_frames()[0]
-    exact = expected_counts(frame, 32, 32, CYLINDERS, *SPECTRUM).counts
+    exact = expected_counts(frame, 32, 32, CYLINDERS, SPECTRUM).counts
     errors = []
     for voxels in (16, 32, 64):
         shape = Voxels(cylinder_map(voxels), 50 * np.eye(3), np.zeros(3))
-        error = np.log(expected_counts(frame, 32, 32, solids_of([(shape, (0, 1))]), *SPECTRUM).counts / exact)
+        error = np.log(expected_counts(frame, 32, 32, solids_of([(shape, (0, 1))]), SPECTRUM).counts / exact)
         errors.append(np.sqrt((error**2).mean()))
     assert errors[1] < 0.6 * errors[0]
     assert errors[2] < 0.6 * errors[1]

@@ -8,7 +8,15 @@ from phantomgen.dataset.validate import validate
 from phantomgen.geometry.fan_angles import anode_angles, fan_angles, obliquity
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
-from phantomgen.ops.expected_counts import EMPTY, NEAR, SMOOTH, VOXELS, expected_counts, expected_counts_by_grid
+from phantomgen.ops.expected_counts import (
+    EMPTY,
+    NEAR,
+    SMOOTH,
+    VOXELS,
+    Spectrum,
+    expected_counts,
+    expected_counts_by_grid,
+)
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import load_scene
 from phantomgen.shapes import Cylinder, Sphere, solids_of
@@ -112,7 +120,7 @@ def test_the_heel_effect_weakens_and_hardens_the_beam_towards_the_anode(tmp_path
 
 # Absorber of the profile last: (material, node) at 33, 54, 72 and 110 keV, in 1/mm
 ATTENUATION = np.array([[0.033, 0.023, 0.020, 0.017], [0.198, 0.070, 0.048, 0.033], [0.24, 0.09, 0.058, 0.044]])
-SPECTRUM = (ATTENUATION, np.array([1e4, 2e4, 3e4, 4e4]), np.array([0, 2, 4]))
+SPECTRUM = Spectrum(ATTENUATION, np.array([1e4, 2e4, 3e4, 4e4]), np.array([0, 2, 4]))
 
 
 @pytest.mark.parametrize("background", [-1, 0])
@@ -120,9 +128,10 @@ def test_exposed_pixels_behind_a_profile_agree_with_brute_force(background):
     frame = Geometry.circular(300, 500, np.array([0.3]), PANEL).ray_frames()[0]
     solids = solids_of([(Sphere((0, 0, 0), 22.0), 0), (Cylinder((3, 2, 0), 5.0, 30.0), 1)])
     profile = bowtie_lengths()[None] * 0.5
-    found = expected_counts(frame, 24, 32, solids, *SPECTRUM, background=background, profile=profile)
+    spectrum = SPECTRUM._replace(profile=profile)
+    found = expected_counts(frame, 24, 32, solids, spectrum, background)
     pixels = np.argwhere(found.classes >= SMOOTH)
-    brute = expected_counts_by_grid(frame, pixels, solids, *SPECTRUM, background=background, n=96, profile=profile)
+    brute = expected_counts_by_grid(frame, pixels, solids, spectrum, background, n=96)
     error = np.log(found.counts[:, pixels[:, 0], pixels[:, 1]].T / brute)
     assert np.abs(error).max() < 1e-3
     classes = found.classes[pixels[:, 0], pixels[:, 1]]
@@ -139,7 +148,7 @@ def test_a_profile_of_the_wrong_size_is_refused():
     frame = Geometry.circular(300, 500, np.array([0.3]), PANEL).ray_frames()[0]
     solids = solids_of([(Sphere((0, 0, 0), 22.0), 0)])
     with pytest.raises(InputError, match=r"shape \(1, 3, 32\) does not fit 24 x 32 pixels and 3 materials"):
-        expected_counts(frame, 24, 32, solids, *SPECTRUM, profile=np.zeros((1, 3, 32)))
+        expected_counts(frame, 24, 32, solids, SPECTRUM._replace(profile=np.zeros((1, 3, 32))))
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """Materials of a scene that are made of others."""
 
+import numpy as np
 import pytest
 
 from phantomgen.scene.file.scene_file import SceneFile
@@ -124,7 +125,7 @@ def test_filters_and_sensors_may_be_named():
     text = SCENE.replace("MATERIAL", "w: {composition: water}").replace(
         "thresholds: [20]", "thresholds: [20], composition: CZT"
     )
-    assert load_scene(SceneFile("toy.yaml", text)).detector.absorption([60.0]) > 0.9
+    assert load_scene(SceneFile("toy.yaml", text)).detector.absorption(np.array([60.0])) > 0.9
 
 
 def of_object(name: str) -> SceneFile:

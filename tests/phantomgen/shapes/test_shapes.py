@@ -135,6 +135,7 @@ def test_equality_and_repr() -> None:
         (lambda: solids_of([(Sphere((0, 0, 0), 1.0), -1)]), "must not be negative"),
     ],
 )
+@pytest.mark.wrong_types
 def test_bad_values_are_one_sentence(make, words: str) -> None:
     with pytest.raises(InputError, match=words) as caught:
         make()

@@ -9,7 +9,7 @@ import trimesh
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.ops.expected_counts import expected_counts, expected_counts_by_grid
+from phantomgen.ops.expected_counts import Spectrum, expected_counts, expected_counts_by_grid
 from phantomgen.ops.trace import trace
 from phantomgen.ops.voxelize_shapes import fractions
 from phantomgen.scene.file.scene_file import SceneFile
@@ -19,7 +19,7 @@ from phantomgen.simulation.run import simulate
 from spectra.errors import SceneError
 
 TURN = (0.3, 0.5, 0.7)
-SPECTRUM = np.array([[0.05, 0.02], [0.2, 0.1]]), np.array([1.0, 2.0]), np.array([0, 1, 2])
+SPECTRUM = Spectrum(np.array([[0.05, 0.02], [0.2, 0.1]]), np.array([1.0, 2.0]), np.array([0, 1, 2]))
 
 
 def mesh_of(made: trimesh.Trimesh) -> Mesh:
@@ -51,13 +51,13 @@ def test_fractions_are_those_of_the_solid() -> None:
 
 def test_counts_are_those_of_many_rays_and_of_the_solid() -> None:
     frame = Geometry.circular(500.0, 800.0, np.array([0.3]), Panel(48, 48, 4.0)).ray_frames()[0]
-    found = expected_counts(frame, 48, 48, solids_of(among(CUBE)), *SPECTRUM)
+    found = expected_counts(frame, 48, 48, solids_of(among(CUBE)), SPECTRUM)
     pixels = np.argwhere(np.ones((48, 48)))
-    brute = expected_counts_by_grid(frame, pixels, solids_of(among(CUBE)), *SPECTRUM, n=64)
+    brute = expected_counts_by_grid(frame, pixels, solids_of(among(CUBE)), SPECTRUM, n=64)
     error = np.abs(np.log(found.counts.reshape(2, -1).T / brute))
     assert error.max() < 1e-2
     assert np.sqrt((error**2).mean()) < 5e-4
-    same = expected_counts_by_grid(frame, pixels, solids_of(among(SAME)), *SPECTRUM, n=64)
+    same = expected_counts_by_grid(frame, pixels, solids_of(among(SAME)), SPECTRUM, n=64)
     np.testing.assert_allclose(brute, same, rtol=1e-9)
 
 

@@ -56,6 +56,12 @@ def counts_of(path):
         return dataset.load()
 
 
+def test_an_option_that_does_not_exist_is_refused_before_any_work(tmp_path):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'tol'"):
+        made(tmp_path, tol=1e-3)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_central_ray_obeys_beer_and_lambert(tmp_path):
     path, _ = made(tmp_path, "noise=false", "panel.pitch=0.01")
     mu = linear_attenuation("H2O", 1.0, np.array([60.0]))[0]

@@ -75,11 +75,11 @@ def test_the_curvature(monkeypatch, scan, state):
 
 def test_the_prior(monkeypatch, scan, state):
     volumes = small_model(3).volume(GRID)
-    anchor = VoxelPrior.off_edges(volumes, GRID, np.eye(3), 0.3, 0.1)
+    prior = VoxelPrior.of_volumes(volumes, GRID, np.eye(3), 0.3, 0.1)
     blocks = coefficient_curvature(state.gaussians, scan, 0.01)
     with watched(monkeypatch):
-        both, weight = anchor.curvature(state.gaussians, blocks)
-        anchor.add_gradients(state.gaussians, weight, 0)
+        both, metric = prior.curvature(state.gaussians, blocks)
+        prior.add_gradients(state.gaussians, metric, 0)
     assert (torch.diagonal(both - blocks, dim1=1, dim2=2) > 0).any()
     assert state.gaussians.coefficients.grad.any()
 

@@ -100,6 +100,7 @@ def test_ssim_follows_its_formula_on_one_window():
     assert score_volume(volume, truth)["ssim"] == pytest.approx(expected)
 
 
+@pytest.mark.wrong_types
 def test_what_cannot_be_compared_is_refused():
     with pytest.raises(InputError, match="cannot be compared"):
         score_volume(np.zeros((2, 3, 4)), np.zeros((2, 3, 5)))

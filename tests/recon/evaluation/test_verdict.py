@@ -15,7 +15,16 @@ from phantomgen.geometry.voxel_grid import Grid
 from recon.cli.main import main
 from recon.data.coverage import Coverage, coverage, inner_box
 from recon.data.measurements import read_measurements
-from recon.evaluation.verdict import bases_left_out, few_views, misfit, record, starved, truncated, verdict_of
+from recon.evaluation.verdict import (
+    FitOutcome,
+    bases_left_out,
+    few_views,
+    misfit,
+    record,
+    starved,
+    truncated,
+    verdict_of,
+)
 from recon.gaussians.recipe import Stage
 from recon.output.report.page import run_report
 from recon.voxel.iterative.one_step import OneStep
@@ -66,13 +75,14 @@ def panel(columns, shift):
 
 
 def test_a_good_run_has_nothing_to_say():
-    assert verdict_of({"bin0": GOOD}, 0.02, WHOLE, ball(16), 20, ["a"], ["a"]) == ()
+    assert verdict_of(FitOutcome({"bin0": GOOD}, 0.02, ball(16), 20, ["a"], ["a"], WHOLE)) == ()
 
 
 def test_every_fault_has_its_key_and_says_what_to_do():
     bad = replace(WHOLE, lateral=1.0, sides=(1.0, 0.0, 0.0, 0.0), outside=0.2, starved=0.1)
     channels = {"bin0": GOOD | {"chi_square_away": 774.0}, "bin1": GOOD}
-    said = verdict_of(channels, 0.02, bad, ball(64), 5, ["a"], ["a", "b"], ["The fit is less likely than its start."])
+    notes = ["The fit is less likely than its start."]
+    said = verdict_of(FitOutcome(channels, 0.02, ball(64), 5, ["a"], ["a", "b"], bad, notes=notes))
     assert [r.key for r in said] == [
         "truncated", "outside_grid", "starved", "misfit", "few_views", "bases_left_out", "note"
     ]  # fmt: skip

@@ -41,7 +41,7 @@ def test_the_bound_is_that_of_the_dense_inverse(seed, count):
     inverse = np.linalg.inv(dense_information(truth, grid, scan)).reshape(2, 64, 2, 64)
     flat = weights.reshape(count, -1)
     expected = np.stack([np.einsum("ki,ij,kj->k", flat, inverse[m, :, m], flat) for m in range(2)], axis=1)
-    found = least_variances(VoxelInformation.of(scan, truth, grid), weights, iterations=300, still=0)
+    found = least_variances(VoxelInformation.of(scan, truth, grid), weights, iterations=300, converged=0)
     np.testing.assert_allclose(found, expected, rtol=2e-3)
 
 

@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from phantomgen.dataset.spectral_model import Spectra
 from phantomgen.display.figures import dataset_energies as channel_figure
 from phantomgen.geometry.voxel_grid import Grid
 from recon.figures import run_figures as figures
+from spectra.basis.basis import Basis, BasisFunction
 
 NAMES = ("photoelectric", "compton", "kedge_63.3")
 GRID = Grid.cube(24, 48.0)
@@ -50,7 +52,7 @@ def test_slices_without_truth_and_of_nothing_are_drawn(tmp_path, volumes):
     assert read_png_size(figures.basis_slices(volumes, None, NAMES, GRID, tmp_path / "a.png"))[1] > 300
     empty = np.zeros((1, 1, 1, 1))
     figures.basis_slices(empty, empty, ("compton",), Grid.cube(1, 2.0), tmp_path / "b.png")
-    figures.profiles(empty, empty, ("compton",), Grid.cube(1, 2.0), tmp_path / "c.png")
+    figures.profiles({"result": empty}, empty, ("compton",), Grid.cube(1, 2.0), tmp_path / "c.png")
 
 
 def test_a_basis_that_the_truth_lacks_is_drawn_without_it(tmp_path, volumes, truth):
@@ -58,7 +60,7 @@ def test_a_basis_that_the_truth_lacks_is_drawn_without_it(tmp_path, volumes, tru
     some[2] = np.nan
     path = figures.basis_slices(volumes, some, NAMES, GRID, tmp_path / "a.png", left_out=("kedge_50.2",))
     assert read_png_size(path)[0] == 1050
-    figures.profiles(volumes, some, NAMES, GRID, tmp_path / "b.png")
+    figures.profiles({"result": volumes}, some, NAMES, GRID, tmp_path / "b.png")
 
 
 def test_profiles_pass_through_both_regions_of_the_last_basis(tmp_path, volumes, truth):
@@ -68,7 +70,7 @@ def test_profiles_pass_through_both_regions_of_the_last_basis(tmp_path, volumes,
         offset = np.array([*centre, start[2]]) - start
         assert np.linalg.norm(offset - offset @ along * along) < 1.5
     assert np.abs(np.stack([start, stop])[:, :2]).max() == pytest.approx(24.0)
-    table = read_csv(figures.profiles(volumes, truth, NAMES, GRID, tmp_path / "profile.png"))
+    table = read_csv(figures.profiles({"result": volumes}, truth, NAMES, GRID, tmp_path / "profile.png"))
     assert table["kedge_63.3_truth"].max() == pytest.approx(0.02)
     assert np.abs(table["kedge_63.3_result"] - table["kedge_63.3_truth"]).mean() < 2e-3
     assert table["position_mm"][0] == 0
@@ -78,7 +80,7 @@ def test_a_profile_without_two_regions_runs_along_x(tmp_path, volumes):
     line = figures.profile_line(volumes[1], GRID)
     np.testing.assert_allclose(line[:, 0], [-24, 24])
     assert line[0, 1] == line[1, 1]
-    table = read_csv(figures.profiles(volumes, None, NAMES, GRID, tmp_path / "p.png", line))
+    table = read_csv(figures.profiles({"result": volumes}, None, NAMES, GRID, tmp_path / "p.png", line))
     assert set(table.dtype.names) >= {"x_mm", "compton_result"}
     assert "compton_truth" not in table.dtype.names
     x = GRID.axis("x")
@@ -103,9 +105,10 @@ def test_the_spectrum_keeps_its_photons(tmp_path):
     edges = np.array([20.0, 40.0, 59.31, 59.33, 63.3, 90.0, 120.0])
     energy, source = (edges[1:] + edges[:-1]) / 2, np.array([50.0, 80.0, 30.0, 20.0, 60.0, 10.0])
     response = np.array([[1.0, 1, 1, 1, 0, 0], [0, 0, 0, 0, 0.9, 0.8]])
-    basis = np.stack([(energy / 70) ** -3, (energy > 63.3) * 1.0])
-    arguments = (energy, edges, source, response, ("low", "high"), ("photoelectric", "kedge_Lu"), basis)
-    table = read_csv(figures.spectrum(*arguments, tmp_path / "s.png", k_edges=(63.3,)))
+    basis = Basis((BasisFunction("photoelectric"), BasisFunction("step", edge_energy=63.3)))
+    limits = np.array([20.0, 63.3]), np.array([63.3, 120.0])
+    spectra = Spectra(energy, edges, source, response, basis, basis.evaluate(energy), ("low", "high"), *limits)
+    table = read_csv(figures.spectrum(spectra, tmp_path / "s.png"))
     np.testing.assert_allclose(table["low_counts"] + table["high_counts"], source * response.sum(axis=0))
     display = channel_figure._display_bins(edges, response)
     assert 63.3 in display
@@ -115,8 +118,10 @@ def test_the_spectrum_keeps_its_photons(tmp_path):
 
 def test_a_single_energy_is_drawn(tmp_path):
     one = np.ones(1)
-    path = tmp_path / "mono.png"
-    figures.spectrum(60 * one, np.array([59.99, 60.01]), one, one[None], ("all",), ("compton",), one[None], path)
+    path, basis = tmp_path / "mono.png", Basis((BasisFunction("compton"),))
+    figures.spectrum(
+        Spectra(60 * one, np.array([59.99, 60.01]), one, one[None], basis, one[None], ("all",), one, one), path
+    )
     assert path.stat().st_size > 5000
 
 

@@ -47,10 +47,10 @@ def test_a_fit_leaves_agents_in_metal_as_the_voxels_have_them():
     truth = small_model(1)
     scan = small_scan(truth, circular(16, 16, views=9), spectral_model(3), seed=3)
     start = replace(truth, coefficients=0.8 * truth.coefficients)
-    anchor = VoxelPrior(volumes(0.3, 0.08, 0.0), GRID, 1e-9, np.ones(GRID.shape, np.float32)).holding(NAMES)
-    held = anchor.agents_in_metal(start)
+    prior = VoxelPrior(volumes(0.3, 0.08, 0.0), GRID, 1e-9, np.ones(GRID.shape, np.float32)).holding_kedges(NAMES)
+    held = prior.held_coefficients(start)
     assert held is not None
     assert 0 < held.sum() < len(truth)
     recipe = Recipe(stages=(Stage(1.0, 2.0),), centre_rate=1e-9, shape_rate=1e-9)
-    moved = (fit(start, scan, PIXEL, recipe, anchor=anchor).coefficients - start.coefficients).abs()
+    moved = (fit(start, scan, PIXEL, recipe, prior=prior).coefficients - start.coefficients).abs()
     assert float(moved[held].max()) < 1e-3 * float(moved[~held].max())

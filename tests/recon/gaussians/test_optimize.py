@@ -10,7 +10,7 @@ from support.gaussian_scenes import PIXEL, circular, small_model, small_scan, sp
 from recon.data.view_subsets import rounds_of
 from recon.gaussians.adam import Adam
 from recon.gaussians.likelihood import likelihood
-from recon.gaussians.optimize import _nearest_non_negative, _restrain, _subsets, fit
+from recon.gaussians.optimize import _nearest_non_negative, _shorten_after_rise, _subsets, fit
 from recon.gaussians.recipe import Recipe, Stage
 from recon.gaussians.state import FitState
 from spectra.errors import InputError
@@ -87,7 +87,7 @@ def test_stages_follow_each_other_at_their_binning(problem):
 def test_steps_of_the_geometry_grow_to_their_length(problem, warm_up, monkeypatch):
     recipe = replace(RECIPE, warm_up=warm_up, final_rate=1.0)
     lengths = []
-    monkeypatch.setattr(Adam, "step", lambda adam, rates, number: lengths.append(rates[0]))
+    monkeypatch.setattr(Adam, "step", lambda adam, rates, number, decays: lengths.append(rates[0]))
     fit(*problem, PIXEL, recipe)
     per_sweep = len(lengths) // 4
     growing = np.arange(1, per_sweep + 1) / per_sweep if warm_up else np.ones(per_sweep)
@@ -111,15 +111,15 @@ def test_every_step_sees_every_kind_of_view(views, kinds):
 
 def test_a_sweep_that_is_worse_than_the_last_shortens_steps_and_drops_momentum():
     state = FitState.begin(small_model(1))
-    for deviance, restraint in ((5.0, 1.0), (5.2, 1.0), (6.0, 0.5), (3.0, 0.5), (9.0, 0.25)):
+    for deviance, factor in ((5.0, 1.0), (5.2, 1.0), (6.0, 0.5), (3.0, 0.5), (9.0, 0.25)):
         state.velocity += 1
-        _restrain(state, deviance, False)
+        _shorten_after_rise(state, deviance, False, RECIPE.optimizer)
         assert bool(state.velocity.any())
-        _restrain(state, deviance, True)
-        assert state.restraint == restraint
+        _shorten_after_rise(state, deviance, True, RECIPE.optimizer)
+        assert state.step_factor == factor
     assert not state.velocity.any()
     again = FitState.restore(state.tensors(), json.loads(json.dumps(state.numbers())))
-    assert (again.restraint, again.last_sweep) == (0.25, 18.0)
+    assert (again.step_factor, again.last_sweep_deviance) == (0.25, 18.0)
 
 
 @pytest.mark.parametrize("name", ["views_per_step", "spacing", "coefficient_rate", "curvature_sweeps"])

@@ -7,14 +7,12 @@ import pytest
 from support.gaussian_scenes import PIXEL, circular, small_model, small_scan, spectral_model
 
 from phantomgen.geometry.voxel_grid import Grid
-from recon.data.measurements import touched
+from recon.data.pixel_blocks import touched
 from recon.gaussians.likelihood import likelihood_and_gradients
-from recon.gaussians.recipe import Recipe
-from recon.gaussians.unseen_rays import PART, UnseenRays, certainly_larger, with_rays_apart
+from recon.gaussians.unseen_rays import DEFAULT, UnseenRays, certainly_larger, with_rays_apart
 from recon.voxel.iterative.likelihood import deviance_and_gradient
 from recon.voxel.model import Voxels
 
-RECIPE = Recipe()
 VOXEL = PIXEL / 2  # blocks of two pixels
 GRID = Grid.cube(24, 24.0)
 
@@ -31,7 +29,7 @@ def test_one_ray_of_64_is_apart_in_eight_views(scan):
     apart = scan[1].apart
     assert apart.shape == (12, 8, 8)
     assert apart.any(axis=(1, 2)).sum() == 8
-    assert apart.mean() == pytest.approx(PART, rel=0.4)
+    assert apart.mean() == pytest.approx(DEFAULT.part, rel=0.4)
 
 
 def test_the_seed_decides_which(scan):
@@ -71,7 +69,7 @@ def test_no_fit_sees_counts_that_are_apart(scan):
 
 def test_a_spoilt_fit_is_told_and_left_out(scan):
     truth, measured = scan
-    rays = UnseenRays.of(measured, VOXEL, RECIPE)
+    rays = UnseenRays.of(measured, VOXEL, 0.02)
     spoilt = replace(truth, coefficients=1.1 * truth.coefficients)
     start = Voxels(truth.volume(GRID), GRID, truth.basis_names)
     kept, notes = rays.better_of(truth, spoilt, start)

@@ -11,9 +11,10 @@ import recon.gaussians.voxel_prior
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.volume_edges import METAL, relative_density
 from recon.gaussians.state import GEOMETRY
-from recon.gaussians.voxel_prior import CUTOFF, SLABS, VoxelPrior
+from recon.gaussians.voxel_prior import DEFAULT, VoxelPrior
 from recon.ops.voxelize import mass_within, voxelize
 
+CUTOFF, SLABS = DEFAULT.cutoff, DEFAULT.slabs
 GRID = Grid((10, 9, 8), (2.0, 2.0, 2.0), (-9.0, -8.0, -7.0))
 PARTS = (*GEOMETRY, "coefficients")
 WEIGHT = torch.tensor([[2.0, 0.3, 0.1], [0.3, 1.0, 0.2], [0.1, 0.2, 3.0]])
@@ -28,12 +29,12 @@ TRUST = np.random.default_rng(6).uniform(0.1, 1.0, GRID.shape).astype(np.float32
 
 
 def near(gaussians):
-    """What the anchor sees of a model, times what that lacks."""
+    """The volumes of a model whose Gaussians end at the cutoff, over the part of their mass within it."""
     parts = (gaussians.centres, gaussians.log_scales, gaussians.quaternions, gaussians.coefficients)
     return voxelize(*parts, GRID, cutoff=CUTOFF) / mass_within(CUTOFF)
 
 
-def anchor(strength=0.3):
+def prior(strength=0.3):
     return VoxelPrior(near(model(1)), GRID, strength, TRUST)
 
 
@@ -56,7 +57,7 @@ def gradients(gaussians, held):
 
 @pytest.mark.parametrize("name", PARTS)
 def test_slabs_in_turn_give_the_gradient_of_the_whole_distance(name):
-    held, start = anchor(), model(2)
+    held, start = prior(), model(2)
     ray_gradient = gradients(start, held)[name].double()
     direction = ray_gradient / abs(ray_gradient).max()  # along itself, where the slope is steepest
     size = 1e-2 * getattr(start, name).abs().mean()
@@ -66,7 +67,7 @@ def test_slabs_in_turn_give_the_gradient_of_the_whole_distance(name):
 
 
 def test_the_curvature_is_a_majoriser_of_the_distance_in_the_coefficients():
-    held, start = anchor(), model(2)
+    held, start = prior(), model(2)
     blocks = torch.eye(3).repeat(len(start), 1, 1)
     both, weight = held.curvature(start, blocks)
     crowd = replace(start, coefficients=torch.ones(len(start), 1)).volume(GRID).astype(float)
@@ -79,8 +80,8 @@ def test_the_curvature_is_a_majoriser_of_the_distance_in_the_coefficients():
         assert bend <= float(torch.einsum("gm,gmn,gn->", step, both - blocks, step)) * (1 + 1e-5)
 
 
-def test_a_model_at_its_anchor_is_not_pulled():
-    held = anchor()
+def test_a_model_of_these_volumes_has_no_gradient():
+    held = prior()
     assert all(abs(ray_gradient).max() < 1e-6 for ray_gradient in gradients(model(1), held).values())
 
 
@@ -89,20 +90,20 @@ def test_volumes_are_trusted_off_edges():
     z, y, x = np.meshgrid(*(grid.axis(name) for name in "zyx"), indexing="ij")
     away = np.maximum(np.maximum(abs(x), abs(y)), abs(z)) - 10  # from the faces of a block
     noise = np.random.default_rng(3).normal(scale=2e-4, size=(1, *grid.shape))
-    held = VoxelPrior.off_edges((0.02 * (away < 0) + noise).astype(np.float32), grid, np.eye(1), 0.3, ALONG)
-    assert held.weights[away < -3].min() > 0.3
-    assert np.median(held.weights[away < -3]) > 0.6
-    assert held.weights[(abs(away) < 1) & (abs(y) < 8) & (abs(z) < 8)].max() < 0.2
+    held = VoxelPrior.of_volumes((0.02 * (away < 0) + noise).astype(np.float32), grid, np.eye(1), 0.3, ALONG)
+    assert held.trust[away < -3].min() > 0.3
+    assert np.median(held.trust[away < -3]) > 0.6
+    assert held.trust[(abs(away) < 1) & (abs(y) < 8) & (abs(z) < 8)].max() < 0.2
 
 
 def test_volumes_are_trusted_off_edges_little_along_them_and_hardly_at_metal():
     volumes = np.random.default_rng(0).normal(0.02, 3e-4, (1, 24, 24, 24)).astype(np.float32)
     volumes[:, 4:10, 4:10, 4:10] = 0.035
     volumes[:, 16:18, 16:18, 16:18] = 0.8
-    held = VoxelPrior.off_edges(volumes, Grid.cube(24, 24.0), np.eye(1), 0.3, ALONG)
-    assert held.weights[12, 12, 4] > 0.3
-    assert held.weights[4, 7, 7] == pytest.approx(ALONG)
-    assert held.weights[16, 16, 16] == pytest.approx(ALONG / (40 / METAL) ** 4, rel=0.05)
+    held = VoxelPrior.of_volumes(volumes, Grid.cube(24, 24.0), np.eye(1), 0.3, ALONG)
+    assert held.trust[12, 12, 4] > 0.3
+    assert held.trust[4, 7, 7] == pytest.approx(ALONG)
+    assert held.trust[16, 16, 16] == pytest.approx(ALONG / (40 / METAL) ** 4, rel=0.05)
 
 
 def test_density_is_relative_to_that_of_most_voxels_that_hold_something():
@@ -123,16 +124,18 @@ def test_only_gaussians_that_reach_a_slab_matter_to_it(monkeypatch):
     held = VoxelPrior(np.zeros((3, *grid.shape), np.float32), grid, 0.3, np.ones(grid.shape, np.float32))
     some, chosen, reaching = gradients(start, held), [], recon.gaussians.voxel_prior._reaching
     monkeypatch.setattr(
-        recon.gaussians.voxel_prior, "_reaching", lambda model, slab: chosen.append(slab) or torch.arange(len(model))
+        recon.gaussians.voxel_prior,
+        "_reaching",
+        lambda model, slab, cutoff: chosen.append(slab) or torch.arange(len(model)),
     )
     every = gradients(start, held)
     assert len(chosen) == SLABS
-    assert all(len(reaching(start, slab)) < len(start) for slab in chosen)
+    assert all(len(reaching(start, slab, CUTOFF)) < len(start) for slab in chosen)
     for name in PARTS:
         np.testing.assert_allclose(some[name], every[name], atol=1e-6 * float(every[name].abs().max()))
 
 
-def test_a_slab_that_no_gaussian_reaches_pulls_at_none():
+def test_a_slab_that_no_gaussian_reaches_gives_no_gradient():
     grid = Grid.cube(32, 320.0)
     held = VoxelPrior(np.ones((3, *grid.shape), np.float32), grid, 0.3, np.ones(grid.shape, np.float32))
     assert all(torch.isfinite(ray_gradient).all() for ray_gradient in gradients(model(1), held).values())

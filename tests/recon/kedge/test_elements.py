@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from phantomgen.dataset.spectral_model import Spectra
+from recon.kedge.edge_likelihood import EdgeLikelihood
 from recon.kedge.elements import elements_within, plain_alternatives, scan_elements, settle_elements
 from recon.kedge.expected_noise import null_law
+from recon.kedge.judgement import LEAST_SCORE, judge, judge_by_neighbours
 from recon.kedge.neighbour_agreement import agreement, between_channels
-from recon.kedge.profile_likelihood import EdgeLikelihood
 from recon.kedge.rays import Rays
-from recon.kedge.search import WARRANTED, judge, judge_weak, likeliest_edge, refine_together
+from recon.kedge.search import likeliest_edge, refine_together
 from spectra.basis.basis import Basis, BasisFunction
 from spectra.elements.attenuation import edge_energy
 
@@ -85,7 +86,7 @@ def test_wrong_elements_are_put_right_together():
 def test_an_element_that_is_not_there_is_not_determined():
     model = likelihood(PLAIN, {}, side=8)
     candidates = elements_within(model.spectra)
-    assert "its element is not determined" in scan_elements(model, PLAIN, candidates)[2]
+    assert "its element is not determined" in scan_elements(model, PLAIN, candidates).undetermined
 
 
 def test_elements_are_those_whose_edge_is_detected_and_that_do_not_decay():
@@ -108,19 +109,19 @@ def test_of_noise_alone_neighbours_agree_by_one_standard_deviation(monkeypatch, 
     scores = [agreement(model, TISSUE, STEP) for model in models]
     assert np.std(scores) == pytest.approx(1.0, abs=0.45)
     assert abs(np.mean(scores)) < 0.8
-    assert max(scores) < WARRANTED
+    assert max(scores) < LEAST_SCORE
 
 
 def test_neighbours_show_a_weak_edge_and_no_better_than_the_bound(monkeypatch):
     monkeypatch.setattr("recon.kedge.expected_noise.MISFIT", 0.0)
     model = likelihood(PLAIN, {STEP: 0.006}, side=48, dispersion=0.01, photons=3e5)
     before = replace(judge(model, PLAIN, STEP), warranted=False)
-    after = judge_weak(model, PLAIN, STEP, before)
+    after = judge_by_neighbours(model, PLAIN, STEP, before)
     information = model.last_length((*PLAIN, STEP))[1]
     information /= null_law(model, PLAIN, STEP, model.deviances(PLAIN)[1]).variance
     visible = 0.0046 * np.sqrt(information.sum())  # root mean square of uniform(0.5, 1) * 0.006
     assert after.warranted
-    assert WARRANTED < after.score < visible + 2
+    assert LEAST_SCORE < after.score < visible + 2
     assert "neighbours among 2304 rays agree" in after.reason
 
 
@@ -130,10 +131,10 @@ def test_what_tissues_are_is_no_edge(monkeypatch):
         likelihood(TISSUE, {}, side=32, photons=4e6),
         [BasisFunction("step", edge_energy=e) for e in (50, 57)],
     )
-    assert max(agreement(model, PLAIN, edge) for edge in edges) < WARRANTED
+    assert max(agreement(model, PLAIN, edge) for edge in edges) < LEAST_SCORE
     monkeypatch.setattr("recon.kedge.neighbour_agreement.pairs_without_edge", lambda functions: (functions,))
     monkeypatch.setattr("recon.kedge.expected_noise.MISFIT", 0.0)
-    assert min(agreement(model, PLAIN, edge) for edge in edges) > WARRANTED
+    assert min(agreement(model, PLAIN, edge) for edge in edges) > LEAST_SCORE
 
 
 @pytest.mark.parametrize(("edge", "shown"), [(31.0, False), (33.17, True), (63.0, True), (80.7, True), (85.0, False)])

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from phantomgen.dataset.spectral_model import Spectra
+from recon.kedge.edge_likelihood import EdgeLikelihood, moved_edge
 from recon.kedge.expected_noise import MISFIT, _direction, excess_score, null_law
-from recon.kedge.profile_likelihood import EdgeLikelihood, moved_edge, scan_edge, scanned_energies
+from recon.kedge.judgement import LEAST_SCORE, judge
+from recon.kedge.profile_likelihood import scan_edge, scanned_energies
 from recon.kedge.rays import Rays
-from recon.kedge.search import WARRANTED, judge, likeliest_edge, next_edge, refine_together
+from recon.kedge.search import likeliest_edge, next_step, refine_together
 from spectra.basis.basis import Basis, BasisFunction
 from spectra.energy.bin_split import split_bins
 
@@ -60,8 +62,8 @@ def test_an_edge_is_found_between_whole_channels(edge):
 def test_an_edge_in_the_first_or_last_channel_is_only_known_to_lie_there(edge, channel):
     """There the step looks like the photoelectric effect to all other channels, or is seen by no other one."""
     model = likelihood({edge: 1.0}, side=8)
-    profile, judgement = next_edge(model, PLAIN, STEP, ())[1:]
-    assert judgement.score > WARRANTED
+    profile, judgement = next_step(model, PLAIN, STEP, ())[1:]
+    assert judgement.score > LEAST_SCORE
     assert not judgement.warranted
     assert "its energy is not determined" in judgement.reason
     assert profile.low < channel[0] + 5
@@ -71,7 +73,7 @@ def test_an_edge_in_the_first_or_last_channel_is_only_known_to_lie_there(edge, c
 @pytest.mark.parametrize("start", [(), (33.0,), (58.0,), (70.0,)])
 def test_the_start_does_not_matter(start):
     model = likelihood({63.3: 0.6}, side=12)
-    assert next_edge(model, PLAIN, STEP, start)[1].best == pytest.approx(63.3, abs=0.5)
+    assert next_step(model, PLAIN, STEP, start).profile.best == pytest.approx(63.3, abs=0.5)
 
 
 def test_the_scatter_of_estimates_is_that_of_the_bound():
@@ -96,7 +98,7 @@ def test_noise_alone_gives_scores_of_a_normal_distribution(dispersion):
         scores.append(excess_score(np.where(lengths > 0, saved, 0.0), law))
     assert abs(np.mean(scores)) < 0.7
     assert np.std(scores) == pytest.approx(1.0, abs=0.4)
-    assert max(scores) < WARRANTED
+    assert max(scores) < LEAST_SCORE
 
 
 @pytest.mark.parametrize("content", [0.0, 0.02])
@@ -104,20 +106,20 @@ def test_a_conceded_misfit_is_no_edge_and_one_step_more_is(content):
     """Counts that err by `MISFIT` of them, each channel as it looks most like the edge."""
     model, edge = likelihood({63.0: content}, 3, side=40, photons=2e7, dispersion=0.02), moved_edge(STEP, 63.0)
     lengths = model.deviances(PLAIN)[1]
-    signs = _direction(model, PLAIN, edge, lengths)[0]
+    signs = _direction(model, PLAIN, edge, lengths).direction
     counts = model.rays.counts * (1 + MISFIT * np.sign(signs))
     wrong = model.with_rays(Rays(counts, model.rays.gains, None, model.rays.places))
     saved, lengths = wrong.saving(PLAIN)(edge)
     one_sided = np.where(lengths > 0, saved, 0.0)
     law = null_law(wrong, PLAIN, edge, wrong.deviances(PLAIN)[1])
     bare = null_law(wrong, PLAIN, edge, wrong.deviances(PLAIN)[1], misfit=0.0)
-    assert excess_score(one_sided, bare) > WARRANTED
-    assert (excess_score(one_sided, law) > WARRANTED) == (content > 0)
+    assert excess_score(one_sided, bare) > LEAST_SCORE
+    assert (excess_score(one_sided, law) > LEAST_SCORE) == (content > 0)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_alone_gives_no_edge(seed):
-    assert not next_edge(likelihood({}, seed), PLAIN, STEP, ())[2].warranted
+    assert not next_step(likelihood({}, seed), PLAIN, STEP, ()).judgement.warranted
 
 
 @pytest.mark.parametrize(("content", "warranted"), [(0.0, False), (0.02, True), (0.5, True)])
@@ -127,8 +129,8 @@ def test_an_edge_is_warranted_where_it_is_more_than_noise(content, warranted):
 
 def test_two_edges_are_found_one_after_the_other_and_refined_together():
     model = likelihood({50.0: 0.4, 75.0: 0.8}, side=12, thresholds=(20, 35, 50, 62, 75, 90, 120))
-    first = next_edge(model, PLAIN, STEP, ())[1].best
-    second = next_edge(model, (*PLAIN, moved_edge(STEP, first)), STEP, ())[1].best
+    first = next_step(model, PLAIN, STEP, ()).profile.best
+    second = next_step(model, (*PLAIN, moved_edge(STEP, first)), STEP, ()).profile.best
     found = refine_together(model, PLAIN, [moved_edge(STEP, first), moved_edge(STEP, second)])
     profiles = sorted((profile for _, profile in found), key=lambda p: p.best)
     for profile, edge in zip(profiles, (50.0, 75.0), strict=True):
@@ -166,7 +168,7 @@ def test_rays_without_neighbours_show_no_edge(side):
     assert not judged.warranted
     assert (judged.rays, judged.score) == (0, 0.0)
     assert judged.reason == "no ray passes through the object away from its edges"
-    assert not next_edge(few, PLAIN, STEP, ())[2].warranted
+    assert not next_step(few, PLAIN, STEP, ()).judgement.warranted
     assert not likeliest_edge(few, (PLAIN,), (), STEP, ()).judgement.warranted
 
 

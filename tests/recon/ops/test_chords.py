@@ -106,6 +106,7 @@ def test_parts_of_a_grid_hold_what_the_whole_holds():
 
 
 @pytest.mark.parametrize("smooth", [0.0, 1.0])
+@pytest.mark.wrong_types
 def test_what_cannot_be_is_one_sentence(smooth):
     parts = one_gaussian((0.0, 0.0, 0.0), PIXEL)
     with pytest.raises(InputError, match="smooth must be between 0 and 1"):

@@ -14,7 +14,7 @@ from support.gaussian_scenes import (
 )
 from support.tolerances import TOLERANCES
 
-from recon.ops.rasterize import rasterize, reference
+from recon.ops.rasterize import Projector, rasterize, reference
 from spectra.errors import InputError
 from spectra.threads import set_threads
 
@@ -41,9 +41,10 @@ def value_and_gradients(function, parts, seed=0):
 @pytest.mark.parametrize(("where", "bases"), [("odd-even", 3), ("even-odd", 1), ("tilted", 2)])
 def test_kernel_gives_the_values_and_gradients_of_the_reference(where, bases, regime, footprint):
     geometry, parts = GEOMETRIES[where], random_gaussians(3, bases=bases, sigma=REGIMES[regime])
-    view = (frames_of(geometry), geometry.panel.rows, geometry.panel.columns, footprint)
-    truth, gradients = value_and_gradients(lambda *p: reference.rasterize(*p, *view), parts)
-    image, kernel_gradients = value_and_gradients(lambda *p: rasterize(*p, *view, NEARLY_UNCUT), parts)
+    view = (frames_of(geometry), geometry.panel.rows, geometry.panel.columns)
+    projector = Projector(footprint, NEARLY_UNCUT)
+    truth, gradients = value_and_gradients(lambda *p: reference.rasterize(*p, *view, footprint), parts)
+    image, kernel_gradients = value_and_gradients(lambda *p: rasterize(*p, *view, projector), parts)
     assert largest_error(image, truth) < TOLERANCES["kernel_value"]
     for gradient, expected in zip(kernel_gradients, gradients, strict=True):
         assert rms_error(gradient, expected) < TOLERANCES["kernel_gradient"]
@@ -78,9 +79,9 @@ def test_line_integrals_equal_numerical_quadrature_along_rays(where):
     rng, panel = np.random.default_rng(2), geometry.panel
     pixels = np.stack([rng.integers(0, panel.columns, 20), rng.integers(0, panel.rows, 20)], axis=1)
     expected = quadrature(parts, geometry.ray_frames()[-1], pixels)
-    view = (frames_of(geometry)[-1:], panel.rows, panel.columns, 0.0)
-    truth = reference.rasterize(*parts, *view)[0, :, pixels[:, 1], pixels[:, 0]].T.numpy()
-    kernel = rasterize(*parts, *view, NEARLY_UNCUT)[0, :, pixels[:, 1], pixels[:, 0]].T.numpy()
+    view = (frames_of(geometry)[-1:], panel.rows, panel.columns)
+    truth = reference.rasterize(*parts, *view, 0.0)[0, :, pixels[:, 1], pixels[:, 0]].T.numpy()
+    kernel = rasterize(*parts, *view, Projector(0.0, NEARLY_UNCUT))[0, :, pixels[:, 1], pixels[:, 0]].T.numpy()
     assert abs(truth - expected).max() < TOLERANCES["quadrature"] * expected.max()
     assert abs(kernel - expected).max() < TOLERANCES["quadrature_kernel"] * expected.max()
 
@@ -185,6 +186,7 @@ def test_no_gaussians_make_an_empty_image_in_the_dtype_of_the_coefficients():
     assert [tuple(g.shape) for g in gradients] == [(0, 3), (0, 3), (0, 4), (0, 3)]
 
 
+@pytest.mark.wrong_types
 def test_arrays_that_do_not_belong_together_are_refused():
     centres, log_scales, quaternions, values = random_gaussians(1)
     with pytest.raises(InputError, match=r"quaternions has shape \(12, 3\), expected \(12, 4\)"):

@@ -10,9 +10,10 @@ import torch
 from support.gaussian_scenes import GEOMETRIES, REGIMES, circular, frames_of, one_gaussian, random_gaussians
 from support.tolerances import TOLERANCES
 
-from recon.ops.rasterize import rasterize, reference
-from recon.ops.rasterize.cpu_calls import Settings
+from recon.ops.arguments import GaussianTensors
+from recon.ops.rasterize import Projector, rasterize, reference
 
+NEARLY_UNCUT = Projector(cutoff=5.0)
 DEVICE = "cuda" if os.environ["TRITON_INTERPRET"] == "0" else "cpu"
 COMPILE = """
 from triton.backends.compiler import GPUTarget
@@ -34,10 +35,9 @@ def on_gpu():
     pytest.importorskip("triton")
     from recon.ops.rasterize.gpu_calls import rasterize_on_gpu
 
-    def image_and_gradients(parts, geometry, footprint=1.0, cutoff=5.0, projector="exact", dtype=torch.float64):
+    def image_and_gradients(parts, geometry, projector=NEARLY_UNCUT, dtype=torch.float64):
         panel, leaves = geometry.panel, [part.to(DEVICE, dtype, copy=True).requires_grad_() for part in parts]
-        settings = Settings(panel.rows, panel.columns, footprint, cutoff, projector == "local-affine")
-        image = rasterize_on_gpu(*leaves, frames_of(geometry), settings)
+        image = rasterize_on_gpu(GaussianTensors(*leaves), frames_of(geometry), (panel.rows, panel.columns), projector)
         assert (image.dtype, image.device.type) == (dtype, DEVICE)
         gradients = torch.autograd.grad(image, leaves, pull_of(image).to(image))
         assert [g.dtype for g in gradients] == 4 * [dtype]
@@ -50,9 +50,9 @@ def pull_of(image):
     return torch.from_numpy(np.random.default_rng(0).normal(size=image.shape))
 
 
-def by(function, parts, geometry, footprint=1.0, **options):
+def by(function, parts, geometry, projection=1.0):
     leaves = [part.clone().requires_grad_() for part in parts]
-    image = function(*leaves, frames_of(geometry), geometry.panel.rows, geometry.panel.columns, footprint, **options)
+    image = function(*leaves, frames_of(geometry), geometry.panel.rows, geometry.panel.columns, projection)
     gradients = torch.autograd.grad(image, leaves, pull_of(image).to(image))
     return [x.detach().double() for x in (image, *gradients)]
 
@@ -68,12 +68,13 @@ def assert_same(found, expected):
 @pytest.mark.parametrize(("where", "bases"), [("even-odd", 1), ("tilted", 3)])
 def test_kernels_give_the_values_and_gradients_of_the_reference(on_gpu, where, bases, regime, footprint):
     geometry, parts = GEOMETRIES[where], random_gaussians(3, count=6, bases=bases, sigma=REGIMES[regime])
-    assert_same(on_gpu(parts, geometry, footprint), by(reference.rasterize, parts, geometry, footprint))
+    assert_same(on_gpu(parts, geometry, Projector(footprint, 5.0)), by(reference.rasterize, parts, geometry, footprint))
 
 
 def test_local_affine_projection(on_gpu):
     geometry, parts = GEOMETRIES["tilted"], random_gaussians(4, count=6, bases=2)
-    assert_same(on_gpu(parts, geometry, projector="local-affine"), by(reference.local_affine, parts, geometry))
+    found = on_gpu(parts, geometry, Projector(cutoff=5.0, kind="local-affine"))
+    assert_same(found, by(reference.local_affine, parts, geometry))
 
 
 @pytest.mark.parametrize("centre", [[58.0, 1.0, 2.0], [-38.0, 3.0, 0.0], [60.0, 0.0, 0.0], [90.0, 0.0, 0.0]])
@@ -88,8 +89,8 @@ def test_gaussians_at_the_ends_of_rays(on_gpu, centre, sigma):
 def test_triton_and_numba_cut_the_same_and_agree_over_several_tiles(on_gpu):
     """Footprints over several tiles, beside the panel, and none at all; in float32."""
     geometry, parts = circular(19, 35, views=2, pitch=0.6), random_gaussians(5, count=8, spread=9.0)
-    found = on_gpu(parts, geometry, cutoff=3.7, dtype=torch.float32)
-    expected = by(rasterize, [part.float() for part in parts], geometry, cutoff=3.7)
+    found = on_gpu(parts, geometry, Projector(cutoff=3.7), torch.float32)
+    expected = by(rasterize, [part.float() for part in parts], geometry, Projector(cutoff=3.7))
     for a, b in zip(found, expected, strict=True):
         assert (a - b).norm() < TOLERANCES["kernel_value"] * b.norm()
 

@@ -16,8 +16,9 @@ from phantomgen.geometry import orbits
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.panel_mount import Mount, mounted
 from phantomgen.geometry.poses import Geometry
+from recon.ops.arguments import RayFrame
+from recon.ops.rasterize import Projector, cutoff_for, rasterize, reference
 from recon.ops.rasterize import cpu_calls as on_cpu
-from recon.ops.rasterize import cutoff_for, rasterize, reference
 from recon.ops.rasterize import near_field as near
 from spectra.errors import InputError
 
@@ -85,7 +86,7 @@ def test_any_pose_gives_the_values_and_gradients_of_the_reference(seed, footprin
     frames = random_frames(rng)
     parts = in_view(random_gaussians(seed, 8, 2, sigma=(0.5, 6.0), spread=spread, pixel=1.0), frames)
     expected = value_and_gradients(reference.rasterize, parts, frames, footprint)
-    assert_same(value_and_gradients(rasterize, parts, frames, footprint, NEARLY_UNCUT), expected)
+    assert_same(value_and_gradients(rasterize, parts, frames, Projector(footprint, NEARLY_UNCUT)), expected)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -117,7 +118,7 @@ def test_a_gaussian_around_the_source_or_the_panel_counts_in_part(where, shift, 
     if footprint == 0:
         truth = quadrature(parts, frames, ROWS, COLUMNS)
         assert (expected[0] - truth).abs().max() < TOLERANCES["quadrature"] * truth.max()
-    assert_same(value_and_gradients(rasterize, parts, frames, footprint, NEARLY_UNCUT), expected)
+    assert_same(value_and_gradients(rasterize, parts, frames, Projector(footprint, NEARLY_UNCUT)), expected)
 
 
 @pytest.mark.parametrize("sigma", [0.05, 0.3, 1.0])
@@ -126,18 +127,18 @@ def test_a_narrow_gaussian_at_the_panel_keeps_its_mass(where, sigma):
     """Widths in pixels of the panel."""
     parts, frames = at(where, sigma * 4 * PITCH, shift=(1.3, -0.7))
     expected = value_and_gradients(reference.rasterize, parts, frames, 1.0)
-    assert_same(value_and_gradients(rasterize, parts, frames, 1.0, NEARLY_UNCUT), expected)
+    assert_same(value_and_gradients(rasterize, parts, frames, Projector(1.0, NEARLY_UNCUT)), expected)
 
 
 @pytest.mark.parametrize("end", [0.0, 1.0])
 def test_values_do_not_jump_where_the_ends_of_rays_begin_to_count(end):
-    """`near.place` decides; on both sides the line integrals are those of the whole line to 3e-7."""
+    """`near.classify` decides; on both sides the line integrals are those of the whole line to 3e-7."""
     where = [end + (1 - 2 * end) * 0.01 * step for step in range(1, 31)]
     jumps = []
     for cut in where:
         parts, frames = at(cut, 1.0)
         truth = reference.rasterize(*parts, frames, ROWS, COLUMNS, 1.0)
-        kernel = rasterize(*parts, frames, ROWS, COLUMNS, 1.0, NEARLY_UNCUT)
+        kernel = rasterize(*parts, frames, ROWS, COLUMNS, Projector(1.0, NEARLY_UNCUT))
         jumps.append(float((kernel - truth).abs().max() / truth.max()))
     assert max(jumps) < TOLERANCES["kernel_value"]
 
@@ -146,18 +147,18 @@ def test_values_do_not_jump_where_the_ends_of_rays_begin_to_count(end):
 def test_a_gaussian_centred_on_the_source(footprint):
     """Half a line integral, without a projected centre; its gradients are those of one that is 1e-9 mm ahead."""
     parts, frames = at(0.0)
-    found = value_and_gradients(rasterize, parts, frames, footprint, NEARLY_UNCUT)
+    found = value_and_gradients(rasterize, parts, frames, Projector(footprint, NEARLY_UNCUT))
     truth = quadrature(parts, frames, ROWS, COLUMNS)
     assert (found[0] - truth).abs().max() < 1e-6 * truth.max()
-    assert_same(found, value_and_gradients(rasterize, at(1e-11)[0], frames, footprint, NEARLY_UNCUT))
+    assert_same(found, value_and_gradients(rasterize, at(1e-11)[0], frames, Projector(footprint, NEARLY_UNCUT)))
 
 
 def test_gaussians_between_source_and_panel_take_the_fast_way():
     parts, frames = random_gaussians(1, 40), frames_of(circular())
     matrices = reference.whitening(*parts[1:3]).numpy()
     for frame in frames.numpy():
-        inverse = np.linalg.inv(np.stack([frame[2], frame[3], frame[1]], -1))
-        places = {near.place(p, a, frame, inverse, 13.7) for p, a in zip(parts[0].numpy(), matrices, strict=True)}
+        view = RayFrame(frame, np.linalg.inv(np.stack([frame[2], frame[3], frame[1]], -1)))
+        places = {near.classify(p, a, view, 13.7) for p, a in zip(parts[0].numpy(), matrices, strict=True)}
         assert places == {near.BETWEEN}
 
 
@@ -178,7 +179,7 @@ ORBITS = {
 def test_orbits_and_mounts_of_the_simulator(orbit):
     parts, frames = random_gaussians(7, 10, 2, sigma=(0.3, 3.0), spread=4.0), frames_of(ORBITS[orbit])
     expected = value_and_gradients(reference.rasterize, parts, frames, 1.0)
-    assert_same(value_and_gradients(rasterize, parts, frames, 1.0, NEARLY_UNCUT), expected)
+    assert_same(value_and_gradients(rasterize, parts, frames, Projector(1.0, NEARLY_UNCUT)), expected)
 
 
 def parallel(views=3, seed=1):
@@ -206,10 +207,10 @@ def test_parallel_beams_are_as_exact_as_cones(sigma):
         square = torch.einsum("rcni,nij,rcnj->rcn", delta, torch.linalg.inv(narrow), delta)
         height = math.sqrt(2 * math.pi) / (reference.whitening(*parts[1:3]) @ way).norm(dim=-1)
         truth.append(torch.einsum("rcn,n,nm->mrc", torch.exp(-square / 2), height, parts[3]))
-    kernel = rasterize(*parts, frames, ROWS, COLUMNS, 0.0, NEARLY_UNCUT)
+    kernel = rasterize(*parts, frames, ROWS, COLUMNS, Projector(0.0, NEARLY_UNCUT))
     assert (kernel - torch.stack(truth)).abs().max() < TOLERANCES["kernel_value"] * torch.stack(truth).max()
     expected = value_and_gradients(reference.rasterize, parts, frames, 1.0)
-    assert_same(value_and_gradients(rasterize, parts, frames, 1.0, NEARLY_UNCUT), expected)
+    assert_same(value_and_gradients(rasterize, parts, frames, Projector(1.0, NEARLY_UNCUT)), expected)
 
 
 @pytest.mark.parametrize("footprint", [0.0, 1.0])
@@ -218,8 +219,8 @@ def test_local_affine_projection_is_a_gaussian_in_the_panel(seed, footprint):
     frames = random_frames(np.random.default_rng(seed))
     parts = in_view(random_gaussians(seed, 8, 2, sigma=(0.3, 4.0), pixel=1.0), frames)
     expected = value_and_gradients(reference.local_affine, parts, frames, footprint)
-    options = (footprint, NEARLY_UNCUT, "local-affine")
-    assert_same(value_and_gradients(rasterize, parts, frames, *options), expected)
+    projector = Projector(footprint, NEARLY_UNCUT, "local-affine")
+    assert_same(value_and_gradients(rasterize, parts, frames, projector), expected)
 
 
 def test_local_affine_is_exact_on_the_ray_through_the_centre_only():
@@ -228,7 +229,7 @@ def test_local_affine_is_exact_on_the_ray_through_the_centre_only():
     ray, step = parts[0][0] - source, torch.tensor([0.0, 0.7, 1.1]).double()
     frames = torch.stack([source, 1.6 * ray - 2 * step, step, torch.tensor([0.0, 1.0, -0.5]).double()])[None]
     exact, affine = (
-        rasterize(*parts, frames, 1, 5, 0.0, projector=name)[0, 0, 0] for name in ("exact", "local-affine")
+        rasterize(*parts, frames, 1, 5, Projector(0.0, kind=kind))[0, 0, 0] for kind in ("exact", "local-affine")
     )
     assert affine[2] == pytest.approx(float(exact[2]), rel=1e-5)
     assert abs(affine[0] - exact[0]) > 1e-3 * exact[2]
@@ -237,8 +238,8 @@ def test_local_affine_is_exact_on_the_ray_through_the_centre_only():
 @pytest.mark.parametrize("error", [1e-5, 1e-4, 1e-3, 1e-2])
 def test_a_cutoff_keeps_its_error_of_the_peak_and_of_the_sum(error):
     parts = one_gaussian([0.0, 0.0, 0.0], 3.0)
-    view = (frames_of(circular(61, 61, views=1)), 61, 61, 1.0)
-    truth, image = reference.rasterize(*parts, *view), rasterize(*parts, *view, cutoff_for(error))
+    view, projector = (frames_of(circular(61, 61, views=1)), 61, 61), Projector(cutoff=cutoff_for(error))
+    truth, image = reference.rasterize(*parts, *view, 1.0), rasterize(*parts, *view, projector)
     worst = float((truth - image).max() / truth.max())
     assert 0.5 * error < worst < 1.01 * error + 2e-6
     assert float(1 - image.sum() / truth.sum()) == pytest.approx(error, rel=0.05, abs=2e-5)
@@ -255,19 +256,19 @@ def test_errors_of_truncation_that_cannot_be_are_refused(error):
     [
         ({"cutoff": 5.1}, "cutoff must be above 0 and at most 5"),
         ({"cutoff": 0.0}, "cutoff"),
-        ({"projector": "ewa"}, "ewa"),
+        ({"kind": "ewa"}, "ewa"),
     ],
 )
 def test_options_that_cannot_be_are_refused(options, words):
     with pytest.raises(InputError, match=words):
-        rasterize(*random_gaussians(1), frames_of(circular()), 3, 4, **options)
+        Projector(**options)
 
 
 @pytest.mark.parametrize("where", GEOMETRIES)
-@pytest.mark.parametrize("projector", ["exact", "local-affine"])
-def test_views_at_a_time_do_not_change_a_bit(where, projector, monkeypatch):
+@pytest.mark.parametrize("kind", ["exact", "local-affine"])
+def test_views_at_a_time_do_not_change_a_bit(where, kind, monkeypatch):
     geometry, parts = GEOMETRIES[where], [part.float() for part in random_gaussians(9, 30, sigma=(0.3, 12.0))]
-    view, results = (frames_of(geometry), geometry.panel.rows, geometry.panel.columns, 1.0, 3.7, projector), []
+    view, results = (frames_of(geometry), geometry.panel.rows, geometry.panel.columns, Projector(kind=kind)), []
     for size in (on_cpu.TABLE_BYTES, 52 * 30 * 2, 1):
         monkeypatch.setattr(on_cpu, "TABLE_BYTES", size)
         leaves = [part.clone().requires_grad_() for part in parts]
@@ -306,7 +307,9 @@ def test_gradients_are_finite_differences_of_the_float64_reference(where):
     parts, frames = at(where, 3.0, bases=1, shift=(1.0, 2.0))
     cotangent = torch.from_numpy(np.random.default_rng(0).normal(size=(1, 1, ROWS, COLUMNS)))
     leaves = [part.clone().requires_grad_() for part in parts]
-    gradients = torch.autograd.grad(rasterize(*leaves, frames, ROWS, COLUMNS, 1.0, NEARLY_UNCUT), leaves, cotangent)
+    gradients = torch.autograd.grad(
+        rasterize(*leaves, frames, ROWS, COLUMNS, Projector(1.0, NEARLY_UNCUT)), leaves, cotangent
+    )
     for which, gradient in enumerate(gradients):
         numeric = torch.zeros_like(gradient)
         for i in range(numeric.numel()):

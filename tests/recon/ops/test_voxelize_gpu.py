@@ -11,6 +11,7 @@ from support.gaussian_scenes import REGIMES, one_gaussian, random_gaussians
 from support.tolerances import TOLERANCES
 
 from phantomgen.geometry.voxel_grid import Grid
+from recon.ops.arguments import GaussianTensors
 from recon.ops.voxelize import reference, voxelize_tensor
 
 DEVICE = "cuda" if os.environ["TRITON_INTERPRET"] == "0" else "cpu"
@@ -38,7 +39,7 @@ def on_gpu():
 
     def volume_and_gradients(parts, grid=OBLONG, footprint=1.0, cutoff=5.0, dtype=torch.float64):
         leaves = [part.to(DEVICE, dtype, copy=True).requires_grad_() for part in parts]
-        volume = voxelize_on_gpu(*leaves, grid, footprint, cutoff)
+        volume = voxelize_on_gpu(GaussianTensors(*leaves), grid, footprint, cutoff)
         assert (volume.dtype, volume.device.type) == (dtype, DEVICE)
         gradients = torch.autograd.grad(volume, leaves, pull_of(volume).to(volume))
         assert [g.dtype for g in gradients] == 4 * [dtype]

@@ -11,6 +11,7 @@ from phantomgen.geometry.orbits import parallel
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
 from recon.published_methods.paper.model import FactorisedGaussians, Units
+from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.splatting.primitives import Attenuation, Radiance
 from recon.published_methods.splatting.r2_gaussian import GaussianMono
 from recon.published_methods.splatting.x_field import Chords, Ellipsoid
@@ -144,6 +145,19 @@ def test_densification_adds_primitives_up_to_the_most(scan):
         counts.append(len(views.trainings[0].model))
     assert 64 < counts[0] <= 100
     assert counts[1] <= 64
+
+
+@pytest.mark.parametrize("kind", [GaussianMono, Ellipsoid, XGaussian])
+def test_a_recipe_has_every_setting_of_its_method(kind):
+    method = kind(7, gaussians=11, most=13, dssim=0.1, clone_gradient=1e-3, pace=2.0, seed=5)
+    recipe, usual = method.recipe, PaperRecipe()
+    own = dict(vars(method))
+    assert recipe.steps == own.pop("iterations")
+    factor = own.pop("pace")
+    assert {name: getattr(recipe, name) for name in own} == own
+    for name in ("centre_rate", "density_rate", "scale_rate", "rotation_rate"):
+        assert getattr(recipe, name).first == factor * getattr(usual, name).first
+        assert getattr(recipe, name).last == factor * getattr(usual, name).last
 
 
 @pytest.mark.parametrize("kind", [GaussianMono, Ellipsoid, XGaussian])

@@ -22,8 +22,7 @@ from recon.gaussians.recipe import Recipe, Stage
 from recon.gaussians.state import FitState
 from recon.ops.deviance import chi_square
 from recon.runs.checkpoint import identity, read_checkpoint, write_checkpoint
-from recon.runs.interruption import Interruption
-from recon.runs.unfinished_run import CHECKPOINT, LOG, START, PartialRun, is_partial
+from recon.runs.unfinished_run import CHECKPOINT, LOG, START, Interruption, PartialRun, is_partial
 from recon.runs.write_run import RunFolder, Stopped
 from spectra.errors import DatasetError, InputError
 
@@ -163,7 +162,7 @@ def test_a_fit_that_was_stopped_gets_its_name_and_goes_on_from_there(tmp_path):
     with pytest.raises(KeyboardInterrupt, match=r"run holds the model after step 3 of 9.*--resume"):
         interrupted(run, Stopped("after step 3 of 9"), **files)
     assert (run / "model.safetensors").read_text() == "mine"
-    with pytest.raises(InputError, match="interrupted: go on by --resume"):
+    with pytest.raises(InputError, match="interrupted run finished: go on by --resume"):
         RunFolder(run, overwrite=False)
     with RunFolder(run, overwrite=False, resume=True) as part:
         assert is_partial(part)
@@ -257,13 +256,14 @@ import torch
 from test_long_runs import PIXEL, RECIPE, toy_problem
 from recon.gaussians.optimize import fit
 from recon.gaussians.processes import joined
+from recon.gaussians.processes import Resources
 with joined() as processes:
     group = weakref.ref(torch.distributed.group.WORLD)
     import torch._dynamo  # whatever is imported meanwhile
     start, measured = toy_problem()
     start = processes.from_first(start)
     steps = []
-    fitted = fit(start, measured, PIXEL, RECIPE, steps.append, measured[[2]], processes)
+    fitted = fit(start, measured, PIXEL, RECIPE, steps.append, measured[[2]], resources=Resources(processes))
     rows = [p.deviance for p in steps]
     torch.save([fitted.centres, fitted.coefficients, rows], sys.argv[1] + str(processes.rank))
 assert group() is None, "threads of a group that outlives its processes' context may abort them at their end"

@@ -20,7 +20,7 @@ from recon.segmentation.labelling import label_edges, ordered, rims
 from recon.segmentation.readouts import WATER, Readouts, check_energies
 from recon.segmentation.rendering import parse_views, picture, slices_rgb, views_around, voxel_lengths
 from recon.segmentation.result import Options
-from recon.segmentation.scoring.image_similarity import likeness
+from recon.segmentation.scoring.image_similarity import image_similarity
 from recon.segmentation.scoring.scores import confusion, dice, match
 from recon.segmentation.segment import segment_subject
 from recon.segmentation.subject import Subject, detected_spectrum
@@ -475,14 +475,14 @@ def test_energies_are_those_of_a_table():
     assert check_energies([40, 70]) == (40, 70)
 
 
-def test_likeness_of_equal_pictures_and_of_noise():
+def test_similarity_of_equal_pictures_and_of_noise():
     rng = np.random.default_rng(0)
     image = rng.random((16, 20, 3))
-    same = likeness([(image, image)])
+    same = image_similarity([(image, image)])
     assert same == {"psnr": None, "ssim": pytest.approx(1.0), "lpips": None}
-    off = likeness([(image + 0.1, image), (image - 0.1, image)])
+    off = image_similarity([(image + 0.1, image), (image - 0.1, image)])
     assert off["psnr"] == pytest.approx(20.0)
-    assert likeness([(image[:5], image[:5])])["ssim"] is None
+    assert image_similarity([(image[:5], image[:5])])["ssim"] is None
 
 
 def test_lpips_is_used_where_package_and_weights_are(monkeypatch, tmp_path):
@@ -493,4 +493,4 @@ def test_lpips_is_used_where_package_and_weights_are(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "lpips", package)
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
     image = np.full((12, 12, 3), 0.5)
-    assert likeness([(image, image + 0.25)])["lpips"] == pytest.approx(0.5)  # colours are doubled to -1 .. 1
+    assert image_similarity([(image, image + 0.25)])["lpips"] == pytest.approx(0.5)  # colours are doubled to -1 .. 1

@@ -15,8 +15,9 @@ from recon.gaussians.initial.initialize import initialize
 from recon.gaussians.optimize import fit
 from recon.gaussians.recipe import Recipe, Stage
 from recon.runs.methods import method_named
-from recon.runs.run_gaussians import run
-from recon.runs.run_voxels import run_classical
+from recon.runs.run import run
+from recon.runs.run_gaussians import GaussianRun
+from recon.runs.run_voxels import VoxelRun
 from recon.voxel.filtered.fdk import fdk
 from recon.voxel.initial_volumes import initial_volumes, starting_method
 from spectra.errors import GeometryError
@@ -36,7 +37,7 @@ def test_all_else_starts_from_sart(geometry):
 
 @pytest.mark.parametrize("views", [[0], [3, 3, 3]])
 def test_what_shows_no_depth_is_refused(views):
-    with pytest.raises(GeometryError, match=r"look the same way within 1\.1 degrees"):
+    with pytest.raises(GeometryError, match=r"have the same direction within 1\.1 degrees"):
         starting_method(circle()[views], GRID)
 
 
@@ -69,9 +70,6 @@ def test_a_scan_without_depth_is_refused_before_any_work(tmp_path, monkeypatch):
     simulate(load_scene("kedge-small", [*SMALL, *line]), tmp_path / "a.h5")
     with open_dataset(tmp_path / "a.h5") as dataset:
         monkeypatch.setattr(type(dataset), "load", lambda *_: pytest.fail("read counts"))
-        for attempt in (
-            lambda: run(dataset, tmp_path, None, Recipe(), False, Mock()),
-            lambda: run_classical(dataset, tmp_path, method_named("sart"), "two-step", None, False, Mock()),
-        ):
+        for method in (GaussianRun(Recipe()), VoxelRun(method_named("sart"))):
             with pytest.raises(GeometryError, match="a volume needs views from several sides"):
-                attempt()
+                run(dataset, tmp_path, method, False, Mock())

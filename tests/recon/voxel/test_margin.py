@@ -5,7 +5,7 @@ from support.tiny_scans import make
 
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.dataset.truth import read_truth
-from recon.data.coverage import _beyond, _Shadow, coverage, inner_box
+from recon.data.coverage import _beyond, _BlockProjections, coverage, inner_box
 from recon.data.measurements import read_measurements
 from recon.voxel.iterative.one_step import OneStep
 from recon.voxel.margin import margins, with_margin_found
@@ -66,7 +66,9 @@ def test_a_panel_beside_the_axis_finds_a_round_object_as_wide_as_a_centred_one_d
     for first in (-40.0, -2.0):
         places = np.arange(first + 1, 40, 2)
         across = np.broadcast_to(np.abs(places), (1, 8, len(places)))
-        shadow = _Shadow(0.02 * np.sqrt(50**2 - across**2), np.ones(across.shape, bool), np.zeros(across.shape, bool))
-        widths.append(_beyond(shadow, np.array([[False, True]]), across))
+        blocks = _BlockProjections(
+            0.02 * np.sqrt(50**2 - across**2), np.ones(across.shape, bool), np.zeros(across.shape, bool)
+        )
+        widths.append(_beyond(blocks, np.array([[False, True]]), across))
     assert abs(widths[0] - 50 / 40) < 0.05
     assert abs(widths[1] - widths[0]) < 0.01

@@ -132,7 +132,7 @@ def test_a_run_scores_with_and_without_the_metal_and_says_so(tmp_path):
     result = CliRunner().invoke(main, ["fit", str(scan), *options])
     assert result.exit_code == 0, result.output
     assert "elsewhere" in result.stdout
-    assert "The counts do not tell the bases" in result.stdout
+    assert "The counts do not determine the bases" in result.stdout
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text(encoding="utf-8"))
     with h5py.File(tmp_path / "run" / "volumes.h5") as file:
         flags = file["unreliable/data"][()]

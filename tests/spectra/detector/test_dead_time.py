@@ -41,6 +41,7 @@ def test_impossible_counts_are_corrected_to_something_finite(model):
         ((10, 1, "dead"), "unknown model of dead time 'dead'"),
     ],
 )
+@pytest.mark.wrong_types
 def test_impossible_dead_times_are_refused(options, words):
     with pytest.raises(InputError, match=words):
         DeadTime(*options)

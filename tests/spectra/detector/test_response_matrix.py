@@ -25,7 +25,7 @@ def test_a_table_of_channels_is_interpolated_and_not_normalised():
 def test_a_matrix_of_pulses_gives_the_channels_of_the_detector_that_made_it(per_keV):
     sensor = Material("CdTe", composition="CdTe")
     edges = np.append(DEPOSITED - 0.25, 130.0)
-    fine = PulseHeightDetector(channels_between(np.maximum(edges[20:-1], 1), 140), sensor, 1.6, 4.7 / 2, True)
+    fine = PulseHeightDetector(channels_between(np.maximum(edges[20:-1], 1).tolist(), 140), sensor, 1.6, 4.7 / 2, True)
     pulses = np.zeros((len(ENERGY), len(DEPOSITED)))
     pulses[:, 20:] = (fine.absorption(ENERGY) * fine.pulses(ENERGY)).T
     table = ResponseMatrix.of_deposited(ENERGY, DEPOSITED, pulses * (2 if per_keV else 1), THRESHOLDS, 120, per_keV)
@@ -68,6 +68,7 @@ def bad(value):
         (np.full(1, 60.0), bad(0.5)[:1], "at least two finite incident energies"),
     ],
 )
+@pytest.mark.wrong_types
 def test_impossible_tables_are_refused(energy, matrix, words):
     with pytest.raises(InputError, match=words):
         ResponseMatrix.of_channels(energy, matrix, THRESHOLDS, 120)

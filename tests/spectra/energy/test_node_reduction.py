@@ -48,14 +48,14 @@ def test_six_columns_of_materials_that_span_three_dimensions(transmission_on):
 
 def test_nothing_to_save_is_left_alone():
     one = Transmission(np.array([[0.2], [0.4]]), np.array([10.0]), np.array([0, 1, 1]))
-    same, error = one.compress([0, 0], [10, 10], 1e-6)
+    same, error = one.compress(np.zeros(2), np.full(2, 10.0), 1e-6)
     assert error == 0
     np.testing.assert_array_equal(same.columns, one.columns)
     np.testing.assert_array_equal(same.starts, [0, 1, 1])
 
 
 def test_a_column_that_the_box_never_reaches_does_no_harm(transmission_on):
-    small, error = transmission_on(128).compress(np.zeros(3), [0.3, 3.0, 0.0], 1e-5)
+    small, error = transmission_on(128).compress(np.zeros(3), np.array([0.3, 3.0, 0.0]), 1e-5)
     assert error <= 1e-5
     assert np.isfinite(small.columns).all()
 
@@ -69,6 +69,7 @@ def test_a_column_that_the_box_never_reaches_does_no_harm(transmission_on):
         ([0, 0, 0], [1, 1, 1], 0.0, "tolerance"),
     ],
 )
+@pytest.mark.wrong_types
 def test_impossible_requests_are_refused(transmission_on, low, high, tolerance, words):
     with pytest.raises(InputError, match=words):
         transmission_on(64).compress(low, high, tolerance)

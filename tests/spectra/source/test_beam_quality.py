@@ -81,7 +81,7 @@ def test_the_effective_energy_attenuates_like_the_beam(tube):
 @pytest.mark.parametrize(("energy", "printed"), [(20, 0.5389), (60, 0.03041), (100, 0.02325), (3, 161.4), (5, 39.31)])
 def test_air_kerma_of_one_photon_is_energy_times_absorption(energy, printed):
     # NIST SRD 126, mass energy-absorption coefficient of dry air [cm^2/g].
-    assert air_absorption(np.array([energy]))[0] == pytest.approx(printed, rel=1e-12)
+    assert air_absorption(np.array([float(energy)]))[0] == pytest.approx(printed, rel=1e-12)
     joule, square_metre_per_kg = energy * 1.602176634e-16, 0.1 * printed
     assert kerma_per_fluence(Source.monochromatic(energy, 7.0)) == pytest.approx(joule * square_metre_per_kg * 1e6)
 
@@ -95,4 +95,4 @@ def test_impossible_fractions_are_refused(tube, fraction):
 @pytest.mark.parametrize("energy", [0.5, 801.0, np.nan])
 def test_air_is_known_from_1_to_800_kev(energy):
     with pytest.raises(InputError, match="1 to 800 keV"):
-        air_absorption(np.array([energy]))
+        air_absorption(np.array([float(energy)]))

@@ -240,7 +240,9 @@ def test_any_number_of_bases_has_its_panels(bases):
 
     truth = boxes()
     names = tuple(f"kedge_{i}" for i in range(bases))
-    truth = replace(truth, basis_names=names, volumes=np.resize(truth.volumes, (bases, *truth.volumes.shape[1:])))
+    volumes = np.resize(truth.volumes, (bases, *truth.volumes.shape[1:]))
+    coefficients = np.resize(truth.coefficients, (len(truth.coefficients), bases))
+    truth = replace(truth, basis_names=names, volumes=volumes, coefficients=coefficients)
     plotter, panes = draw(replace(shown_boxes(), truth=truth), (400, 300))
     assert [pane.words.title for pane in panes[:bases]] == [f"K-edge {i} keV" for i in range(bases)]
     assert len({id(pane.renderer) for pane in panes}) == bases + 2

@@ -68,7 +68,9 @@ def test_counts_have_the_moments_of_arrivals_followed_one_by_one(model, load):
     expected, found = np.cov(truth)[0, 1], np.cov(drawn)[0, 1]
     assert found < 0
     assert found == pytest.approx(expected, abs=5 * truth[0].std() * truth[1].std() / np.sqrt(truth.shape[1]))
-    assert drawn.sum(axis=0).var() / drawn.sum(axis=0).mean() == pytest.approx(dead_time.fano(load * 1000.0), rel=0.03)
+    assert drawn.sum(axis=0).var() / drawn.sum(axis=0).mean() == pytest.approx(
+        dead_time.fano(np.array(load * 1000.0)), rel=0.03
+    )
 
 
 def test_without_load_counts_are_poisson():

@@ -98,6 +98,7 @@ def test_the_file_says_that_it_holds_energies(path):
         ("/entry/spectra/variance", -1.0, "variance holds a value that is negative"),
     ],
 )
+@pytest.mark.wrong_types
 def test_a_damaged_variance_is_found(path, tmp_path, name, value, words):
     copied = Path(shutil.copy(path, tmp_path))
     with h5py.File(copied, "r+") as file:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from phantomgen.ops.expected_counts import expected_counts_by_grid
+from phantomgen.ops.expected_counts import Spectrum, expected_counts_by_grid
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import load_scene
 from phantomgen.simulation.forward_model.discretization import Settings
@@ -46,8 +46,8 @@ def centroids(scan, tolerance=1e-3):
     plan = make_plan(scan, tolerance)
     transmission, solids = plan.exposure.transmission, scan.scene.solids
     frame, pixels = scan.geometry.ray_frames()[0], np.argwhere(np.ones((32, 32), bool))
-    spectrum = transmission.columns, transmission.weights, transmission.starts
-    counts = expected_counts_by_grid(frame, pixels, solids, *spectrum, n=64, lattice=True)[:, 0].reshape(32, 32)
+    spectrum = Spectrum(transmission.columns, transmission.weights, transmission.starts)
+    counts = expected_counts_by_grid(frame, pixels, solids, spectrum, n=64, lattice=True)[:, 0].reshape(32, 32)
     found = expected_view(plan.scan, transmission, 0, plan.settings)[0]
     return (*(centroid(np.log(image[0, 0] / image)) for image in (found, counts)), plan)
 

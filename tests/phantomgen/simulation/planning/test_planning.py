@@ -10,6 +10,7 @@ from phantomgen.ops.expected_counts import CROSSED, expected_counts, expected_co
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import load_scene
 from phantomgen.simulation.forward_model.energy_grids import fine_cuts, fine_transmission
+from phantomgen.simulation.forward_model.expected_counts import spectrum_of
 from phantomgen.simulation.forward_model.exposure import Exposure
 from phantomgen.simulation.forward_model.frames import Views
 from phantomgen.simulation.forward_model.sampled_rays import sampled_lengths
@@ -45,8 +46,8 @@ def scan():
 def rays_of(scan, settings, transmission):
     """Counts of all pixels of a view, with the classes of its pixels."""
     frame, panel = scan.geometry.ray_frames()[1], scan.geometry.panel
-    spectrum = transmission.columns, transmission.weights, transmission.starts
-    return frame, expected_counts(frame, panel.rows, panel.columns, scan.scene.solids, *spectrum, **settings.pixels)
+    spectrum, sampling = spectrum_of(scan, transmission), settings.sampling(scan.aperture)
+    return frame, expected_counts(frame, panel.rows, panel.columns, scan.scene.solids, spectrum, sampling=sampling)
 
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-2, 1e-3, 2e-4])
@@ -58,7 +59,7 @@ def test_the_tolerance_holds_against_a_grid_of_rays_and_fine_energies(scan, tole
     _, edges = rays_of(scan, make_plan(scan, 1e-3).settings, plan.exposure.transmission)
     pixels = np.argwhere(edges.classes >= CROSSED)[::25]
     fine = fine_transmission(scan)
-    brute = expected_counts_by_grid(frame, pixels, scan.scene.solids, fine.columns, fine.weights, fine.starts, n=256)
+    brute = expected_counts_by_grid(frame, pixels, scan.scene.solids, spectrum_of(scan, fine), n=256)
     level = fine.open_beam / plan.exposure.transmission.open_beam
     error = np.log(found.counts[:, pixels[:, 0], pixels[:, 1]].T * level / brute)
     assert len(pixels) > 5

@@ -21,7 +21,7 @@ def test_a_clock_stands_still_while_results_are_kept(hand):
     clock = Clock("hand")
     clock.start()
     hand["seconds"] += 3
-    with clock.standing() as seconds:
+    with clock.paused() as seconds:
         hand["seconds"] += 50
         assert seconds == 3
     hand["seconds"] += 2
@@ -34,9 +34,9 @@ def test_a_clock_stands_still_while_results_are_kept(hand):
     assert clock.seconds() == 5
 
 
-def test_a_clock_that_stood_does_not_run_after_standing(hand):
+def test_a_clock_that_was_stopped_does_not_run_after_a_pause(hand):
     clock = Clock("hand")
-    with clock.standing():
+    with clock.paused():
         hand["seconds"] += 1
     hand["seconds"] += 1
     assert clock.seconds() == 0

@@ -7,7 +7,7 @@ import pytest
 from recon.comparison.contenders.contender import contenders
 from recon.comparison.outcome import requirements
 from recon.comparison.tables.figure import _ends, _lines, error_against_time
-from recon.comparison.tables.table import markdown_table, mean_psnr, report, run_table, standing, write_csv
+from recon.comparison.tables.table import markdown_table, mean_psnr, methods_ahead, report, run_table, write_csv
 
 
 def result(who, budget, psnrs, seconds=1.0, **more):
@@ -71,7 +71,7 @@ def test_the_report_shows_material_maps():
 
 
 def test_the_report_says_which_methods_are_ahead_of_the_gaussians():
-    assert standing(ALL, "honest") == [
+    assert methods_ahead(ALL, "honest") == [
         "- 10 s, photoelectric: no method is ahead.",
         "- 10 s, Compton: ahead are one-step by 3.50 dB.",
     ]

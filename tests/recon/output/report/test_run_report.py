@@ -93,7 +93,7 @@ def spoiled(folder, how):
         ("interrupted", "was interrupted and is not scored"),
         ("volumes", "is incomplete: it has no volumes.h5"),
         ("torn", "is damaged: it is not JSON"),
-        ("damaged", "it cannot be read as HDF5"),
+        ("damaged", "cannot be read as what recon fit writes there"),
         (("versions", {"spectral-ct": "99.0"}), "was written by version 99.0"),
         (("versions", {}), "is of another version"),
         (("dataset", "other.h5"), "runs of different scans do not fit on one page"),

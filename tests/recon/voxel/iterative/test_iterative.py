@@ -1,5 +1,7 @@
 """SIRT, OS-SART and CGLS against dense matrices, and on orbits of every kind."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.sparse.linalg import lsqr
@@ -9,28 +11,25 @@ from support.tolerances import TOLERANCES
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.runs.methods import METHODS, method_named
-from recon.voxel.iterative.cgls import cgls
-from recon.voxel.iterative.sart import ordered_subsets, sart
-from recon.voxel.iterative.sirt import sirt
+from recon.voxel.iterative.cgls import Cgls
+from recon.voxel.iterative.iteration import IterativeMethod
+from recon.voxel.iterative.sart import Sart, ordered_subsets
+from recon.voxel.iterative.sirt import Sirt
 from recon.voxel.method import CountsMethod, LinearMethod, ViewMethod
-from recon.voxel.projector_pair import Pair
+from recon.voxel.projector_pair import ProjectorPair
 from spectra.errors import GeometryError, InputError
 from spectra.threads import set_threads
 
 SMALL, FREE = Grid((5, 6, 7), (1.5, 1.4, 1.3), (-3.0, -3.5, -3.9)), tilted(views=5)
 SHAPE = (5, FREE.panel.rows, FREE.panel.columns)
 INCOMPLETE = {"limited arc", "laminography", "tilted parallel beam", "panel beside the axis"}
-ITERATIVE = {
-    "sirt": lambda *args, **more: sirt(*args, iterations=3, **more),
-    "sart": lambda *args, **more: sart(*args, iterations=2, **more),
-    "cgls": lambda *args, **more: cgls(*args, iterations=3, **more),
-}
+ITERATIVE = {"sirt": Sirt(3), "sart": Sart(2), "cgls": Cgls(3)}
 
 
 @pytest.fixture(scope="module")
 def system():
     """Matrix, noisy images of two bases, and weights, all small."""
-    rng, pair = np.random.default_rng(1), Pair(FREE, SMALL)
+    rng, pair = np.random.default_rng(1), ProjectorPair(FREE, SMALL)
     units = np.eye(np.prod(SMALL.shape), dtype=np.float32).reshape(-1, *SMALL.shape)
     matrix = pair.project(units).reshape(len(units), -1).T.astype(float)
     images = matrix @ rng.uniform(0, 1, (matrix.shape[1], 2)) + rng.normal(0, 0.5, (len(matrix), 2))
@@ -41,9 +40,8 @@ def system():
 def test_cgls_descends_as_lsqr_does(system, weighted):
     matrix, images, weights = system
     told = []
-    volumes = cgls(
-        images[:1], FREE, SMALL, 8, weights if weighted else None, on_iteration=lambda i: told.append(i.residual)
-    )
+    chosen = weights if weighted else None
+    volumes = Cgls(8).reconstruct(images[:1], chosen, FREE, SMALL, lambda i: told.append(i.residual))
     root = np.sqrt(weights.ravel()) if weighted else np.ones(len(matrix))
     data = root * images[0].ravel()
     for done in (1, 4, 8):
@@ -57,7 +55,7 @@ def test_cgls_descends_as_lsqr_does(system, weighted):
 def test_sart_is_its_formula(system, subsets):
     """In float64 with a dense matrix; rays and voxels that are hardly met are left out in both."""
     matrix, images, weights = system
-    found = sart(images, FREE, SMALL, 2, subsets, 0.8, 0.5, non_negative=False, weights=weights)
+    found = Sart(2, subsets, 0.8, 0.5, non_negative=False).reconstruct(images, weights, FREE, SMALL)
     x = np.zeros((matrix.shape[1], 2))
     by_view, data, w = matrix.reshape(5, -1, len(x)), images.reshape(2, 5, -1), weights.reshape(5, -1)
     lengths = by_view.sum(axis=2)
@@ -75,28 +73,54 @@ def test_sart_is_its_formula(system, subsets):
 
 def test_sirt_is_sart_of_one_subset(system):
     _, images, weights = system
-    one = sirt(images, FREE, SMALL, 3, 1.2, weights=weights)
-    np.testing.assert_allclose(one, sart(images, FREE, SMALL, 3, 1, 1.2, 1.0, weights=weights), rtol=1e-4, atol=1e-6)
+    sirt, sart = (method.reconstruct(images, weights, FREE, SMALL) for method in (Sirt(3, 1.2), Sart(3, 1, 1.2, 1.0)))
+    np.testing.assert_allclose(sirt, sart, rtol=1e-4, atol=1e-6)
+
+
+class Countdown(IterativeMethod):
+    """Updates that leave -1 behind, three a pass, so that the loop alone decides what comes out."""
+
+    iterations, non_negative = 2, True
+
+    def update_rule(self, system):
+        def update(volumes, done):
+            for part in range(3):
+                assert volumes.min() == 0
+                volumes[:] = -1
+                yield 10.0 * done + part
+
+        return update
+
+
+def test_the_loop_clips_after_each_update_and_tells_of_each_pass(system):
+    told = []
+    volumes = Countdown().reconstruct(
+        system[1], None, FREE, SMALL, lambda i: told.append((i.done, i.total, i.residual))
+    )
+    assert told == [(1, 2, 12.0), (2, 2, 22.0)]
+    assert volumes.shape == (2, *SMALL.shape)
+    assert not volumes.any()
 
 
 @pytest.mark.parametrize("name", ["sirt", "cgls"])
 def test_residuals_fall(system, name):
     told = []
-    ITERATIVE[name](system[1], FREE, SMALL, on_iteration=lambda i: told.append(i.residual))
+    ITERATIVE[name].reconstruct(system[1], None, FREE, SMALL, lambda i: told.append(i.residual))
     assert told == sorted(told, reverse=True)
     assert told[-1] < 0.9 * told[0]
 
 
 @pytest.mark.parametrize("name", ["sirt", "sart"])
 def test_nothing_is_negative(system, name):
-    assert ITERATIVE[name](-system[1], FREE, SMALL).min() >= 0
-    assert (ITERATIVE[name](-system[1], FREE, SMALL, non_negative=False) < 0).any()
+    assert ITERATIVE[name].reconstruct(-system[1], None, FREE, SMALL).min() >= 0
+    free = replace(ITERATIVE[name], non_negative=False)
+    assert (free.reconstruct(-system[1], None, FREE, SMALL) < 0).any()
 
 
 @pytest.mark.parametrize("name", ITERATIVE)
 def test_bases_do_not_know_of_each_other(system, name):
-    together = ITERATIVE[name](system[1], FREE, SMALL)
-    alone = [ITERATIVE[name](image[None], FREE, SMALL)[0] for image in system[1]]
+    together = ITERATIVE[name].reconstruct(system[1], None, FREE, SMALL)
+    alone = [ITERATIVE[name].reconstruct(image[None], None, FREE, SMALL)[0] for image in system[1]]
     np.testing.assert_allclose(together, alone, rtol=1e-5, atol=1e-6)
 
 
@@ -104,8 +128,8 @@ def test_bases_do_not_know_of_each_other(system, name):
 def test_rays_without_weight_may_hold_anything(system, name):
     _, images, weights = system
     seen = (weights > 0.5).astype(np.float32)
-    right = ITERATIVE[name](images * seen, FREE, SMALL, weights=seen)
-    other = ITERATIVE[name](np.where(seen > 0, images, 1e3), FREE, SMALL, weights=seen)
+    right = ITERATIVE[name].reconstruct(images * seen, seen, FREE, SMALL)
+    other = ITERATIVE[name].reconstruct(np.where(seen > 0, images, 1e3), seen, FREE, SMALL)
     np.testing.assert_allclose(other, right, rtol=1e-5, atol=1e-6)
 
 
@@ -115,7 +139,7 @@ def test_any_number_of_threads_gives_the_same_bits(system, name):
     try:
         for threads in (1, 3):
             set_threads(threads)
-            volumes.append(ITERATIVE[name](system[1], FREE, SMALL))
+            volumes.append(ITERATIVE[name].reconstruct(system[1], None, FREE, SMALL))
     finally:
         set_threads(None)
     np.testing.assert_array_equal(*volumes)
@@ -123,13 +147,13 @@ def test_any_number_of_threads_gives_the_same_bits(system, name):
 
 @pytest.mark.parametrize("name", ITERATIVE)
 def test_empty_images_give_empty_volumes(name):
-    assert not ITERATIVE[name](np.zeros((1, *SHAPE), np.float32), FREE, SMALL).any()
+    assert not ITERATIVE[name].reconstruct(np.zeros((1, *SHAPE), np.float32), None, FREE, SMALL).any()
 
 
 def test_a_volume_that_no_ray_meets_is_refused():
     far = Grid((4, 4, 4), (1.0, 1.0, 1.0), (0.0, 900.0, 0.0))
     with pytest.raises(GeometryError, match="no ray of the 5 views meets the volume"):
-        cgls(np.zeros((1, *SHAPE), np.float32), FREE, far)
+        Cgls().reconstruct(np.zeros((1, *SHAPE), np.float32), None, FREE, far)
 
 
 @pytest.mark.parametrize("orbit", [*ITERATED, "half-fan", "half a turn, parallel"])
@@ -137,7 +161,8 @@ def test_sart_finds_blobs_from_any_orbit(orbit):
     """Errors fall far below that of a volume of zeros, less far where rays through some places are missing."""
     geometry, truth = (ITERATED | FILTERED)[orbit], blobs()
     images, expected = np.moveaxis(truth.line_integrals(geometry).numpy(), 1, 0), truth.volume(GRID)
-    error = relative_error(sart(images, geometry, GRID), expected) / relative_error(0 * expected, expected)
+    volumes = Sart().reconstruct(images, None, geometry, GRID)
+    error = relative_error(volumes, expected) / relative_error(0 * expected, expected)
     assert error < (0.3 if orbit in INCOMPLETE else 0.08)
 
 

@@ -110,7 +110,7 @@ def test_any_orbit_will_do():
 
 
 def test_the_callback_hears_of_every_pass_and_of_its_grid(noisy, monkeypatch):
-    monkeypatch.setattr("recon.voxel.iterative.one_step.FEW", 1)
+    monkeypatch.setattr("recon.voxel.iterative.one_step.FEW_VIEWS", 1)
     _, grid, scan = noisy
     heard = []
     OneStep(levels=((2, 2), (1, 1))).reconstruct_counts(scan, grid, heard.append)
@@ -175,7 +175,7 @@ def test_volumes_from_coarse_voxels_come_closer_to_sharp_edges_and_never_leave_t
 def test_sharper_coarse_volumes_spare_passes(monkeypatch):
     truth, grid = balls(voxels=36)
     scan = voxel_scan(truth, grid, views=24, pixels=48, geometry=circular(48, 48, 24, 0.5), seed=1)
-    monkeypatch.setattr("recon.voxel.iterative.one_step.FEW", 1)
+    monkeypatch.setattr("recon.voxel.iterative.one_step.FEW_VIEWS", 1)
     method = OneStep(levels=((2, 8), (1, 2)))
     sharp = method.reconstruct_counts(scan, grid)
     monkeypatch.setattr("recon.voxel.iterative.one_step.sharpened", lambda volumes: volumes)

@@ -145,7 +145,7 @@ def test_proximal_steps_of_rays_minimise_what_they_should():
     steps = rng.uniform(0.1, 1, (2, 3, 4)).astype(np.float32)
     duals, images, measured = rng.normal(size=(3, 2, 2, 3, 4)).astype(np.float32)
     weights = per_ray(METRIC / 1000, duals, rng)
-    found = RayWeights(weights, steps).toward(duals, images, measured)
+    found = RayWeights(weights, steps).proximal(duals, images, measured)
     model = RayWeights(weights, steps)
     for v, r, c in np.ndindex(2, 3, 4):
         f = model.each[v, r, c].astype(float)

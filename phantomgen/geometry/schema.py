@@ -1,12 +1,21 @@
-"""Orbits in a scene file: how source and panel go around the object. Lengths in mm, angles in degrees."""
+"""Orbit and panel in a scene file, or in a file of views alone, as models that are checked key by key.
+
+Lengths in mm, angles in degrees.
+"""
 
 from typing import Annotated, Literal
 
-from pydantic import Field, FiniteFloat, PositiveFloat, PositiveInt
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, PositiveInt
 
-from phantomgen.scene.schema.base import Model, NonNegative, NonNegativeInt
-
+NonNegative = Annotated[FiniteFloat, Field(ge=0)]
+NonNegativeInt = Annotated[int, Field(ge=0)]
 Tilt = Annotated[FiniteFloat, Field(gt=-90, lt=90)]
+
+
+class Model(BaseModel):
+    """Common settings: immutable, no unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class JitterModel(Model):
@@ -97,3 +106,33 @@ class PosesModel(Model):
 OrbitModel = Annotated[
     CircularModel | HelicalModel | LaminographyModel | ParallelModel | PosesModel, Field(discriminator="type")
 ]
+
+
+class OffsetModel(Model):
+    """Shift of the panel in its plane, the way columns count and the way rows count [mm]."""
+
+    columns: FiniteFloat = 0.0
+    rows: FiniteFloat = 0.0
+
+
+class TiltModel(Model):
+    """Turns of the panel: about the direction of its columns' steps, of its rows' steps, and in its plane [degree]."""
+
+    columns: Tilt = 0.0
+    rows: Tilt = 0.0
+    in_plane: Annotated[FiniteFloat, Field(ge=-180, le=180)] = 0.0
+
+
+class PanelModel(Model):
+    """The pixel grid; one pitch [mm] for square pixels, else (between rows, between columns).
+
+    Pixels average over their area, split along silhouettes; `sub_rays` takes a plain grid of so many rays along each
+    edge of a pixel instead, faster and less exact, and 1 takes the ray through the centre alone.
+    """
+
+    rows: PositiveInt
+    columns: PositiveInt
+    pitch: PositiveFloat | tuple[PositiveFloat, PositiveFloat]
+    offset: OffsetModel | None = None
+    tilt: TiltModel | None = None
+    sub_rays: Annotated[int, Field(ge=1, le=16)] | None = None

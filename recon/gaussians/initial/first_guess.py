@@ -1,0 +1,142 @@
+"""The start of a fit: voxel volumes from the counts, and Gaussians fitted to them."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.runtime.stopwatch import Stopwatch
+from recon.data.coverage import Coverage
+from recon.data.devices import device_named
+from recon.data.inpainting import inpainted
+from recon.data.material_decomposition import decompose_views
+from recon.data.measurements import Measurements, matching_bin
+from recon.gaussians.initial.fit_to_volume import evaluations_for, fit_to_volume, metric_of
+from recon.gaussians.initial.initialize import initialize
+from recon.gaussians.model import Gaussians
+from recon.gaussians.processes import Resources
+from recon.gaussians.recipe import Recipe
+from recon.voxel.initial_volumes import initial_volumes, starting_method
+from recon.voxel.iterative.multigrid import occupied
+from recon.voxel.iterative.one_step import OneStep
+from recon.voxel.method import CountsMethod, Method, OnIteration
+
+
+class Scan(NamedTuple):
+    """What the fit knows of the scan before the start.
+
+    Parameters
+    ----------
+    measured : training views, unbinned, with rays set apart
+    node_error : largest error of the log counts from compressing the energy grid
+    coverage : what the views cover of the object; its grid is fitted, and the part beyond the dataset's is cut off
+    fisher : mean Fisher matrix of the rays' line integrals
+    air : voxels of air around the grid where it was enlarged, else 0
+    """
+
+    measured: Measurements
+    node_error: float
+    coverage: Coverage
+    fisher: Float[np.ndarray, "basis basis"]
+    air: int
+
+
+class FilledPart(NamedTuple):
+    """The part of volumes that is not empty.
+
+    Parameters
+    ----------
+    volumes : this part, (M, Z, Y, X) [1/mm]
+    grid : its voxels
+    """
+
+    volumes: Float[np.ndarray, "basis z y x"]
+    grid: Grid
+
+
+def start_method(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
+    """Choose the method of the first volumes: voxels from counts for a voxel prior, or decomposed rays without one.
+
+    Parameters
+    ----------
+    measured : training views
+    grid : voxels to reconstruct
+    recipe : strength of the prior, and passes over the views
+
+    Returns
+    -------
+    method with its settings
+    """
+    if not recipe.prior:
+        return starting_method(measured.geometry, grid)
+    coarse = OneStep().levels[:-1]
+    return OneStep(levels=(*coarse, (1, recipe.voxel_passes)))
+
+
+def first_guess(
+    scan: Scan, recipe: Recipe, stage: Stopwatch, on_iteration: OnIteration, resources: Resources
+) -> tuple[Float[np.ndarray, "basis z y x"], Gaussians]:
+    """Reconstruct the first volumes, and fit Gaussians to them.
+
+    Parameters
+    ----------
+    scan : training views, and what is known of them
+    recipe : settings
+    stage : stopwatch of the stages
+    on_iteration : called after every pass over voxels, and after every evaluation of the fit to the volumes
+    resources : device of the Gaussians, and where line integrals are kept
+
+    Returns
+    -------
+    volumes on the grid that is fitted, (M, Z, Y, X) [1/mm]; Gaussians on the processor
+    """
+    measured, grid = scan.measured, scan.coverage.grid
+    voxel, method = min(grid.spacing), start_method(measured, grid, recipe)
+    if isinstance(method, CountsMethod):
+        with stage(method.name):
+            volumes = method.reconstruct_counts(measured, grid, on_iteration)
+    else:
+        coarse = measured.completed().binned(matching_bin(measured.geometry, voxel))
+        with stage("decompose"):
+            line_integrals = decompose_views(coarse, recipe.dispersion, resources.store)[0]
+            for image in line_integrals if coarse.unseen.any() else ():
+                image[:] = inpainted(image, coarse.unseen)
+        with stage(method.name):
+            volumes = initial_volumes(line_integrals, coarse.unseen, coarse.geometry, grid, method)
+    with stage("initialize"):
+        filled, names = filled_part(volumes, grid, scan.air), measured.basis_names
+        spacing = recipe.distance(len(measured)) * voxel
+        gaussians = initialize(*filled, scan.fisher, spacing, names, recipe.seed, recipe.placement)
+    if not recipe.prior:
+        return volumes, gaussians
+    metric, settings = metric_of(filled.volumes, scan.fisher, recipe.volume_fit), recipe.volume_fit
+    with stage("approximate"):
+        evaluations = evaluations_for(len(gaussians), recipe.approximation, settings)
+        gaussians = gaussians.to(device_named(resources.device))
+        gaussians = fit_to_volume(gaussians, *filled, metric, evaluations, on_iteration, settings)
+    return volumes, gaussians.to("cpu")
+
+
+def filled_part(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, air: int) -> FilledPart:
+    """Cut off the empty border of volumes, after adding voxels of air around them.
+
+    A grid that was enlarged ends where its object does; with air around it, Gaussians do not extend beyond the object
+    unless the counts require it.
+
+    Parameters
+    ----------
+    volumes : volumes of all bases, (M, Z, Y, X) [1/mm]
+    grid : their voxels
+    air : voxels of air to add on every side
+
+    Returns
+    -------
+    the smallest box with all that is not empty
+    """
+    if air:
+        volumes = np.pad(volumes, ((0, 0), *[(air, air)] * 3))
+        origin = tuple(o - air * s for o, s in zip(grid.origin, grid.spacing, strict=True))
+        grid = Grid(tuple(n + 2 * air for n in grid.shape), grid.spacing, origin)  # type: ignore[arg-type]
+    box = occupied(volumes)
+    return FilledPart(np.ascontiguousarray(volumes[:, *box]), grid.part(box))

@@ -1,0 +1,158 @@
+r"""The objective of the fit: the function F of the Gaussians theta that the steps of `recon.gaussians.optimize` lower.
+
+.. math::
+
+    \begin{aligned}
+    F(\theta) &= F_\mathrm{data}(\theta) + F_\mathrm{prior}(\theta), \qquad b_{im} \ge 0 \\
+    F_\mathrm{data}(\theta) &= \frac{1}{2} \sum_{v,c,r} s_{vcr}\, d_\eta\bigl(y_{vcr}, Y_{vcr}(\theta)\bigr) \\
+    d_\eta(y, Y) &= 2 \Bigl[ y \ln\frac{y}{Y} - (y + k) \ln\frac{y + k}{Y + k} \Bigr], \qquad k = \eta^{-2} \\
+    Y_{vcr}(\theta) &= g_{cr}\, e_{vc} \sum_j S_{cj} \exp\Bigl(-\sum_m B_m(E_j)\, L_{mvr}(\theta)\Bigr) \\
+    s_{vcr} &= u_{vr}\, \min\Bigl(1, \min_{r' \in N(r)} \frac{\tilde{I}_{vcr'}}{I_{vcr}}\Bigr)\,
+        \frac{\sigma_{vcr}^2}{\sigma_{vcr}^2 + \delta_{vcr}^2}, \qquad \sigma_{vcr}^2 = \frac{1}{y_{vcr}} + \eta^2 \\
+    F_\mathrm{prior}(\theta) &= \frac{1}{2} \sum_x w_x\, \Delta(x)^\mathsf{T} W \Delta(x),
+        \qquad \Delta_m(x) = \mu_m(x; \theta) - \mu^0_m(x) \\
+    W &= \lambda\, \frac{\sum_i H_i}{\sum_x G(x)^2}, \qquad
+        w_x = \max\bigl(1 - q_x,\; a\, \rho_x^{-4}\bigr)
+    \end{aligned}
+
+The data term sums over views v, channels c and rays (pixels) r; the prior sums over voxels x.
+
+======== =============================== ============================================================================
+symbol   in the code                     meaning
+======== =============================== ============================================================================
+theta    `Gaussians`                     centres, log_scales, quaternions, and coefficients b_im of Gaussian i, basis m
+F_data   `recon.gaussians.likelihood`    data term: half the deviance of all counts
+y        ``Measurements.counts``         measured counts, without partial volume
+Y        ``expected``                    expected counts
+d_eta    `recon.ops.deviance.deviance`   deviance of counts with variance Y + (eta Y)^2; of Poisson counts for eta = 0
+eta      ``dispersion``                  model error: relative standard deviation of Y that is conceded
+s        ``statistical_weights``         statistical weights of the counts, 0 to 1, by `Measurements.weighted`
+u        ``Measurements.apart``          0 for the rays that were set apart, else 1
+I        `recon.data.partial_volume`     y over the open beam; with a tilde smoothed; N(r) are pixels within 2 of r
+delta    `recon.data.partial_volume`     standard deviation of the correction for partial volume, beyond the least of
+                                         the ray's channels
+g, e     ``gains``, ``exposure``         gain of each pixel; output of the tube in each view
+S, B, E  ``transmission``                photons times response, basis functions, energies of the nodes j
+L        ``Gaussians.line_integrals``    line integrals of each basis, means over a pixel; then the known ones of a
+                                         bowtie filter
+F_prior  `recon.gaussians.voxel_prior`   voxel prior: squared distance from the volumes that the fit started from
+mu       ``Gaussians.volume``            coefficients of each basis, means over a voxel [1/mm]
+mu^0     ``VoxelPrior.volumes``          the volumes that the fit started from [1/mm]
+W        ``prior_metric``                metric of the prior [mm^2]
+lambda   ``VoxelPrior.strength``         strength: information of the prior over that of the data, ``Recipe.prior``
+H_i      `recon.gaussians.fisher`        curvature of the data term in the coefficients of Gaussian i [mm^2]
+G        ``density``                     sum of all Gaussians with coefficient 1
+w        ``VoxelPrior.trust``            trust in the volumes
+q        ``edge``                        strength of the strongest edge nearby, 0 to 1 (`recon.data.volume_edges`)
+a        ``trust_along_edges``           `Recipe.prior_along_edges`
+rho      ``over_metal``                  density over that of the least dense metal, at least 1
+======== =============================== ============================================================================
+
+Held fixed are y, g, e, S, B, s, mu^0 and w for the whole fit, and W between two computations of the curvature. The
+coefficients of K edges in metal keep their values. In the prior, Gaussians end at a cutoff, and mu^0 is multiplied by
+the part of a Gaussian's mass within it.
+
+A step uses some of the views, scaled to all of them, and one slab of the voxels, scaled to the whole volume; the mean
+of its gradient over the steps is that of F. Gradients are of F over half the number of counts (`Objective.scale`).
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from recon.data.measurements import Measurements
+from recon.data.view_subsets import every, kinds_of
+from recon.gaussians.fisher import coefficient_curvature
+from recon.gaussians.likelihood import Likelihood, likelihood_and_gradients
+from recon.gaussians.model import Gaussians
+from recon.gaussians.processes import ALONE, Processes
+from recon.gaussians.settings import OptimizerSettings
+from recon.gaussians.voxel_prior import VoxelPrior
+
+
+class Curvature(NamedTuple):
+    """Second derivatives that steps use.
+
+    Parameters
+    ----------
+    inverse : inverse blocks of the curvature of F in the coefficients, (N, M, M) [1/mm^2]
+    prior_metric : W, (M, M) [mm^2]; empty without a prior
+    """
+
+    inverse: Float[Tensor, "gaussian basis basis"]
+    prior_metric: Float[Tensor, "..."]
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """F for some measurements.
+
+    Parameters
+    ----------
+    data : views with statistical weights s
+    dispersion : eta, relative model error [no unit]
+    prior : the voxel prior; None for the data term alone
+    processes : those that share the views
+    """
+
+    data: Measurements
+    dispersion: float
+    prior: VoxelPrior | None = None
+    processes: Processes = ALONE
+
+    @property
+    def scale(self) -> float:
+        """Half the number of counts: F over the mean deviance."""
+        return float(np.prod(self.data.counts.shape)) / 2
+
+    def set_gradients(
+        self, gaussians: Gaussians, views: Int[np.ndarray, " view"], prior_metric: Float[Tensor, "..."], step: int
+    ) -> Likelihood:
+        """Leave the gradients of F over `scale`, estimated from some views and one slab, in the arrays of a model.
+
+        Parameters
+        ----------
+        gaussians : model whose arrays require gradients
+        views : indices of the views to use
+        prior_metric : W, from `curvature`
+        step : number of the step, which selects the slab of the prior
+
+        Returns
+        -------
+        likelihood of the model with these views
+        """
+        found = likelihood_and_gradients(gaussians, self.data, views, self.dispersion, self.processes)
+        if self.prior is not None:
+            self.prior.add_gradients(gaussians, prior_metric / self.scale, step)
+        return found
+
+    def curvature(self, gaussians: Gaussians, settings: OptimizerSettings) -> Curvature:
+        """Compute the curvature of F in the coefficients, from some of the views, and the metric of the prior.
+
+        Parameters
+        ----------
+        gaussians : the model
+        settings : number of views, damping, and how coefficients are held
+
+        Returns
+        -------
+        inverse of the damped curvature, and W
+        """
+        data = self.data
+        some = every(kinds_of(data.exposure), -(-len(data) // settings.curvature_views))
+        blocks = coefficient_curvature(gaussians, data[self.processes.share(some)], self.dispersion)
+        self.processes.add_up([blocks])
+        blocks, metric = blocks * (len(data) / len(some)), torch.empty(0)
+        if self.prior is not None:
+            blocks, metric = self.prior.curvature(gaussians, blocks)
+        diagonal = torch.diagonal(blocks, dim1=1, dim2=2)
+        mean = diagonal.mean(dim=0).clamp_min(1)
+        added = settings.relative_damping * diagonal + settings.mean_damping * mean
+        held = None if self.prior is None else self.prior.held_coefficients(gaussians)
+        if held is not None:
+            added = added + settings.holding * held * diagonal
+        return Curvature(torch.linalg.inv(blocks + torch.diag_embed(added)), metric)

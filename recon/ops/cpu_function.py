@@ -1,0 +1,64 @@
+"""What makes an operator of Gaussians that runs on the CPU differentiable by torch."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from recon.ops.arguments import GaussianTensors, TensorGradients
+
+
+class OperatorCall(Protocol):
+    """One call of an operator, with the arrays that its values and its gradients share."""
+
+    def values(self) -> np.ndarray:
+        """Compute the values of the operator.
+
+        Returns
+        -------
+        values, float32
+        """
+        ...
+
+    def gradients(self, cotangent: Tensor) -> TensorGradients:
+        """Compute gradients in the fields of `recon.ops.arguments.GaussianTensors`.
+
+        Parameters
+        ----------
+        cotangent : gradient in the values
+
+        Returns
+        -------
+        one gradient per field
+        """
+        ...
+
+
+def apply_on_cpu(prepare: Callable[[GaussianTensors], OperatorCall], gaussians: GaussianTensors) -> Tensor:
+    """Apply an operator to Gaussians; differentiable once in the tensors of the Gaussians.
+
+    Parameters
+    ----------
+    prepare : makes the call for given Gaussians
+    gaussians : may lie on any device
+
+    Returns
+    -------
+    values on the device of the Gaussians, with the type of their coefficients
+    """
+    return _OnCpu.apply(prepare, *gaussians)  # type: ignore[return-value]
+
+
+class _OnCpu(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, prepare, *parts):
+        ctx.call, ctx.dtypes, ctx.device = prepare(GaussianTensors(*parts)), [x.dtype for x in parts], parts[0].device
+        return torch.from_numpy(ctx.call.values()).to(device=ctx.device, dtype=parts[3].dtype)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx, *cotangents):
+        gradients = zip(ctx.call.gradients(cotangents[0]), ctx.dtypes, strict=True)
+        return None, *(torch.from_numpy(g).to(device=ctx.device, dtype=dtype) for g, dtype in gradients)
