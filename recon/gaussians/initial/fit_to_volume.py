@@ -19,6 +19,11 @@ small scans by up to 0.3 dB, and changes those with these steps by less than 0.1
 Two kinds of unknowns are held at bounds: a coefficient at 0 that would become negative, and the longest standard
 deviation of a Gaussian at twice that of the start. A long thin Gaussian through even tissue hardly shows in voxels, but
 in a view along it its ends, which extend beyond the tissue, are seen in full.
+
+Means of voxels do not determine the density within a voxel: a thin dense sheet in the middle of the last voxel before a
+face fits them better than an even density whose edge reaches into the next voxel, but line integrals along the face
+differ by 7 to 10 %. So D is also computed on a second grid, half a voxel further along every axis, whose voxels hold
+the means of the eight voxels that meet there, and added with a small weight.
 """
 
 import math
@@ -148,7 +153,11 @@ class _Distance:
         report: Report,
         settings: VolumeFitSettings,
     ) -> None:
-        self.volumes, self.grid, self.settings = mass_within(settings.cutoff) * volumes, grid, settings
+        cutoff = settings.cutoff
+        self.grid, self.settings = grid, settings
+        self.targets = [(grid, mass_within(cutoff) * volumes, 1.0)]
+        if min(grid.shape) > 1 and settings.halfway > 0:
+            self.targets.append((halfway(grid), mass_within(cutoff) * means_halfway(volumes), settings.halfway))
         self.metric = torch.from_numpy(metric / np.trace(metric)).to(volumes)
         self.inverse_metric = torch.linalg.inv(self.metric)
         self.evaluations, self.report = 0, report
@@ -156,14 +165,19 @@ class _Distance:
     def evaluate(self, model: Gaussians) -> tuple[float, Float[Tensor, "gaussian step"]]:
         """Compute D, and its gradient with respect to steps."""
         parts = [p.detach().requires_grad_() for p in _parts(model)]
-        found = voxelize_tensor(parts[0], parts[1], parts[2], parts[3], self.grid, cutoff=self.settings.cutoff)
-        difference = found.detach() - self.volumes
-        weighted = torch.einsum("mn,nzyx->mzyx", self.metric, difference)
-        found.backward(weighted)
+        distance, on_voxels, shown = 0.0, 0.0, torch.empty(0)
+        for grid, target, weight in self.targets:
+            found = voxelize_tensor(parts[0], parts[1], parts[2], parts[3], grid, cutoff=self.settings.cutoff)
+            difference = found.detach() - target
+            weighted = weight * torch.einsum("mn,nzyx->mzyx", self.metric, difference)
+            found.backward(weighted)
+            # the sum over rows first is ten times as fast
+            part = 0.5 * float((difference * weighted).sum(dim=-1).sum(dtype=torch.float64))
+            distance += part
+            if grid == self.grid:
+                on_voxels, shown = part, found.detach()
         self.evaluations += 1
-        # the sum over rows first is ten times as fast
-        distance = 0.5 * float((difference * weighted).sum(dim=-1).sum(dtype=torch.float64))
-        self.report(found.detach().cpu().numpy(), distance, self.grid)
+        self.report(shown.cpu().numpy(), on_voxels, self.grid)
         return distance, gradient_of_steps(model, [p.grad for p in parts if p.grad is not None])
 
     def renew_diagonal(self, model: Gaussians) -> None:
@@ -199,6 +213,40 @@ class _Distance:
         """Divide a gradient by the diagonal of the curvature, and by the metric in the coefficients."""
         geometry = gradient[:, :GEOMETRY] / self.curvatures
         return torch.cat([geometry, gradient[:, GEOMETRY:] @ self.inverse_metric / self.overlap], dim=1)
+
+
+def halfway(grid: Grid) -> Grid:
+    """Return the grid whose voxels are centred on the corners of the voxels of another one.
+
+    Parameters
+    ----------
+    grid : the other grid
+
+    Returns
+    -------
+    grid with one voxel more along every axis
+    """
+    depth, height, width = (n + 1 for n in grid.shape)
+    z, y, x = (o - s / 2 for o, s in zip(grid.origin, grid.spacing, strict=True))
+    return Grid((depth, height, width), grid.spacing, (z, y, x))
+
+
+def means_halfway(volumes: Float[Tensor, "basis z y x"]) -> Float[Tensor, "basis z1 y1 x1"]:
+    """Return the means over the voxels of `halfway`.
+
+    Parameters
+    ----------
+    volumes : values of the voxels of a grid
+
+    Returns
+    -------
+    means of the eight voxels that meet at each corner; outside the grid the nearest voxel is taken
+    """
+    out = torch.nn.functional.pad(volumes[None], (1, 1, 1, 1, 1, 1), mode="replicate")[0]
+    for axis in (1, 2, 3):
+        before, after = out.narrow(axis, 0, out.shape[axis] - 1), out.narrow(axis, 1, out.shape[axis] - 1)
+        out = 0.5 * (before + after)
+    return out.contiguous()
 
 
 def _parts(model: Gaussians) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -9,7 +9,15 @@ from scipy.optimize import minimize
 from support.gaussian_scenes import NAMES, small_model
 
 from phantomgen.geometry.voxel_grid import Grid
-from recon.gaussians.initial.fit_to_volume import DEFAULT, _Distance, evaluations_for, fit_to_volume, metric_of
+from recon.gaussians.initial.fit_to_volume import (
+    DEFAULT,
+    _Distance,
+    evaluations_for,
+    fit_to_volume,
+    halfway,
+    means_halfway,
+    metric_of,
+)
 from recon.gaussians.initial.initialize import initialize
 from recon.gaussians.model import Gaussians
 from recon.ops.voxelize import mass_within, voxelize_tensor
@@ -150,3 +158,24 @@ def test_noise_as_small_as_rounding_moves_the_error_by_less_than_a_tenth_of_a_de
         found = fit_to_volume(start, seen, GRID, METRIC, evaluations_for(len(start), 60)).volume(GRID)
         errors.append(20 * np.log10(np.sqrt(np.square(found - clean).mean(axis=(1, 2, 3)))))
     assert np.ptp(errors, axis=0).max() < 0.1
+
+
+def test_sheets_within_the_last_voxel_before_a_face_are_less_dense_with_the_second_grid():
+    grid, thirds = Grid.cube(16, 16.0), Grid.cube(48, 16.0)
+    volumes = np.zeros((2, *grid.shape), np.float32)
+    volumes[:, 4:12, 3:13, 4:11] = np.array([0.02, 0.01])[:, None, None, None]
+    start = initialize(volumes, grid, METRIC, 1.0, NAMES[:2], 0)
+
+    def densest(settings):
+        return fit_to_volume(start, volumes, grid, METRIC, 60, settings=settings).volume(thirds)[0].max() / 0.02
+
+    assert densest(replace(DEFAULT, cutoff=3.5, halfway=0.1)) < min(2.2, 0.7 * densest(DEFAULT))
+
+
+def test_means_halfway_between_voxels_are_those_of_the_voxels_that_meet_there():
+    volumes = torch.from_numpy(np.random.default_rng(0).random((1, 3, 4, 5)))
+    grid = Grid((3, 4, 5), (1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
+    means = means_halfway(volumes)
+    assert tuple(means.shape[1:]) == halfway(grid).shape
+    assert halfway(grid).origin == (-0.5, -1.0, -1.5)
+    assert float(means[0, 1, 2, 3]) == pytest.approx(float(volumes[0, 0:2, 1:3, 2:4].mean()))
