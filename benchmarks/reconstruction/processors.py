@@ -55,7 +55,7 @@ def fitted(scan: Path, folder: Path, threads: int, setting: dict[str, str]) -> t
 
 
 def _run(words: list[str], setting: dict[str, str]) -> None:
-    command = [sys.executable, "-c", f"from {words[0]}.cli import main; main()", *words[1:]]
+    command = [sys.executable, "-m", *words]
     subprocess.run(command, check=True, env=os.environ | setting, stdout=subprocess.DEVNULL)
 
 
