@@ -137,11 +137,11 @@ class GaussianRun:
         outcome = outcome_of_fit(fitted.dataset, self.recipe, result, fitted.choice, missing)
         if unfinished is None:
             return outcome
-        for sentence in result.notes:
-            watcher.say(sentence)
         if interruption.asked and last and last[0].step < last[0].steps:
             outcome.write_model(unfinished.folder)
             raise _stopped(last[0], unfinished)
+        for sentence in result.notes:  # of a whole fit; a part of it tells nothing
+            watcher.say(sentence)
         seconds, deviances = (np.array([entry[key] for entry in unfinished.log]) for key in ("seconds", "deviance"))
         more: dict[str, Callable[[Path], Any]] = {"convergence.png": partial(convergence, seconds, deviances)}
         if fitted.choice is not None:

@@ -22,6 +22,7 @@ from phantomgen.geometry.config import read_geometry_file
 from phantomgen.geometry.voxel_grid import Grid
 from recon.cli.main import main as recon
 from recon.evaluation.scoring import held_out_views
+from recon.gaussians.reconstruct import reconstruct
 from recon.output.volume_file import chosen_grid
 from recon.runs.run_folder import MODEL, open_run, write_scan
 from spectra.basis.basis import Basis, BasisFunction
@@ -245,6 +246,17 @@ def test_a_run_that_was_stopped_and_killed_ends_with_the_same_bytes(dataset, tmp
     assert sorted(p.name for p in run.iterdir()) == sorted(p.name for p in whole.iterdir())
     steps = [json.loads(line)["step"] for line in (run / "log.jsonl").read_text().splitlines()]
     assert steps == list(range(1, 361))
+
+
+def test_an_interrupted_fit_is_not_judged_as_a_whole_one(dataset, tmp_path, monkeypatch):
+    def interrupted(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        return replace(reconstruct(*arguments), notes=("the fit ended worse than its start",))
+
+    monkeypatch.setattr("recon.runs.run_gaussians.reconstruct", interrupted)
+    result = command("fit", dataset, "-o", tmp_path / "run", "--sweeps", "2", "--no-figures")
+    assert "holds the model after step 1" in result.stderr
+    assert "worse than its start" not in result.stderr
 
 
 def test_a_bound_on_memory_changes_no_byte(dataset, tmp_path, monkeypatch):
