@@ -1,0 +1,124 @@
+"""Images of divided Gaussians, differentiable."""
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from phantomgen.ops.simd import WIDTH as LANES
+from recon.ops.interface import cpu
+from recon.ops.interface.footprints import footprints
+from recon.ops.interface.table import SUMS
+from recon.ops.rasterize.cpu_calls import Settings, run_all
+
+CHUNK = 256  # Gaussians per piece of work
+BANDS = 4  # pieces of work that the rows of a view are shared between
+
+
+def rasterize_divided(
+    centres: Float[Tensor, "gaussian 3"],
+    log_scales: Float[Tensor, "gaussian 3"],
+    quaternions: Float[Tensor, "gaussian 4"],
+    planes: Float[Tensor, "gaussian 2"],
+    below: Float[Tensor, "gaussian basis"],
+    above: Float[Tensor, "gaussian basis"],
+    frames: Float[Tensor, "view 4 3"],
+    settings: Settings,
+) -> Float[Tensor, "view basis row column"]:
+    """Line integral of each basis along the ray through each pixel; differentiable in the first six arguments.
+
+    Parameters
+    ----------
+    centres, log_scales, quaternions, planes, below, above : see `recon.ops.interface.reference.line_integrals`
+    frames : rays of the views, by `phantomgen.geometry.poses.Geometry.ray_frames`
+    settings : panel, edge of a pixel that is averaged over, and cutoff
+
+    Returns
+    -------
+    Line integrals, dimensionless, float32.
+    """
+    exact = (part.double() for part in (centres, log_scales, quaternions, planes))
+    seen = footprints(*exact, frames.double(), settings)
+    return _Images.apply(seen.numbers, seen.rows, below, above - below, frames, settings)  # type: ignore[return-value]
+
+
+class _Images(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, numbers, rows, below, step, frames, settings):
+        table = numbers.detach().float().contiguous().numpy()
+        spans = rows.detach().long().contiguous().numpy()
+        low, high = (part.detach().float().contiguous().numpy() for part in (below, step))
+        lengths = _ray_lengths(frames, settings)
+        bases = (0,) * low.shape[1]
+        image = np.zeros((len(table), len(bases), settings.rows, settings.columns + LANES), np.float32)
+
+        def splat(piece: tuple[int, int]) -> None:
+            view, band = piece
+            first, last = band * settings.rows // BANDS, (band + 1) * settings.rows // BANDS
+            cpu.forward(
+                bases, table[view], spans[view], low, high, lengths[view], settings.cutoff, settings.columns, first, last,
+                image[view],
+            )  # fmt: skip
+
+        run_all(splat, [(view, band) for view in range(len(table)) for band in range(BANDS)])
+        ctx.arrays, ctx.settings, ctx.numbers = (table, spans, low, high, lengths), settings, numbers.detach()
+        ctx.dtype = below.dtype
+        return torch.from_numpy(image[..., : settings.columns])
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx, *cotangents):
+        (table, spans, low, high, lengths), settings = ctx.arrays, ctx.settings
+        bases, images = (0,) * low.shape[1], cotangents[0].detach().numpy()
+        n = len(low)
+        sums, to_low, to_high = np.zeros((len(table), n, SUMS)), np.zeros(low.shape), np.zeros(low.shape)
+        padded = np.zeros((*images.shape[:3], settings.columns + LANES), np.float32)
+        np.multiply(images, lengths[:, None], out=padded[..., : settings.columns])
+
+        def gather(first: int) -> None:
+            last = min(first + CHUNK, n)
+            for view in range(len(table)):
+                cpu.backward(
+                    bases, table[view], spans[view], low, high, padded[view], settings.cutoff, settings.columns,
+                    first, last, sums[view], to_low, to_high,
+                )  # fmt: skip
+
+        run_all(gather, range(0, n, CHUNK))
+        to_numbers = _to_numbers(ctx.numbers, torch.from_numpy(sums))
+        return (
+            to_numbers,
+            None,
+            torch.from_numpy(to_low).to(ctx.dtype),
+            torch.from_numpy(to_high).to(ctx.dtype),
+            None,
+            None,
+        )
+
+
+def _to_numbers(
+    numbers: Float[Tensor, "view gaussian 21"], sums: Float[Tensor, "view gaussian 23"]
+) -> Float[Tensor, "view gaussian 21"]:
+    """Gradient in each number of a footprint from the sums over its pixels (see `recon.ops.interface.cpu.backward`)."""
+    _, _, l11, l21, l22, e1, e2, e3, e4, e5, amplitude, _, q1, q2, q3, q4, q5, _, b1, b2, _ = numbers.unbind(-1)
+    w, ax, ay, axx, axy, ayy, s0, sx, sy, sxx, sxy, syy, offset, t0, tx, ty, txx, txy, tyy, b, bx, by, width = (
+        sums.unbind(-1)
+    )
+    along = l11 * ax + l21 * ay
+    to_x = -2 * l11 * along - (e1 * s0 + 2 * e3 * sx + e4 * sy) - (q1 * t0 + 2 * q3 * tx + q4 * ty) - b1 * b
+    to_y = (
+        -2 * (l21 * along + l22 * l22 * ay)
+        - (e2 * s0 + e4 * sx + 2 * e5 * sy)
+        - (q2 * t0 + q4 * tx + 2 * q5 * ty)
+        - b2 * b
+    )
+    to_l = [2 * (l11 * axx + l21 * axy), 2 * (l11 * axy + l21 * ayy), 2 * l22 * ayy]
+    to_amplitude = w / torch.where(amplitude == 0, 1.0, amplitude)
+    parts = [to_x, to_y, *to_l, sx, sy, sxx, sxy, syy, to_amplitude, offset, tx, ty, txx, txy, tyy, b, bx, by, width]
+    return torch.stack(parts, -1)
+
+
+def _ray_lengths(frames: Tensor, settings: Settings) -> Float[np.ndarray, "view row column"]:
+    """Length |d| of each ray from source to panel."""
+    first, column_step, row_step = (frames[:, i].numpy()[:, None, None] for i in (1, 2, 3))
+    x, y = np.arange(settings.columns)[None, None, :, None], np.arange(settings.rows)[None, :, None, None]
+    return np.linalg.norm(first + x * column_step + y * row_step, axis=-1).astype(np.float32)
