@@ -3,6 +3,7 @@
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -12,7 +13,7 @@ from torch import Tensor
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.ops.rasterize import rasterize
-from recon.ops.voxelize import voxelize
+from recon.ops.voxelize import CUTOFF, voxelize, voxelize_tensor
 from spectra.errors import DatasetError
 
 PARTS = ("centres", "log_scales", "quaternions", "coefficients")
@@ -42,6 +43,8 @@ class Gaussians:
     quaternions: Float[Tensor, "gaussian 4"]
     coefficients: Float[Tensor, "gaussian basis"]
     basis_names: tuple[str, ...]
+
+    GEOMETRY: ClassVar = ("centres", "log_scales", "quaternions")
 
     def __len__(self) -> int:
         return len(self.centres)
@@ -98,6 +101,16 @@ class Gaussians:
         `PARTS` in order, by name
         """
         return {name: getattr(self, name) for name in PARTS}
+
+    def voxels(self, grid: Grid, cutoff: float = CUTOFF) -> Float[Tensor, "basis z y x"]:
+        return voxelize_tensor(*self.tensors().values(), grid, cutoff=cutoff)
+
+    def with_values(self, values: Tensor) -> "Gaussians":
+        held = {name: getattr(self, name).detach() for name in self.GEOMETRY}
+        return replace(self, **held, coefficients=values)
+
+    def part(self, which: Tensor) -> "Gaussians":
+        return replace(self, **{name: value.index_select(0, which) for name, value in self.tensors().items()})
 
     def detached(self) -> "Gaussians":
         """Copy the model without its gradients.

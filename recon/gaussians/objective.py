@@ -149,8 +149,8 @@ class Objective:
         blocks, metric = blocks * (len(data) / len(some)), torch.empty(0)
         if self.prior is not None:
             blocks, metric = self.prior.curvature(gaussians, blocks)
-        diagonal = torch.diagonal(blocks, dim1=1, dim2=2)
-        mean = diagonal.mean(dim=0).clamp_min(1)
+        diagonal = torch.diagonal(blocks, dim1=-2, dim2=-1)
+        mean = diagonal.flatten(0, -2).mean(dim=0).clamp_min(1)
         added = settings.relative_damping * diagonal + settings.mean_damping * mean
         held = None if self.prior is None else self.prior.held_coefficients(gaussians)
         if held is not None:

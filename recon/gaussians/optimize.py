@@ -63,6 +63,8 @@ class Progress:
     held_out: Float[np.ndarray, " channel"] | None = None
 
 
+import os
+SIGNED = bool(os.environ.get('SIGNED'))
 OnStep = Callable[[Progress], bool | None]
 
 
@@ -126,7 +128,7 @@ def fit(
 
 def _move_geometry(state: FitState, recipe: Recipe, voxel: float, per_sweep: int, steps: int) -> None:
     """Make a step of Adam in centres, scales and rotations, whose length grows at first and then falls."""
-    lengths = np.array([recipe.centre_rate * voxel, recipe.shape_rate, recipe.shape_rate])
+    lengths = np.array([recipe.centre_rate * voxel, recipe.shape_rate, recipe.shape_rate, recipe.centre_rate * voxel])
     ramp = min(1.0, (state.done + 1) / max(recipe.warm_up * per_sweep, 1.0))
     decays = recipe.optimizer.gradient_decay, recipe.optimizer.square_decay
     state.adam.step(lengths * ramp * recipe.final_rate ** (state.done / steps), state.done + 1, decays)
@@ -135,7 +137,7 @@ def _move_geometry(state: FitState, recipe: Recipe, voxel: float, per_sweep: int
 def _move_coefficients(state: FitState, recipe: Recipe, scale: float, steps: int) -> None:
     """Make a step of Newton's method with momentum in the coefficients, whose length falls towards the end."""
     settings, coefficients = recipe.optimizer, state.gaussians.coefficients
-    newton_step = torch.einsum("gmn,gn->gm", state.inverse_curvature, coefficients.grad) * scale
+    newton_step = torch.einsum("...mn,...n->...m", state.inverse_curvature, coefficients.grad) * scale
     fall = (1 / settings.coefficient_final) ** (1 - state.done / steps / settings.coefficient_full)
     rate = state.step_factor * recipe.coefficient_rate * min(1.0, fall)
     _project_step(coefficients, state.velocity, newton_step, state.inverse_curvature, rate, recipe.momentum)
@@ -185,7 +187,7 @@ def _project_step(
 ) -> None:
     """Make a heavy-ball step, in place, that ends at non-negative coefficients."""
     moved = coefficients + momentum * velocity - (1 - momentum) * rate * newton_step
-    outside = (moved < 0).any(dim=1)
+    outside = (moved < 0).any(dim=-1) & (not SIGNED)
     moved[outside] = _nearest_non_negative(moved[outside], inverse[outside])
     velocity.copy_(moved - coefficients)
     coefficients.copy_(moved)

@@ -67,7 +67,7 @@ class FitState:
         state with copies of the first guess
         """
         gaussians = start.detached()
-        geometry = [getattr(gaussians, name).requires_grad_() for name in GEOMETRY]
+        geometry = [getattr(gaussians, name).requires_grad_() for name in gaussians.GEOMETRY]
         gaussians.coefficients.requires_grad_()
         return cls(gaussians, start.detached(), Adam(geometry), torch.zeros_like(gaussians.coefficients))
 

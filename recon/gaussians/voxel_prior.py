@@ -20,7 +20,7 @@ from phantomgen.geometry.voxel_grid import Grid
 from recon.data.volume_edges import VolumeEdges, metal_without_agents, over_metal
 from recon.gaussians.model import Gaussians
 from recon.gaussians.settings import PriorSettings
-from recon.ops.voxelize import mass_within, voxelize_tensor
+from recon.ops.voxelize import mass_within
 
 DEFAULT = PriorSettings()
 
@@ -109,7 +109,7 @@ class VoxelPrior:
         index = np.round(place / np.array(self.grid.spacing)).astype(int)
         index = np.clip(index, 0, np.array(self.grid.shape) - 1)
         dense = self.metal[tuple(index.T)] > 1
-        return torch.from_numpy(dense[:, None] & edges).to(gaussians.centres.device)
+        return torch.from_numpy(dense.reshape(-1, *[1] * (gaussians.coefficients.ndim - 1)) & edges).to(gaussians.centres.device)
 
     def curvature(
         self, gaussians: Gaussians, blocks: Float[Tensor, "gaussian basis basis"]
@@ -125,15 +125,14 @@ class VoxelPrior:
         -------
         blocks of the data term plus the separable majoriser of the prior's curvature [mm^2]; the metric W [mm^2]
         """
-        parts = (gaussians.centres.detach(), gaussians.log_scales.detach(), gaussians.quaternions.detach())
-        one = torch.ones_like(gaussians.coefficients[:, :1]).detach()
-        density = voxelize_tensor(*parts, one, self.grid)
+        one = torch.ones_like(gaussians.coefficients[..., :1]).detach()
+        density = gaussians.with_values(one).voxels(self.grid)
         everywhere = float(torch.sum(density * density, dtype=torch.float64))
-        metric = self.strength * blocks.sum(dim=0) / max(everywhere, 1e-30)
+        metric = self.strength * blocks.flatten(0, -3).sum(dim=0) / max(everywhere, 1e-30)
         one.requires_grad_()
-        voxelize_tensor(*parts, one, self.grid).backward(density * torch.from_numpy(self.trust).to(density))
+        gaussians.with_values(one).voxels(self.grid).backward(density * torch.from_numpy(self.trust).to(density))
         assert one.grad is not None
-        return blocks + one.grad[:, :, None] * metric, metric
+        return blocks + one.grad[..., None] * metric, metric
 
     def add_gradients(self, gaussians: Gaussians, metric: Float[Tensor, "basis basis"], step: int) -> None:
         """Add the gradients of the prior in one slab of the volume, times the number of slabs.
@@ -152,10 +151,7 @@ class VoxelPrior:
         first, last = k * depth // slabs, (k + 1) * depth // slabs
         slab = self.grid.slices(first, last - first)
         near = _reaching(gaussians, slab, cutoff)
-        centres, log_scales, quaternions, coefficients = (
-            part.index_select(0, near) for part in gaussians.tensors().values()
-        )
-        found = voxelize_tensor(centres, log_scales, quaternions, coefficients, slab, cutoff=cutoff)
+        found = gaussians.part(near).voxels(slab, cutoff)
         difference = found.detach() - mass_within(cutoff) * torch.from_numpy(self.volumes[:, first:last]).to(found)
         difference *= torch.from_numpy(self.trust[first:last]).to(found)
         found.backward(torch.einsum("mn,nzyx->mzyx", slabs * metric, difference))

@@ -6,9 +6,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.ops.rasterize.cpu_calls import Settings
 from recon.ops.rasterize.footprints import footprints as plain_footprints
 from recon.ops.rasterize.footprints import whitening
+from recon.ops.rasterize.projector import Projector
 from spectra.errors import InputError
 
 
@@ -31,7 +31,8 @@ def footprints(
     quaternions: Float[Tensor, "gaussian 4"],
     planes: Float[Tensor, "gaussian 2"],
     frames: Float[Tensor, "view 4 3"],
-    settings: Settings,
+    panel: tuple[int, int],
+    projector: Projector,
 ) -> Footprints:
     """Footprints of divided Gaussians in views; arguments as in `recon.ops.interface.reference.line_integrals`.
 
@@ -49,13 +50,13 @@ def footprints(
     matrices = whitening(log_scales, quaternions)
     numbers, rows = [], []
     for frame in frames:
-        plain, near = plain_footprints(centres, matrices, frame, settings)
+        plain, near = plain_footprints(centres, matrices, frame, panel, projector)
         if len(near):
             raise InputError(
                 f"{len(near)} divided Gaussians reach the source or the panel; the object must lie between"
             )
         seen = (plain.bounds[:, 1] > plain.bounds[:, 0]) & (plain.numbers[:, 10] != 0)
-        interface = _interface(centres, matrices, planes, frame, settings.footprint**2 / 12, seen)
+        interface = _interface(centres, matrices, planes, frame, projector.box, seen)
         numbers.append(torch.cat([plain.numbers, interface], 1))
         rows.append(plain.bounds[:, :2])
     return Footprints(torch.stack(numbers), torch.stack(rows))

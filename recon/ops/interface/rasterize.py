@@ -9,7 +9,8 @@ from phantomgen.ops.simd import WIDTH as LANES
 from recon.ops.interface import cpu
 from recon.ops.interface.footprints import footprints
 from recon.ops.interface.table import SUMS
-from recon.ops.rasterize.cpu_calls import Settings, run_all
+from recon.ops.pieces import run_all
+from recon.ops.rasterize.projector import Projector
 
 CHUNK = 256  # Gaussians per piece of work
 BANDS = 4  # pieces of work that the rows of a view are shared between
@@ -23,7 +24,8 @@ def rasterize_divided(
     below: Float[Tensor, "gaussian basis"],
     above: Float[Tensor, "gaussian basis"],
     frames: Float[Tensor, "view 4 3"],
-    settings: Settings,
+    panel: tuple[int, int],
+    projector: Projector,
 ) -> Float[Tensor, "view basis row column"]:
     """Line integral of each basis along the ray through each pixel; differentiable in the first six arguments.
 
@@ -38,48 +40,49 @@ def rasterize_divided(
     Line integrals, dimensionless, float32.
     """
     exact = (part.double() for part in (centres, log_scales, quaternions, planes))
-    seen = footprints(*exact, frames.double(), settings)
-    return _Images.apply(seen.numbers, seen.rows, below, above - below, frames, settings)  # type: ignore[return-value]
+    seen = footprints(*exact, frames.double(), panel, projector)
+    return _Images.apply(seen.numbers, seen.rows, below, above - below, frames, panel, projector)  # type: ignore[return-value]
 
 
 class _Images(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, numbers, rows, below, step, frames, settings):
+    def forward(ctx, numbers, rows, below, step, frames, panel, projector):
         table = numbers.detach().float().contiguous().numpy()
         spans = rows.detach().long().contiguous().numpy()
         low, high = (part.detach().float().contiguous().numpy() for part in (below, step))
-        lengths = _ray_lengths(frames, settings)
+        lengths = _ray_lengths(frames, panel)
         bases = (0,) * low.shape[1]
-        image = np.zeros((len(table), len(bases), settings.rows, settings.columns + LANES), np.float32)
+        image = np.zeros((len(table), len(bases), panel[0], panel[1] + LANES), np.float32)
 
         def splat(piece: tuple[int, int]) -> None:
             view, band = piece
-            first, last = band * settings.rows // BANDS, (band + 1) * settings.rows // BANDS
+            first, last = band * panel[0] // BANDS, (band + 1) * panel[0] // BANDS
             cpu.forward(
-                bases, table[view], spans[view], low, high, lengths[view], settings.cutoff, settings.columns, first, last,
+                bases, table[view], spans[view], low, high, lengths[view], projector.cutoff, panel[1], first, last,
                 image[view],
             )  # fmt: skip
 
         run_all(splat, [(view, band) for view in range(len(table)) for band in range(BANDS)])
-        ctx.arrays, ctx.settings, ctx.numbers = (table, spans, low, high, lengths), settings, numbers.detach()
+        ctx.arrays, ctx.numbers = (table, spans, low, high, lengths), numbers.detach()
+        ctx.panel, ctx.projector = panel, projector
         ctx.dtype = below.dtype
-        return torch.from_numpy(image[..., : settings.columns])
+        return torch.from_numpy(image[..., : panel[1]])
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx, *cotangents):
-        (table, spans, low, high, lengths), settings = ctx.arrays, ctx.settings
+        (table, spans, low, high, lengths), panel, projector = ctx.arrays, ctx.panel, ctx.projector
         bases, images = (0,) * low.shape[1], cotangents[0].detach().numpy()
         n = len(low)
         sums, to_low, to_high = np.zeros((len(table), n, SUMS)), np.zeros(low.shape), np.zeros(low.shape)
-        padded = np.zeros((*images.shape[:3], settings.columns + LANES), np.float32)
-        np.multiply(images, lengths[:, None], out=padded[..., : settings.columns])
+        padded = np.zeros((*images.shape[:3], panel[1] + LANES), np.float32)
+        np.multiply(images, lengths[:, None], out=padded[..., : panel[1]])
 
         def gather(first: int) -> None:
             last = min(first + CHUNK, n)
             for view in range(len(table)):
                 cpu.backward(
-                    bases, table[view], spans[view], low, high, padded[view], settings.cutoff, settings.columns,
+                    bases, table[view], spans[view], low, high, padded[view], projector.cutoff, panel[1],
                     first, last, sums[view], to_low, to_high,
                 )  # fmt: skip
 
@@ -90,6 +93,7 @@ class _Images(torch.autograd.Function):
             None,
             torch.from_numpy(to_low).to(ctx.dtype),
             torch.from_numpy(to_high).to(ctx.dtype),
+            None,
             None,
             None,
         )
@@ -117,8 +121,8 @@ def _to_numbers(
     return torch.stack(parts, -1)
 
 
-def _ray_lengths(frames: Tensor, settings: Settings) -> Float[np.ndarray, "view row column"]:
+def _ray_lengths(frames: Tensor, panel: tuple[int, int]) -> Float[np.ndarray, "view row column"]:
     """Length |d| of each ray from source to panel."""
     first, column_step, row_step = (frames[:, i].numpy()[:, None, None] for i in (1, 2, 3))
-    x, y = np.arange(settings.columns)[None, None, :, None], np.arange(settings.rows)[None, :, None, None]
+    x, y = np.arange(panel[1])[None, None, :, None], np.arange(panel[0])[None, :, None, None]
     return np.linalg.norm(first + x * column_step + y * row_step, axis=-1).astype(np.float32)

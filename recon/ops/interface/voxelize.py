@@ -12,7 +12,7 @@ from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.simd import WIDTH
 from recon.ops.interface import cpu_voxels
 from recon.ops.interface.voxel_table import SUMS
-from recon.ops.rasterize.cpu_calls import run_all
+from recon.ops.pieces import run_all
 from recon.ops.rasterize.footprints import whitening
 
 CHUNK = 256  # Gaussians per piece of work

@@ -10,12 +10,13 @@ from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
 from recon.ops.interface.rasterize import rasterize_divided
 from recon.ops.interface.reference import line_integrals
-from recon.ops.rasterize.cpu_calls import Settings
+from recon.ops.rasterize.projector import Projector
 from recon.ops.rasterize.reference import whitening
 from spectra.errors import InputError
 
 BASES = 2
 SIDE = 24
+PANEL = (SIDE, SIDE)
 
 
 def gaussians(count: int = 12, seed: int = 3, width: float = 0.3) -> tuple[torch.Tensor, ...]:
@@ -71,7 +72,7 @@ def test_the_integral_along_a_ray_is_that_of_quadrature():
 @pytest.mark.parametrize("width", [0.02, 0.3, 2.0])
 def test_rays_through_pixel_centres_are_those_of_the_reference(width):
     parts, of = gaussians(width=width), frames()
-    found = rasterize_divided(*parts, of, Settings(SIDE, SIDE, 0.0, 5.0, False))
+    found = rasterize_divided(*parts, of, PANEL, Projector(0.0, 5.0))
     wanted = reference_images(parts, of)
     assert float((found - wanted).abs().max()) < 3e-5 * float(wanted.max())
 
@@ -79,10 +80,10 @@ def test_rays_through_pixel_centres_are_those_of_the_reference(width):
 def test_sides_that_agree_make_a_plain_gaussian():
     parts, of = gaussians(), frames()
     same = (*parts[:5], parts[4])
-    found = rasterize_divided(*same, of, Settings(SIDE, SIDE, 1.0, 4.0, False))
+    found = rasterize_divided(*same, of, PANEL, Projector(1.0, 4.0))
     from recon.ops.rasterize import rasterize
 
-    wanted = rasterize(*(p.float() for p in (*parts[:3], parts[4])), of, SIDE, SIDE, 1.0, 4.0)
+    wanted = rasterize(*(p.float() for p in (*parts[:3], parts[4])), of, SIDE, SIDE, Projector(1.0, 4.0))
     torch.testing.assert_close(found, wanted, rtol=1e-4, atol=1e-6)
 
 
@@ -91,7 +92,7 @@ def test_gradients_are_those_of_the_reference():
     weights = torch.from_numpy(np.random.default_rng(5).normal(size=(len(of), BASES, SIDE, SIDE)))
     gradients = []
     for images in (
-        lambda parts: rasterize_divided(*parts, of, Settings(SIDE, SIDE, 0.0, 5.0, False)),
+        lambda parts: rasterize_divided(*parts, of, PANEL, Projector(0.0, 5.0)),
         lambda parts: reference_images(parts, of),
     ):
         parts = tuple(part.clone().requires_grad_() for part in gaussians())
@@ -105,8 +106,8 @@ def test_gradients_are_those_of_the_reference():
 def test_pixels_hold_means_of_many_rays(width, error):
     parts, of = gaussians(width=width), frames(1)
     wanted = reference_images(parts, of, finer=16)
-    found = rasterize_divided(*parts, of, Settings(SIDE, SIDE, 1.0, 5.0, False))
-    middle = rasterize_divided(*parts, of, Settings(SIDE, SIDE, 0.0, 5.0, False))
+    found = rasterize_divided(*parts, of, PANEL, Projector(1.0, 5.0))
+    middle = rasterize_divided(*parts, of, PANEL, Projector(0.0, 5.0))
     worst, unaveraged = (float((images - wanted).abs().max() / wanted.max()) for images in (found, middle))
     assert worst < min(error, unaveraged)
 
@@ -115,4 +116,4 @@ def test_gaussians_at_the_source_are_refused():
     parts, of = gaussians(), frames(1)
     parts[0][0] = of[0, 0]
     with pytest.raises(InputError, match="the object must lie between"):
-        rasterize_divided(*parts, of, Settings(SIDE, SIDE, 1.0, 4.0, False))
+        rasterize_divided(*parts, of, PANEL, Projector(1.0, 4.0))
