@@ -19,7 +19,7 @@ from phantomgen.runtime.plain_json import to_json, write_json
 from phantomgen.runtime.stopwatch import peak_memory_mib
 from phantomgen.runtime.thumbnails import thumbnails
 from recon.evaluation.verdict import Verdict
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.optimize import Progress
 from recon.gaussians.recipe import RECIPES, Recipe
 from recon.gaussians.reconstruct import Reconstruction, reconstruct
@@ -82,7 +82,7 @@ class Fit:
     log: list[dict[str, Any]] = field(default_factory=list, repr=False)
 
     @property
-    def gaussians(self) -> Gaussians:
+    def gaussians(self) -> GaussianModel:
         """The model."""
         return self.result.gaussians
 

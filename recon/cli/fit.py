@@ -43,6 +43,13 @@ if TYPE_CHECKING:
     show_default=True,
     help="This project's fit, short or long, or the method of SpectralCTGaussians.",
 )
+@click.option(
+    "--kernel",
+    type=click.Choice(["auto", "interface", "gaussian"]),
+    default="auto",
+    show_default=True,
+    help="Gaussians that planes divide at interfaces, or plain ones; auto: those that the device has.",
+)
 @click.option("--steps", type=click.IntRange(min=1), help="Steps of --recipe paper; schedules scale [default: 30000].")
 @click.option("--without", metavar="NAME", multiple=True, help="Leave out a component of --recipe paper; repeatable.")
 @click.option(
@@ -88,6 +95,7 @@ def fit(
     edge: str | None,
     sweeps: float | None,
     recipe: str,
+    kernel: str,
     steps: int | None,
     without: tuple[str, ...],
     method: str,
@@ -124,7 +132,7 @@ def fit(
     from recon.runs.methods import method_named
     from recon.runs.run import run
     from recon.runs.run_folder import VOLUMES
-    from recon.runs.run_gaussians import GaussianRun, chosen_recipe
+    from recon.runs.run_gaussians import GaussianRun, chosen_recipe, kernel_for
     from recon.runs.run_views import ViewRun
     from recon.runs.run_voxels import VoxelRun
     from recon.runs.write_run import RunFolder, score_table
@@ -134,15 +142,19 @@ def fit(
     if out:
         check_run_name(Path(out))
     special = {"resume": resume, "dry-run": dry_run, "memory": memory, "held-out": held_out, "edge": edge}
+    special |= {"kernel": None if kernel == "auto" else kernel}
     special |= {"device": None if device == "cpu" else device_named(device).type}
     if method != "gaussian":
         refuse_options(f"--method {method}", special | {"steps": steps, "without": without, "recipe": recipe != "fast"})
     if recipe == "paper":
-        refuse_options("--recipe paper, whose length is --steps", special | {"sweeps": sweeps})
+        refuse_options(
+            "--recipe paper, whose length is --steps",
+            special | {"sweeps": sweeps, "kernel": None if kernel == "auto" else kernel},
+        )
         how = PaperRecipe(steps=steps or PAPER_STEPS, without=without, seed=seed)
     else:
         refuse_options(f"--recipe {recipe}, whose length is --sweeps", {"steps": steps, "without": without})
-        how = chosen_recipe(recipe, sweeps, seed, held_out)
+        how = chosen_recipe(recipe, sweeps, seed, held_out, kernel_for(kernel, device))
     source, edges, asked = Path(dataset), parse_edges(edge), parse_bases(bases)
     set_threads(threads)
     if dry_run and not isinstance(how, PaperRecipe):

@@ -24,7 +24,9 @@ _POSITIVE = click.FloatRange(min=0, min_open=True)
 @click.argument("run", type=RunFolder())
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder to write [default: RUN/segment].")
 @click.option(
-    "--domain", type=click.Choice(["gaussians", "voxels"]), help="What is labelled [default: Gaussians, if there are]."
+    "--domain",
+    type=click.Choice(["gaussians", "voxels"]),
+    help="What is labelled [default: Gaussians, if there are and no planes divide them].",
 )
 @click.option(
     "--features",

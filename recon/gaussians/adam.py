@@ -36,7 +36,7 @@ class Adam:
         decays : decay per step of the mean of gradients and of the mean of their squares
         """
         first, second = (1 - decay**number for decay in decays)
-        for tensor, mean, square, length in zip(self.tensors, self.means, self.squares, lengths, strict=False):
+        for tensor, mean, square, length in zip(self.tensors, self.means, self.squares, lengths, strict=True):
             gradient = cast(Tensor, tensor.grad)
             mean.lerp_(gradient, 1 - decays[0])
             square.mul_(decays[1]).addcmul_(gradient, gradient, value=1 - decays[1])

@@ -6,14 +6,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.data.measurements import Measurements
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 
 VIEWS_AT_ONCE = 5  # views; images of so many are held in memory together; chosen by hand, not measured
 
 
 def coefficient_curvature(
-    gaussians: Gaussians, measurements: Measurements, dispersion: float
-) -> Float[Tensor, "gaussian basis basis"]:
+    gaussians: GaussianModel, measurements: Measurements, dispersion: float
+) -> Float[Tensor, "gaussian *side basis basis"]:
     """Compute a separable majoriser of the data term's curvature in the coefficients, with the geometry held.
 
     Parameters

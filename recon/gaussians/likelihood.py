@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from recon.data.measurements import Measurements
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.processes import ALONE, Processes
 from recon.ops.deviance import chi_square, deviance, expected_chi_square, expected_deviance
 from recon.voxel.model import Voxels
@@ -38,7 +38,7 @@ class Likelihood:
 
 
 def likelihood(
-    model: Gaussians | Voxels, data: Measurements, dispersion: float, processes: Processes = ALONE
+    model: GaussianModel | Voxels, data: Measurements, dispersion: float, processes: Processes = ALONE
 ) -> Likelihood:
     """Compute the likelihood of a model with all views.
 
@@ -61,7 +61,7 @@ def likelihood(
     return _summed(sums, processes)
 
 
-def deviances(model: Gaussians | Voxels, data: Measurements, dispersion: float) -> Float[np.ndarray, " view"]:
+def deviances(model: GaussianModel | Voxels, data: Measurements, dispersion: float) -> Float[np.ndarray, " view"]:
     """Compute the deviance of each view, twice its part of F_data.
 
     Parameters
@@ -80,7 +80,7 @@ def deviances(model: Gaussians | Voxels, data: Measurements, dispersion: float) 
 
 
 def likelihood_and_gradients(
-    gaussians: Gaussians,
+    gaussians: GaussianModel,
     data: Measurements,
     views: Int[np.ndarray, " view"],
     dispersion: float,

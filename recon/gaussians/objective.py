@@ -68,7 +68,7 @@ from recon.data.measurements import Measurements
 from recon.data.view_subsets import every, kinds_of
 from recon.gaussians.fisher import coefficient_curvature
 from recon.gaussians.likelihood import Likelihood, likelihood_and_gradients
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.processes import ALONE, Processes
 from recon.gaussians.settings import OptimizerSettings
 from recon.gaussians.voxel_prior import VoxelPrior
@@ -83,7 +83,7 @@ class Curvature(NamedTuple):
     prior_metric : W, (M, M) [mm^2]; empty without a prior
     """
 
-    inverse: Float[Tensor, "gaussian basis basis"]
+    inverse: Float[Tensor, "gaussian *side basis basis"]
     prior_metric: Float[Tensor, "..."]
 
 
@@ -110,7 +110,7 @@ class Objective:
         return float(np.prod(self.data.counts.shape)) / 2
 
     def set_gradients(
-        self, gaussians: Gaussians, views: Int[np.ndarray, " view"], prior_metric: Float[Tensor, "..."], step: int
+        self, gaussians: GaussianModel, views: Int[np.ndarray, " view"], prior_metric: Float[Tensor, "..."], step: int
     ) -> Likelihood:
         """Leave the gradients of F over `scale`, estimated from some views and one slab, in the arrays of a model.
 
@@ -130,7 +130,7 @@ class Objective:
             self.prior.add_gradients(gaussians, prior_metric / self.scale, step)
         return found
 
-    def curvature(self, gaussians: Gaussians, settings: OptimizerSettings) -> Curvature:
+    def curvature(self, gaussians: GaussianModel, settings: OptimizerSettings) -> Curvature:
         """Compute the curvature of F in the coefficients, from some of the views, and the metric of the prior.
 
         Parameters

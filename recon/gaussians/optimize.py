@@ -20,7 +20,7 @@ from torch import Tensor
 from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import kinds_of, parts_of, rounds_of
 from recon.gaussians.likelihood import Likelihood, likelihood
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.objective import Objective
 from recon.gaussians.processes import LOCAL, Processes, Resources
 from recon.gaussians.recipe import Recipe
@@ -56,21 +56,19 @@ class Progress:
     steps: int
     seconds: float
     deviance: float
-    gaussians: Gaussians
+    gaussians: GaussianModel
     chi_square: Float[np.ndarray, " channel"]
     state: FitState | None
     snapshot: bool
     held_out: Float[np.ndarray, " channel"] | None = None
 
 
-import os
-SIGNED = bool(os.environ.get('SIGNED'))
 OnStep = Callable[[Progress], bool | None]
 
 
 @without_other_pools()
 def fit(
-    start: Gaussians | FitState,
+    start: GaussianModel | FitState,
     measurements: Measurements,
     voxel: float,
     recipe: Recipe,
@@ -78,7 +76,7 @@ def fit(
     held_out: Measurements | None = None,
     prior: VoxelPrior | None = None,
     resources: Resources = LOCAL,
-) -> Gaussians:
+) -> GaussianModel:
     """Fit Gaussians until the recipe's sweeps are used up.
 
     Parameters
@@ -128,7 +126,9 @@ def fit(
 
 def _move_geometry(state: FitState, recipe: Recipe, voxel: float, per_sweep: int, steps: int) -> None:
     """Make a step of Adam in centres, scales and rotations, whose length grows at first and then falls."""
-    lengths = np.array([recipe.centre_rate * voxel, recipe.shape_rate, recipe.shape_rate, recipe.centre_rate * voxel])
+    of_arrays = {name: recipe.shape_rate for name in ("log_scales", "quaternions")}
+    names = state.gaussians.GEOMETRY
+    lengths = np.array([of_arrays.get(name, recipe.centre_rate * voxel) for name in names])
     ramp = min(1.0, (state.done + 1) / max(recipe.warm_up * per_sweep, 1.0))
     decays = recipe.optimizer.gradient_decay, recipe.optimizer.square_decay
     state.adam.step(lengths * ramp * recipe.final_rate ** (state.done / steps), state.done + 1, decays)
@@ -140,7 +140,15 @@ def _move_coefficients(state: FitState, recipe: Recipe, scale: float, steps: int
     newton_step = torch.einsum("...mn,...n->...m", state.inverse_curvature, coefficients.grad) * scale
     fall = (1 / settings.coefficient_final) ** (1 - state.done / steps / settings.coefficient_full)
     rate = state.step_factor * recipe.coefficient_rate * min(1.0, fall)
-    _project_step(coefficients, state.velocity, newton_step, state.inverse_curvature, rate, recipe.momentum)
+    _project_step(
+        coefficients,
+        state.velocity,
+        newton_step,
+        state.inverse_curvature,
+        rate,
+        recipe.momentum,
+        state.gaussians.SIGNED,
+    )
 
 
 def _shorten_after_rise(state: FitState, deviance: float, swept: bool, settings: OptimizerSettings) -> None:
@@ -183,12 +191,19 @@ def _subsets(kinds: Int[np.ndarray, " view"], per_sweep: int, steps: int) -> Ite
 
 @torch.no_grad()
 def _project_step(
-    coefficients: Tensor, velocity: Tensor, newton_step: Tensor, inverse: Tensor, rate: float, momentum: float
+    coefficients: Tensor,
+    velocity: Tensor,
+    newton_step: Tensor,
+    inverse: Tensor,
+    rate: float,
+    momentum: float,
+    signed: bool,
 ) -> None:
-    """Make a heavy-ball step, in place, that ends at non-negative coefficients."""
+    """Make a heavy-ball step, in place, that ends at non-negative coefficients where they have no sign."""
     moved = coefficients + momentum * velocity - (1 - momentum) * rate * newton_step
-    outside = (moved < 0).any(dim=-1) & (not SIGNED)
-    moved[outside] = _nearest_non_negative(moved[outside], inverse[outside])
+    if not signed:
+        outside = (moved < 0).any(dim=-1)
+        moved[outside] = _nearest_non_negative(moved[outside], inverse[outside])
     velocity.copy_(moved - coefficients)
     coefficients.copy_(moved)
 

@@ -11,12 +11,14 @@ from recon.gaussians.settings import (
     OptimizerSettings,
     PlacementSettings,
     PriorSettings,
+    SurfaceSettings,
     UnseenRaysSettings,
     VolumeFitSettings,
     check_positive,
 )
 from spectra.errors import InputError
 
+KERNELS = ("interface", "gaussian")
 _ANY_SIGN = ("seed", "warm_up", "momentum", "dispersion", "prior", "held_out")
 
 
@@ -44,6 +46,7 @@ class Recipe:
     Parameters
     ----------
     name : value of ``--recipe`` that selects it
+    kernel : ``gaussian``; or ``interface``, Gaussians that planes divide, which need a tenth of the numbers
     stages : binnings and how long each lasts; pixels of half a voxel were measured against whole ones, and one sweep
         (`fast`) and four (`best`) against three
     views_per_step : views whose gradients make one step; measured against 2
@@ -81,6 +84,7 @@ class Recipe:
     seed : of the placement, of the order of views, and of which are held out
     held_out : training views that are not fitted; the fit ends when chi-square on them no longer falls; 0 for none
     placement : how the first Gaussians are placed
+    surfaces : how Gaussians that planes divide are placed
     volume_fit : how they are fitted to the voxel volumes
     voxel_prior : how the voxel prior is evaluated
     optimizer : how steps are made and when they end
@@ -88,6 +92,7 @@ class Recipe:
     """
 
     name: str = "own"
+    kernel: str = "interface"
     stages: tuple[Stage, ...] = (Stage(0.5, 1.0),)
     views_per_step: int = 1
     most_turns: float = 1.0
@@ -112,6 +117,7 @@ class Recipe:
     seed: int = 0
     held_out: int = 0
     placement: PlacementSettings = field(default_factory=PlacementSettings)
+    surfaces: SurfaceSettings = field(default_factory=SurfaceSettings)
     volume_fit: VolumeFitSettings = field(default_factory=VolumeFitSettings)
     voxel_prior: PriorSettings = field(default_factory=PriorSettings)
     optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
@@ -123,6 +129,8 @@ class Recipe:
             raise InputError(f"recipe held_out must be a number of views, 0 or more, got {self.held_out}")
         if not self.stages:
             raise InputError("a recipe needs at least one stage")
+        if self.kernel not in KERNELS:
+            raise InputError(f"recipe kernel must be {' or '.join(KERNELS)}, got {self.kernel}")
 
     def steps(self, views: int) -> list[int]:
         """Count the steps of each stage.
@@ -136,6 +144,7 @@ class Recipe:
         numbers of steps, at least 1 each
         """
         more = min(max(self.few_views / views, 1.0), self.most_turns)
+        more *= self.surfaces.sweeps if self.kernel == "interface" else 1.0
         return [max(round(stage.sweeps * self.per_sweep(views) * more), 1) for stage in self.stages]
 
     def per_sweep(self, views: int) -> int:

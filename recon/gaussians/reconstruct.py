@@ -20,7 +20,7 @@ from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import every, kinds_of, rounds_of
 from recon.gaussians.fitted_grid import read_with_coverage
 from recon.gaussians.initial.first_guess import Scan, filled_part, first_guess, start_method
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.optimize import OnStep, fit
 from recon.gaussians.processes import LOCAL, Processes, Resources
 from recon.gaussians.recipe import Recipe
@@ -53,7 +53,7 @@ class Reconstruction:
     unreliable : voxels whose bases the counts do not determine; None where there are none or they were not computed
     """
 
-    gaussians: Gaussians
+    gaussians: GaussianModel
     start: str
     initial_volumes: Float[np.ndarray, "basis z y x"]
     node_error: float

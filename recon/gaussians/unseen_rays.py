@@ -14,7 +14,7 @@ from jaxtyping import Float
 from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import kinds_of, spread
 from recon.gaussians.likelihood import deviances
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.settings import UnseenRaysSettings
 from recon.voxel.model import Voxels
 
@@ -85,7 +85,9 @@ class UnseenRays:
         some = some.binned(matching_bin(some.geometry, voxel))
         return cls(some.weighted(dispersion), dispersion, settings.certain)
 
-    def better_of(self, initial: Gaussians, fitted: Gaussians, start: Voxels) -> tuple[Gaussians, tuple[str, ...]]:
+    def better_of(
+        self, initial: GaussianModel, fitted: GaussianModel, start: Voxels
+    ) -> tuple[GaussianModel, tuple[str, ...]]:
         """Choose the fitted model, or the one before the fit where that is more likely.
 
         Parameters

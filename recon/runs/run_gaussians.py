@@ -29,6 +29,7 @@ from recon.runs.outcomes.volume_outcome import VolumeOutcome
 from recon.runs.unfinished_run import Interruption, PartialRun
 from recon.runs.write_run import Stopped
 from recon.voxel.initial_volumes import check_directions
+from spectra.errors import InputError
 
 
 class Fitted(NamedTuple):
@@ -168,7 +169,33 @@ class GaussianRun:
         return plan_memory(fitted.dataset, recipe, fitted.count, self.memory, grid=grid)
 
 
-def chosen_recipe(name: str, sweeps: float | None, seed: int, held_out: int) -> Recipe:
+def kernel_for(asked: str, device: str) -> str:
+    """Choose the kernel of a fit.
+
+    Parameters
+    ----------
+    asked : ``auto``, ``interface`` or ``gaussian``
+    device : ``cpu`` or ``cuda``
+
+    Returns
+    -------
+    ``interface`` or ``gaussian``
+
+    Raises
+    ------
+    InputError
+        When the device does not have it.
+    """
+    if asked == "interface" and device != "cpu":
+        raise InputError(
+            f"--kernel interface runs on the processor alone: take --kernel gaussian with --device {device}"
+        )
+    if asked == "auto":
+        return "interface" if device == "cpu" else "gaussian"
+    return asked
+
+
+def chosen_recipe(name: str, sweeps: float | None, seed: int, held_out: int, kernel: str = "interface") -> Recipe:
     """Return a recipe of this project with what a user chose.
 
     Parameters
@@ -178,15 +205,22 @@ def chosen_recipe(name: str, sweeps: float | None, seed: int, held_out: int) -> 
         recipe
     seed : of all that is random
     held_out : number of training views that only tell when to stop
+    kernel : ``interface`` or ``gaussian``
 
     Returns
     -------
     the recipe
     """
-    recipe = replace(RECIPES[name], seed=seed, held_out=held_out)
+    recipe = replace(RECIPES[name], seed=seed, held_out=held_out, kernel=kernel)
     if sweeps is None:
         return recipe
-    return replace(recipe, most_turns=1.0, stages=tuple(replace(stage, sweeps=sweeps) for stage in recipe.stages))
+    surfaces = replace(recipe.surfaces, sweeps=1.0)
+    return replace(
+        recipe,
+        most_turns=1.0,
+        surfaces=surfaces,
+        stages=tuple(replace(stage, sweeps=sweeps) for stage in recipe.stages),
+    )
 
 
 def outcome_of_fit(
@@ -210,7 +244,12 @@ def outcome_of_fit(
     -------
     the outcome, without a log and without figures of its own
     """
-    about = {"dataset": dataset.path.name, "seed": recipe.seed, "gaussians": len(result.gaussians)}
+    about = {
+        "dataset": dataset.path.name,
+        "seed": recipe.seed,
+        "gaussians": len(result.gaussians),
+        "numbers": result.gaussians.numbers,
+    }
     about |= {"start": result.start, "notes": list(result.notes)}
     about |= {} if choice is None else {"basis_choice": choice.record()}
     about |= {"recipe": recipe.says if isinstance(recipe, PaperRecipe) else recipe.name}

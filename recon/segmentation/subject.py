@@ -27,8 +27,9 @@ class Subject:
     grid : grid of the volumes
     basis : basis functions of the volumes
     energy, weights : detected spectrum in the open beam, energies [keV] and photons
-    gaussians : model; None for methods on voxels
+    gaussians : model, without the planes that divide its Gaussians; None for methods on voxels
     dataset : file name of the scan; empty where the run does not state it
+    divided : whether planes divide the Gaussians of the model, so that `gaussians` approximates it
     """
 
     volumes: Float[np.ndarray, "basis z y x"]
@@ -38,6 +39,7 @@ class Subject:
     weights: Float[np.ndarray, " node"]
     gaussians: Gaussians | None = None
     dataset: str = ""
+    divided: bool = False
 
 
 def open_subject(folder: Path) -> Subject:
@@ -61,7 +63,7 @@ def open_subject(folder: Path) -> Subject:
         run = open_run(folder)
         names = run.gaussians.basis_names
         volumes, grid, basis, transmission = run.gaussians.volume(run.grid), run.grid, run.basis, run.transmission
-        gaussians = run.gaussians
+        gaussians, divided = run.gaussians.plain(), run.gaussians.SIGNED
     elif (folder / VOLUMES).is_file():
         if not (folder / SCAN).is_file():
             raise DatasetError(f"{folder} has no {SCAN}, which older versions did not write: run recon fit again")
@@ -69,6 +71,7 @@ def open_subject(folder: Path) -> Subject:
         names, volumes = stored.basis_names, stored.values
         scan = open_scan(folder, len(names))
         grid, basis, transmission, gaussians = scan.grid, scan.basis, scan.transmission, None
+        divided = False
     else:
         raise DatasetError(f"{folder} is not a run folder: it has neither {MODEL} nor {VOLUMES}; make one by recon fit")
     if basis.names[: len(names)] != names or volumes.shape[1:] != grid.shape:
@@ -76,7 +79,7 @@ def open_subject(folder: Path) -> Subject:
             f"{folder} does not fit together: {SCAN} describes another basis or grid than the result has"
         )
     basis = Basis(basis.functions[: len(names)], basis.reference_energy)
-    return Subject(volumes, grid, basis, *detected_spectrum(basis, transmission), gaussians, dataset)
+    return Subject(volumes, grid, basis, *detected_spectrum(basis, transmission), gaussians, dataset, divided)
 
 
 def detected_spectrum(

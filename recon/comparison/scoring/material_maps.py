@@ -6,7 +6,7 @@ import numpy as np
 
 from phantomgen.dataset.reader import Dataset
 from recon.data.measurements import read_measurements
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.segmentation.result import Options
 from recon.segmentation.scoring.reference import read_reference
 from recon.segmentation.scoring.scores import score
@@ -17,7 +17,7 @@ from spectra.basis.basis import Basis
 from spectra.errors import Error
 
 
-def score_maps(bases: Gaussians | Voxels, dataset: Dataset) -> dict[str, Any]:
+def score_maps(bases: GaussianModel | Voxels, dataset: Dataset) -> dict[str, Any]:
     """Score the material maps, and their renderings in colour.
 
     Parameters
@@ -36,7 +36,7 @@ def score_maps(bases: Gaussians | Voxels, dataset: Dataset) -> dict[str, Any]:
         return {}
     basis = Basis(functions, known.reference_energy)
     transmission = read_measurements(dataset.with_basis(basis), np.array([0])).transmission
-    model = bases if isinstance(bases, Gaussians) else None
+    model = bases if isinstance(bases, GaussianModel) else None
     subject = Subject(bases.volume(dataset.grid), dataset.grid, basis, *detected_spectrum(basis, transmission), model)
     try:
         found = segment_subject(subject, Options())

@@ -1,5 +1,6 @@
 """The start of a fit: voxel volumes from the counts, and Gaussians fitted to them."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,9 @@ from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import Measurements, matching_bin
 from recon.gaussians.initial.fit_to_volume import evaluations_for, fit_to_volume, metric_of
 from recon.gaussians.initial.initialize import initialize
-from recon.gaussians.model import Gaussians
+from recon.gaussians.interface.fit_to_volume import fit_divided_to_volume, solve_coefficients
+from recon.gaussians.interface.placement import place_on_surfaces
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.processes import Resources
 from recon.gaussians.recipe import Recipe
 from recon.voxel.initial_volumes import initial_volumes, starting_method
@@ -76,7 +79,7 @@ def start_method(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
 
 def first_guess(
     scan: Scan, recipe: Recipe, stage: Stopwatch, on_iteration: OnIteration, resources: Resources
-) -> tuple[Float[np.ndarray, "basis z y x"], Gaussians]:
+) -> tuple[Float[np.ndarray, "basis z y x"], GaussianModel]:
     """Reconstruct the first volumes, and fit Gaussians to them.
 
     Parameters
@@ -92,30 +95,66 @@ def first_guess(
     volumes on the grid that is fitted, (M, Z, Y, X) [1/mm]; Gaussians on the processor
     """
     measured, grid = scan.measured, scan.coverage.grid
-    voxel, method = min(grid.spacing), start_method(measured, grid, recipe)
+    method = start_method(measured, grid, recipe)
     if isinstance(method, CountsMethod):
         with stage(method.name):
             volumes = method.reconstruct_counts(measured, grid, on_iteration)
     else:
-        coarse = measured.completed().binned(matching_bin(measured.geometry, voxel))
+        coarse = measured.completed().binned(matching_bin(measured.geometry, min(grid.spacing)))
         with stage("decompose"):
             line_integrals = decompose_views(coarse, recipe.dispersion, resources.store)[0]
             for image in line_integrals if coarse.unseen.any() else ():
                 image[:] = inpainted(image, coarse.unseen)
         with stage(method.name):
             volumes = initial_volumes(line_integrals, coarse.unseen, coarse.geometry, grid, method)
+    filled, names = filled_part(volumes, grid, scan.air), measured.basis_names
+    place = _divided if recipe.kernel == "interface" else _plain
+    return volumes, place(filled, names, scan, recipe, stage, on_iteration, resources)
+
+
+def _plain(
+    filled: FilledPart,
+    names: tuple[str, ...],
+    scan: Scan,
+    recipe: Recipe,
+    stage: Stopwatch,
+    on_iteration: OnIteration,
+    resources: Resources,
+) -> GaussianModel:
+    """Place Gaussians, and fit them to the volumes where the recipe has a voxel prior."""
     with stage("initialize"):
-        filled, names = filled_part(volumes, grid, scan.air), measured.basis_names
-        spacing = recipe.distance(len(measured)) * voxel
+        spacing = recipe.distance(len(scan.measured)) * min(filled.grid.spacing)
         gaussians = initialize(*filled, scan.fisher, spacing, names, recipe.seed, recipe.placement)
     if not recipe.prior:
-        return volumes, gaussians
+        return gaussians
     metric, settings = metric_of(filled.volumes, scan.fisher, recipe.volume_fit), recipe.volume_fit
     with stage("approximate"):
         evaluations = evaluations_for(len(gaussians), recipe.approximation, settings)
         gaussians = gaussians.to(device_named(resources.device))
         gaussians = fit_to_volume(gaussians, *filled, metric, evaluations, on_iteration, settings)
-    return volumes, gaussians.to("cpu")
+    return gaussians.to("cpu")
+
+
+def _divided(
+    filled: FilledPart,
+    names: tuple[str, ...],
+    scan: Scan,
+    recipe: Recipe,
+    stage: Stopwatch,
+    on_iteration: OnIteration,
+    resources: Resources,
+) -> GaussianModel:
+    """Place Gaussians on the surfaces of the volumes, fit them to the volumes, and sharpen their planes."""
+    del resources  # there are no kernels for other devices
+    settings, metric = recipe.surfaces, metric_of(filled.volumes, scan.fisher, recipe.volume_fit)
+    with stage("initialize"):
+        gaussians = place_on_surfaces(*filled, metric, names, recipe.seed, settings)
+        gaussians = solve_coefficients(gaussians, *filled, metric, settings.solves)
+    with stage("approximate"):
+        gaussians = fit_divided_to_volume(
+            gaussians, *filled, metric, settings.evaluations, on_iteration, recipe.volume_fit
+        )
+    return replace(gaussians, width=settings.width * min(filled.grid.spacing))
 
 
 def filled_part(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, air: int) -> FilledPart:

@@ -1,124 +1,166 @@
 """Where divided Gaussians begin: on surfaces, as far apart as a plane describes the surface, and plain ones inside."""
 
-from dataclasses import dataclass
 from typing import no_type_check
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from numba import njit
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import KDTree
 
 from phantomgen.geometry.voxel_grid import Grid
-from recon.gaussians.interface.model import DividedGaussians
-from recon.gaussians.interface.surfaces import planes_of, ridge_points
+from recon.gaussians.divided import DividedGaussians
+from recon.gaussians.initial.initialize import neighbour_distance, places_of, random_of_places
+from recon.gaussians.interface.surfaces import surfaces_of
+from recon.gaussians.settings import SurfaceSettings
+
+BEYOND = 8.0  # standard deviations; where the plane of a plain Gaussian is put, further than any line meets it
 
 
-@dataclass(frozen=True)
-class SurfacePlacement:
-    """How divided Gaussians are placed; lengths in voxels.
+def place_on_surfaces(
+    volumes: Float[np.ndarray, "basis z y x"],
+    grid: Grid,
+    metric: Float[np.ndarray, "basis basis"],
+    basis_names: tuple[str, ...],
+    seed: int,
+    settings: SurfaceSettings,
+) -> DividedGaussians:
+    """Place divided Gaussians on the surfaces of volumes, and plain ones elsewhere.
 
     Parameters
     ----------
-    spacing : distance between Gaussians on a surface over the radius in which a plane describes it [no unit]
-    finest, coarsest : smallest and largest distance [voxels]
-    growth : increase of the distance per distance from a surface [no unit]
-    overlap : standard deviation over the distance to the neighbours [no unit]
-    threshold : smallest gradient of a surface, over the peak [1/voxel]
-    tolerance : root mean square distance of a surface from its plane [voxels]
-    width : first width of the transition [voxels]
+    volumes : estimate of each basis, (M, Z, Y, X) [1/mm]
+    grid : voxels of `volumes`
+    metric : weights of the bases, diagonal, from `recon.gaussians.initial.fit_to_volume.metric_of` [mm^2]
+    basis_names : names of the bases
+    seed : of the placement
+    settings : distances, overlap and contrast
+
+    Returns
+    -------
+    first Gaussians, with the values of the volumes on either side of their planes, over the sum of all Gaussians there
     """
-
-    spacing: float = 0.9
-    finest: float = 1.5
-    coarsest: float = 9.0
-    growth: float = 0.5
-    overlap: float = 0.65
-    threshold: float = 0.02
-    tolerance: float = 0.15
-    foreign: float = 0.03
-    radii: tuple[float, ...] = (9.0, 7.0, 5.0, 3.5, 2.5)
-    occupied: float = 0.02
-    width: float = 0.3
-    seed: int = 0
-
-
-def place(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, metric: np.ndarray, names, settings: SurfacePlacement):
-    """Place divided Gaussians; `metric` diagonal, in which differences of bases are measured."""
-    voxel, bases = min(grid.spacing), len(volumes)
-    weights = np.sqrt(np.diag(metric))
-    weights = weights / max(w * np.quantile(v[v > 0], 0.999) for w, v in zip(weights, volumes, strict=True) if (v > 0).any())
-    points, normals = ridge_points(volumes, weights, settings.threshold)
-    surface = planes_of(points, normals, settings.radii, settings.tolerance, settings.foreign, 8)
-    apart = np.clip(settings.spacing * surface.radii, settings.finest, settings.coarsest)
-    level = np.sqrt(sum((w * gaussian_filter(v.astype(float), 0.7)) ** 2 for w, v in zip(weights, volumes, strict=True)))
-    random = np.random.default_rng(settings.seed)
-    inside = np.argwhere(level > settings.occupied)[:, ::-1].astype(float)
-    inside += random.uniform(-0.5, 0.5, inside.shape)
-    distance, nearest = KDTree(points).query(inside)
-    apart_inside = np.minimum(settings.coarsest, apart[nearest] + settings.growth * distance)
-    places, distances = np.concatenate([points, inside]), np.concatenate([apart, apart_inside])
-    order = np.lexsort([random.random(len(places)), np.round(distances, 1), np.arange(len(places)) >= len(points)])
-    taken = _thin(places, distances, order)
-    on, off = np.flatnonzero(taken[: len(points)]), np.flatnonzero(taken[len(points) :])
-    centres = np.concatenate([points[on], inside[off]])
-    neighbours = KDTree(centres).query(centres, k=min(7, len(centres)))[0][:, 1:]
-    sigma = settings.overlap * np.sqrt((neighbours**2).mean(axis=1))
-    directions = np.concatenate([surface.normals[on], np.tile([0.0, 0, 1], (len(off), 1))])
-    shifts = np.concatenate([surface.shifts[on], -8 * sigma[len(on) :]])
-    smooth = [gaussian_filter(v.astype(float), 0.5) for v in volumes]
-    reach = np.where(np.arange(len(centres)) < len(on), np.minimum(1.8, 1.2 * sigma + 0.6), 0.0)[:, None]
-    sides = [
-        np.stack([map_coordinates(v, (centres + s * reach * directions)[:, ::-1].T, order=1, mode="nearest") for v in smooth], 1)
-        for s in (-1, 1)
-    ]
-    values = np.maximum(np.stack(sides, 1), 0)
-    t = lambda a: torch.from_numpy(np.ascontiguousarray(a)).float()  # noqa: E731
+    voxel, weights = min(grid.spacing), _weights(volumes, metric)
+    surfaces = surfaces_of(volumes, weights, settings)
+    apart = np.clip(settings.spacing * surfaces.radii, settings.finest, settings.coarsest)
+    inside = _places_inside(volumes, weights, grid, seed, settings)
+    apart_inside = np.full(len(inside), settings.coarsest)
+    if len(apart):
+        distance, nearest = KDTree(surfaces.points).query(inside)
+        apart_inside = np.minimum(apart_inside, apart[nearest] + settings.growth * distance)
+    places, distances = np.concatenate([surfaces.points, inside]), np.concatenate([apart, apart_inside])
+    on_surface = np.arange(len(places)) < len(apart)
+    random = random_of_places(np.floor(places[:, ::-1] + 0.5).astype(np.int64) + places_of(grid), seed)[:, 3]
+    kept = _spread(places, distances, on_surface, random)
+    centres, on_surface = places[kept], on_surface[kept]
+    sigma = settings.overlap * neighbour_distance(centres, settings.neighbours, default=settings.finest)
+    count = int(on_surface.sum())  # those on surfaces come first
+    normals = np.tile([0.0, 0.0, 1.0], (len(centres), 1))
+    normals[:count] = surfaces.normals[kept[:count]]
+    offsets = np.where(on_surface, 0.0, -BEYOND * sigma)
+    offsets[:count] = surfaces.shifts[kept[:count]]
+    values = _values_beside(volumes, centres, normals, np.where(on_surface, _reach(sigma), 0.0))
     origin, spacing = np.array(grid.origin)[::-1], np.array(grid.spacing)[::-1]
-    model = DividedGaussians(
-        t(origin + centres * spacing), t(np.log(sigma * voxel)[:, None].repeat(3, 1)), t(_turns(directions)),
-        t(shifts * voxel), t(np.ones((len(centres), 2, 1))), tuple(names), settings.width * voxel,
-    )
-    density = model.voxels(grid, 3.7)[0].numpy()
+    parts = (
+        origin + centres * spacing, np.log(np.repeat(sigma[:, None] * voxel, 3, axis=1)), _turns_to(normals),
+        offsets * voxel, np.ones((len(centres), 2, 1)),
+    )  # fmt: skip
+    tensors = (torch.from_numpy(np.ascontiguousarray(part)).float() for part in parts)
+    model = DividedGaussians(*tensors, basis_names, settings.first_width * voxel)
+    density = model.voxels(grid)[0].numpy()
     sums = map_coordinates(density, centres[:, ::-1].T, order=1, mode="nearest")
-    return model.with_values(t(values / np.maximum(sums, 0.5)[:, None, None]))
+    return model.with_values(torch.from_numpy(values / np.maximum(sums, settings.least_sum)[:, None, None]).float())
 
 
-def _turns(normals):
-    """Quaternions (w, x, y, z) of rotations from +z to each normal."""
-    w = 1 + normals[:, 2]
-    q = np.stack([w, -normals[:, 1], normals[:, 0], np.zeros(len(w))], 1)
-    q[w < 1e-6] = [0, 1, 0, 0]
-    return q / np.linalg.norm(q, axis=1, keepdims=True)
+def _weights(
+    volumes: Float[np.ndarray, "basis z y x"], metric: Float[np.ndarray, "basis basis"]
+) -> Float[np.ndarray, " basis"]:
+    """Compute factors that give all bases one unit, in which the largest values of the clearest basis are 1."""
+    weights = np.sqrt(np.diag(metric))
+    peaks = [w * np.quantile(v[v > 0], 0.999) for w, v in zip(weights, volumes, strict=True) if (v > 0).any()]
+    return weights / max(peaks, default=1.0)
 
 
-def _thin(places, distances, order):
-    low = places.min(axis=0) - 1
-    cell = max(float(np.quantile(distances, 0.1)), 0.5)
-    cells = ((places.max(axis=0) - low) / cell).astype(np.int64) + 2
-    return _throw_darts(places, distances, order, cell, low, cells)
+def _places_inside(
+    volumes: Float[np.ndarray, "basis z y x"],
+    weights: Float[np.ndarray, " basis"],
+    grid: Grid,
+    seed: int,
+    settings: SurfaceSettings,
+) -> Float[np.ndarray, "place 3"]:
+    """Choose a place (x, y, z) [voxels] in every voxel that is not empty; the places belong to the voxels."""
+    square = sum((w * gaussian_filter(v, settings.smoothing)) ** 2 for v, w in zip(volumes, weights, strict=True))
+    voxels = np.argwhere(square > settings.empty**2)
+    return (voxels + random_of_places(voxels + places_of(grid), seed)[:, :3] - 0.5)[:, ::-1]
+
+
+def _reach(sigma: Float[np.ndarray, " gaussian"]) -> Float[np.ndarray, " gaussian"]:
+    """Choose how far from a surface the values on its sides are taken [voxels]: past the blur, not past the Gaussian."""
+    return np.minimum(1.8, 1.2 * sigma + 0.6)
+
+
+def _values_beside(
+    volumes: Float[np.ndarray, "basis z y x"],
+    centres: Float[np.ndarray, "gaussian 3"],
+    normals: Float[np.ndarray, "gaussian 3"],
+    reach: Float[np.ndarray, " gaussian"],
+) -> Float[np.ndarray, "gaussian 2 basis"]:
+    """Take the values of the volumes on either side of each centre [1/mm]."""
+    smooth = [gaussian_filter(v, 0.5) for v in volumes]
+    sides = []
+    for side in (-1, 1):
+        at = (centres + side * reach[:, None] * normals)[:, ::-1].T
+        sides.append(np.stack([map_coordinates(v, at, order=1, mode="nearest") for v in smooth], axis=1))
+    return np.maximum(np.stack(sides, axis=1), 0)
+
+
+def _turns_to(normals: Float[np.ndarray, "gaussian 3"]) -> Float[np.ndarray, "gaussian 4"]:
+    """Compute the quaternions (w, x, y, z) of the shortest rotation from +z to each normal; about x to -z."""
+    x, y, z = normals.T
+    quaternions = np.stack([1 + z, -y, x, np.zeros(len(z))], axis=1)
+    quaternions[z < -1 + 1e-9] = (0, 1, 0, 0)
+    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+
+
+def _spread(
+    places: Float[np.ndarray, "place 3"],
+    distances: Float[np.ndarray, " place"],
+    first: Bool[np.ndarray, " place"],
+    random: Float[np.ndarray, " place"],
+) -> Int[np.ndarray, " some"]:
+    """Choose places that keep their distance, those of `first` before others, and the finest before wider ones."""
+    low, edge = places.min(axis=0), float(np.clip(np.quantile(distances, 0.1), 0.5, None))
+    cells = ((places.max(axis=0) - low) / edge).astype(np.int64) + 1
+    order = np.lexsort([random, np.round(distances, 1), ~first])  # equal tenths of a voxel in random order
+    taken = order[_throw_darts(places, distances, order, edge, low, cells)]
+    return np.concatenate([np.sort(taken[first[taken]]), np.sort(taken[~first[taken]])])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _throw_darts(places, distances, order, cell, low, cells):
-    first = np.full(cells[0] * cells[1] * cells[2], -1)
-    following = np.full(len(places), -1)
-    taken = np.zeros(len(places), np.bool_)
-    for o in order:
-        at = ((places[o] - low) / cell).astype(np.int64)
-        k = int(distances[o] / cell) + 1
+def _throw_darts(places, distances, order, edge, low, cells):
+    """Accept places in order, unless one is already closer than the place's own distance; True per entry of `order`."""
+    newest = np.full(cells[0] * cells[1] * cells[2], -1)
+    older = np.full(len(places), -1)
+    taken = np.zeros(len(order), np.bool_)
+    for k in range(len(order)):
+        i = order[k]
+        a0, b0, c0 = (
+            int((places[i, 0] - low[0]) / edge),
+            int((places[i, 1] - low[1]) / edge),
+            int((places[i, 2] - low[2]) / edge),
+        )
+        reach, square = int(distances[i] / edge) + 1, distances[i] ** 2
         free = True
-        for a in range(max(at[0] - k, 0), min(at[0] + k + 1, cells[0])):
-            for b in range(max(at[1] - k, 0), min(at[1] + k + 1, cells[1])):
-                for c in range(max(at[2] - k, 0), min(at[2] + k + 1, cells[2])):
-                    j = first[(a * cells[1] + b) * cells[2] + c]
+        for a in range(max(a0 - reach, 0), min(a0 + reach + 1, cells[0])):
+            for b in range(max(b0 - reach, 0), min(b0 + reach + 1, cells[1])):
+                for c in range(max(c0 - reach, 0), min(c0 + reach + 1, cells[2])):
+                    j = newest[(a * cells[1] + b) * cells[2] + c]
                     while j >= 0 and free:
-                        d = places[o] - places[j]
-                        if (d * d).sum() < distances[o] ** 2:
-                            free = False
-                        j = following[j]
+                        x, y, z = places[i, 0] - places[j, 0], places[i, 1] - places[j, 1], places[i, 2] - places[j, 2]
+                        free = x * x + y * y + z * z >= square
+                        j = older[j]
                     if not free:
                         break
                 if not free:
@@ -126,8 +168,7 @@ def _throw_darts(places, distances, order, cell, low, cells):
             if not free:
                 break
         if free:
-            taken[o] = True
-            h = (at[0] * cells[1] + at[1]) * cells[2] + at[2]
-            following[o] = first[h]
-            first[h] = o
+            taken[k] = True
+            cell = (a0 * cells[1] + b0) * cells[2] + c0
+            older[i], newest[cell] = newest[cell], i
     return taken

@@ -18,7 +18,7 @@ from recon.data.coverage import Coverage
 from recon.evaluation import verdict
 from recon.evaluation.scoring import psnr_of_bases, score_start, score_test_views, score_truth
 from recon.figures.model_figures import draw_model
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.recipe import Recipe
 from recon.runs.run_folder import MODEL, VOLUMES, write_scan
 from recon.runs.write_run import write_volumes
@@ -31,7 +31,7 @@ from spectra.transmission import Transmission
 class Log(Protocol):
     """Interface of a log that kept models between its steps, as `recon.runs.unfinished_run.PartialRun` does."""
 
-    def models(self) -> Iterator[tuple[int, Gaussians | Voxels]]:
+    def models(self) -> Iterator[tuple[int, GaussianModel | Voxels]]:
         """Yield the models that were kept.
 
         Yields
@@ -72,7 +72,7 @@ class VolumeOutcome:
     """
 
     dataset: Dataset
-    model: Gaussians | Voxels
+    model: GaussianModel | Voxels
     transmission: Transmission
     about: dict[str, Any]
     settings: dict[str, Any]
@@ -109,7 +109,7 @@ class VolumeOutcome:
         ----------
         folder : run folder
         """
-        if isinstance(self.model, Gaussians):
+        if isinstance(self.model, GaussianModel):
             self.model.save(folder / MODEL)
         (folder / "recipe.yaml").write_text(yaml.safe_dump(self.settings, sort_keys=False), encoding="utf-8")
         spectra = self.dataset.spectra
