@@ -277,6 +277,9 @@ class Gaussians(GaussianModel):
             raise DatasetError(f"{path}: not a Gaussian model written by recon ({error})") from error
 
 
+PARTS = (*Gaussians.GEOMETRY, "coefficients")  # names of the arrays of `Gaussians`, in order
+
+
 def read_model_file(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     """Read the header and the arrays of a model.
 

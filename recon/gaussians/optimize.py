@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import accumulate, islice
+from math import log
 
 import numpy as np
 import torch
@@ -126,12 +127,16 @@ def fit(
 
 def _move_geometry(state: FitState, recipe: Recipe, voxel: float, per_sweep: int, steps: int) -> None:
     """Make a step of Adam in centres, scales and rotations, whose length grows at first and then falls."""
-    of_arrays = {name: recipe.shape_rate for name in ("log_scales", "quaternions")}
+    of_arrays = dict.fromkeys(("log_scales", "quaternions"), recipe.shape_rate)
     names = state.gaussians.GEOMETRY
     lengths = np.array([of_arrays.get(name, recipe.centre_rate * voxel) for name in names])
     ramp = min(1.0, (state.done + 1) / max(recipe.warm_up * per_sweep, 1.0))
     decays = recipe.optimizer.gradient_decay, recipe.optimizer.square_decay
     state.adam.step(lengths * ramp * recipe.final_rate ** (state.done / steps), state.done + 1, decays)
+    if state.gaussians.SIGNED:  # a Gaussian of either sign may grow beyond all the others that make up for it
+        with torch.no_grad():
+            widest = state.initial.log_scales.amax(dim=1, keepdim=True) + log(recipe.volume_fit.widest)
+            state.gaussians.log_scales.copy_(torch.minimum(state.gaussians.log_scales, widest))
 
 
 def _move_coefficients(state: FitState, recipe: Recipe, scale: float, steps: int) -> None:

@@ -18,8 +18,9 @@ from recon.data.devices import device_named
 from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import every, kinds_of, rounds_of
+from recon.gaussians.divided.first_gaussians import divided_gaussians
 from recon.gaussians.fitted_grid import read_with_coverage
-from recon.gaussians.initial.first_guess import Scan, filled_part, first_guess, start_method
+from recon.gaussians.initial.first_guess import Scan, filled_part, first_guess, plain_gaussians, start_method
 from recon.gaussians.model import GaussianModel
 from recon.gaussians.optimize import OnStep, fit
 from recon.gaussians.processes import LOCAL, Processes, Resources
@@ -127,7 +128,8 @@ def reconstruct(
         state, volumes = kept.state, kept.volumes
         stage.seconds.update(kept.seconds | {"fit": state.seconds})
     elif processes.first:
-        volumes, start = first_guess(scan, recipe, stage, on_iteration, resources)
+        place = divided_gaussians if recipe.kernel == "interface" else plain_gaussians
+        volumes, start = first_guess(scan, recipe, stage, on_iteration, resources, place)
         state = FitState.begin(start)
         if checkpoints is not None:
             checkpoints.begin(volumes, stage.seconds, state)

@@ -62,13 +62,14 @@ class PlacementSettings:
 
 @dataclass(frozen=True)
 class SurfaceSettings:
-    """How Gaussians that planes divide are placed and sharpened (`recon.gaussians.interface`); lengths in voxels.
+    """How Gaussians that planes divide are placed and sharpened (`recon.gaussians.divided`); lengths in voxels.
 
     Parameters
     ----------
     spacing : distance between Gaussians on a surface over the radius in which a plane describes it [no unit]; measured
         against 0.9
-    finest, coarsest : smallest and largest of these distances [voxels]; 1.2 was measured against 1.0 and 1.5
+    finest : smallest of these distances [voxels]; measured against 1.5
+    coarsest : largest of these distances [voxels]; chosen by hand, not measured
     growth : increase of the distance per distance from a surface [no unit]; chosen by hand, not measured
     overlap : standard deviation of a Gaussian over the distance to its neighbours [no unit]; chosen by hand, not
         measured
@@ -88,8 +89,7 @@ class SurfaceSettings:
     width : width of the transition while they are fitted to the counts [voxels]; measured against 0.12, 0.15 and 0.2
     solves : iterations of conjugate gradients for the first coefficients, on voxels of twice the size; chosen by hand,
         not measured
-    evaluations : evaluations of the fit to the voxel volumes
-    sweeps : sweeps of the fit to the counts over those of the recipe [no unit]
+    evaluations : evaluations of the fit to the voxel volumes; chosen by hand, not measured
     """
 
     spacing: float = 0.6
@@ -109,7 +109,6 @@ class SurfaceSettings:
     width: float = 0.1
     solves: int = 12
     evaluations: int = 100
-    sweeps: float = 3.0
 
     def __post_init__(self) -> None:
         check_positive(self, "recipe surfaces")

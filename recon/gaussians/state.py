@@ -10,8 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.gaussians.adam import Adam
+from recon.gaussians.divided.model_file import model_of
 from recon.gaussians.model import GaussianModel
-from recon.gaussians.model_file import model_of
 
 _ARRAYS = ("velocity", "inverse_curvature", "prior_metric")
 _NUMBERS = ("done", "seconds", "unimproved", "sweep_deviance", "step_factor")

@@ -11,8 +11,8 @@ from jaxtyping import Float32
 
 from phantomgen.dataset.layout import array_at, group_at
 from phantomgen.geometry.voxel_grid import Grid
+from recon.gaussians.divided.model_file import load_model
 from recon.gaussians.model import GaussianModel
-from recon.gaussians.model_file import load_model
 from recon.runs.run_folder import MODEL, VOLUMES, open_run
 from recon.voxel.model import Voxels
 from spectra.errors import DatasetError

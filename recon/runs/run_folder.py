@@ -9,8 +9,8 @@ import numpy as np
 
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.plain_json import write_json
+from recon.gaussians.divided.model_file import load_model
 from recon.gaussians.model import GaussianModel
-from recon.gaussians.model_file import load_model
 from spectra.basis.basis import Basis
 from spectra.errors import DatasetError
 from spectra.transmission import Transmission

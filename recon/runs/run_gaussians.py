@@ -16,7 +16,7 @@ from recon.figures.run_figures import convergence
 from recon.gaussians.fitted_grid import fitted_grid
 from recon.gaussians.optimize import Progress
 from recon.gaussians.processes import ALONE, Processes, Resources
-from recon.gaussians.recipe import RECIPES, Recipe
+from recon.gaussians.recipe import PLAIN_RECIPES, RECIPES, Recipe
 from recon.gaussians.reconstruct import Reconstruction, reconstruct
 from recon.kedge.basis_names import Asked, left_out, with_named
 from recon.kedge.choose_basis import BasisChoice, choose_basis
@@ -211,14 +211,13 @@ def chosen_recipe(name: str, sweeps: float | None, seed: int, held_out: int, ker
     -------
     the recipe
     """
-    recipe = replace(RECIPES[name], seed=seed, held_out=held_out, kernel=kernel)
+    recipes = RECIPES if kernel == "interface" else PLAIN_RECIPES
+    recipe = replace(recipes[name], seed=seed, held_out=held_out)
     if sweeps is None:
         return recipe
-    surfaces = replace(recipe.surfaces, sweeps=1.0)
     return replace(
         recipe,
         most_turns=1.0,
-        surfaces=surfaces,
         stages=tuple(replace(stage, sweeps=sweeps) for stage in recipe.stages),
     )
 

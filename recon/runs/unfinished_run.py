@@ -20,8 +20,8 @@ from jaxtyping import Float
 
 from phantomgen.runtime.plain_json import to_json
 from recon.data.measurements import Measurements
+from recon.gaussians.divided.model_file import load_model
 from recon.gaussians.model import GaussianModel
-from recon.gaussians.model_file import load_model
 from recon.gaussians.optimize import Progress
 from recon.gaussians.state import FitState, InterruptedFit
 from recon.runs.checkpoint import identity, read_checkpoint, write_checkpoint, write_whole

@@ -22,8 +22,7 @@ from recon.comparison.contenders.contender import Contender
 from recon.comparison.contenders.model import Model, Runs
 from recon.comparison.contenders.recorder import Recorder
 from recon.data.measurements import Measurements
-from recon.gaussians.model import GaussianModel
-from recon.gaussians.model_file import load_model
+from recon.gaussians.divided.model_file import load_model
 from recon.gaussians.optimize import Progress
 from recon.gaussians.recipe import BEST, FAST
 from recon.gaussians.reconstruct import reconstruct

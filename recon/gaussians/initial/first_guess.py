@@ -1,6 +1,6 @@
 """The start of a fit: voxel volumes from the counts, and Gaussians fitted to them."""
 
-from dataclasses import replace
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +15,6 @@ from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import Measurements, matching_bin
 from recon.gaussians.initial.fit_to_volume import evaluations_for, fit_to_volume, metric_of
 from recon.gaussians.initial.initialize import initialize
-from recon.gaussians.interface.fit_to_volume import fit_divided_to_volume, solve_coefficients
-from recon.gaussians.interface.placement import place_on_surfaces
 from recon.gaussians.model import GaussianModel
 from recon.gaussians.processes import Resources
 from recon.gaussians.recipe import Recipe
@@ -58,6 +56,9 @@ class FilledPart(NamedTuple):
     grid: Grid
 
 
+Placement = Callable[[FilledPart, Scan, Recipe, Stopwatch, OnIteration, Resources], GaussianModel]
+
+
 def start_method(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
     """Choose the method of the first volumes: voxels from counts for a voxel prior, or decomposed rays without one.
 
@@ -78,7 +79,12 @@ def start_method(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
 
 
 def first_guess(
-    scan: Scan, recipe: Recipe, stage: Stopwatch, on_iteration: OnIteration, resources: Resources
+    scan: Scan,
+    recipe: Recipe,
+    stage: Stopwatch,
+    on_iteration: OnIteration,
+    resources: Resources,
+    place: Placement,
 ) -> tuple[Float[np.ndarray, "basis z y x"], GaussianModel]:
     """Reconstruct the first volumes, and fit Gaussians to them.
 
@@ -89,6 +95,7 @@ def first_guess(
     stage : stopwatch of the stages
     on_iteration : called after every pass over voxels, and after every evaluation of the fit to the volumes
     resources : device of the Gaussians, and where line integrals are kept
+    place : makes Gaussians of the volumes, such as `plain_gaussians`
 
     Returns
     -------
@@ -107,24 +114,36 @@ def first_guess(
                 image[:] = inpainted(image, coarse.unseen)
         with stage(method.name):
             volumes = initial_volumes(line_integrals, coarse.unseen, coarse.geometry, grid, method)
-    filled, names = filled_part(volumes, grid, scan.air), measured.basis_names
-    place = _divided if recipe.kernel == "interface" else _plain
-    return volumes, place(filled, names, scan, recipe, stage, on_iteration, resources)
+    filled = filled_part(volumes, grid, scan.air)
+    return volumes, place(filled, scan, recipe, stage, on_iteration, resources)
 
 
-def _plain(
+def plain_gaussians(
     filled: FilledPart,
-    names: tuple[str, ...],
     scan: Scan,
     recipe: Recipe,
     stage: Stopwatch,
     on_iteration: OnIteration,
     resources: Resources,
 ) -> GaussianModel:
-    """Place Gaussians, and fit them to the volumes where the recipe has a voxel prior."""
+    """Place Gaussians, and fit them to the volumes where the recipe has a voxel prior; a `Placement`.
+
+    Parameters
+    ----------
+    filled : volumes
+    scan : what is known of the scan
+    recipe : settings
+    stage : stopwatch of the stages
+    on_iteration : called after every evaluation of the fit to the volumes
+    resources : device of the Gaussians
+
+    Returns
+    -------
+    Gaussians on the processor
+    """
     with stage("initialize"):
         spacing = recipe.distance(len(scan.measured)) * min(filled.grid.spacing)
-        gaussians = initialize(*filled, scan.fisher, spacing, names, recipe.seed, recipe.placement)
+        gaussians = initialize(*filled, scan.fisher, spacing, scan.measured.basis_names, recipe.seed, recipe.placement)
     if not recipe.prior:
         return gaussians
     metric, settings = metric_of(filled.volumes, scan.fisher, recipe.volume_fit), recipe.volume_fit
@@ -133,28 +152,6 @@ def _plain(
         gaussians = gaussians.to(device_named(resources.device))
         gaussians = fit_to_volume(gaussians, *filled, metric, evaluations, on_iteration, settings)
     return gaussians.to("cpu")
-
-
-def _divided(
-    filled: FilledPart,
-    names: tuple[str, ...],
-    scan: Scan,
-    recipe: Recipe,
-    stage: Stopwatch,
-    on_iteration: OnIteration,
-    resources: Resources,
-) -> GaussianModel:
-    """Place Gaussians on the surfaces of the volumes, fit them to the volumes, and sharpen their planes."""
-    del resources  # there are no kernels for other devices
-    settings, metric = recipe.surfaces, metric_of(filled.volumes, scan.fisher, recipe.volume_fit)
-    with stage("initialize"):
-        gaussians = place_on_surfaces(*filled, metric, names, recipe.seed, settings)
-        gaussians = solve_coefficients(gaussians, *filled, metric, settings.solves)
-    with stage("approximate"):
-        gaussians = fit_divided_to_volume(
-            gaussians, *filled, metric, settings.evaluations, on_iteration, recipe.volume_fit
-        )
-    return replace(gaussians, width=settings.width * min(filled.grid.spacing))
 
 
 def filled_part(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, air: int) -> FilledPart:

@@ -3,13 +3,12 @@
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int64
 from torch import Tensor
 
 from recon.ops.rasterize.footprints import footprints as plain_footprints
 from recon.ops.rasterize.footprints import whitening
 from recon.ops.rasterize.projector import Projector
-from spectra.errors import InputError
 
 
 class Footprints(NamedTuple):
@@ -19,10 +18,12 @@ class Footprints(NamedTuple):
     ----------
     numbers : see `recon.ops.interface.table`
     rows : first row of each footprint, and one past its last; equal where there is none
+    near : per view the Gaussians that come near the source or the panel, which have no footprint there
     """
 
     numbers: Float[Tensor, "view gaussian 21"]
     rows: Float[Tensor, "view gaussian 2"]
+    near: tuple[Int64[Tensor, " near"], ...]
 
 
 def footprints(
@@ -36,11 +37,6 @@ def footprints(
 ) -> Footprints:
     """Footprints of divided Gaussians in views; arguments as in `recon.ops.interface.reference.line_integrals`.
 
-    Raises
-    ------
-    InputError
-        When a Gaussian comes near the source or the panel.
-
     Notes
     -----
     The mean over a pixel of variance V has, for a footprint of covariance C, the centre of mass C (C + V)^-1 x of the
@@ -48,18 +44,15 @@ def footprints(
     variance of its numerator is added under its root.
     """
     matrices = whitening(log_scales, quaternions)
-    numbers, rows = [], []
+    numbers, rows, ends = [], [], []
     for frame in frames:
         plain, near = plain_footprints(centres, matrices, frame, panel, projector)
-        if len(near):
-            raise InputError(
-                f"{len(near)} divided Gaussians reach the source or the panel; the object must lie between"
-            )
         seen = (plain.bounds[:, 1] > plain.bounds[:, 0]) & (plain.numbers[:, 10] != 0)
         interface = _interface(centres, matrices, planes, frame, projector.box, seen)
         numbers.append(torch.cat([plain.numbers, interface], 1))
         rows.append(plain.bounds[:, :2])
-    return Footprints(torch.stack(numbers), torch.stack(rows))
+        ends.append(near)
+    return Footprints(torch.stack(numbers), torch.stack(rows), tuple(ends))
 
 
 def _interface(

@@ -2,16 +2,19 @@
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int64
 from torch import Tensor
 
 from phantomgen.ops.simd import WIDTH as LANES
 from recon.ops.interface import cpu
 from recon.ops.interface.footprints import footprints
+from recon.ops.interface.sides import side_moments
 from recon.ops.interface.table import SUMS
 from recon.ops.pieces import run_all
+from recon.ops.rasterize.footprints import near_images, whitening
 from recon.ops.rasterize.projector import Projector
 
+LIGHTEST = 1e-6  # part of a Gaussian's mass; a side with less is not projected near the ends of rays
 CHUNK = 256  # Gaussians per piece of work
 BANDS = 4  # pieces of work that the rows of a view are shared between
 
@@ -39,9 +42,37 @@ def rasterize_divided(
     -------
     Line integrals, dimensionless, float32.
     """
-    exact = (part.double() for part in (centres, log_scales, quaternions, planes))
+    exact = tuple(part.double() for part in (centres, log_scales, quaternions, planes))
     seen = footprints(*exact, frames.double(), panel, projector)
-    return _Images.apply(seen.numbers, seen.rows, below, above - below, frames, panel, projector)  # type: ignore[return-value]
+    images: Tensor = _Images.apply(seen.numbers, seen.rows, below, above - below, frames, panel, projector)  # type: ignore[assignment]
+    if not any(len(near) for near in seen.near):
+        return images
+    return images + _near_the_ends(
+        (*exact, below.double(), above.double()), seen.near, frames.double(), panel, projector
+    )
+
+
+def _near_the_ends(
+    parts: tuple[Tensor, ...],
+    near: tuple[Int64[Tensor, " near"], ...],
+    frames: Float[Tensor, "view 4 3"],
+    panel: tuple[int, int],
+    projector: Projector,
+) -> Float[Tensor, "view basis row column"]:
+    """Sum Gaussians that come near the source or the panel, each side as a Gaussian of its moments."""
+    images = []
+    for frame, which in zip(frames, near, strict=True):
+        centres, log_scales, quaternions, planes, *sides = (part[which] for part in parts)
+        matrices, image = whitening(log_scales, quaternions), torch.zeros(sides[0].shape[1], *panel)
+        for above, values in enumerate(sides):
+            mass, mean, spread = side_moments(planes[:, 0], bool(above))
+            own = torch.cat([matrices[:, :2], matrices[:, 2:] / spread[:, None, None]], dim=1)
+            moved = centres + torch.linalg.inv(matrices)[:, :, 2] * mean[:, None]
+            some = mass > LIGHTEST
+            side = (moved[some], own[some], (values * (mass / spread)[:, None])[some])
+            image = image + near_images(side, frame, panel, projector).float()
+        images.append(image * torch.from_numpy(_ray_lengths(frame[None], panel)[0]))
+    return torch.stack(images)
 
 
 class _Images(torch.autograd.Function):

@@ -1,4 +1,4 @@
-"""Line integrals of Gaussians divided by a plane, dense and in float64: the truth that the kernels are tested against."""
+"""Line integrals of Gaussians divided by a plane, dense and in float64, which the kernels are tested against."""
 
 import math
 

@@ -65,7 +65,7 @@ def _table(
     place = (centres - origin) / spacing
     voxel = torch.floor(place.detach() + 0.5).clamp(-FARTHEST, FARTHEST)
     x = place - voxel
-    # A (C (C + V)^-1) is the change of the whitened mean position with the voxel's offset; V - V (C + V)^-1 V spreads it
+    # A C (C + V)^-1 is the change of the whitened mean position with the voxel's offset, V - V (C + V)^-1 V its spread
     slope = (matrices @ narrow @ precision)[:, 2]
     across = matrices[:, 2]
     left = (across @ one / 12 * across).sum(-1) - torch.einsum("ni,nij,nj->n", across, precision, across) / 144
@@ -123,7 +123,8 @@ class _Volume(torch.autograd.Function):
         def gather(first: int) -> None:
             last = min(first + CHUNK, n)
             cpu_voxels.backward(
-                bases, table, places, extents, low, high, padded, ctx.cutoff, columns, first, last, sums, to_low, to_high
+                bases, table, places, extents, low, high, padded, ctx.cutoff, columns, first, last, sums, to_low,
+                to_high,
             )  # fmt: skip
 
         run_all(gather, range(0, n, CHUNK))

@@ -11,8 +11,8 @@ from jaxtyping import Float
 
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.versions import program_version
+from recon.gaussians.divided.model_file import load_model
 from recon.gaussians.model import GaussianModel
-from recon.gaussians.model_file import load_model
 from recon.runs.read_run import VOLUMES, read_volumes
 from recon.runs.run_folder import MODEL
 from recon.voxel.model import Voxels

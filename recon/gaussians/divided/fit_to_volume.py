@@ -12,9 +12,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from phantomgen.geometry.voxel_grid import Grid
-from recon.gaussians.divided import CUTOFF, DividedGaussians
-from recon.gaussians.initial.descent import descend
-from recon.gaussians.interface.steps import (
+from recon.gaussians.divided.model import CUTOFF, DividedGaussians
+from recon.gaussians.divided.steps import (
     GEOMETRY,
     SCALES,
     TURNS,
@@ -22,6 +21,7 @@ from recon.gaussians.interface.steps import (
     gradient_of_steps,
     moved,
 )
+from recon.gaussians.initial.descent import descend
 from recon.gaussians.settings import VolumeFitSettings
 from recon.voxel.method import OnIteration, Report, unwatched
 

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.gaussians.divided import DividedGaussians
+from recon.gaussians.divided.model import DividedGaussians
 from recon.gaussians.initial.local_frame import rotations, turns, unit
 
 SCALES, TURNS, PLANE = slice(3, 6), slice(6, 9), 9  # where the steps of scales, rotations and planes are
@@ -90,11 +90,11 @@ def curvature_of_geometry(
 
     Notes
     -----
-    Those of the Gaussian are as in `recon.gaussians.initial.fit_to_volume`, for the mean square of both sides. A move of
-    the plane by d changes the density by (b_2 - b_1) g phi(q) d with a normal density phi of variance w^2, that of the
-    transition and of the voxel. As phi^2 is 1 / (2 sqrt(pi) w) times a normal density, the integral of the square is
-    (b_2 - b_1)^2 / (2 sqrt(pi) w) times that of g^2 over the plane, which is exp(-o^2 / t) / sqrt(pi t) times that over
-    space, with the plane's offset o and the variance t of the Gaussian along the normal. A rotation moves the plane by
+    Those of the Gaussian are as in `recon.gaussians.initial.fit_to_volume`, for the mean square of both sides. A move
+    of the plane by d changes the density by (b_2 - b_1) g phi(q) d with a normal density phi of variance w^2, that of
+    the transition and of the voxel. As phi^2 is 1 / (2 sqrt(pi) w) times a normal density, the integral of the square
+    is (b_2 - b_1)^2 / (2 sqrt(pi) w) times that of g^2 over the plane, which is exp(-o^2 / t) / sqrt(pi t) times that
+    over space, with the plane's offset o and the variance t of the Gaussian along the normal. A rotation moves the plane by
     the distance from the centre, whose mean square under g^2 is half the variance.
     """
     sides = model.coefficients.unbind(1)

@@ -1,6 +1,5 @@
 """The model with interfaces: Gaussians in space, each divided by a plane with other coefficients on either side."""
 
-import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -13,6 +12,7 @@ from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.gaussians.model import GaussianModel, Gaussians
 from recon.ops.interface.rasterize import rasterize_divided
+from recon.ops.interface.sides import side_moments
 from recon.ops.interface.voxelize import voxelize_divided
 from recon.ops.rasterize.projector import Projector
 
@@ -112,11 +112,6 @@ class DividedGaussians(GaussianModel):
         -------
         Gaussians of the same mass, centre and covariance as the parts on either side; sides without mass, or where all
         coefficients are negative, are left out, and negative coefficients are 0
-
-        Notes
-        -----
-        A normal distribution cut at a standard deviations has the mean -phi(a) / Phi(a) below the cut and the variance
-        1 - a phi(a) / Phi(a) - (phi(a) / Phi(a))^2; above it likewise with -a.
         """
         with torch.no_grad():
             scales = torch.exp(self.log_scales.double())
@@ -127,11 +122,8 @@ class DividedGaussians(GaussianModel):
 
     def _side(self, side: int, cut: Tensor, scales: Tensor, axes: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Approximate the parts on one side by Gaussians: centres, log-scales, quaternions and coefficients."""
-        at = cut if side == 0 else -cut
-        mass = torch.special.ndtr(at)
-        ratio = torch.exp(-at * at / 2) / math.sqrt(2 * math.pi) / mass
-        mean, spread = -ratio, torch.sqrt((1 - at * ratio - ratio * ratio).clamp_min(1e-4))
-        away = (mean if side == 0 else -mean) * scales[:, 2]
+        mass, mean, spread = side_moments(cut, above=side == 1)
+        away = mean * scales[:, 2]
         log_scales = torch.log(torch.stack([scales[:, 0], scales[:, 1], scales[:, 2] * spread], 1))
         values = (self.coefficients[:, side] * (mass / spread)[:, None]).clamp_min(0)
         kept = (mass > LIGHTEST) & (values > 0).any(dim=1)

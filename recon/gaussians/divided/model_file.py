@@ -5,7 +5,7 @@ from typing import Any
 
 from torch import Tensor
 
-from recon.gaussians.divided import DividedGaussians
+from recon.gaussians.divided.model import DividedGaussians
 from recon.gaussians.model import GaussianModel, Gaussians, read_model_file
 from spectra.errors import DatasetError
 

@@ -63,8 +63,8 @@ def _ridges(
         smooth = gaussian_filter(np.float32(weight) * volume, settings.smoothing, mode="nearest")
         z, y, x = (np.gradient(smooth, axis=i) if n > 1 else np.zeros_like(smooth) for i, n in enumerate(smooth.shape))
         gradients.append((x, y, z))
-        for total, product in zip(tensor, (x * x, x * y, x * z, y * y, y * z, z * z), strict=True):
-            total += product
+        for i, product in enumerate((x * x, x * y, x * z, y * y, y * z, z * z)):
+            tensor[i] += product
     strength = np.sqrt(tensor[0] + tensor[3] + tensor[5])
     at = np.nonzero(strength > settings.contrast)
     xx, xy, xz, yy, yz, zz = (gaussian_filter(t, settings.smoothing, mode="nearest")[at] for t in tensor)

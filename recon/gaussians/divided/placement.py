@@ -10,9 +10,9 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import KDTree
 
 from phantomgen.geometry.voxel_grid import Grid
-from recon.gaussians.divided import DividedGaussians
+from recon.gaussians.divided.model import DividedGaussians
+from recon.gaussians.divided.surfaces import surfaces_of
 from recon.gaussians.initial.initialize import neighbour_distance, places_of, random_of_places
-from recon.gaussians.interface.surfaces import surfaces_of
 from recon.gaussians.settings import SurfaceSettings
 
 BEYOND = 8.0  # standard deviations; where the plane of a plain Gaussian is put, further than any line meets it
@@ -96,7 +96,7 @@ def _places_inside(
 
 
 def _reach(sigma: Float[np.ndarray, " gaussian"]) -> Float[np.ndarray, " gaussian"]:
-    """Choose how far from a surface the values on its sides are taken [voxels]: past the blur, not past the Gaussian."""
+    """Choose how far from a surface its two sides are looked at [voxels]: past the blur, within the Gaussian."""
     return np.minimum(1.8, 1.2 * sigma + 0.6)
 
 
