@@ -94,8 +94,8 @@ def curvature_of_geometry(
     of the plane by d changes the density by (b_2 - b_1) g phi(q) d with a normal density phi of variance w^2, that of
     the transition and of the voxel. As phi^2 is 1 / (2 sqrt(pi) w) times a normal density, the integral of the square
     is (b_2 - b_1)^2 / (2 sqrt(pi) w) times that of g^2 over the plane, which is exp(-o^2 / t) / sqrt(pi t) times that
-    over space, with the plane's offset o and the variance t of the Gaussian along the normal. A rotation moves the plane by
-    the distance from the centre, whose mean square under g^2 is half the variance.
+    over space, with the plane's offset o and the variance t of the Gaussian along the normal. A rotation moves the
+    plane by the distance from the centre, whose mean square under g^2 is half the variance.
     """
     sides = model.coefficients.unbind(1)
     power = 0.5 * sum(torch.einsum("gm,mn,gn->g", side, metric, side) for side in sides)
