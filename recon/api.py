@@ -35,7 +35,7 @@ from recon.runs.unfinished_run import LOG, log_entry
 from recon.runs.write_run import RunFolder
 from recon.segmentation.result import Options, Segmentation
 from recon.segmentation.segment import segment_subject
-from recon.segmentation.subject import Subject, detected_spectrum, open_subject
+from recon.segmentation.subject import Subject, open_subject
 from spectra.basis.basis import Basis, pretty
 from spectra.errors import InputError
 
@@ -275,8 +275,9 @@ def segment(run: Fit | Path | str, **options: Any) -> Segmentation:
     if not isinstance(run, Fit):
         return segment_subject(open_subject(Path(run)), chosen)
     basis = Basis(run.basis.functions[: len(run.basis_names)], run.basis.reference_energy)
-    spectrum = detected_spectrum(basis, run.result.transmission)
-    return segment_subject(Subject(run.volume(), run.grid, basis, *spectrum, run.gaussians, run.path.name), chosen)
+    transmission, name = run.result.transmission, run.path.name
+    subject = Subject.of(run.volume(), run.grid, basis, transmission, run.gaussians, name)
+    return segment_subject(subject, chosen)
 
 
 def _recipe(recipe: Recipe | PaperRecipe | str) -> Recipe | PaperRecipe:

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 import click
 
 from phantomgen.cli.common import debug_option, json_option
-from recon.cli.common import ProgressBar, exit_where_failed, finite_number, memory_text, refuse_options, seconds_text
+from recon.cli.common import (
+    ProgressBar,
+    exit_where_failed,
+    finite_number,
+    gaussians_text,
+    memory_text,
+    refuse_options,
+    seconds_text,
+)
 from recon.cli.run_argument import check_run_name
 from recon.runs.methods import METHODS
 
@@ -49,6 +57,12 @@ if TYPE_CHECKING:
     default="auto",
     show_default=True,
     help="Gaussians that planes divide at interfaces, or plain ones; auto: those that the device has.",
+)
+@click.option(
+    "--detail",
+    type=click.FloatRange(min=0.25, max=4),
+    callback=finite_number,
+    help="Factor by which Gaussians are closer to each other; 2 gives four to eight times as many [default: 1].",
 )
 @click.option("--steps", type=click.IntRange(min=1), help="Steps of --recipe paper; schedules scale [default: 30000].")
 @click.option("--without", metavar="NAME", multiple=True, help="Leave out a component of --recipe paper; repeatable.")
@@ -96,6 +110,7 @@ def fit(
     sweeps: float | None,
     recipe: str,
     kernel: str,
+    detail: float | None,
     steps: int | None,
     without: tuple[str, ...],
     method: str,
@@ -142,19 +157,16 @@ def fit(
     if out:
         check_run_name(Path(out))
     special = {"resume": resume, "dry-run": dry_run, "memory": memory, "held-out": held_out, "edge": edge}
-    special |= {"kernel": None if kernel == "auto" else kernel}
+    special |= {"kernel": None if kernel == "auto" else kernel, "detail": detail}
     special |= {"device": None if device == "cpu" else device_named(device).type}
     if method != "gaussian":
         refuse_options(f"--method {method}", special | {"steps": steps, "without": without, "recipe": recipe != "fast"})
     if recipe == "paper":
-        refuse_options(
-            "--recipe paper, whose length is --steps",
-            special | {"sweeps": sweeps, "kernel": None if kernel == "auto" else kernel},
-        )
+        refuse_options("--recipe paper, whose length is --steps", special | {"sweeps": sweeps})
         how = PaperRecipe(steps=steps or PAPER_STEPS, without=without, seed=seed)
     else:
         refuse_options(f"--recipe {recipe}, whose length is --sweeps", {"steps": steps, "without": without})
-        how = chosen_recipe(recipe, sweeps, seed, held_out, kernel_for(kernel, device))
+        how = chosen_recipe(recipe, sweeps, seed, held_out, kernel_for(kernel, device), detail or 1.0)
     source, edges, asked = Path(dataset), parse_edges(edge), parse_bases(bases)
     set_threads(threads)
     if dry_run and not isinstance(how, PaperRecipe):
@@ -185,7 +197,7 @@ def fit(
         click.echo(how.says)
     has_volumes = (folder.path / VOLUMES).is_file()
     in_what = "in voxels" if has_volumes else "without a volume"
-    what = f"{metrics['gaussians']} Gaussians" if method == "gaussian" else f"{method} {in_what}"
+    what = gaussians_text(metrics) if method == "gaussian" else f"{method} {in_what}"
     click.echo(f"{what}, {seconds_text(metrics)}{memory_text(metrics)}")
     for name in sorted(path.name for path in (folder.path / "figures").glob("*.png")):
         click.echo(str(folder.path / "figures" / name))

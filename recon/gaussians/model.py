@@ -238,7 +238,7 @@ class Gaussians(GaussianModel):
         return len(self) * (10 + self.coefficients.shape[1])
 
     def voxels(self, grid: Grid, cutoff: float = CUTOFF) -> Float[Tensor, "basis z y x"]:  # noqa: D102 - inherited
-        return voxelize_tensor(*self.tensors().values(), grid, cutoff=cutoff)
+        return voxelize_tensor(self.centres, self.log_scales, self.quaternions, self.coefficients, grid, cutoff=cutoff)
 
     def volume(self, grid: Grid) -> Float[np.ndarray, "basis z y x"]:  # noqa: D102 - inherited
         return voxelize(self.centres, self.log_scales, self.quaternions, self.coefficients, grid)

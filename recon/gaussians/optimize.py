@@ -127,7 +127,7 @@ def fit(
 
 def _move_geometry(state: FitState, recipe: Recipe, voxel: float, per_sweep: int, steps: int) -> None:
     """Make a step of Adam in centres, scales and rotations, whose length grows at first and then falls."""
-    of_arrays = dict.fromkeys(("log_scales", "quaternions"), recipe.shape_rate)
+    of_arrays: dict[str, float] = dict.fromkeys(("log_scales", "quaternions"), recipe.shape_rate)
     names = state.gaussians.GEOMETRY
     lengths = np.array([of_arrays.get(name, recipe.centre_rate * voxel) for name in names])
     ramp = min(1.0, (state.done + 1) / max(recipe.warm_up * per_sweep, 1.0))

@@ -5,7 +5,7 @@ folders make have their own: voxels in `recon.voxel.iterative.one_step`, edges i
 volume in `recon.data.partial_volume`.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from recon.gaussians.settings import (
     OptimizerSettings,
@@ -212,3 +212,27 @@ FAST_PLAIN = Recipe(name="fast", most_turns=4.0)
 BEST_PLAIN = Recipe(name="best", most_turns=4.0, stages=(Stage(0.5, 4.0),), spacing=0.9)
 RECIPES = {recipe.name: recipe for recipe in (FAST, BEST)}
 PLAIN_RECIPES = {recipe.name: recipe for recipe in (FAST_PLAIN, BEST_PLAIN)}  # for Gaussians without planes
+
+
+def with_detail(recipe: Recipe, detail: float) -> Recipe:
+    """Place Gaussians closer to each other, or further apart.
+
+    Parameters
+    ----------
+    recipe : the recipe
+    detail : factor by which all distances between Gaussians shrink
+
+    Returns
+    -------
+    a recipe with other distances
+    """
+    if detail == 1:
+        return recipe
+    surfaces = recipe.surfaces
+    closer = {name: getattr(surfaces, name) / detail for name in ("spacing", "finest", "coarsest")}
+    return replace(
+        recipe,
+        spacing=recipe.spacing / detail,
+        finest_spacing=recipe.finest_spacing / detail,
+        surfaces=replace(surfaces, **closer),
+    )

@@ -11,6 +11,7 @@ from torch import Tensor
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.gaussians.model import GaussianModel, Gaussians
+from recon.ops.interface.arrays import DividedTensors
 from recon.ops.interface.rasterize import rasterize_divided
 from recon.ops.interface.sides import side_moments
 from recon.ops.interface.voxelize import voxelize_divided
@@ -80,7 +81,7 @@ class DividedGaussians(GaussianModel):
         return {"width": self.width}
 
     def voxels(self, grid: Grid, cutoff: float = CUTOFF) -> Float[Tensor, "basis z y x"]:  # noqa: D102 - inherited
-        return voxelize_divided(*self._parts(), grid, cutoff)
+        return voxelize_divided(self._arrays(), grid, cutoff)
 
     def volume(self, grid: Grid) -> Float[np.ndarray, "basis z y x"]:
         """Compute the mean coefficient of each basis in every voxel; means below 0 are set to 0.
@@ -96,14 +97,14 @@ class DividedGaussians(GaussianModel):
         depth = grid.shape[0]
         slabs = [(first, min(SLAB, depth - first)) for first in range(0, depth, SLAB)]
         with torch.no_grad():
-            parts = [voxelize_divided(*self._parts(), _parts_of_voxels(grid.slices(*slab)), CUTOFF) for slab in slabs]
+            parts = [voxelize_divided(self._arrays(), _parts_of_voxels(grid.slices(*slab)), CUTOFF) for slab in slabs]
         means = [_means_of_parts(part.numpy(), PARTS_OF_VOXEL) for part in parts]
         return np.maximum(np.concatenate(means, axis=1), 0)
 
     def line_integrals(self, geometry: Geometry) -> Float[Tensor, "view basis row column"]:  # noqa: D102 - inherited
         frames = torch.from_numpy(geometry.ray_frames())
         panel = (geometry.panel.rows, geometry.panel.columns)
-        return rasterize_divided(*self._parts(), frames, panel, Projector(cutoff=CUTOFF))
+        return rasterize_divided(self._arrays(), frames, panel, Projector(cutoff=CUTOFF))
 
     def plain(self) -> Gaussians:
         """Describe the model by Gaussians alone, one for each side of a plane, for what knows nothing else.
@@ -118,7 +119,8 @@ class DividedGaussians(GaussianModel):
             axes = _third_axes(self.quaternions.double())
             cut = (self.offsets.double() / scales[:, 2]).clamp(-PLAIN, PLAIN)
             found = [self._side(side, cut, scales, axes) for side in (0, 1)]
-            return Gaussians(*(torch.cat(part).float() for part in zip(*found, strict=True)), self.basis_names)
+            centres, log_scales, quaternions, values = (torch.cat(part).float() for part in zip(*found, strict=True))
+            return Gaussians(centres, log_scales, quaternions, values, self.basis_names)
 
     def _side(self, side: int, cut: Tensor, scales: Tensor, axes: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Approximate the parts on one side by Gaussians: centres, log-scales, quaternions and coefficients."""
@@ -130,11 +132,12 @@ class DividedGaussians(GaussianModel):
         centres = self.centres + away[:, None] * axes
         return centres[kept], log_scales[kept], self.quaternions[kept], values[kept]
 
-    def _parts(self) -> tuple[Tensor, ...]:
+    def _arrays(self) -> DividedTensors:
         """Collect the arguments of the kernels."""
         thickness = torch.exp(self.log_scales[:, 2])
         planes = torch.stack([self.offsets / thickness, self.width / thickness], dim=1)
-        return self.centres, self.log_scales, self.quaternions, planes, self.coefficients[:, 0], self.coefficients[:, 1]
+        below, above = self.coefficients.unbind(dim=1)
+        return DividedTensors(self.centres, self.log_scales, self.quaternions, planes, below, above)
 
 
 def _means_of_parts(fine: Float[np.ndarray, "basis z1 y1 x1"], n: int) -> Float[np.ndarray, "basis z y x"]:

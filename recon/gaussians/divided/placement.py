@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from numba import njit
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import KDTree
+from torch import Tensor
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.gaussians.divided.model import DividedGaussians
@@ -62,15 +63,23 @@ def place_on_surfaces(
     offsets[:count] = surfaces.shifts[kept[:count]]
     values = _values_beside(volumes, centres, normals, np.where(on_surface, _reach(sigma), 0.0))
     origin, spacing = np.array(grid.origin)[::-1], np.array(grid.spacing)[::-1]
-    parts = (
-        origin + centres * spacing, np.log(np.repeat(sigma[:, None] * voxel, 3, axis=1)), _turns_to(normals),
-        offsets * voxel, np.ones((len(centres), 2, 1)),
-    )  # fmt: skip
-    tensors = (torch.from_numpy(np.ascontiguousarray(part)).float() for part in parts)
-    model = DividedGaussians(*tensors, basis_names, settings.first_width * voxel)
+    model = DividedGaussians(
+        _tensor(origin + centres * spacing),
+        _tensor(np.log(np.repeat(sigma[:, None] * voxel, 3, axis=1))),
+        _tensor(_turns_to(normals)),
+        _tensor(offsets * voxel),
+        torch.ones(len(centres), 2, 1),
+        basis_names,
+        settings.first_width * voxel,
+    )
     density = model.voxels(grid)[0].numpy()
     sums = map_coordinates(density, centres[:, ::-1].T, order=1, mode="nearest")
-    return model.with_values(torch.from_numpy(values / np.maximum(sums, settings.least_sum)[:, None, None]).float())
+    return model.with_values(_tensor(values / np.maximum(sums, settings.least_sum)[:, None, None]))
+
+
+def _tensor(values: Float[np.ndarray, "..."]) -> Float[Tensor, "..."]:
+    """Convert an array to float32."""
+    return torch.from_numpy(np.ascontiguousarray(values)).float()
 
 
 def _weights(

@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
+from recon.ops.interface.arrays import DividedTensors
 from recon.ops.rasterize.footprints import footprints as plain_footprints
 from recon.ops.rasterize.footprints import whitening
 from recon.ops.rasterize.projector import Projector
@@ -27,15 +28,23 @@ class Footprints(NamedTuple):
 
 
 def footprints(
-    centres: Float[Tensor, "gaussian 3"],
-    log_scales: Float[Tensor, "gaussian 3"],
-    quaternions: Float[Tensor, "gaussian 4"],
-    planes: Float[Tensor, "gaussian 2"],
+    gaussians: DividedTensors,
     frames: Float[Tensor, "view 4 3"],
     panel: tuple[int, int],
     projector: Projector,
 ) -> Footprints:
-    """Footprints of divided Gaussians in views; arguments as in `recon.ops.interface.reference.line_integrals`.
+    """Compute the footprints of divided Gaussians in views.
+
+    Parameters
+    ----------
+    gaussians : the Gaussians, in float64; their coefficients are not used
+    frames : per view source, d0, column step and row step [mm]
+    panel : rows and columns
+    projector : over which area a pixel averages, and where Gaussians end
+
+    Returns
+    -------
+    footprints, differentiable in centres, log-scales, quaternions and planes
 
     Notes
     -----
@@ -43,6 +52,7 @@ def footprints(
     Gaussian's part in the pixel, and the variance C - C (C + V)^-1 C there. So z is taken at that point, and the
     variance of its numerator is added under its root.
     """
+    centres, log_scales, quaternions, planes = gaussians[:4]
     matrices = whitening(log_scales, quaternions)
     numbers, rows, ends = [], [], []
     for frame in frames:

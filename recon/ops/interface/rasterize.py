@@ -7,6 +7,7 @@ from torch import Tensor
 
 from phantomgen.ops.simd import WIDTH as LANES
 from recon.ops.interface import cpu
+from recon.ops.interface.arrays import DividedTensors
 from recon.ops.interface.footprints import footprints
 from recon.ops.interface.sides import side_moments
 from recon.ops.interface.table import SUMS
@@ -20,40 +21,39 @@ BANDS = 4  # pieces of work that the rows of a view are shared between
 
 
 def rasterize_divided(
-    centres: Float[Tensor, "gaussian 3"],
-    log_scales: Float[Tensor, "gaussian 3"],
-    quaternions: Float[Tensor, "gaussian 4"],
-    planes: Float[Tensor, "gaussian 2"],
-    below: Float[Tensor, "gaussian basis"],
-    above: Float[Tensor, "gaussian basis"],
+    gaussians: DividedTensors,
     frames: Float[Tensor, "view 4 3"],
     panel: tuple[int, int],
     projector: Projector,
 ) -> Float[Tensor, "view basis row column"]:
-    """Line integral of each basis along the ray through each pixel; differentiable in the first six arguments.
+    """Compute the line integral of each basis along the ray through each pixel.
 
     Parameters
     ----------
-    centres, log_scales, quaternions, planes, below, above : see `recon.ops.interface.reference.line_integrals`
+    gaussians : the Gaussians
     frames : rays of the views, by `phantomgen.geometry.poses.Geometry.ray_frames`
-    settings : panel, edge of a pixel that is averaged over, and cutoff
+    panel : rows and columns
+    projector : over which area a pixel averages, and where Gaussians end; the exact one
 
     Returns
     -------
-    Line integrals, dimensionless, float32.
+    line integrals, dimensionless, float32, differentiable in all arrays of the Gaussians. Near the source and the
+    panel, each side of a plane counts as a Gaussian of the same mass, centre and covariance.
+
+    References
+    ----------
+    `recon.ops.interface.reference` has the formula and its source.
     """
-    exact = tuple(part.double() for part in (centres, log_scales, quaternions, planes))
-    seen = footprints(*exact, frames.double(), panel, projector)
+    exact = gaussians.exact()
+    seen, below, above = footprints(exact, frames.double(), panel, projector), gaussians.below, gaussians.above
     images: Tensor = _Images.apply(seen.numbers, seen.rows, below, above - below, frames, panel, projector)  # type: ignore[assignment]
     if not any(len(near) for near in seen.near):
         return images
-    return images + _near_the_ends(
-        (*exact, below.double(), above.double()), seen.near, frames.double(), panel, projector
-    )
+    return images + _near_the_ends(exact, seen.near, frames.double(), panel, projector)
 
 
 def _near_the_ends(
-    parts: tuple[Tensor, ...],
+    gaussians: DividedTensors,
     near: tuple[Int64[Tensor, " near"], ...],
     frames: Float[Tensor, "view 4 3"],
     panel: tuple[int, int],
@@ -62,15 +62,15 @@ def _near_the_ends(
     """Sum Gaussians that come near the source or the panel, each side as a Gaussian of its moments."""
     images = []
     for frame, which in zip(frames, near, strict=True):
-        centres, log_scales, quaternions, planes, *sides = (part[which] for part in parts)
-        matrices, image = whitening(log_scales, quaternions), torch.zeros(sides[0].shape[1], *panel)
-        for above, values in enumerate(sides):
-            mass, mean, spread = side_moments(planes[:, 0], bool(above))
+        some = DividedTensors(*(part[which] for part in gaussians))
+        matrices, image = whitening(some.log_scales, some.quaternions), torch.zeros(some.below.shape[1], *panel)
+        third = torch.linalg.inv(matrices)[:, :, 2]
+        for above, values in ((False, some.below), (True, some.above)):
+            mass, mean, spread = side_moments(some.planes[:, 0], above)
             own = torch.cat([matrices[:, :2], matrices[:, 2:] / spread[:, None, None]], dim=1)
-            moved = centres + torch.linalg.inv(matrices)[:, :, 2] * mean[:, None]
-            some = mass > LIGHTEST
-            side = (moved[some], own[some], (values * (mass / spread)[:, None])[some])
-            image = image + near_images(side, frame, panel, projector).float()
+            moved, scaled = some.centres + third * mean[:, None], values * (mass / spread)[:, None]
+            heavy = mass > LIGHTEST
+            image = image + near_images((moved[heavy], own[heavy], scaled[heavy]), frame, panel, projector).float()
         images.append(image * torch.from_numpy(_ray_lengths(frame[None], panel)[0]))
     return torch.stack(images)
 

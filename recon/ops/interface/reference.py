@@ -6,16 +6,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from recon.ops.interface.arrays import DividedTensors
 from recon.ops.rasterize.reference import whitening
 
 
 def line_integrals(
-    centres: Float[Tensor, "gaussian 3"],
-    log_scales: Float[Tensor, "gaussian 3"],
-    quaternions: Float[Tensor, "gaussian 4"],
-    planes: Float[Tensor, "gaussian 2"],
-    below: Float[Tensor, "gaussian basis"],
-    above: Float[Tensor, "gaussian basis"],
+    gaussians: DividedTensors,
     origins: Float[Tensor, "ray 3"],
     directions: Float[Tensor, "ray 3"],
 ) -> Float[Tensor, "ray basis"]:
@@ -23,10 +19,7 @@ def line_integrals(
 
     Parameters
     ----------
-    centres, log_scales, quaternions : as in `recon.ops.rasterize.rasterize` [mm, log mm, no unit]
-    planes : offset of the plane from the centre along the third axis, and width of the transition across it, both in
-        standard deviations of the third axis
-    below, above : coefficients on the negative and on the positive side of the plane [1/mm]
+    gaussians : the Gaussians
     origins, directions : points and directions of the rays [mm]; directions of any length
 
     Returns
@@ -43,6 +36,7 @@ def line_integrals(
     sqrt(2 pi) |d| / |v| exp(-|u x v|^2 / (2 |v|^2)) (below + (above - below) Phi(z)) with
     z = (u_3 + t_0 v_3 - offset) / sqrt(width^2 + v_3^2 / |v|^2).
     """
+    centres, log_scales, quaternions, planes, below, above = gaussians
     matrices = whitening(log_scales, quaternions)
     u = torch.einsum("nij,rnj->rni", matrices, origins[:, None] - centres)
     v = torch.einsum("nij,rj->rni", matrices, directions)

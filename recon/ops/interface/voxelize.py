@@ -11,6 +11,7 @@ from torch import Tensor
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.simd import WIDTH
 from recon.ops.interface import cpu_voxels
+from recon.ops.interface.arrays import DividedTensors
 from recon.ops.interface.voxel_table import SUMS
 from recon.ops.pieces import run_all
 from recon.ops.rasterize.footprints import whitening
@@ -21,22 +22,21 @@ FARTHEST = 2.0**22  # voxels from the grid's corner
 
 
 def voxelize_divided(
-    centres: Float[Tensor, "gaussian 3"],
-    log_scales: Float[Tensor, "gaussian 3"],
-    quaternions: Float[Tensor, "gaussian 4"],
-    planes: Float[Tensor, "gaussian 2"],
-    below: Float[Tensor, "gaussian basis"],
-    above: Float[Tensor, "gaussian basis"],
+    gaussians: DividedTensors,
     grid: Grid,
     cutoff: float = 4.2,
 ) -> Float[Tensor, "basis z y x"]:
-    """Mean of each basis in each voxel [1/mm]; differentiable once in the first six arguments.
+    """Compute the mean of each basis in each voxel.
 
     Parameters
     ----------
-    centres, log_scales, quaternions, planes, below, above : see `recon.ops.interface.reference.line_integrals`
+    gaussians : the Gaussians
     grid : voxels
-    cutoff : where a Gaussian ends, in standard deviations
+    cutoff : where a Gaussian ends [standard deviations]
+
+    Returns
+    -------
+    means, float32, differentiable once in all arrays of the Gaussians [1/mm]
 
     Notes
     -----
@@ -44,15 +44,16 @@ def voxelize_divided(
     centre of mass at C (C + V)^-1 times the voxel's offset, and the mean of the plane's transition is as for a pixel.
     Errors are below 0.01 of the difference between the sides in voxels that the plane crosses.
     """
-    parts = (part.double() for part in (centres, log_scales, quaternions, planes))
-    numbers, voxels, halves = _table(*parts, grid, cutoff)
+    numbers, voxels, halves = _table(gaussians.exact(), grid, cutoff)
+    below, above = gaussians.below, gaussians.above
     return _Volume.apply(numbers, voxels, halves, below, above - below, grid.shape, cutoff)  # type: ignore[return-value]
 
 
 def _table(
-    centres: Tensor, log_scales: Tensor, quaternions: Tensor, planes: Tensor, grid: Grid, cutoff: float
+    gaussians: DividedTensors, grid: Grid, cutoff: float
 ) -> tuple[Float[Tensor, "gaussian 14"], Int64[Tensor, "gaussian 3"], Float[Tensor, "gaussian 2"]]:
     """Numbers of `recon.ops.interface.voxel_table`, the voxels of the centres, and half the extents along z and y."""
+    centres, log_scales, quaternions, planes = gaussians[:4]
     spacing = torch.tensor(grid.spacing[::-1], dtype=centres.dtype)
     origin = torch.tensor(grid.origin[::-1], dtype=centres.dtype)
     matrices = whitening(log_scales, quaternions) * spacing  # from voxels to standard deviations

@@ -26,6 +26,8 @@ from recon.voxel.model import Voxels
 from recon.voxel.unreliable import Unreliable
 from spectra.transmission import Transmission
 
+OCCUPIED = 0.02  # of the largest value of a basis; a voxel that holds less of every basis counts as empty
+
 
 @runtime_checkable
 class Log(Protocol):
@@ -91,6 +93,12 @@ class VolumeOutcome:
         """The result on the grid of the dataset [1/mm]."""
         return self.model.volume(self.dataset.grid)
 
+    @property
+    def _occupied(self) -> int:
+        """Number of voxels that hold more than `OCCUPIED` of the largest value of a basis."""
+        peaks = self.volumes.max(axis=(1, 2, 3), keepdims=True)
+        return int((self.volumes > OCCUPIED * peaks).any(axis=0).sum())
+
     def write(self, folder: Path) -> None:
         """Write model, settings, the record of the scan, and volumes.
 
@@ -128,6 +136,9 @@ class VolumeOutcome:
         entries of ``metrics.json``
         """
         metrics, names = dict(self.about), self.model.basis_names
+        if isinstance(self.model, GaussianModel):
+            metrics["numbers"] = self.model.numbers
+            metrics["numbers_over_voxels"] = self.model.numbers / max(self._occupied * len(names), 1)
         if truth is not None:
             with guard("scoring against the truth"):
                 metrics.update(score_truth(truth, self.model, self.unreliable))

@@ -8,6 +8,7 @@ from scipy.special import ndtr
 
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
+from recon.ops.interface.arrays import DividedTensors
 from recon.ops.interface.rasterize import rasterize_divided
 from recon.ops.interface.reference import line_integrals
 from recon.ops.rasterize.projector import Projector
@@ -42,7 +43,7 @@ def rays(frame: torch.Tensor, finer: int = 1) -> tuple[torch.Tensor, torch.Tenso
 def reference_images(parts: tuple[torch.Tensor, ...], of: torch.Tensor, finer: int = 1) -> torch.Tensor:
     images = []
     for frame in of:
-        values = line_integrals(*parts, *rays(frame, finer)).T.reshape(BASES, SIDE, finer, SIDE, finer)
+        values = line_integrals(DividedTensors(*parts), *rays(frame, finer)).T.reshape(BASES, SIDE, finer, SIDE, finer)
         images.append(values.mean(dim=(2, 4)))
     return torch.stack(images)
 
@@ -64,14 +65,14 @@ def test_the_integral_along_a_ray_is_that_of_quadrature():
         reach = 9 / np.linalg.norm(matrices[k] @ direction)
         wanted = quad(density, middle - reach, middle + reach, epsabs=1e-13, limit=400)[0] * np.linalg.norm(direction)
         one = tuple(part[k : k + 1] for part in parts)
-        found = line_integrals(*one, torch.from_numpy(origin)[None], torch.from_numpy(direction)[None])
+        found = line_integrals(DividedTensors(*one), torch.from_numpy(origin)[None], torch.from_numpy(direction)[None])
         assert float(found[0, 0]) == pytest.approx(wanted, rel=1e-8)
 
 
 @pytest.mark.parametrize("width", [0.02, 0.3, 2.0])
 def test_rays_through_pixel_centres_are_those_of_the_reference(width):
     parts, of = gaussians(width=width), frames()
-    found = rasterize_divided(*parts, of, PANEL, Projector(0.0, 5.0))
+    found = rasterize_divided(DividedTensors(*parts), of, PANEL, Projector(0.0, 5.0))
     wanted = reference_images(parts, of)
     assert float((found - wanted).abs().max()) < 3e-5 * float(wanted.max())
 
@@ -79,7 +80,7 @@ def test_rays_through_pixel_centres_are_those_of_the_reference(width):
 def test_sides_that_agree_make_a_plain_gaussian():
     parts, of = gaussians(), frames()
     same = (*parts[:5], parts[4])
-    found = rasterize_divided(*same, of, PANEL, Projector(1.0, 4.0))
+    found = rasterize_divided(DividedTensors(*same), of, PANEL, Projector(1.0, 4.0))
     from recon.ops.rasterize import rasterize
 
     wanted = rasterize(*(p.float() for p in (*parts[:3], parts[4])), of, SIDE, SIDE, Projector(1.0, 4.0))
@@ -91,7 +92,7 @@ def test_gradients_are_those_of_the_reference():
     weights = torch.from_numpy(np.random.default_rng(5).normal(size=(len(of), BASES, SIDE, SIDE)))
     gradients = []
     for images in (
-        lambda parts: rasterize_divided(*parts, of, PANEL, Projector(0.0, 5.0)),
+        lambda parts: rasterize_divided(DividedTensors(*parts), of, PANEL, Projector(0.0, 5.0)),
         lambda parts: reference_images(parts, of),
     ):
         parts = tuple(part.clone().requires_grad_() for part in gaussians())
@@ -105,8 +106,8 @@ def test_gradients_are_those_of_the_reference():
 def test_pixels_hold_means_of_many_rays(width, error):
     parts, of = gaussians(width=width), frames(1)
     wanted = reference_images(parts, of, finer=16)
-    found = rasterize_divided(*parts, of, PANEL, Projector(1.0, 5.0))
-    middle = rasterize_divided(*parts, of, PANEL, Projector(0.0, 5.0))
+    found = rasterize_divided(DividedTensors(*parts), of, PANEL, Projector(1.0, 5.0))
+    middle = rasterize_divided(DividedTensors(*parts), of, PANEL, Projector(0.0, 5.0))
     worst, unaveraged = (float((images - wanted).abs().max() / wanted.max()) for images in (found, middle))
     assert worst < min(error, unaveraged)
 
@@ -115,7 +116,7 @@ def test_gaussians_at_the_panel_are_cut_off_there():
     """Against many points along rays that end at the panel; sides count as Gaussians of their moments there."""
     parts, of = gaussians(1, width=0.05), frames(1)
     parts[0][0] = of[0, 0] + 0.97 * (of[0, 1] + SIDE / 2 * (of[0, 2] + of[0, 3]))
-    found = rasterize_divided(*parts, of, PANEL, Projector(0.0, 5.0))
+    found = rasterize_divided(DividedTensors(*parts), of, PANEL, Projector(0.0, 5.0))
     origins, directions = rays(of[0])
     matrices = whitening(*parts[1:3])[0]
     at = torch.linspace(0, 1, 4001, dtype=torch.float64)

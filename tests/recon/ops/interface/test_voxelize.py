@@ -3,6 +3,7 @@ import pytest
 import torch
 
 from phantomgen.geometry.voxel_grid import Grid
+from recon.ops.interface.arrays import DividedTensors
 from recon.ops.interface.voxelize import voxelize_divided
 from recon.ops.rasterize.reference import whitening
 from recon.ops.voxelize import voxelize_tensor
@@ -39,13 +40,13 @@ def means(parts: tuple[torch.Tensor, ...], finer: int = 8) -> torch.Tensor:
 
 def test_voxels_hold_means():
     parts = gaussians()
-    wanted, found = means(parts), voxelize_divided(*parts, GRID, 5.0)
+    wanted, found = means(parts), voxelize_divided(DividedTensors(*parts), GRID, 5.0)
     assert float((found - wanted).abs().max()) < 0.02 * float(wanted.max())
 
 
 def test_sides_that_agree_make_a_plain_gaussian():
     parts = gaussians()
-    found = voxelize_divided(*parts[:5], parts[4], GRID, 4.5)
+    found = voxelize_divided(DividedTensors(*parts[:5], parts[4]), GRID, 4.5)
     wanted = voxelize_tensor(*(p.float() for p in (*parts[:3], parts[4])), GRID, cutoff=4.5)
     torch.testing.assert_close(found, wanted, rtol=1e-4, atol=1e-6)
 
@@ -56,7 +57,7 @@ def test_gradients_are_those_of_differences(part):
     random = np.random.default_rng(part)
 
     def value(parts):
-        return (voxelize_divided(*parts, GRID, 5.0).double() * weights).sum()
+        return (voxelize_divided(DividedTensors(*parts), GRID, 5.0).double() * weights).sum()
 
     parts = gaussians()
     parts[part].requires_grad_()
