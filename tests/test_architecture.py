@@ -32,7 +32,7 @@ PAGES = sorted(
     if not {"outside", "_build"} & set(path.parts)  # made when the site is built
 )
 # Modules that come with a dependency: Triton with torch's builds for GPUs, which choose its version.
-BROUGHT_ALONG = {"xraylib_np": ["xraylib"], "llvmlite": ["numba"], "triton": ["torch"]}
+BROUGHT_ALONG = {"xraylib_np": ["xraylib"], "llvmlite": ["numba"], "triton": ["torch"], "tifffile": ["scikit-image"]}
 PROGRAMS = {"phantomgen": phantomgen, "recon": recon}
 
 
