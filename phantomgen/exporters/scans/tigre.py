@@ -49,6 +49,7 @@ def write(folder: Path, projections: Projections) -> dict[str, Any]:
         "DSD": found.DSD,
         "offDetector": found.offDetector,
         "rotDetector": found.rotDetector,
+        "COR": found.COR,
         "angles": found.angles[:, 0] if upright else found.angles,
     }
     np.savez(folder / "geometry.npz", **fields)  # type: ignore[arg-type]

@@ -120,7 +120,7 @@ def test_the_poses_in_the_folders_are_those_of_the_scan(written, scan):
     assert fields["angles"].shape == (5,)
     np.testing.assert_allclose(fields["nVoxel"] * fields["dVoxel"], fields["sVoxel"])
     angles = np.pad(fields["angles"][:, None], ((0, 0), (0, 2)))
-    names = ("DSO", "DSD", "offDetector", "rotDetector")
+    names = ("DSO", "DSD", "offDetector", "rotDetector", "COR")
     tigre = TigreGeometry("cone", (16, 16), tuple(fields["dDetector"]), angles, *(fields[n] for n in names))
     assert largest_difference(from_tigre(tigre), geometry) < NEAR
     assert largest_difference(read_rtk_geometry(written / "rtk/geometry.xml", panel), geometry) < NEAR
