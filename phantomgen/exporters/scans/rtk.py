@@ -16,19 +16,14 @@ from phantomgen.geometry.panel import Panel
 KINDS: tuple[Kind, ...] = ("line-integrals",)
 SCRIPT = """
 scan, name = load()
-geometry = rtk.read_geometry("geometry.xml")
+kind, geometry = itk.Image[itk.F, 3], rtk.read_geometry("geometry.xml")
 data = itk.imread(f"{scan['files'][name]}.mha", itk.F)
-grid = {key: [scan["grid"][key][i] for i in (1, 0, 2)] for key in scan["grid"]}  # RTK's (x, y, z) are our (y, z, x)
-kind = itk.Image[itk.F, 3]
-empty = rtk.constant_image_source(
-    origin=grid["origin"], spacing=grid["spacing"], size=grid["shape"], ttype=[kind]
-)
-fdk = rtk.FDKConeBeamReconstructionFilter[kind].New(Geometry=geometry)
-fdk.SetInput(0, empty)
-fdk.SetInput(1, data)
-fdk.Update()
-volume = itk.array_from_image(fdk.GetOutput()).transpose(1, 2, 0)  # (z, y, x)
-np.save(f"{scan['files'][name]}_volume.npy", volume)
+data = rtk.displaced_detector_image_filter(data, geometry=geometry)  # nothing where the panel is centred
+data = rtk.parker_short_scan_image_filter(data, geometry=geometry)  # nothing on a full circle
+grid = {key: [v[i] for i in (1, 0, 2)] for key, v in scan["grid"].items()}  # RTK's (x, y, z) are our (y, z, x)
+empty = rtk.constant_image_source(origin=grid["origin"], spacing=grid["spacing"], size=grid["shape"], ttype=[kind])
+volume = rtk.fdk_cone_beam_reconstruction_filter(empty, data, geometry=geometry)
+np.save(f"{scan['files'][name]}_volume.npy", itk.array_from_image(volume).transpose(1, 2, 0))  # (z, y, x)
 """
 IMPORTS = "import itk\nfrom itk import RTK as rtk"
 
