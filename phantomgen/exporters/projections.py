@@ -40,8 +40,8 @@ class Projections:
     grid: Grid
     image: Callable[[int], Shaped[np.ndarray, "name row column"]]
     energies: tuple[float, ...]
-    flats: Shaped[np.ndarray, "frame name row column"] | None = None
-    darks: Shaped[np.ndarray, "frame name row column"] | None = None
+    flats: Shaped[np.ndarray, "flat name row column"] | None = None
+    darks: Shaped[np.ndarray, "dark name row column"] | None = None
     exposure: Float[np.ndarray, "view name"] | None = None
     volumes: Callable[[int], Float[np.ndarray, "z y x"]] | None = None
 

@@ -1,18 +1,18 @@
 """A dataset as projections for other programs."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Int, Shaped
+from jaxtyping import Float, Int, Shaped
 
 from phantomgen.dataset.file import DARK, FLAT
 from phantomgen.dataset.inpainting import inpainted
 from phantomgen.dataset.layout import array_at
 from phantomgen.dataset.truth import read_truth
 from phantomgen.exporters.projections import Kind, Projections
-from spectra.errors import InputError
+from spectra.errors import DatasetError, InputError
 
 if TYPE_CHECKING:
     from phantomgen.dataset.reader import Dataset
@@ -52,7 +52,7 @@ def to_projections(dataset: "Dataset", kind: Kind, channels: Sequence[str] = ())
     views, (counted, blind) = np.concatenate(parts), (kind == "counts", dataset.mask[chosen])
 
     def image(view: int) -> Shaped[np.ndarray, "name row column"]:
-        found = dataset.load([views[view]])[0] if counted else dataset.line_integrals(int(views[view]))
+        found = dataset.load([int(views[view])])[0] if counted else dataset.line_integrals(int(views[view]))
         return found[chosen] if counted else _whole(found[chosen], blind)
 
     frames = [_frames(dataset, path, chosen) if counted else None for path in (FLAT, DARK)]
@@ -111,14 +111,17 @@ def _frames(
     return array_at(dataset.file, path)[()][:, chosen]
 
 
-def _true_attenuation(dataset: "Dataset", energies: tuple[float, ...]):
+def _true_attenuation(
+    dataset: "Dataset", energies: tuple[float, ...]
+) -> Callable[[int], Float[np.ndarray, "z y x"]] | None:
     """Function that returns the true attenuation at the effective energy of a channel [1/mm]; None without a truth."""
     if "truth" not in dataset.file:
         return None
 
     def volume(number: int) -> Shaped[np.ndarray, "z y x"]:
         truth = read_truth(dataset.path)
-        assert truth is not None
+        if truth is None:
+            raise DatasetError(f"{dataset.path} holds no truth to export")
         weights = dataset.spectra.basis.evaluate(np.array([energies[number]]))[:, 0]
         return np.einsum("b,bzyx->zyx", weights, truth.volumes)
 

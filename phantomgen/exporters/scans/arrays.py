@@ -1,7 +1,9 @@
 """Arrays of projections on disk, written view by view, so that memory holds one view."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
+import h5py
 import numpy as np
 from jaxtyping import Shaped
 
@@ -24,8 +26,25 @@ def file_name(name: str) -> str:
     return "".join("_" if letter in '/\\:*?"<>| ' else letter for letter in name)
 
 
-def fill(projections: Projections, stacks: list[Stack]) -> None:
-    """Write all views into arrays.
+class Frames:
+    """Part of a dataset in an HDF5 file, to be written as an array of views.
+
+    Parameters
+    ----------
+    data : the dataset
+    first : index of the first view along its axis
+    before : indices before that axis, such as the channel
+    """
+
+    def __init__(self, data: h5py.Dataset, first: int = 0, before: tuple[int, ...] = ()) -> None:
+        self.data, self.first, self.before = data, first, before
+
+    def __setitem__(self, view: int, image: Shaped[np.ndarray, "row column"]) -> None:
+        self.data[(*self.before, self.first + view)] = image
+
+
+def fill(projections: Projections, stacks: Sequence[Stack | Frames]) -> None:
+    """Write all views into arrays; each is computed once.
 
     Parameters
     ----------
@@ -51,13 +70,13 @@ def write_npy(
     """
     panel = projections.geometry.panel
     shape = len(projections), panel.rows, panel.columns
-    back = np.argsort(axes)
-    stacks = []
-    for name in projections.names:
-        path = folder / f"{file_name(name)}.npy"
-        file = np.lib.format.open_memmap(path, "w+", np.float32, tuple(shape[axis] for axis in axes))
-        stack = file.transpose(*back)
-        stacks.append(stack[:, ::-1] if rows_up else stack)
-    fill(projections, stacks)
-    for stack in stacks:
-        stack.base.flush() if isinstance(stack.base, np.memmap) else None
+    files = [
+        np.lib.format.open_memmap(
+            folder / f"{file_name(name)}.npy", "w+", np.float32, tuple(shape[axis] for axis in axes)
+        )
+        for name in projections.names
+    ]
+    stacks = [file.transpose(*np.argsort(axes)) for file in files]
+    fill(projections, [stack[:, ::-1] if rows_up else stack for stack in stacks])
+    for file in files:
+        file.flush()

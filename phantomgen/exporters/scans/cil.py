@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 
 from phantomgen.exporters.projections import Kind, Projections
-from phantomgen.exporters.scans.arrays import fill, write_npy
+from phantomgen.exporters.scans.arrays import Frames, fill, write_npy
 from phantomgen.exporters.scans.astra import turns_about_z
 from phantomgen.geometry.conversions.cil import CilCircle, to_cil_circle, to_cil_flex
 from spectra.errors import GeometryError
@@ -82,8 +82,7 @@ def _write_nexus(path: Path, projections: Projections, circle: CilCircle) -> Non
         )
         file.create_group(_ENTRY).attrs["NX_class"] = "NXentry"
         data = file.create_dataset(f"{_ENTRY}/data/data", shape, np.float32)
-        stacks = [_Channel(data, number if len(names) > 1 else None) for number in range(len(names))]
-        fill(projections, stacks)  # type: ignore[arg-type]
+        fill(projections, [Frames(data, before=(number,) if len(names) > 1 else ()) for number in range(len(names))])
         data.attrs.update({f"dim{i}": label for i, label in enumerate(labels)})
         data.attrs.update(
             {
@@ -112,16 +111,3 @@ def _write_nexus(path: Path, projections: Projections, circle: CilCircle) -> Non
         ):
             file[f"{_ENTRY}/config/{name}"] = np.asarray(value, dtype=np.float32)
         file[f"{_ENTRY}/config/angles"].attrs.update({"angle_unit": "degree", "initial_angle": 0})
-
-
-class _Channel:
-    """One channel of a dataset, as an array of views."""
-
-    def __init__(self, data: h5py.Dataset, number: int | None) -> None:
-        self.data, self.number = data, number
-
-    def __setitem__(self, view: int, image: np.ndarray) -> None:
-        if self.number is None:
-            self.data[view] = image
-        else:
-            self.data[self.number, view] = image

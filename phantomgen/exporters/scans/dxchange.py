@@ -1,13 +1,16 @@
 """One Data Exchange file per channel, as TomoPy's dxchange reads it: counts, flats, darks and angles."""
 
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+from jaxtyping import Shaped
 
 from phantomgen.exporters.projections import Kind, Projections
-from phantomgen.exporters.scans.arrays import file_name
+from phantomgen.exporters.scans.arrays import Frames, file_name, fill
 from phantomgen.geometry.conversions.central_circle import central_circle_of
 from spectra.errors import GeometryError
 
@@ -47,19 +50,30 @@ def write(folder: Path, projections: Projections) -> dict[str, Any]:
     angles = central_circle_of(projections.geometry, "Data Exchange").angles
     panel = projections.geometry.panel
     shape = len(projections), panel.rows, panel.columns
-    for number, name in enumerate(projections.names):
-        with h5py.File(folder / f"{file_name(name)}.h5", "w") as file:
+    with ExitStack() as files:
+        data = []
+        for number, name in enumerate(projections.names):
+            file = files.enter_context(h5py.File(folder / f"{file_name(name)}.h5", "w"))
             file["implements"] = "exchange"
             exchange = file.create_group("exchange")
-            data = exchange.create_dataset("data", shape, np.float32, chunks=(1, *shape[1:]), compression="gzip")
-            dark = 0.0 if projections.darks is None else projections.darks[:, number].mean(axis=0)
-            for view in range(shape[0]):
-                scale = 1.0 if projections.exposure is None else projections.exposure[view, number]
-                data[view] = (projections.image(view)[number] - dark) / scale + dark
+            data.append(exchange.create_dataset("data", shape, np.float32, chunks=(1, *shape[1:]), compression="gzip"))
             for what, frames in (("data_white", projections.flats), ("data_dark", projections.darks)):
-                empty = np.zeros((1, *shape[1:]), np.float32)
-                some = frames is not None and len(frames)
-                exchange[what] = frames[:, number].astype(np.float32) if some and frames is not None else empty
+                none = np.zeros((1, *shape[1:]), np.float32)
+                exchange[what] = none if frames is None or not len(frames) else frames[:, number].astype(np.float32)
             exchange["theta"] = -np.rad2deg(angles)
             exchange["theta"].attrs["units"] = "degree"
+        fill(_at_equal_output(projections), [Frames(one) for one in data])
     return {"column_pitch": panel.column_pitch}
+
+
+def _at_equal_output(projections: Projections) -> Projections:
+    """Counts as if the tube output were that of the flats in every view."""
+    darks, exposure = projections.darks, projections.exposure
+    if exposure is None:
+        return projections
+    dark = 0.0 if darks is None or not len(darks) else darks.mean(axis=0)
+
+    def image(view: int) -> Shaped[np.ndarray, "name row column"]:
+        return (projections.image(view) - dark) / exposure[view][:, None, None] + dark
+
+    return replace(projections, image=image)

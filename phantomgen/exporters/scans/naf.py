@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from phantomgen.exporters.projections import Kind, Projections
-from phantomgen.exporters.scans.arrays import file_name
+from phantomgen.exporters.scans.arrays import file_name, fill
 from phantomgen.exporters.scans.r2_gaussian import true_volume
 from phantomgen.geometry.conversions.naf import to_naf
 
@@ -36,10 +36,9 @@ def write(folder: Path, projections: Projections) -> dict[str, Any]:
     keys, angles = to_naf(projections.geometry, projections.grid)
     panel, train, views = projections.geometry.panel, projections.train, len(projections)
     keys |= {"numTrain": train, "numVal": views - train, "randomAngle": False, "normalize": False, "convert": False}
-    for number, name in enumerate(projections.names):
-        images = np.empty((views, panel.rows, panel.columns), np.float32)
-        for view in range(views):
-            images[view] = projections.image(view)[number]
+    stacks = [np.empty((views, panel.rows, panel.columns), np.float32) for _ in projections.names]
+    fill(projections, stacks)
+    for number, (name, images) in enumerate(zip(projections.names, stacks, strict=True)):
         parts = {"train": slice(None, train), "val": slice(train, None)}
         content = keys | {key: {"projections": images[part], "angles": angles[part]} for key, part in parts.items()}
         content["image"] = true_volume(projections, number).transpose(2, 1, 0) * _PER_M

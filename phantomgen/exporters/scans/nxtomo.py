@@ -3,6 +3,7 @@
 NXtomo knows rotation angles, source and detector distance, and no pose of the panel: scans with more are refused.
 """
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import h5py
 import numpy as np
 
 from phantomgen.exporters.projections import Kind, Projections
-from phantomgen.exporters.scans.arrays import file_name
+from phantomgen.exporters.scans.arrays import Frames, file_name, fill
 from phantomgen.geometry.conversions.central_circle import CentralCircle, central_circle_of
 
 KINDS: tuple[Kind, ...] = ("counts",)
@@ -44,14 +45,17 @@ def write(folder: Path, projections: Projections) -> dict[str, Any]:
     what the script needs to know: nothing
     """
     circle = central_circle_of(projections.geometry, "NXtomo")
-    for number, name in enumerate(projections.names):
-        with h5py.File(folder / f"{file_name(name)}.nx", "w") as file:
-            _write_entry(file, projections, number, circle)
+    with ExitStack() as files:
+        frames = []
+        for number, name in enumerate(projections.names):
+            file = files.enter_context(h5py.File(folder / f"{file_name(name)}.nx", "w"))
+            frames.append(_write_entry(file, projections, number, circle))
+        fill(projections, frames)
     return {}
 
 
-def _write_entry(file: h5py.File, projections: Projections, number: int, circle: CentralCircle) -> None:
-    """All frames of one channel in one entry."""
+def _write_entry(file: h5py.File, projections: Projections, number: int, circle: CentralCircle) -> Frames:
+    """Write one channel but its projections, whose place is returned."""
     panel, views = projections.geometry.panel, len(projections)
     file.attrs.update({"NX_class": "NXroot", "default": "entry0000"})
     entry = _group(file, "entry0000", "NXentry", default="data", version=_VERSION)
@@ -72,8 +76,6 @@ def _write_entry(file: h5py.File, projections: Projections, number: int, circle:
     for first, frames in ((0, flats), (len(flats) + views, darks)):
         if len(frames):
             data[first : first + len(frames)] = frames
-    for view in range(views):
-        data[len(flats) + view] = projections.image(view)[number]
     detector["image_key"] = detector["image_key_control"] = keys
     for axis, size in (("x", panel.column_pitch), ("y", panel.row_pitch)):
         _put(detector, f"{axis}_pixel_size", size * 1e-3, "m")
@@ -94,6 +96,7 @@ def _write_entry(file: h5py.File, projections: Projections, number: int, circle:
         ("rotation_angle", "sample/rotation_angle"),
     ):
         plot[name] = h5py.SoftLink(f"/entry0000/{target}")
+    return Frames(data, first=len(flats))
 
 
 def _group(parent: h5py.Group, name: str, kind: str, **attributes: Any) -> h5py.Group:

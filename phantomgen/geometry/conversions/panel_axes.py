@@ -136,9 +136,10 @@ def geometry_of(
                 f"{length.max():.7g} mm in another"
             )
         pitch.append(float(length[0]))
-    panel, known = Panel(*size, (pitch[0], pitch[1])), np.empty(0) if angles is None else angles
+    panel = Panel(*size, (pitch[0], pitch[1]))
     if source is not None:
+        known = np.empty(0) if angles is None else angles
         return Geometry(source, panel_center, column_step, row_step, panel, known)
     direction = np.asarray(ray_direction, dtype=np.float64)
     direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    return Geometry.parallel(direction, panel_center, column_step, row_step, panel, known)
+    return Geometry.parallel(direction, panel_center, column_step, row_step, panel, angles)

@@ -342,10 +342,15 @@ def test_vectors_with_another_pitch_in_each_view_are_refused():
     assert "the column step is 1 mm long in one view and 2 mm in another" in refused(
         astra.from_astra, "cone_vec", 8, 8, vectors
     )
-    assert "twelve numbers per view, got shape (2, 9)" in refused(astra.from_astra, "cone_vec", 8, 8, vectors[:, :9])
     assert "must be cone_vec or parallel3d_vec, got 'cone'" in refused(astra.from_astra, "cone", 8, 8, vectors)
     coarse = Geometry(CIRCLE.source, CIRCLE.panel_center, CIRCLE.column_step, 2 * CIRCLE.row_step, CIRCLE.panel)
     assert "row_step of view 0 is 2 mm long, and the pitch of the panel is 1 mm" in refused(leap.to_leap, coarse)
+
+
+@pytest.mark.wrong_types
+def test_astra_needs_twelve_numbers_per_view():
+    vectors = astra.to_astra(CIRCLE).vectors[:, :9]
+    assert "twelve numbers per view, got shape (2, 9)" in refused(astra.from_astra, "cone_vec", 8, 8, vectors)
 
 
 def test_views_of_rtk_are_all_parallel_or_none():
