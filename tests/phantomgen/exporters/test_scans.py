@@ -25,16 +25,19 @@ from phantomgen.dataset.layout import put
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.dataset.truth import read_truth
 from phantomgen.exporters.scans import folder as folders
+from phantomgen.exporters.scans.dicom_ct_pd import poses_as_tags
+from phantomgen.geometry import orbits
 from phantomgen.geometry.conversions.astra import from_astra
 from phantomgen.geometry.conversions.tigre import TigreGeometry, from_tigre
 from phantomgen.geometry.conversions.tomosipo import from_tomosipo
 from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.panel_mount import Mount, mounted
 from phantomgen.geometry.pose_table import read_poses
 from phantomgen.importers.naf import read_naf_geometry
 from phantomgen.importers.r2_gaussian import read_r2_geometry
 from phantomgen.importers.rtk_geometry import read_rtk_geometry
 from recon.cli.main import main as recon
-from spectra.errors import InputError
+from spectra.errors import GeometryError, InputError
 
 CIRCLE = ("astra", "tomosipo", "tigre", "cil", "rtk", "leap", "r2", "naf", "nxtomo", "tiff")
 NEAR = 1e-9  # mm; float64 in all files below
@@ -417,3 +420,18 @@ def test_the_script_of_rtk_runs(scan, written):
     assert volume.shape == (16, 16, 16)
     truth = read_truth(scan).volumes[1]
     assert np.corrcoef(volume.ravel(), truth.ravel())[0, 1] > 0.6  # five views
+
+
+def test_dicom_says_helices_and_shifted_panels_and_refuses_tilted_ones():
+    panel, angles = Panel(4, 6, (1.5, 0.5)), np.array([0.3, 2.0])
+    shifted = mounted(orbits.helical(500.0, 800.0, angles, 30.0, panel), Mount((2.0, -3.0)))
+    for view, tags in enumerate(poses_as_tags(shifted)):
+        value = {tag: found for tag, (_, found) in tags.items()}
+        phi, z, rho = (value[0x7031, tag] for tag in (0x1001, 0x1002, 0x1003))
+        assert (-rho * np.sin(phi), rho * np.cos(phi), z) == pytest.approx(tuple(shifted.source[view]))
+        assert value[0x7031, 0x1031] == pytest.approx(800.0)
+        assert value[0x7031, 0x1033] == pytest.approx([3.5 - 2.0 / 0.5, 2.5 + 3.0 / 1.5])
+        assert value[0x7037, 0x1009] == "HELICAL"
+    tilted = mounted(shifted, Mount(tilt=(0.0, 0.1, 0.0)))
+    with pytest.raises(GeometryError, match="upright panels across the ray from the source to the axis: that of view"):
+        poses_as_tags(tilted)
