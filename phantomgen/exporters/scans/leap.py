@@ -7,7 +7,10 @@ import numpy as np
 
 from phantomgen.exporters.projections import Kind, Projections
 from phantomgen.exporters.scans.arrays import write_npy
+from phantomgen.geometry.conversions.central_circle import central_circle_of
 from phantomgen.geometry.conversions.leap import to_leap, to_leap_volume
+from phantomgen.geometry.poses import Geometry
+from spectra.errors import GeometryError
 
 KINDS: tuple[Kind, ...] = ("line-integrals",)
 SCRIPT = """
@@ -18,9 +21,10 @@ sizes = len(poses["source"]), scan["rows"], scan["columns"], scan["row_pitch"], 
 leap.set_modularbeam(*sizes, *(poses[key] for key in ("source", "center", "row", "column")))
 leap.set_volume(*scan["volume"])
 data, volume = np.load(f"{scan['files'][name]}.npy"), leap.allocate_volume()  # (view, row, column)
-leap.FBP(data, volume)  # other orbits than a circle need leap.SIRT(data, volume, 200)
+_ = leap.FBP(data, volume) if scan["circle"] else leap.SIRT(data, volume, 200)  # leap.set_gpu(-1) first without CUDA
 np.save(f"{scan['files'][name]}_volume.npy", volume)  # (z, y, x)
 """
+_KEYS = ("source", "center", "row", "column")
 IMPORTS = "from leapctype import tomographicModels"
 
 
@@ -37,7 +41,19 @@ def write(folder: Path, projections: Projections) -> dict[str, Any]:
     what the script needs to know
     """
     found, volume = to_leap(projections.geometry), to_leap_volume(projections.grid)
-    vectors = [np.ascontiguousarray(value, dtype=np.float32) for value in found[5:]]
-    np.savez(folder / "geometry.npz", **dict(zip(("source", "center", "row", "column"), vectors, strict=True)))
-    write_npy(folder, projections)
-    return {"volume": list(volume), "row_pitch": found.pixelHeight, "column_pitch": found.pixelWidth}
+    circle = _is_central_circle(projections.geometry)  # LEAP filters where rows go up, and such panels must be centred
+    rows = -found.rowVectors if circle else found.rowVectors
+    vectors = found.sourcePositions, found.moduleCenters, rows, found.colVectors
+    single = {key: value.astype(np.float32) for key, value in zip(_KEYS, vectors, strict=True)}
+    np.savez(folder / "geometry.npz", **single)  # type: ignore[arg-type]
+    write_npy(folder, projections, rows_up=circle)
+    known = {"row_pitch": found.pixelHeight, "column_pitch": found.pixelWidth}
+    return {"circle": circle, "volume": list(volume), **known}
+
+
+def _is_central_circle(geometry: Geometry) -> bool:
+    try:
+        central_circle_of(geometry, "LEAP")
+    except GeometryError:
+        return False
+    return True

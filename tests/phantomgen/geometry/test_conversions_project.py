@@ -11,6 +11,7 @@ from support.poses import largest_difference
 from phantomgen.geometry import orbits
 from phantomgen.geometry.conversions.astra import to_astra
 from phantomgen.geometry.conversions.diffdrr import to_diffdrr
+from phantomgen.geometry.conversions.leap import to_leap, to_leap_volume
 from phantomgen.geometry.conversions.rtk import from_rtk_object, to_rtk, to_rtk_object
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.panel_mount import Mount, mounted
@@ -112,6 +113,25 @@ def test_rtk_reads_our_file_and_we_read_its_file(name, tmp_path):
     assert largest_difference(from_rtk_object(read, geometry.panel), geometry) < 1e-9
     itk.RTK.write_geometry(to_rtk_object(geometry), str(tmp_path / "theirs.xml"))
     assert largest_difference(read_rtk_geometry(tmp_path / "theirs.xml", geometry.panel), geometry) < 1e-9
+
+
+CUBES = Grid((57, 53, 53), (1.0, 1.0, 1.0), (-24.0, -30.0, -20.0))
+
+
+@pytest.mark.parametrize("name", POSES)
+def test_leap_projects_as_we_do(name):
+    """There is no package of LEAP: build it with `cpu_CMakeLists.txt` and put `leapctype.py` into the path."""
+    leapctype, geometry = pytest.importorskip("leapctype"), POSES[name]
+    leap, poses, grid = leapctype.tomographicModels(), to_leap(geometry), CUBES
+    leap.set_gpu(-1)
+    vectors = [np.ascontiguousarray(value, dtype=np.float32) for value in poses[5:]]
+    assert leap.set_modularbeam(*poses[:5], *vectors)
+    assert leap.set_volume(*to_leap_volume(grid))
+    found = leap.allocate_projections()
+    leap.project(found, blobs(grid))
+    panel = geometry.panel
+    wanted = project(blobs(grid)[None], grid, geometry.ray_frames(), panel.rows, panel.columns)[0]
+    compare(found, wanted, 5e-3)
 
 
 FLAT = Grid((1, 110, 96), (1.0, 0.5, 0.5), (0.0, -31.0, -19.0))  # square pixels, as ASTRA needs them here
