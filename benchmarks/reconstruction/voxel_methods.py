@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
+from phantomgen.dataset.inpainting import inpainted
 from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.truth import Truth, read_truth
 from phantomgen.geometry.voxel_grid import Grid
-from recon.data.inpainting import inpainted
 from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import Measurements, matching_bin, read_measurements
 from recon.evaluation.metrics import psnr

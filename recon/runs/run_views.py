@@ -5,7 +5,7 @@ from pathlib import Path
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.runtime.stopwatch import Stopwatch
-from recon.data.inpainting import ray_weights
+from recon.data.measured_rays import ray_weights
 from recon.data.measurements import read_measurements
 from recon.kedge.basis_names import Asked
 from recon.runs.checks import PIPELINES, check_method

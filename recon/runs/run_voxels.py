@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.dataset.inpainting import inpainted
 from phantomgen.dataset.reader import Dataset
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.stopwatch import Stopwatch
 from recon.data.coverage import coverage, inner_box
-from recon.data.inpainting import inpainted, ray_weights
 from recon.data.material_decomposition import decompose_views
+from recon.data.measured_rays import ray_weights
 from recon.data.measurements import Measurements, matching_bin, read_measurements
 from recon.gaussians.recipe import Recipe
 from recon.kedge.basis_names import Asked, left_out, with_named

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.dataset.inpainting import inpainted
 from phantomgen.geometry.voxel_grid import Grid
-from recon.data.inpainting import inpainted
 from recon.data.measurements import Measurements
 from recon.data.partial_volume import LEAST_COUNTS
 from recon.voxel.method import Iteration, LinearMethod, OnIteration, Volumes, Weights, unwatched

@@ -11,7 +11,7 @@ from phantomgen.geometry.poses import Geometry
 from recon.comparison.contenders.clock import Spent
 from recon.comparison.contenders.model import Model, Runs, StoredViews
 from recon.comparison.contenders.recorder import Recorder
-from recon.data.inpainting import ray_weights
+from recon.data.measured_rays import ray_weights
 from recon.data.measurements import read_measurements
 from recon.voxel.image_domain import log_projections
 from recon.voxel.method import Iteration, ViewMethod, ViewModel

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.dataset.inpainting import inpainted
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.stopwatch import Stopwatch
 from recon.data.coverage import Coverage
 from recon.data.devices import device_named
-from recon.data.inpainting import inpainted
 from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import Measurements, matching_bin
 from recon.gaussians.initial.fit_to_volume import evaluations_for, fit_to_volume, metric_of

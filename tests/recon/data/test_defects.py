@@ -8,10 +8,10 @@ import torch
 from support.detector_scenes import counting
 from support.gaussian_scenes import PIXEL, circular, small_model, small_scan, spectral_model
 
+from phantomgen.dataset.inpainting import inpainted
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.simulation.run import simulate
-from recon.data.inpainting import inpainted
 from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import read_measurements
 from recon.evaluation.metrics import HeldOutView, score_projections
