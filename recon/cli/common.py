@@ -105,7 +105,7 @@ def each_text(values: Any) -> str:
     return "/".join(f"{value:.1f}" for value in values)
 
 
-def teller(quiet: bool) -> Callable[[str], None]:
+def stderr_printer(quiet: bool) -> Callable[[str], None]:
     """Return a function that writes sentences to stderr.
 
     Parameters

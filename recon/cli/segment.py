@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from phantomgen.cli.common import debug_option, json_option
-from recon.cli.common import teller
+from recon.cli.common import stderr_printer
 from recon.cli.run_argument import RunFolder, check_run_name
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def segment(
 
     if out is not None:
         check_run_name(out)
-    say = teller(quiet or as_json)
+    say = stderr_printer(quiet or as_json)
     chosen = parse_views(views) or DEFAULT_VIEWS
     options = Options(domain, features, bandwidth, energies or (ENERGY,), seed)
     if truth is not None:

@@ -15,7 +15,7 @@ from scipy.ndimage import label
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements, matching_bin
-from recon.data.view_subsets import kinds_of, spread
+from recon.data.view_subsets import evenly_spread_views, view_groups
 from recon.data.volume_edges import over_metal, relative_density
 from recon.ops.likelihood import MeasuredCounts, likelihood
 from recon.ops.nonnegative_newton import as_matrices
@@ -132,7 +132,7 @@ def relative_deviations(
     -------
     largest relative standard deviation over the bases [no unit], 0 outside of `held`
     """
-    some = measured[spread(kinds_of(measured.exposure), MOST_VIEWS)]
+    some = measured[evenly_spread_views(view_groups(measured.exposure), MOST_VIEWS)]
     some = some.binned(matching_bin(some.geometry, min(grid.spacing)))
     lengths = forward(volumes.astype(np.float32), some.geometry, grid)
     counts = MeasuredCounts(some.counts, some.gains, some.exposure, some.profile)

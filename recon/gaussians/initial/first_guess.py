@@ -42,7 +42,7 @@ class Scan(NamedTuple):
     air: int
 
 
-class FilledPart(NamedTuple):
+class OccupiedPart(NamedTuple):
     """The part of volumes that is not empty.
 
     Parameters
@@ -100,25 +100,25 @@ def first_guess(
         coarse = measured.completed().binned(matching_bin(measured.geometry, voxel))
         with stage("decompose"):
             line_integrals = decompose_views(coarse, recipe.dispersion, resources.store)[0]
-            for image in line_integrals if coarse.unseen.any() else ():
-                image[:] = inpainted(image, coarse.unseen)
+            for image in line_integrals if coarse.blind_pixels.any() else ():
+                image[:] = inpainted(image, coarse.blind_pixels)
         with stage(method.name):
-            volumes = initial_volumes(line_integrals, coarse.unseen, coarse.geometry, grid, method)
+            volumes = initial_volumes(line_integrals, coarse.blind_pixels, coarse.geometry, grid, method)
     with stage("initialize"):
-        filled, names = filled_part(volumes, grid, scan.air), measured.basis_names
+        occupied, names = occupied_part(volumes, grid, scan.air), measured.basis_names
         spacing = recipe.distance(len(measured)) * voxel
-        gaussians = initialize(*filled, scan.fisher, spacing, names, recipe.seed, recipe.placement)
+        gaussians = initialize(*occupied, scan.fisher, spacing, names, recipe.seed, recipe.placement)
     if not recipe.prior:
         return volumes, gaussians
-    metric, settings = metric_of(filled.volumes, scan.fisher, recipe.volume_fit), recipe.volume_fit
+    metric, settings = metric_of(occupied.volumes, scan.fisher, recipe.volume_fit), recipe.volume_fit
     with stage("approximate"):
         evaluations = evaluations_for(len(gaussians), recipe.approximation, settings)
         gaussians = gaussians.to(device_named(resources.device))
-        gaussians = fit_to_volume(gaussians, *filled, metric, evaluations, on_iteration, settings)
+        gaussians = fit_to_volume(gaussians, *occupied, metric, evaluations, on_iteration, settings)
     return volumes, gaussians.to("cpu")
 
 
-def filled_part(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, air: int) -> FilledPart:
+def occupied_part(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, air: int) -> OccupiedPart:
     """Cut off the empty border of volumes, after adding voxels of air around them.
 
     A grid that was enlarged ends where its object does; with air around it, Gaussians do not extend beyond the object
@@ -139,4 +139,4 @@ def filled_part(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, air: int)
         origin = tuple(o - air * s for o, s in zip(grid.origin, grid.spacing, strict=True))
         grid = Grid(tuple(n + 2 * air for n in grid.shape), grid.spacing, origin)  # type: ignore[arg-type]
     box = occupied(volumes)
-    return FilledPart(np.ascontiguousarray(volumes[:, *box]), grid.part(box))
+    return OccupiedPart(np.ascontiguousarray(volumes[:, *box]), grid.part(box))

@@ -14,7 +14,7 @@ import pytest
 import torch
 from support.gaussian_scenes import PIXEL, circular, small_model, small_scan, spectral_model
 
-from recon.data.array_store import ArrayStore, release, taken
+from recon.data.array_store import ArrayStore, release
 from recon.gaussians.likelihood import likelihood
 from recon.gaussians.optimize import SNAPSHOTS, fit
 from recon.gaussians.processes import joined

@@ -115,8 +115,8 @@ def test_a_photon_may_count_more_than_once():
 
 def test_silicon_is_called_poor_and_cadmium_telluride_is_not():
     silicon = detector(2.0, material=Material("Si", composition="Si"), thickness=60.0)
-    assert "leaves out Compton scattering in the sensor, 8" in silicon.poor[0]
-    assert detector().poor == ()
+    assert "leaves out Compton scattering in the sensor, 8" in silicon.model_warnings[0]
+    assert detector().model_warnings == ()
 
 
 @pytest.mark.parametrize(
