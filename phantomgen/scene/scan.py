@@ -23,7 +23,7 @@ from phantomgen.scene.geometry import scene_geometry
 from phantomgen.scene.materials import check_material, scene_materials
 from phantomgen.scene.objects.build import ObjectContent, has_curves, objects_of
 from phantomgen.scene.objects.overlap import added_up
-from phantomgen.scene.source import profile_of, source_fields, sources_of
+from phantomgen.scene.source import beam_profile_of, source_fields, sources_of
 from phantomgen.shapes import Shape, solids_of
 from spectra.basis.basis import Basis
 from spectra.detector.dead_time import DeadTime
@@ -193,7 +193,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
         text=file.resolved,
         sub_rays=model.panel.sub_rays,
         exposure=_exposure(file, geometry.splits, detector),
-        profile=profile_of(file, source),
+        profile=beam_profile_of(file, source),
         dead_time=scene_dead_time(file),
         effects=scene_effects(file),
         file=file if model.tessellation == "auto" and has_curves(file) else None,

@@ -144,7 +144,7 @@ class ProgressBar:
         if not self.quiet and name != "fit":
             click.echo(f"{name} ...", err=True)
 
-    def say(self, sentence: str) -> None:
+    def note(self, sentence: str) -> None:
         """Show a decision.
 
         Parameters

@@ -118,7 +118,7 @@ def fit(
             )
             state.seconds = time.perf_counter() - began
             progress = _progress(state, steps, found, snapshot, unseen)
-            if processes.any(bool(on_step(progress))) or state.unimproved >= settings.patience:
+            if processes.any(bool(on_step(progress))) or _has_stopped_improving(state, settings):
                 return state.gaussians.detached()
     return state.gaussians.detached()
 
@@ -168,6 +168,14 @@ def _held_out_likelihood(state: FitState, held_out: Measurements, recipe: Recipe
     better = mean < state.lowest
     state.lowest, state.unimproved = min(mean, state.lowest), 0 if better else state.unimproved + 1
     return found
+
+
+def _has_stopped_improving(state: FitState, settings: OptimizerSettings) -> bool:
+    """Stopping rule: chi-square of the held-out views was not a new minimum `settings.patience` times in a row.
+
+    Without held-out views it never applies, and a fit ends after the sweeps of its recipe.
+    """
+    return state.unimproved >= settings.patience
 
 
 def _subsets(groups: Int[np.ndarray, " view"], per_sweep: int, steps: int) -> Iterator[np.ndarray]:

@@ -52,7 +52,7 @@ def run(dataset: Dataset, folder: Path | None, method: RunMethod, figures: bool,
     with clock("write"):
         outcome.write(folder)
     if outcome.left_out:
-        watcher.say(left_out_sentence(outcome.left_out))
+        watcher.note(left_out_sentence(outcome.left_out))
     with clock("score"):
         with guard("reading the truth"):
             truth = read_truth(dataset.path)

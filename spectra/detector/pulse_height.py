@@ -44,7 +44,7 @@ _NEGLIGIBLE = 1e-9  # counts per absorbed photon
 
 
 @dataclass(frozen=True)
-class Sharing:
+class ChargeSharing:
     """Charge sharing between pixels.
 
     Parameters
@@ -71,19 +71,19 @@ class PulseHeightDetector(Detector):
     ----------
     resolution : full width at half maximum of the photopeak [keV], the same at all energies
     fluorescence : whether K fluorescence of the sensor is followed
-    sharing : pixels and charge clouds; None for pixels that keep all charge and all fluorescence that does not leave
-        the sensor
+    charge_sharing : pixels and charge clouds; None for pixels that keep all charge and all fluorescence that does not
+        leave the sensor
     """
 
     resolution: float = 0.0
     fluorescence: bool = False
-    sharing: Sharing | None = None
+    charge_sharing: ChargeSharing | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0 <= self.resolution < np.inf:
             raise InputError(f"the resolution must be finite and not negative, got {self.resolution:g} keV")
-        if self.sharing is not None and self.resolution < _SHARPEST:
+        if self.charge_sharing is not None and self.resolution < _SHARPEST:
             raise InputError(
                 f"shared charge needs a resolution of at least {_SHARPEST:g} keV, got {self.resolution:g} keV"
             )
@@ -159,7 +159,7 @@ class PulseHeightDetector(Detector):
         mu_line = float(self.material.attenuation(np.array([line]))[0])
         escaped = escape(self.material.attenuation(energy), mu_line, self.thickness)
         without = self._counts_of_clouds(np.maximum(energy - line, 0.0))
-        if self.sharing is None:
+        if self.charge_sharing is None:
             return escaped * without + (1 - escaped) * self._counts_of_clouds(energy)
         # Pixels that get charge of the fluorescence, and what charge of the photon itself adds to them.
         moved = self._counts_of_clouds(np.array([line])) * (1 - escaped)
@@ -167,7 +167,7 @@ class PulseHeightDetector(Detector):
 
     def _counts_of_clouds(self, deposited: EnergyArray) -> PerChannel:
         """Counts of each channel in all pixels, per charge cloud of each energy [keV]."""
-        if self.sharing is None:
+        if self.charge_sharing is None:
             return _disjoint(np.stack([self._fraction_above(deposited, t) for t in self.thresholds]))
         return np.maximum(_disjoint(self._pixels_above(deposited)), 0.0)
 
@@ -204,8 +204,8 @@ class PulseHeightDetector(Detector):
 
     @property
     def _pitch_and_cloud(self) -> tuple[float, float]:
-        """Pitch and charge cloud [mm]; only with `sharing`."""
-        return (np.inf, 0.0) if self.sharing is None else (self.sharing.pitch, self.sharing.cloud)
+        """Pitch and charge cloud [mm]; only with `charge_sharing`."""
+        return (np.inf, 0.0) if self.charge_sharing is None else (self.charge_sharing.pitch, self.charge_sharing.cloud)
 
     def _fraction_above(self, energy: EnergyArray, threshold: float) -> EnergyArray:
         """Part of the pulses of an energy that reach a threshold."""
