@@ -14,7 +14,7 @@ from phantomgen.dataset.reader import Dataset, Region, open_dataset
 from phantomgen.dataset.truth import Truth, read_truth
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.runtime.guarded import Guard, Salvage, unguarded
+from phantomgen.runtime.guarded import Guard, WarnOnFailure, unguarded
 from phantomgen.runtime.plain_json import to_json, write_json
 from phantomgen.runtime.stopwatch import peak_memory_mib
 from phantomgen.runtime.thumbnails import thumbnails
@@ -169,7 +169,7 @@ class Fit:
             When the folder exists and `overwrite` is not given.
         """
         target = RunFolder(Path(folder), overwrite)
-        guard = Salvage(lambda sentence, error: warnings.warn(sentence, RuntimeWarning, stacklevel=5))
+        guard = WarnOnFailure(lambda sentence, error: warnings.warn(sentence, RuntimeWarning, stacklevel=5))
         with target as part, self._outcome() as outcome:
             outcome.write(part)
             (part / LOG).write_text("".join(to_json(entry) + "\n" for entry in self.log), encoding="utf-8")

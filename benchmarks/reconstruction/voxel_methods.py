@@ -64,7 +64,7 @@ def two_step(measured: Measurements, grid: Grid, tell: Told) -> None:
     clock = Clock()
     data = measured.completed().binned(matching_bin(measured.geometry, min(grid.spacing)))
     line_integrals, fisher = decompose_views(data, DISPERSION)
-    line_integrals = inpainted(line_integrals, data.unseen)
+    line_integrals = inpainted(line_integrals, data.blind_pixels)
     volumes = fdk(line_integrals, data.geometry, grid)
     tell("ML, then FDK", clock.seconds(), volumes)
     images = np.ascontiguousarray(np.moveaxis(line_integrals, 1, 0))

@@ -124,7 +124,7 @@ def each_text(values: Any) -> str:
     return "/".join(f"{value:.1f}" for value in values)
 
 
-def teller(quiet: bool) -> Callable[[str], None]:
+def stderr_printer(quiet: bool) -> Callable[[str], None]:
     """Return a function that writes sentences to stderr.
 
     Parameters
@@ -163,7 +163,7 @@ class ProgressBar:
         if not self.quiet and name != "fit":
             click.echo(f"{name} ...", err=True)
 
-    def say(self, sentence: str) -> None:
+    def note(self, sentence: str) -> None:
         """Show a decision.
 
         Parameters

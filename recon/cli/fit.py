@@ -194,7 +194,7 @@ def fit(
         return
     click.echo("\n".join([score_table(metrics), "", *verdict.lines(metrics)]))
     if isinstance(how, PaperRecipe):
-        click.echo(how.says)
+        click.echo(how.description)
     has_volumes = (folder.path / VOLUMES).is_file()
     in_what = "in voxels" if has_volumes else "without a volume"
     what = gaussians_text(metrics) if method == "gaussian" else f"{method} {in_what}"

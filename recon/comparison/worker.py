@@ -21,7 +21,7 @@ from phantomgen.runtime.stopwatch import peak_memory_mib
 from recon.comparison.contenders.clock import Clock
 from recon.comparison.contenders.contender import GAUSSIAN, PAPER, Contender, contender
 from recon.comparison.contenders.model import Runs
-from recon.comparison.contenders.recorder import Moment, Recorder
+from recon.comparison.contenders.recorder import RecordedModel, Recorder
 from recon.comparison.contenders.timed_gaussians import run_gaussian, run_paper
 from recon.comparison.contenders.timed_voxels import run_voxels
 from recon.comparison.job import Job, write_result
@@ -122,37 +122,39 @@ def _write_scores(job: Job, dataset: Dataset, runs: Runs, memory: float | None) 
     scored: dict[Path, dict[str, Any]] = {}
     for budget in job.budgets:
         recorder = runs.recorder(budget)
-        moment = None if recorder is None else recorder.result(budget)
+        recorded_model = None if recorder is None else recorder.result(budget)
         content: dict[str, Any] = {"contender": job.contender, "budget": budget}
-        if recorder is None or moment is None:
+        if recorder is None or recorded_model is None:
             lacking = f"nothing is ready within {budget:g} s: {runs.lacking}"
             write_result(Path(job.folder), budget, content | {"error": lacking, "too_short": True})
             continue
-        if moment.path not in scored:
-            scored[moment.path] = score(runs.load(moment.path), dataset, truth, pseudo)
-        count, kind = runs.load(moment.path).primitives
+        if recorded_model.path not in scored:
+            scored[recorded_model.path] = score(runs.load(recorded_model.path), dataset, truth, pseudo)
+        count, kind = runs.load(recorded_model.path).primitives
         content |= {
-            "seconds": moment.seconds,
-            "done": moment.done,
-            "total": moment.total,
-            "finished": recorder.is_final(moment),
+            "seconds": recorded_model.seconds,
+            "done": recorded_model.done,
+            "total": recorded_model.total,
+            "finished": recorder.is_final(recorded_model),
             "primitives": count,
             "kind": kind,
             "peak_memory_mib": memory,
-            "curve": _curve(recorder.moments, runs, truth),
+            "curve": _curve(recorder.recorded, runs, truth),
         }
-        write_result(Path(job.folder), budget, content | scored[moment.path])
+        write_result(Path(job.folder), budget, content | scored[recorded_model.path])
 
 
-def _curve(moments: list[Moment], runs: Runs, truth: Truth | None) -> list[dict[str, float]]:
+def _curve(recorded: list[RecordedModel], runs: Runs, truth: Truth | None) -> list[dict[str, float]]:
     """PSNR of each basis over time, as ``seconds``, ``done`` and ``psnr_<basis>`` [dB]; empty without a truth."""
     points = []
     if truth is None:
         return points
-    for moment in moments:
-        bases = runs.load(moment.path).bases
+    for recorded_model in recorded:
+        bases = runs.load(recorded_model.path).bases
         if bases is not None:
-            points.append({"seconds": moment.seconds, "done": float(moment.done)} | psnr_of_bases(truth, bases))
+            points.append(
+                {"seconds": recorded_model.seconds, "done": float(recorded_model.done)} | psnr_of_bases(truth, bases)
+            )
     return points
 
 

@@ -32,7 +32,7 @@ def decomposed_projections(dataset: Dataset, bases: int | None = None) -> Projec
     place = np.argsort(order)
 
     def image(view: int) -> Float[np.ndarray, "basis row column"]:
-        return inpainted(decompose_views(measured[[int(place[view])]])[0][0], measured.unseen)
+        return inpainted(decompose_views(measured[[int(place[view])]])[0][0], measured.blind_pixels)
 
     return Projections(
         title=dataset.name,

@@ -83,6 +83,6 @@ def ray_information(
     expected, jacobian = transmission.expected_and_jacobian(lengths)
     expected, jacobian = expected * gains, jacobian[..., : len(measurements.basis_names)] * gains[..., None]
     precision = 1 / np.maximum(expected * (1 + dispersion**2 * expected), np.finfo(float).tiny)
-    if measurements.shares is not None:
-        precision = precision * np.moveaxis(measurements.shares, 1, -1)
+    if measurements.statistical_weights is not None:
+        precision = precision * np.moveaxis(measurements.statistical_weights, 1, -1)
     return np.einsum("...c,...cm,...cn->...mn", precision, jacobian, jacobian, optimize=True)

@@ -127,7 +127,9 @@ def _view_sums(
 ) -> tuple[Tensor, Float[Tensor, " sum"]]:
     """Compute the sum of the deviance; and as numbers that sum, chi-square per channel, and expected values of both."""
     counts, expected, measuring = _counts(images, one)
-    statistical_weights = 1.0 if one.shares is None else torch.from_numpy(one.shares).to(images.device)
+    statistical_weights = (
+        1.0 if one.statistical_weights is None else torch.from_numpy(one.statistical_weights).to(images.device)
+    )
     loss = (statistical_weights * deviance(counts, expected, dispersion)).sum()
     with torch.no_grad():
         found = torch.where(measuring, chi_square(counts, expected, dispersion), 0.0)

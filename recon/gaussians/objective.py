@@ -27,7 +27,7 @@ Y        ``expected``                    expected counts
 d_eta    `recon.ops.deviance.deviance`   deviance of counts with variance Y + (eta Y)^2; of Poisson counts for eta = 0
 eta      ``dispersion``                  model error: relative standard deviation of Y that is conceded
 s        ``statistical_weights``         statistical weights of the counts, 0 to 1, by `Measurements.weighted`
-u        ``Measurements.apart``          0 for the rays that were set apart, else 1
+u        ``Measurements.unseen_blocks``  0 for the rays that were set apart, else 1
 I        `recon.data.partial_volume`     y over the open beam; with a tilde smoothed; N(r) are pixels within 2 of r
 delta    `recon.data.partial_volume`     standard deviation of the correction for partial volume, beyond the least of
                                          the ray's channels
@@ -65,7 +65,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from recon.data.measurements import Measurements
-from recon.data.view_subsets import every, kinds_of
+from recon.data.view_subsets import every_nth_view, view_groups
 from recon.gaussians.fisher import coefficient_curvature
 from recon.gaussians.likelihood import Likelihood, likelihood_and_gradients
 from recon.gaussians.model import GaussianModel
@@ -143,7 +143,7 @@ class Objective:
         inverse of the damped curvature, and W
         """
         data = self.data
-        some = every(kinds_of(data.exposure), -(-len(data) // settings.curvature_views))
+        some = every_nth_view(view_groups(data.exposure), -(-len(data) // settings.curvature_views))
         blocks = coefficient_curvature(gaussians, data[self.processes.share(some)], self.dispersion)
         self.processes.add_up([blocks])
         blocks, metric = blocks * (len(data) / len(some)), torch.empty(0)

@@ -1,6 +1,6 @@
 """The steps of the fit, which lower the objective for all channels at once.
 
-`recon.gaussians.objective` has the equation. It has two kinds of unknowns, and each has its own kind of step. With the
+`recon.gaussians.objective` has the equation. It has two groups of unknowns, and each has its own kind of step. With the
 geometry held, the model is linear in the coefficients up to the exponential of Beer's law, so these take second-order
 steps (`recon.gaussians.fisher`) with momentum, projected onto non-negative coefficients. Centres, scales and rotations
 take steps of Adam. What steps change is a `recon.gaussians.state.FitState`, so that a fit can be interrupted between
@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from recon.data.measurements import Measurements, matching_bin
-from recon.data.view_subsets import kinds_of, parts_of, rounds_of
+from recon.data.view_subsets import count_complete_sets, golden_section_order, interleaved_subsets, view_groups
 from recon.gaussians.likelihood import Likelihood, likelihood
 from recon.gaussians.model import GaussianModel
 from recon.gaussians.objective import Objective
@@ -32,9 +32,6 @@ from recon.ops.nonnegative_newton import nonnegative_newton_step
 from spectra.threads import without_other_pools
 
 SNAPSHOTS = 10  # models kept along the way, for error against time; with held-out views, looks at them
-STRIDE = (
-    0.38  # of the views of a sweep; from one step to the next, near the golden section, so that views are far apart
-)
 
 
 @dataclass(frozen=True)
@@ -99,17 +96,17 @@ def fit(
     state = start if isinstance(start, FitState) else FitState.begin(start)
     settings, processes = recipe.optimizer, resources.processes
     began = time.perf_counter() - state.seconds
-    kinds = kinds_of(measurements.exposure)
-    rounds = rounds_of(kinds)  # a step uses a view of each kind: one kind alone cannot tell bases apart
-    lengths, per_sweep = recipe.steps(rounds), recipe.per_sweep(rounds)
+    groups = view_groups(measurements.exposure)
+    complete_sets = count_complete_sets(groups)  # a step uses views of all groups: one alone cannot separate the bases
+    lengths, per_sweep = recipe.steps(complete_sets), recipe.per_sweep(complete_sets)
     steps, firsts = sum(lengths), accumulate(lengths, initial=0)
     for stage, first, length in zip(recipe.stages, firsts, lengths, strict=False):
         if state.done >= first + length:
             continue
         data = measurements.binned(matching_bin(measurements.geometry, stage.pixel * voxel))
         objective = Objective(data.weighted(recipe.dispersion, resources.store), recipe.dispersion, prior, processes)
-        for step, views in islice(enumerate(_subsets(kinds, per_sweep, length)), state.done - first, None):
-            if step % recipe.curvature_steps(rounds) == 0:
+        for step, views in islice(enumerate(_subsets(groups, per_sweep, length)), state.done - first, None):
+            if step % recipe.curvature_steps(complete_sets) == 0:
                 state.inverse_curvature, state.prior_metric = objective.curvature(state.gaussians, settings)
             found = objective.set_gradients(state.gaussians, views, state.prior_metric, state.done)
             _move_geometry(state, recipe, voxel, per_sweep, steps)
@@ -117,10 +114,12 @@ def fit(
             _shorten_after_rise(state, found.deviance, (step + 1) % per_sweep == 0, settings)
             state.done += 1
             snapshot = state.done % max(steps // SNAPSHOTS, 1) == 0 or state.done == steps
-            unseen = _judge(state, held_out, recipe, processes) if snapshot and held_out is not None else None
+            unseen = (
+                _held_out_likelihood(state, held_out, recipe, processes) if snapshot and held_out is not None else None
+            )
             state.seconds = time.perf_counter() - began
             progress = _progress(state, steps, found, snapshot, unseen)
-            if processes.any(bool(on_step(progress))) or state.unimproved >= settings.patience:
+            if processes.any(bool(on_step(progress))) or _has_stopped_improving(state, settings):
                 return state.gaussians.detached()
     return state.gaussians.detached()
 
@@ -177,7 +176,7 @@ def _progress(state: FitState, steps: int, found: Likelihood, snapshot: bool, un
     )  # fmt: skip
 
 
-def _judge(state: FitState, held_out: Measurements, recipe: Recipe, processes: Processes) -> Likelihood:
+def _held_out_likelihood(state: FitState, held_out: Measurements, recipe: Recipe, processes: Processes) -> Likelihood:
     """Compute the likelihood of held-out views, and keep the smallest chi-square in the state."""
     found = likelihood(state.gaussians, held_out, recipe.dispersion, processes)
     mean = float(np.nanmean(found.chi_square))
@@ -186,12 +185,20 @@ def _judge(state: FitState, held_out: Measurements, recipe: Recipe, processes: P
     return found
 
 
-def _subsets(kinds: Int[np.ndarray, " view"], per_sweep: int, steps: int) -> Iterator[np.ndarray]:
+def _has_stopped_improving(state: FitState, settings: OptimizerSettings) -> bool:
+    """Stopping rule: chi-square of the held-out views was not a new minimum `settings.patience` times in a row.
+
+    Without held-out views it never applies, and a fit ends after the sweeps of its recipe.
+    """
+    return state.unimproved >= settings.patience
+
+
+def _subsets(groups: Int[np.ndarray, " view"], per_sweep: int, steps: int) -> Iterator[np.ndarray]:
     """Yield evenly spread subsets of the views, in an order in which neighbours are far apart on the orbit."""
-    parts = parts_of(kinds, per_sweep)
-    stride = next(s for s in range(max(int(STRIDE * per_sweep), 1), per_sweep + 1) if np.gcd(s, per_sweep) == 1)
+    parts = interleaved_subsets(groups, per_sweep)
+    order = golden_section_order(per_sweep)
     for step in range(steps):
-        yield parts[step * stride % per_sweep]
+        yield parts[order[step % per_sweep]]
 
 
 @torch.no_grad()

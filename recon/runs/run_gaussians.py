@@ -142,7 +142,7 @@ class GaussianRun:
             outcome.write_model(unfinished.folder)
             raise _stopped(last[0], unfinished)
         for sentence in result.notes:  # of a whole fit; a part of it tells nothing
-            watcher.say(sentence)
+            watcher.note(sentence)
         seconds, deviances = (np.array([entry[key] for entry in unfinished.log]) for key in ("seconds", "deviance"))
         more: dict[str, Callable[[Path], Any]] = {"convergence.png": partial(convergence, seconds, deviances)}
         if fitted.choice is not None:
@@ -156,7 +156,7 @@ class GaussianRun:
         with clock("basis"):
             choice = choose_basis(dataset, self.bases, self.edges)
             for sentence in choice.sentences:
-                watcher.say(sentence)
+                watcher.note(sentence)
             return Fitted(dataset.with_basis(choice.basis), None, choice)
 
     def _memory_plan(self, fitted: Fitted, recipe: Recipe, folder: Path, clock: Stopwatch) -> MemoryPlan:
@@ -254,7 +254,7 @@ def outcome_of_fit(
     }
     about |= {"start": result.start, "notes": list(result.notes)}
     about |= {} if choice is None else {"basis_choice": choice.record()}
-    about |= {"recipe": recipe.says if isinstance(recipe, PaperRecipe) else recipe.name}
+    about |= {"recipe": recipe.description if isinstance(recipe, PaperRecipe) else recipe.name}
     settings = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(recipe).items()}
     return VolumeOutcome(
         dataset, result.gaussians, result.transmission, about, settings, result.node_error,

@@ -75,7 +75,7 @@ class ViewRun:
             watcher.iterated(iteration)
 
         with clock(self.method.name):
-            seen = ray_weights(measured.unseen, len(measured))
+            seen = ray_weights(measured.blind_pixels, len(measured))
             views = self.method.learn_views(images, seen, measured.geometry, dataset.grid, on_iteration)
         log.write()
         settings = {"method": self.method.name} | asdict(self.method)  # type: ignore[call-overload] - methods are dataclasses

@@ -126,12 +126,12 @@ def reconstruct_volumes(
         with stage(method.name):
             return method.reconstruct_counts(measured, grid, on_iteration)
     coarse = measured.completed().binned(matching_bin(measured.geometry, min(grid.spacing)))
-    seen = ray_weights(coarse.unseen, len(coarse))
+    seen = ray_weights(coarse.blind_pixels, len(coarse))
     if pipeline == "image":
         with stage(method.name):
             return reconstruct_channels(coarse, seen, method, grid, on_iteration)
     with stage("decompose"):
-        lengths = inpainted(decompose_views(coarse, Recipe().dispersion)[0], coarse.unseen)
+        lengths = inpainted(decompose_views(coarse, Recipe().dispersion)[0], coarse.blind_pixels)
     with stage(method.name):
         images = np.ascontiguousarray(np.moveaxis(lengths, 1, 0))
         return method.reconstruct(images, seen, coarse.geometry, grid, on_iteration)

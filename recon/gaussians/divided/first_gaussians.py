@@ -6,7 +6,7 @@ from phantomgen.runtime.stopwatch import Stopwatch
 from recon.gaussians.divided.fit_to_volume import fit_divided_to_volume, solve_coefficients
 from recon.gaussians.divided.model import DividedGaussians
 from recon.gaussians.divided.placement import place_on_surfaces
-from recon.gaussians.initial.first_guess import FilledPart, Scan
+from recon.gaussians.initial.first_guess import OccupiedPart, Scan
 from recon.gaussians.initial.fit_to_volume import metric_of
 from recon.gaussians.processes import Resources
 from recon.gaussians.recipe import Recipe
@@ -14,7 +14,7 @@ from recon.voxel.method import OnIteration
 
 
 def divided_gaussians(
-    filled: FilledPart,
+    occupied: OccupiedPart,
     scan: Scan,
     recipe: Recipe,
     stage: Stopwatch,
@@ -27,7 +27,7 @@ def divided_gaussians(
 
     Parameters
     ----------
-    filled : volumes
+    occupied : volumes
     scan : what is known of the scan
     recipe : settings
     stage : stopwatch of the stages
@@ -39,12 +39,12 @@ def divided_gaussians(
     Gaussians with the width of the transition for the fit to the counts
     """
     del resources
-    settings, metric = recipe.surfaces, metric_of(filled.volumes, scan.fisher, recipe.volume_fit)
+    settings, metric = recipe.surfaces, metric_of(occupied.volumes, scan.fisher, recipe.volume_fit)
     with stage("initialize"):
-        gaussians = place_on_surfaces(*filled, metric, scan.measured.basis_names, recipe.seed, settings)
-        gaussians = solve_coefficients(gaussians, *filled, metric, settings.solves)
+        gaussians = place_on_surfaces(*occupied, metric, scan.measured.basis_names, recipe.seed, settings)
+        gaussians = solve_coefficients(gaussians, *occupied, metric, settings.solves)
     with stage("approximate"):
         gaussians = fit_divided_to_volume(
-            gaussians, *filled, metric, settings.evaluations, on_iteration, recipe.volume_fit
+            gaussians, *occupied, metric, settings.evaluations, on_iteration, recipe.volume_fit
         )
-    return replace(gaussians, width=settings.width * min(filled.grid.spacing))
+    return replace(gaussians, width=settings.width * min(occupied.grid.spacing))

@@ -23,7 +23,7 @@ from recon.gaussians.divided.steps import (
 )
 from recon.gaussians.initial.descent import descend
 from recon.gaussians.settings import VolumeFitSettings
-from recon.voxel.method import OnIteration, Report, unwatched
+from recon.voxel.method import OnIteration, Report, no_callback
 
 DEFAULT = VolumeFitSettings()
 LEAST_CURVATURE = 1e-12  # no unit; added to the diagonal, so that a Gaussian without coefficients is not divided by 0
@@ -36,7 +36,7 @@ def fit_divided_to_volume(
     grid: Grid,
     metric: Float[np.ndarray, "basis basis"],
     evaluations: int,
-    on_evaluation: OnIteration = unwatched,
+    on_evaluation: OnIteration = no_callback,
     settings: VolumeFitSettings = DEFAULT,
 ) -> DividedGaussians:
     """Fit divided Gaussians to volumes.
@@ -82,7 +82,7 @@ def solve_coefficients(
     the model with other coefficients
     """
     volumes, grid = _of_twice_the_size(volumes, grid)
-    problem = _Distance(volumes, grid, metric, Report(unwatched, iterations), DEFAULT)
+    problem = _Distance(volumes, grid, metric, Report(no_callback, iterations), DEFAULT)
     problem.renew_diagonal(start)
     scale = problem.overlap[..., None] * torch.diagonal(problem.metric)
     values = start.coefficients.clone()

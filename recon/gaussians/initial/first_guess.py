@@ -43,7 +43,7 @@ class Scan(NamedTuple):
     air: int
 
 
-class FilledPart(NamedTuple):
+class OccupiedPart(NamedTuple):
     """The part of volumes that is not empty.
 
     Parameters
@@ -56,7 +56,7 @@ class FilledPart(NamedTuple):
     grid: Grid
 
 
-Placement = Callable[[FilledPart, Scan, Recipe, Stopwatch, OnIteration, Resources], GaussianModel]
+Placement = Callable[[OccupiedPart, Scan, Recipe, Stopwatch, OnIteration, Resources], GaussianModel]
 
 
 def start_method(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
@@ -110,16 +110,16 @@ def first_guess(
         coarse = measured.completed().binned(matching_bin(measured.geometry, min(grid.spacing)))
         with stage("decompose"):
             line_integrals = decompose_views(coarse, recipe.dispersion, resources.store)[0]
-            for image in line_integrals if coarse.unseen.any() else ():
-                image[:] = inpainted(image, coarse.unseen)
+            for image in line_integrals if coarse.blind_pixels.any() else ():
+                image[:] = inpainted(image, coarse.blind_pixels)
         with stage(method.name):
-            volumes = initial_volumes(line_integrals, coarse.unseen, coarse.geometry, grid, method)
-    filled = filled_part(volumes, grid, scan.air)
-    return volumes, place(filled, scan, recipe, stage, on_iteration, resources)
+            volumes = initial_volumes(line_integrals, coarse.blind_pixels, coarse.geometry, grid, method)
+    occupied = occupied_part(volumes, grid, scan.air)
+    return volumes, place(occupied, scan, recipe, stage, on_iteration, resources)
 
 
 def plain_gaussians(
-    filled: FilledPart,
+    occupied: OccupiedPart,
     scan: Scan,
     recipe: Recipe,
     stage: Stopwatch,
@@ -130,7 +130,7 @@ def plain_gaussians(
 
     Parameters
     ----------
-    filled : volumes
+    occupied : volumes
     scan : what is known of the scan
     recipe : settings
     stage : stopwatch of the stages
@@ -142,19 +142,21 @@ def plain_gaussians(
     Gaussians on the processor
     """
     with stage("initialize"):
-        spacing = recipe.distance(len(scan.measured)) * min(filled.grid.spacing)
-        gaussians = initialize(*filled, scan.fisher, spacing, scan.measured.basis_names, recipe.seed, recipe.placement)
+        spacing = recipe.distance(len(scan.measured)) * min(occupied.grid.spacing)
+        gaussians = initialize(
+            *occupied, scan.fisher, spacing, scan.measured.basis_names, recipe.seed, recipe.placement
+        )
     if not recipe.prior:
         return gaussians
-    metric, settings = metric_of(filled.volumes, scan.fisher, recipe.volume_fit), recipe.volume_fit
+    metric = metric_of(occupied.volumes, scan.fisher, recipe.volume_fit)
     with stage("approximate"):
-        evaluations = evaluations_for(len(gaussians), recipe.approximation, settings)
+        evaluations = evaluations_for(len(gaussians), recipe.approximation, recipe.volume_fit)
         gaussians = gaussians.to(device_named(resources.device))
-        gaussians = fit_to_volume(gaussians, *filled, metric, evaluations, on_iteration, settings)
+        gaussians = fit_to_volume(gaussians, *occupied, metric, evaluations, on_iteration, recipe.volume_fit)
     return gaussians.to("cpu")
 
 
-def filled_part(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, air: int) -> FilledPart:
+def occupied_part(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, air: int) -> OccupiedPart:
     """Cut off the empty border of volumes, after adding voxels of air around them.
 
     A grid that was enlarged ends where its object does; with air around it, Gaussians do not extend beyond the object
@@ -175,4 +177,4 @@ def filled_part(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, air: int)
         origin = tuple(o - air * s for o, s in zip(grid.origin, grid.spacing, strict=True))
         grid = Grid(tuple(n + 2 * air for n in grid.shape), grid.spacing, origin)  # type: ignore[arg-type]
     box = occupied(volumes)
-    return FilledPart(np.ascontiguousarray(volumes[:, *box]), grid.part(box))
+    return OccupiedPart(np.ascontiguousarray(volumes[:, *box]), grid.part(box))

@@ -40,7 +40,7 @@ from recon.gaussians.initial.local_frame import GEOMETRY, SCALES, gradient_of_st
 from recon.gaussians.model import Gaussians
 from recon.gaussians.settings import VolumeFitSettings
 from recon.ops.voxelize import mass_within, voxelize_tensor
-from recon.voxel.method import OnIteration, Report, unwatched
+from recon.voxel.method import OnIteration, Report, no_callback
 
 DEFAULT = VolumeFitSettings()
 LEAST_CURVATURE = 1e-12  # no unit; added to the diagonal, so that a Gaussian without coefficients is not divided by 0
@@ -53,7 +53,7 @@ def fit_to_volume(
     grid: Grid,
     metric: Float[np.ndarray, "basis basis"],
     evaluations: int,
-    on_evaluation: OnIteration = unwatched,
+    on_evaluation: OnIteration = no_callback,
     settings: VolumeFitSettings = DEFAULT,
 ) -> Gaussians:
     """Fit Gaussians to volumes.
