@@ -18,6 +18,7 @@ from recon.evaluation.metrics import (
     score_materials,
     score_projections,
 )
+from recon.gaussians.likelihood import bounded
 from recon.gaussians.model import GaussianModel
 from recon.voxel.model import Voxels
 from recon.voxel.unreliable import Unreliable
@@ -51,7 +52,7 @@ def held_out_views(
 def _predict(
     measured: Measurements, model: GaussianModel | Voxels, unreliable: Unreliable | None
 ) -> Iterator[HeldOutView]:
-    lengths = model.line_integrals(measured.geometry).numpy()
+    lengths = bounded(model.line_integrals(measured.geometry)).numpy()
     lengths = measured.with_profile(np.moveaxis(lengths, 1, -1))
     expected = np.moveaxis(measured.transmission.expected(lengths), -1, 1)
     open_beam = measured.gains * measured.open_beam

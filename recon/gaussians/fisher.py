@@ -49,7 +49,7 @@ def coefficient_curvature(
         # The operator is linear in `values`, so its adjoint may be applied to images other than those it made.
         ray_gradients = torch.zeros_like(images)
         for view in range(len(some)):  # matrices of one view at a time, in float64
-            line_integrals = images[[view], :bases].detach().cpu().numpy()
+            line_integrals = images[[view], :bases].detach().clamp(min=0).cpu().numpy()
             information = ray_information(some[[view]], line_integrals, dispersion)[0][:, :, *upper]
             ray_gradients[view, : len(upper[0])] = torch.from_numpy(information).movedim(-1, 0).to(ray_gradients)
         ray_gradients *= images[:, bases : bases + 1].detach()

@@ -20,6 +20,8 @@ from recon.ops.deviance import chi_square, deviance, expected_chi_square, expect
 from recon.voxel.model import Voxels
 from spectra.differentiable import transmit
 
+MOST_NEGATIVE = 0.1  # no unit; bound of negative line integrals; those of models that fit are above -0.01
+
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
@@ -140,6 +142,23 @@ def _view_sums(
         return loss, torch.cat([part.double().cpu() for part in parts])
 
 
+def bounded(images: Float[Tensor, "view basis row column"]) -> Float[Tensor, "view basis row column"]:
+    """Keep line integrals above `-MOST_NEGATIVE`, with a gradient everywhere; those that are not negative stay.
+
+    Gaussians of either sign may add up to less than nothing along a ray, and expected counts would overflow.
+
+    Parameters
+    ----------
+    images : line integrals [no unit]
+
+    Returns
+    -------
+    L where L is not negative, else L / (1 - L / MOST_NEGATIVE)
+    """
+    below = images.clamp(max=0)
+    return torch.where(images < 0, below / (1 - below / MOST_NEGATIVE), images)
+
+
 class _Counts(NamedTuple):
     """Measured counts y, expected counts Y, and which pixels measure; (V, C, R, K) or broadcast to it."""
 
@@ -151,7 +170,7 @@ class _Counts(NamedTuple):
 def _counts(images: Float[Tensor, "view basis row column"], data: Measurements) -> _Counts:
     """Compute expected counts of line integrals, beside the measured ones."""
     gains = torch.from_numpy(data.gains * data.exposure[:, :, None, None].astype(np.float32)).to(images.device)
-    lengths = images.movedim(1, -1).contiguous()
+    lengths = bounded(images).movedim(1, -1).contiguous()
     if data.profile is not None:
         known = torch.from_numpy(data.profile).to(lengths).movedim(0, -1)
         lengths = torch.cat([lengths, known.expand(len(lengths), *known.shape)], dim=-1)

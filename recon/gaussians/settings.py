@@ -76,9 +76,9 @@ class SurfaceSettings:
     neighbours : Gaussians whose distance is meant, the nearest ones; chosen by hand, not measured
     smoothing : standard deviation of the Gaussian that reduces noise before surfaces are found [voxels]; chosen by
         hand, not measured
-    contrast : smallest gradient on a surface, over the largest values of the clearest basis [1/voxel]; chosen by hand,
-        not measured
-    empty : smallest value of a voxel with Gaussians, over the same values [no unit]; chosen by hand, not measured
+    contrast : smallest gradient on a surface, over a large signal (`recon.data.volume_edges.large_signal`) [1/voxel];
+        chosen by hand, not measured
+    empty : smallest value of a voxel with Gaussians, over a large signal [no unit]; chosen by hand, not measured
     radii : radii in which planes are tried [voxels]; chosen by hand, not measured
     tolerance : largest root mean square distance of a surface from its plane [voxels]; chosen by hand, not measured
     foreign : largest part of the points around that belong to another surface [no unit]; chosen by hand, not measured

@@ -95,14 +95,27 @@ def test_a_run_folder_is_complete(complete):
     assert names(folder.parent) == {"run"}
 
 
-def test_the_model_holds_physical_gaussians(complete):
+def test_the_model_holds_gaussians_and_their_planes(complete):
     model = load_file(complete[0] / "model.safetensors")
-    assert {name: values.shape[1] for name, values in model.items()} == {
-        "centres": 3, "log_scales": 3, "quaternions": 4, "coefficients": 3,
+    assert {name: values.shape[1:] for name, values in model.items()} == {
+        "centres": (3,), "log_scales": (3,), "quaternions": (4,), "offsets": (), "coefficients": (2, 3),
     }  # fmt: skip
     assert {len(values) for values in model.values()} == {metrics_of(complete[0])["gaussians"]}
-    assert (model["coefficients"] >= 0).all()
     assert all(np.isfinite(values).all() for values in model.values())
+
+
+def test_the_model_without_planes_holds_gaussians_that_are_not_negative(dataset, tmp_path):
+    assert fit(dataset, "-o", tmp_path / "run", "--kernel", "gaussian", *FAST).exit_code == 0
+    model = load_file(tmp_path / "run" / "model.safetensors")
+    assert {name: values.shape[1:] for name, values in model.items()} == {
+        "centres": (3,), "log_scales": (3,), "quaternions": (4,), "coefficients": (3,),
+    }  # fmt: skip
+    assert (model["coefficients"] >= 0).all()
+
+
+def test_more_detail_places_more_gaussians(dataset, tmp_path, complete):
+    assert fit(dataset, "-o", tmp_path / "run", "--detail", "1.6", *FAST).exit_code == 0
+    assert metrics_of(tmp_path / "run")["gaussians"] > 1.5 * metrics_of(complete[0])["gaussians"]
 
 
 def test_volumes_state_shape_axes_and_units(complete):

@@ -27,6 +27,7 @@ from recon.voxel.method import OnIteration, Report, no_callback
 
 DEFAULT = VolumeFitSettings()
 LEAST_CURVATURE = 1e-12  # no unit; added to the diagonal, so that a Gaussian without coefficients is not divided by 0
+SOLVE_DAMPING = 1e-3  # no unit; added to the diagonal in the first solution, so that empty sides stay small
 LEAST_OVERLAP = 1e-3  # voxels; sum of squares of one side of a Gaussian, at least, for the same purpose
 
 
@@ -86,13 +87,15 @@ def solve_coefficients(
     problem.renew_diagonal(start)
     scale = problem.overlap[..., None] * torch.diagonal(problem.metric)
     values = start.coefficients.clone()
-    rest = -problem.pulled(start.with_values(values), problem.target)[0]
+    rest = -problem.pulled(start.with_values(values), problem.target)[0] - SOLVE_DAMPING * scale * values
     direction = rest / scale
     square = float((rest * direction).sum(dtype=torch.float64))
     for _ in range(iterations):
         if not square > 0:
             break
         pulled, energy = problem.pulled(start.with_values(direction), None)
+        damped = SOLVE_DAMPING * scale * direction
+        pulled, energy = pulled + damped, energy + 0.5 * float((direction * damped).sum(dtype=torch.float64))
         length = square / (2 * energy)
         values, rest = values + length * direction, rest - length * pulled
         scaled = rest / scale

@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from phantomgen.geometry.voxel_grid import Grid
+from recon.data.volume_edges import large_signal
 from recon.gaussians.divided.model import DividedGaussians
 from recon.gaussians.divided.surfaces import surfaces_of
 from recon.gaussians.initial.initialize import neighbour_distance, places_of, random_of_places
@@ -85,10 +86,10 @@ def _tensor(values: Float[np.ndarray, "..."]) -> Float[Tensor, "..."]:
 def _weights(
     volumes: Float[np.ndarray, "basis z y x"], metric: Float[np.ndarray, "basis basis"]
 ) -> Float[np.ndarray, " basis"]:
-    """Compute factors that give all bases one unit, in which the largest values of the clearest basis are 1."""
+    """Compute factors that give all bases one unit, in which large values of all bases together are 1."""
     weights = np.sqrt(np.diag(metric))
-    peaks = [w * np.quantile(v[v > 0], 0.999) for w, v in zip(weights, volumes, strict=True) if (v > 0).any()]
-    return weights / max(peaks, default=1.0)
+    signal = np.sqrt(sum((w * v) ** 2 for w, v in zip(weights, volumes, strict=True)))
+    return weights / max(large_signal(signal), 1e-30)
 
 
 def _places_inside(

@@ -41,7 +41,7 @@ def surfaces_of(
     Parameters
     ----------
     volumes : coefficients of each basis, (M, Z, Y, X) [1/mm]
-    weights : factors that give all bases one unit, in which the largest values are 1 [mm]
+    weights : factors that give all bases one unit, in which large values of all together are 1 [mm]
     settings : contrast of a surface, and how far it may be from a plane
 
     Returns
