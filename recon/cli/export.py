@@ -59,12 +59,13 @@ def _export_gaussians(run: Path, out: Path) -> dict[str, Any]:
         raise InputError(f"{run} is a run in voxels without Gaussians: export its volumes as .vti, .nii or .nii.gz")
     plain = gaussians.plain()
     write_ply(out, plain)
-    return {"gaussians": len(plain), "bases": list(plain.basis_names), "planes_left_out": gaussians.SIGNED}
+    found = {"gaussians": len(plain), "bases": list(plain.basis_names)}
+    return found | ({"planes": "left out"} if gaussians.SIGNED else {})
 
 
 def _said(found: dict[str, Any]) -> str:
     if "gaussians" in found:
         planes = "; the format has no planes that divide Gaussians: each side is one, and the edges are blurred"
         said = f"{found['gaussians']} Gaussians with {', '.join(found['bases'])}"
-        return said + (planes if found["planes_left_out"] else "")
+        return said + (planes if "planes" in found else "")
     return f"{', '.join(found['volumes'])}, {' x '.join(map(str, found['shape']))} voxels"

@@ -18,6 +18,7 @@ from recon.ops.rasterize.footprints import whitening
 
 CHUNK = 256  # Gaussians per piece of work
 SLAB = 4  # slices per piece of work
+WAVES = [k for k in itertools.product((-1.0, 0.0, 1.0), repeat=3) if k > (0.0, 0.0, 0.0)]  # per voxel; half of them
 FARTHEST = 2.0**22  # voxels from the grid's corner
 
 
@@ -81,13 +82,9 @@ def _table(
 
 def _lattice_mass(x: Tensor, wide: Tensor) -> Tensor:
     """Sum over all voxels of densities of unit mass; see `recon.ops.rasterize.reference.lattice_mass`."""
-    total = torch.ones_like(x[:, 0])
-    for k in itertools.product((-1.0, 0.0, 1.0), repeat=3):
-        if k > (0.0, 0.0, 0.0):
-            wave = torch.tensor(k, dtype=x.dtype)
-            decay = torch.exp(-2 * math.pi**2 * torch.einsum("i,nij,j->n", wave, wide, wave))
-            total = total + 2 * decay * torch.cos(2 * math.pi * x @ wave)
-    return total
+    waves = torch.tensor(WAVES, dtype=x.dtype)
+    decay = torch.exp(-2 * math.pi**2 * ((waves @ wide) * waves).sum(dim=2))
+    return 1 + 2 * (decay * torch.cos(2 * math.pi * x @ waves.T)).sum(dim=1)
 
 
 class _Volume(torch.autograd.Function):
