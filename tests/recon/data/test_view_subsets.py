@@ -7,7 +7,13 @@ from support.tiny_scans import make
 import recon
 from phantomgen.dataset.reader import open_dataset
 from recon.data.measurements import read_measurements
-from recon.data.view_subsets import evenly_spread_views, every_nth_view, interleaved_subsets, view_groups
+from recon.data.view_subsets import (
+    evenly_spread_views,
+    every_nth_view,
+    golden_section_order,
+    interleaved_subsets,
+    view_groups,
+)
 from recon.gaussians.recipe import Stage
 from recon.kedge.rays import rays_away_from_edges
 
@@ -69,3 +75,13 @@ def test_a_channel_that_no_view_has_stays_unmeasured(tmp_path):
     with open_dataset(path) as dataset:
         measured = read_measurements(dataset, dataset.splits["train"][::2], 2)
     np.testing.assert_array_equal(measured.completed().exposure.any(axis=0), [True, True, False, False])
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7, 10, 25, 90])
+def test_subsequent_subsets_are_about_the_golden_section_apart(count):
+    order = golden_section_order(count)
+    assert sorted(order) == list(range(count))
+    if count > 20:
+        steps = np.diff(order) % count
+        assert len(set(steps)) == 1
+        assert 0.35 * count <= steps[0] <= 0.45 * count
