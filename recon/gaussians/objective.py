@@ -52,6 +52,9 @@ Held fixed are y, g, e, S, B, s, mu^0 and w for the whole fit, and W between two
 coefficients of K edges in metal keep their values. In the prior, Gaussians end at a cutoff, and mu^0 is multiplied by
 the part of a Gaussian's mass within it.
 
+Where planes divide the Gaussians (`recon.gaussians.divided.model`), coefficients have either sign, theta also has the
+offsets of the planes, and line integrals below 0 enter Y by `recon.gaussians.likelihood.bounded`.
+
 A step uses some of the views, scaled to all of them, and one slab of the voxels, scaled to the whole volume; the mean
 of its gradient over the steps is that of F. Gradients are of F over half the number of counts (`Objective.scale`).
 """

@@ -115,8 +115,18 @@ def reconstruct(
     Returns
     -------
     the fitted model, and what is known of the fit
+
+    Raises
+    ------
+    InputError
+        When the recipe's Gaussians have planes, and the device is not the processor.
     """
     processes, device = resources.processes, device_named(resources.device)
+    if recipe.kernel == "interface" and device.type != "cpu":
+        raise InputError(
+            f"Gaussians with planes have no kernels for {device.type} yet: take recon.gaussians.recipe.FAST_PLAIN, or "
+            "--kernel gaussian"
+        )
     starting_method(dataset.geometry[dataset.splits["train"]], dataset.grid)  # refuses views from one side alone
     stage = Stopwatch(on_stage)
     with stage("read"):
