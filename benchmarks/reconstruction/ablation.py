@@ -2,7 +2,7 @@
 
     python -m benchmarks.reconstruction.ablation [z_aligned | metal | implant | pin] [WORD ...]
 
-Fits of `development.yaml`, the scene on which recipes were chosen, or of one of its siblings,
+Fits of Gaussians without planes to `development.yaml`, the scene on which recipes were chosen, or of one of its siblings,
 `development_z_aligned.yaml` and so on; rows whose name is one of the words, or has it after the recipe's name; all
 where there are none. Scores are PSNR [dB] of the basis volumes; times are processor time of both threads from reading
 to the last step, so that they do not depend on what else the machine does. Rows take the place of those in
@@ -29,7 +29,7 @@ from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import read_truth
 from recon.evaluation.scoring import psnr_of_bases
 from recon.gaussians.fisher import coefficient_curvature
-from recon.gaussians.recipe import BEST, FAST, Recipe, Stage
+from recon.gaussians.recipe import BEST_PLAIN, FAST_PLAIN, Recipe, Stage
 from recon.gaussians.reconstruct import reconstruct
 from spectra.threads import thread_count
 
@@ -61,11 +61,11 @@ class Change:
 
 
 def fast(name: str, *patches: tuple[str, Any], **changes: Any) -> Change:
-    return Change(f"fast, {name}", replace(FAST, **changes), patches)
+    return Change(f"fast, {name}", replace(FAST_PLAIN, **changes), patches)
 
 
 def best(name: str, *patches: tuple[str, Any], **changes: Any) -> Change:
-    return Change(f"best, {name}", replace(BEST, **changes), patches)
+    return Change(f"best, {name}", replace(BEST_PLAIN, **changes), patches)
 
 
 FIXED_GEOMETRY = {"centre_rate": 1e-9, "shape_rate": 1e-9}
@@ -91,7 +91,7 @@ DIAGONAL_CURVATURE = (
 UNSHARPENED = ("recon.voxel.iterative.one_step.sharpened", lambda volumes: volumes)
 
 CHANGES = (
-    Change("fast", FAST),
+    Change("fast", FAST_PLAIN),
     fast("from decomposed rays and FDK, no prior, 3 sweeps", **FROM_RAYS, stages=(Stage(0.5, 3.0),)),
     fast("coarse voxels not sharpened", UNSHARPENED),
     fast("pixels binned by sums, not by geometric means", BINNED_BY_SUMS),
@@ -118,7 +118,7 @@ CHANGES = (
     fast("half as many evaluations of the fit to voxels", approximation=30),
     fast("2 views per step", views_per_step=2),
     fast("fewer Gaussians, spacing 1.2", spacing=1.2),
-    Change("best", BEST),
+    Change("best", BEST_PLAIN),
     best("fit to voxels weighted by the Fisher information of the rays", FISHER_METRIC),
     best("no warm-up of the geometry steps", warm_up=0.0),
     best("2 views per step", views_per_step=2),

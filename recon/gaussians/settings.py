@@ -79,6 +79,8 @@ class SurfaceSettings:
     contrast : smallest gradient on a surface, over a large signal (`recon.data.volume_edges.large_signal`) [1/voxel];
         chosen by hand, not measured
     empty : smallest value of a voxel with Gaussians, over a large signal [no unit]; chosen by hand, not measured
+    air : empty voxels around the object, so that faces at the border of its box are surfaces, and that Gaussians which
+        extend beyond it are fitted to nothing there; chosen by hand, not measured
     radii : radii in which planes are tried [voxels]; chosen by hand, not measured
     tolerance : largest root mean square distance of a surface from its plane [voxels]; chosen by hand, not measured
     foreign : largest part of the points around that belong to another surface [no unit]; chosen by hand, not measured
@@ -101,6 +103,7 @@ class SurfaceSettings:
     smoothing: float = 0.7
     contrast: float = 0.02
     empty: float = 0.02
+    air: int = 6
     radii: tuple[float, ...] = (9.0, 7.0, 5.0, 3.5, 2.5)
     tolerance: float = 0.15
     foreign: float = 0.03

@@ -172,9 +172,26 @@ def occupied_part(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, air: in
     -------
     the smallest box with all that is not empty
     """
-    if air:
-        volumes = np.pad(volumes, ((0, 0), *[(air, air)] * 3))
-        origin = tuple(o - air * s for o, s in zip(grid.origin, grid.spacing, strict=True))
-        grid = Grid(tuple(n + 2 * air for n in grid.shape), grid.spacing, origin)  # type: ignore[arg-type]
+    volumes, grid = in_air(OccupiedPart(volumes, grid), air)
     box = occupied(volumes)
     return OccupiedPart(np.ascontiguousarray(volumes[:, *box]), grid.part(box))
+
+
+def in_air(part: OccupiedPart, voxels: int) -> OccupiedPart:
+    """Add empty voxels around volumes.
+
+    Parameters
+    ----------
+    part : volumes
+    voxels : number to add on every side
+
+    Returns
+    -------
+    larger volumes
+    """
+    grid = part.grid
+    if voxels == 0:
+        return part
+    origin = tuple(o - voxels * s for o, s in zip(grid.origin, grid.spacing, strict=True))
+    larger = Grid(tuple(n + 2 * voxels for n in grid.shape), grid.spacing, origin)  # type: ignore[arg-type]
+    return OccupiedPart(np.pad(part.volumes, ((0, 0), *[(voxels, voxels)] * 3)), larger)

@@ -13,6 +13,7 @@ from recon.gaussians.divided.model import DividedGaussians
 from recon.gaussians.divided.placement import place_on_surfaces
 from recon.gaussians.divided.steps import GEOMETRY, gradient_of_steps, moved
 from recon.gaussians.divided.surfaces import surfaces_of
+from recon.gaussians.initial.first_guess import OccupiedPart, in_air
 from recon.gaussians.settings import SurfaceSettings
 
 SIDE = 32
@@ -128,3 +129,14 @@ def test_no_dense_sheet_forms_at_a_face_of_a_box():
     middle = slice(3 * SIDE // 2 - 3, 3 * SIDE // 2 + 3)
     profile = fitted.volume(thirds)[0][:, middle, middle].mean(axis=(1, 2))
     assert profile.max() < 1.1
+
+
+def test_faces_at_the_border_of_the_volumes_are_surfaces_once_air_is_around():
+    volume, grid = np.ones((1, 12, 12, 12), np.float32), Grid.cube(12, 12.0)
+    part = in_air(OccupiedPart(volume, grid), SETTINGS.air)
+    assert part.grid.axis("x")[SETTINGS.air : -SETTINGS.air] == pytest.approx(grid.axis("x"))
+    model = place_on_surfaces(*part, METRIC, ("compton",), 0, SETTINGS)
+    model = fit_divided_to_volume(solve_coefficients(model, *part, METRIC, 8), *part, METRIC, 40)
+    beyond = model.voxels(Grid.cube(28, 28.0)).numpy()
+    beyond[:, 8:20, 8:20, 8:20] = 0
+    assert np.abs(beyond).mean() < 2e-3
