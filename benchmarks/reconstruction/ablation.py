@@ -2,11 +2,11 @@
 
     python -m benchmarks.reconstruction.ablation [z_aligned | metal | implant | pin] [WORD ...]
 
-Fits of Gaussians without planes to `development.yaml`, the scene on which recipes were chosen, or of one of its siblings,
-`development_z_aligned.yaml` and so on; rows whose name is one of the words, or has it after the recipe's name; all
-where there are none. Scores are PSNR [dB] of the basis volumes; times are processor time of both threads from reading
-to the last step, so that they do not depend on what else the machine does. Rows take the place of those in
-`results/ablation.txt`, `results/ablation_z_aligned.txt` and so on.
+Fits of Gaussians without planes to `development.yaml`, the scene on which their recipes were chosen, or to one of its
+siblings, `development_z_aligned.yaml` and so on; rows whose name is one of the words, or has it after the recipe's
+name; all where there are none. Scores are PSNR [dB] of the basis volumes; times are processor time of both threads
+from reading to the last step, so that they do not depend on what else the machine does. Rows take the place of those
+in `results/ablation.txt`, `results/ablation_z_aligned.txt` and so on.
 """
 
 import platform
