@@ -53,10 +53,10 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--kernel",
-    type=click.Choice(["auto", "interface", "gaussian"]),
-    default="auto",
+    type=click.Choice(["gaussian", "interface"]),
+    default="gaussian",
     show_default=True,
-    help="Gaussians that planes divide at interfaces, or plain ones; auto: those that the device has.",
+    help="Plain Gaussians, or Gaussians that planes divide at interfaces: fewer, and sharper edges.",
 )
 @click.option(
     "--detail",
@@ -147,7 +147,7 @@ def fit(
     from recon.runs.methods import method_named
     from recon.runs.run import run
     from recon.runs.run_folder import VOLUMES
-    from recon.runs.run_gaussians import GaussianRun, chosen_recipe, kernel_for
+    from recon.runs.run_gaussians import GaussianRun, chosen_recipe
     from recon.runs.run_views import ViewRun
     from recon.runs.run_voxels import VoxelRun
     from recon.runs.write_run import RunFolder, score_table
@@ -157,7 +157,7 @@ def fit(
     if out:
         check_run_name(Path(out))
     special = {"resume": resume, "dry-run": dry_run, "memory": memory, "held-out": held_out, "edge": edge}
-    special |= {"kernel": None if kernel == "auto" else kernel, "detail": detail}
+    special |= {"kernel": None if kernel == "gaussian" else kernel, "detail": detail}
     special |= {"device": None if device == "cpu" else device_named(device).type}
     if method != "gaussian":
         refuse_options(f"--method {method}", special | {"steps": steps, "without": without, "recipe": recipe != "fast"})
@@ -166,7 +166,7 @@ def fit(
         how = PaperRecipe(steps=steps or PAPER_STEPS, without=without, seed=seed)
     else:
         refuse_options(f"--recipe {recipe}, whose length is --sweeps", {"steps": steps, "without": without})
-        how = chosen_recipe(recipe, sweeps, seed, held_out, kernel_for(kernel, device), detail or 1.0)
+        how = chosen_recipe(recipe, sweeps, seed, held_out, kernel, detail or 1.0)
     source, edges, asked = Path(dataset), parse_edges(edge), parse_bases(bases)
     set_threads(threads)
     if dry_run and not isinstance(how, PaperRecipe):

@@ -124,8 +124,7 @@ def reconstruct(
     processes, device = resources.processes, device_named(resources.device)
     if recipe.kernel == "interface" and device.type != "cpu":
         raise InputError(
-            f"Gaussians with planes have no kernels for {device.type} yet: take recon.gaussians.recipe.FAST_PLAIN, or "
-            "--kernel gaussian"
+            f"planes divide Gaussians on the processor alone: take --kernel gaussian with --device {device.type}"
         )
     starting_method(dataset.geometry[dataset.splits["train"]], dataset.grid)  # refuses views from one side alone
     stage = Stopwatch(on_stage)

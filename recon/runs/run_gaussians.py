@@ -16,7 +16,7 @@ from recon.figures.run_figures import convergence
 from recon.gaussians.fitted_grid import fitted_grid
 from recon.gaussians.optimize import Progress
 from recon.gaussians.processes import ALONE, Processes, Resources
-from recon.gaussians.recipe import PLAIN_RECIPES, RECIPES, Recipe, with_detail
+from recon.gaussians.recipe import INTERFACE_RECIPES, RECIPES, Recipe, with_detail
 from recon.gaussians.reconstruct import Reconstruction, reconstruct
 from recon.kedge.basis_names import Asked, left_out, with_named
 from recon.kedge.choose_basis import BasisChoice, choose_basis
@@ -29,7 +29,6 @@ from recon.runs.outcomes.volume_outcome import VolumeOutcome
 from recon.runs.unfinished_run import Interruption, PartialRun
 from recon.runs.write_run import Stopped
 from recon.voxel.initial_volumes import check_directions
-from spectra.errors import InputError
 
 
 class Fitted(NamedTuple):
@@ -169,34 +168,8 @@ class GaussianRun:
         return plan_memory(fitted.dataset, recipe, fitted.count, self.memory, grid=grid)
 
 
-def kernel_for(asked: str, device: str) -> str:
-    """Choose the kernel of a fit.
-
-    Parameters
-    ----------
-    asked : ``auto``, ``interface`` or ``gaussian``
-    device : ``cpu`` or ``cuda``
-
-    Returns
-    -------
-    ``interface`` or ``gaussian``
-
-    Raises
-    ------
-    InputError
-        When the device does not have it.
-    """
-    if asked == "interface" and device != "cpu":
-        raise InputError(
-            f"--kernel interface runs on the processor alone: take --kernel gaussian with --device {device}"
-        )
-    if asked == "auto":
-        return "interface" if device == "cpu" else "gaussian"
-    return asked
-
-
 def chosen_recipe(
-    name: str, sweeps: float | None, seed: int, held_out: int, kernel: str = "interface", detail: float = 1.0
+    name: str, sweeps: float | None, seed: int, held_out: int, kernel: str = "gaussian", detail: float = 1.0
 ) -> Recipe:
     """Return a recipe of this project with what a user chose.
 
@@ -214,7 +187,7 @@ def chosen_recipe(
     -------
     the recipe
     """
-    recipes = RECIPES if kernel == "interface" else PLAIN_RECIPES
+    recipes = INTERFACE_RECIPES if kernel == "interface" else RECIPES
     recipe = with_detail(replace(recipes[name], seed=seed, held_out=held_out), detail)
     if sweeps is None:
         return recipe
