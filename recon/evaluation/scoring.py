@@ -18,7 +18,6 @@ from recon.evaluation.metrics import (
     score_materials,
     score_projections,
 )
-from recon.gaussians.likelihood import bounded
 from recon.gaussians.model import GaussianModel
 from recon.voxel.model import Voxels
 from recon.voxel.unreliable import Unreliable
@@ -52,7 +51,7 @@ def held_out_views(
 def _predict(
     measured: Measurements, model: GaussianModel | Voxels, unreliable: Unreliable | None
 ) -> Iterator[HeldOutView]:
-    lengths = bounded(model.line_integrals(measured.geometry)).numpy()
+    lengths = model.line_integrals(measured.geometry).numpy()
     lengths = measured.with_profile(np.moveaxis(lengths, 1, -1))
     expected = np.moveaxis(measured.transmission.expected(lengths), -1, 1)
     open_beam = measured.gains * measured.open_beam
