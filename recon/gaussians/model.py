@@ -237,18 +237,55 @@ class Gaussians(GaussianModel):
         """Count the numbers that describe the model: 10 + M for each Gaussian."""
         return len(self) * (10 + self.coefficients.shape[1])
 
-    def voxels(self, grid: Grid, cutoff: float = CUTOFF) -> Float[Tensor, "basis z y x"]:  # noqa: D102 - inherited
+    def voxels(self, grid: Grid, cutoff: float = CUTOFF) -> Float[Tensor, "basis z y x"]:
+        """Compute the mean coefficient of each basis in every voxel.
+
+        Parameters
+        ----------
+        grid : voxels to evaluate
+        cutoff : where Gaussians end [standard deviations]
+
+        Returns
+        -------
+        volumes, (M, Z, Y, X), differentiable in all arrays of the model [1/mm]
+        """
         return voxelize_tensor(self.centres, self.log_scales, self.quaternions, self.coefficients, grid, cutoff=cutoff)
 
-    def volume(self, grid: Grid) -> Float[np.ndarray, "basis z y x"]:  # noqa: D102 - inherited
+    def volume(self, grid: Grid) -> Float[np.ndarray, "basis z y x"]:
+        """Compute the mean coefficient of each basis in every voxel.
+
+        Parameters
+        ----------
+        grid : voxels to evaluate; any part of a grid gives the same values as the whole
+
+        Returns
+        -------
+        volumes, (M, Z, Y, X), float32 [1/mm]
+        """
         return voxelize(self.centres, self.log_scales, self.quaternions, self.coefficients, grid)
 
-    def line_integrals(self, geometry: Geometry) -> Float[Tensor, "view basis row column"]:  # noqa: D102 - inherited
+    def line_integrals(self, geometry: Geometry) -> Float[Tensor, "view basis row column"]:
+        """Compute the line integrals of each basis, averaged over every pixel.
+
+        Parameters
+        ----------
+        geometry : poses of the views, and the panel
+
+        Returns
+        -------
+        line integrals, (V, M, R, K), differentiable in all arrays of the model [no unit]
+        """
         frames = torch.from_numpy(geometry.ray_frames())
         parts = (self.centres, self.log_scales, self.quaternions, self.coefficients)
         return rasterize(*parts, frames, geometry.panel.rows, geometry.panel.columns)
 
-    def plain(self) -> "Gaussians":  # noqa: D102 - inherited
+    def plain(self) -> "Gaussians":
+        """Return the model itself, which has nothing but Gaussians.
+
+        Returns
+        -------
+        the model
+        """
         return self
 
     @classmethod

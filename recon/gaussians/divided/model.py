@@ -77,10 +77,27 @@ class DividedGaussians(GaussianModel):
         bases, divided = self.coefficients.shape[2], int(self.divided.sum())
         return len(self) * (10 + bases) + divided * (1 + bases)
 
-    def header(self) -> dict[str, Any]:  # noqa: D102 - inherited
+    def header(self) -> dict[str, Any]:
+        """Collect what is no array.
+
+        Returns
+        -------
+        the width of the transition [mm]
+        """
         return {"width": self.width}
 
-    def voxels(self, grid: Grid, cutoff: float = CUTOFF) -> Float[Tensor, "basis z y x"]:  # noqa: D102 - inherited
+    def voxels(self, grid: Grid, cutoff: float = CUTOFF) -> Float[Tensor, "basis z y x"]:
+        """Compute the mean coefficient of each basis in every voxel.
+
+        Parameters
+        ----------
+        grid : voxels to evaluate
+        cutoff : where Gaussians end [standard deviations]
+
+        Returns
+        -------
+        volumes, (M, Z, Y, X), differentiable in all arrays of the model [1/mm]
+        """
         return voxelize_divided(self._arrays(), grid, cutoff)
 
     def volume(self, grid: Grid) -> Float[np.ndarray, "basis z y x"]:
@@ -101,7 +118,17 @@ class DividedGaussians(GaussianModel):
         means = [_means_of_parts(part.numpy(), PARTS_OF_VOXEL) for part in parts]
         return np.maximum(np.concatenate(means, axis=1), 0)
 
-    def line_integrals(self, geometry: Geometry) -> Float[Tensor, "view basis row column"]:  # noqa: D102 - inherited
+    def line_integrals(self, geometry: Geometry) -> Float[Tensor, "view basis row column"]:
+        """Compute the line integrals of each basis, averaged over every pixel.
+
+        Parameters
+        ----------
+        geometry : poses of the views, and the panel
+
+        Returns
+        -------
+        line integrals, (V, M, R, K), differentiable in all arrays of the model [no unit]
+        """
         frames = torch.from_numpy(geometry.ray_frames())
         panel = (geometry.panel.rows, geometry.panel.columns)
         return rasterize_divided(self._arrays(), frames, panel, Projector(cutoff=CUTOFF))

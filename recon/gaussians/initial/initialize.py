@@ -95,7 +95,16 @@ def _normals(
 
 
 def turn_z_to(normals: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 4"]:
-    """Compute the quaternions (w, x, y, z) of the shortest rotation from +z to each normal."""
+    """Compute the quaternions (w, x, y, z) of the shortest rotation from +z to each normal.
+
+    Parameters
+    ----------
+    normals : directions (x, y, z), of length 1
+
+    Returns
+    -------
+    quaternions, one per direction
+    """
     up = np.where(normals[:, 2:] < 0, -normals, normals)
     quaternions = np.stack([1 + up[:, 2], -up[:, 1], up[:, 0], np.zeros(len(up))], axis=1)
     return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
@@ -159,12 +168,30 @@ def _blue_noise(
 
 
 def places_of(grid: Grid) -> Int[np.ndarray, " 3"]:
-    """Find the place (z, y, x) of a grid's first voxel among all voxels of this size, which a part of it shares."""
+    """Find the place (z, y, x) of a grid's first voxel among all voxels of this size, which a part of it shares.
+
+    Parameters
+    ----------
+    grid : the grid
+
+    Returns
+    -------
+    whole numbers along z, y, x
+    """
     return np.floor(np.array(grid.origin) / np.array(grid.spacing) + 0.25).astype(np.int64)  # centres lie at halves
 
 
 def random_of_places(places: Int[np.ndarray, "voxel 3"], seed: int) -> Float[np.ndarray, "voxel 4"]:
     """Compute four uniform random numbers in [0, 1) for each place.
+
+    Parameters
+    ----------
+    places : whole numbers along z, y, x
+    seed : of the numbers
+
+    Returns
+    -------
+    four numbers per place
 
     References
     ----------
@@ -187,7 +214,18 @@ def _mixed(state: UInt64[np.ndarray, "..."]) -> UInt64[np.ndarray, "..."]:
 def neighbour_distance(
     points: Float[np.ndarray, "point 3"], nearest: int, default: float
 ) -> Float[np.ndarray, " point"]:
-    """Compute the root mean square distance to the nearest points [mm]; `default` where there is one point alone."""
+    """Compute the root mean square distance to the nearest points [mm]; `default` where there is one point alone.
+
+    Parameters
+    ----------
+    points : places [mm]
+    nearest : number of neighbours that are meant
+    default : distance of a point that is alone [mm]
+
+    Returns
+    -------
+    distances [mm]
+    """
     neighbours = min(nearest, len(points) - 1)
     if neighbours == 0:
         return np.full(len(points), default)

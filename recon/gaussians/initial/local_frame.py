@@ -61,12 +61,30 @@ def moved(gaussians: Gaussians, steps: Float[Tensor, "gaussian step"]) -> Gaussi
 
 
 def unit(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussian 4"]:
-    """Divide quaternions by their length."""
+    """Divide quaternions by their length.
+
+    Parameters
+    ----------
+    quaternions : quaternions (w, x, y, z) of any length
+
+    Returns
+    -------
+    quaternions of length 1
+    """
     return quaternions / quaternions.norm(dim=1, keepdim=True)
 
 
 def rotations(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussian 3 3"]:
-    """Compute the matrices, whose columns are the axes, of unit quaternions."""
+    """Compute the matrices, whose columns are the axes, of unit quaternions.
+
+    Parameters
+    ----------
+    quaternions : quaternions (w, x, y, z) of length 1
+
+    Returns
+    -------
+    rotation matrices
+    """
     w, x, y, z = quaternions.unbind(dim=1)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -77,7 +95,16 @@ def rotations(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussi
 
 
 def turns(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussian 4 3"]:
-    """Compute the change of a unit quaternion per rotation about each of its own axes."""
+    """Compute the change of a unit quaternion per rotation about each of its own axes.
+
+    Parameters
+    ----------
+    quaternions : quaternions (w, x, y, z) of length 1
+
+    Returns
+    -------
+    derivatives of the quaternion, one column per axis [1/rad]
+    """
     w, x, y, z = quaternions.unbind(dim=1)
     rows = ((-x, -y, -z), (w, -z, y), (z, w, -x), (-y, x, w))
     return 0.5 * torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)

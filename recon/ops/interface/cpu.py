@@ -53,8 +53,18 @@ FAR = 25.0  # square of z beyond which the normal distribution function is taken
 @njit(inline="always")
 @no_type_check
 def normal(z):
-    """Normal distribution function and density at z, error 4e-7.
+    """Compute the normal distribution function and density, error 4e-7.
 
+    Parameters
+    ----------
+    z : lanes of numbers [standard deviations]
+
+    Returns
+    -------
+    function and density
+
+    References
+    ----------
     Abramowitz & Stegun 1964, equation 7.1.26: erfc(x) = exp(-x^2) times a polynomial in 1 / (1 + 0.3275911 x).
     """
     square = minimum(z * z, f4(FAR))
@@ -72,9 +82,20 @@ def normal(z):
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 @no_type_check
 def forward(bases, table, spans, below, step, lengths, cutoff, columns, row_first, row_last, image):
-    """Add footprints to rows `row_first` to `row_last` of `image` (basis, row, padded column), times |d|.
+    """Add footprints to some rows of an image, and multiply by |d|.
 
-    `step` is the difference of the coefficients above and below; `bases` a tuple as long as there are bases.
+    Parameters
+    ----------
+    bases : a tuple as long as there are bases
+    table : footprints of all Gaussians, see `recon.ops.interface.table`
+    spans : first row of each footprint, and one past its last
+    below : coefficients below the planes [1/mm]
+    step : coefficients above the planes less those below [1/mm]
+    lengths : length |d| of each ray [mm]
+    cutoff : where footprints end [standard deviations]
+    columns : of the panel
+    row_first, row_last : first row, and one past the last
+    image : (basis, row, padded column), in place
     """
     _, rows, stride = image.shape
     k2 = f4(cutoff * cutoff)
@@ -185,8 +206,24 @@ def _gather(bases, p, span, below, step, cotangent, k2, columns, sums, to_below,
 def backward(
     bases, table, spans, below, step, cotangent, cutoff, columns, first, last, sums, to_below, to_step
 ):  # fmt: skip
-    """Sums over the pixels of Gaussians `first` to `last` in one view; `cotangent` comes multiplied by |d|.
+    """Sum over the pixels of some Gaussians in one view.
 
+    Parameters
+    ----------
+    bases : a tuple as long as there are bases
+    table : footprints of all Gaussians, see `recon.ops.interface.table`
+    spans : first row of each footprint, and one past its last
+    below : coefficients below the planes [1/mm]
+    step : coefficients above the planes less those below [1/mm]
+    cotangent : gradient in the image, multiplied by |d|
+    cutoff : where footprints end [standard deviations]
+    columns : of the panel
+    first, last : first Gaussian, and one past the last
+    sums : per Gaussian, in place
+    to_below, to_step : gradients in the coefficients, to which those of this view are added
+
+    Notes
+    -----
     With v the value of a pixel, w = v times the gradient in that value, the sums are w; alpha = -w / (2 E), which
     belongs to the square of the distance, times (x, y, x^2, x y, y^2); the gradient in E, times (1, x, y, x^2, x y,
     y^2); that in OFFSET; that in Q, times the same six; that in B, times (1, x, y); that in WIDTH.

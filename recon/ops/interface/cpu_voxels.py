@@ -44,9 +44,20 @@ f4 = np.float32
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 @no_type_check
 def fill(bases, table, voxels, halves, below, step, cutoff, columns, first, last, volume):
-    """Add all Gaussians to slices `first` to `last` of `volume` (basis, z, y, padded x).
+    """Add all Gaussians to some slices of a volume.
 
-    `voxels` (gaussian, 3) are those that the centres lie in, `halves` (gaussian, 2) half the extent along z and y.
+    Parameters
+    ----------
+    bases : a tuple as long as there are bases
+    table : numbers of all Gaussians, see `recon.ops.interface.voxel_table`
+    voxels : those that the centres lie in, (gaussian, 3)
+    halves : half the extent along z and y, (gaussian, 2) [voxels]
+    below : coefficients below the planes [1/mm]
+    step : coefficients above the planes less those below [1/mm]
+    cutoff : where Gaussians end [standard deviations]
+    columns : voxels along x
+    first, last : first slice, and one past the last
+    volume : (basis, z, y, padded x), in place [1/mm]
     """
     _, slices, rows, stride = volume.shape
     k2 = f4(cutoff * cutoff)
@@ -142,8 +153,25 @@ def _gather(bases, p, voxel, halves, below, step, cotangent, k2, columns, sums, 
 def backward(
     bases, table, voxels, halves, below, step, cotangent, cutoff, columns, first, last, sums, to_below, to_step
 ):
-    """Sums over the voxels of Gaussians `first` to `last`.
+    """Sum over the voxels of some Gaussians.
 
+    Parameters
+    ----------
+    bases : a tuple as long as there are bases
+    table : numbers of all Gaussians, see `recon.ops.interface.voxel_table`
+    voxels : those that the centres lie in, (gaussian, 3)
+    halves : half the extent along z and y, (gaussian, 2) [voxels]
+    below : coefficients below the planes [1/mm]
+    step : coefficients above the planes less those below [1/mm]
+    cotangent : gradient in the volume
+    cutoff : where Gaussians end [standard deviations]
+    columns : voxels along x
+    first, last : first Gaussian, and one past the last
+    sums : per Gaussian, in place
+    to_below, to_step : gradients in the coefficients, in place
+
+    Notes
+    -----
     With v the value of a voxel, w = v times the gradient in that value and t the gradient in the argument of Phi, the
     sums are w (1, x, y, z, xx, xy, xz, yy, yz, zz) and t (1, x, y, z).
     """
