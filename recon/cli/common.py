@@ -75,9 +75,9 @@ def gaussians_text(metrics: dict[str, Any]) -> str:
     gaussians = f"{metrics['gaussians']} Gaussians"
     if "numbers_over_voxels" not in metrics:
         return gaussians
-    return (
-        f"{gaussians} ({metrics['numbers']} numbers, {100 * metrics['numbers_over_voxels']:.2g} % of those of voxels)"
-    )
+    part = 100 * metrics["numbers_over_voxels"]
+    percent = f"{part:.0f}" if part >= 10 else f"{part:.1f}"
+    return f"{gaussians} ({metrics['numbers']} numbers, {percent} % of those of voxels)"
 
 
 def seconds_text(metrics: dict[str, Any]) -> str:

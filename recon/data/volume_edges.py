@@ -4,10 +4,11 @@ Structure is measured in units of noise, on volumes whitened by the mean Fisher 
 does not matter.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter, maximum_filter
 
 SMOOTHING = 0.7  # voxels; standard deviation of the Gaussian that reduces noise before edges are found; by hand
@@ -56,9 +57,9 @@ class VolumeEdges:
         smooth = np.einsum("nm,mzyx->nzyx", np.linalg.cholesky(fisher).T, volumes)
         smooth = np.stack([gaussian_filter(w, SMOOTHING) for w in smooth])
         signal = np.sqrt((smooth**2).sum(axis=0))
-        occupied = signal > BACKGROUND * large_signal(signal)
+        occupied = signal > BACKGROUND * min(np.percentile(signal, 99), LARGEST * _typical(signal))
         occupied = occupied if occupied.any() else np.ones_like(occupied)
-        tensor = _products_of_gradients(smooth)
+        tensor = structure_tensor([gradient_of(volume) for volume in smooth])
         gradient = np.sqrt(tensor[:3].sum(axis=0))
         least = min(EDGE * np.median(gradient[occupied]), CONTRAST * _typical(signal))
         return cls(occupied, tensor, gradient / max(least, 1e-30))
@@ -73,23 +74,62 @@ def large_signal(signal: Float[np.ndarray, "z y x"]) -> float:
 
     Returns
     -------
-    the 99th percentile, or `LARGEST` times the typical value where that is less
+    the 99th percentile of the occupied voxels, or `LARGEST` times the typical value where that is less; 0 where all is
+    empty
     """
-    return float(min(np.percentile(signal, 99), LARGEST * _typical(signal)))
+    occupied = _occupied_values(signal)
+    return float(min(np.percentile(occupied, 99), LARGEST * np.median(occupied))) if len(occupied) else 0.0
 
 
-def _products_of_gradients(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "pair z y x"]:
-    out = np.zeros((6, *volumes.shape[1:]), np.float32)
-    for volume in volumes:
-        z, y, x = _gradient(volume)
+def structure_tensor(gradients: Sequence[Sequence[Float[np.ndarray, "z y x"]]]) -> Float[np.ndarray, "pair z y x"]:
+    """Compute the structure tensor of volumes.
+
+    Parameters
+    ----------
+    gradients : of each volume, along z, y and x
+
+    Returns
+    -------
+    sums over the volumes of the products of gradients, in the order xx, yy, zz, xy, xz, yz
+    """
+    out = np.zeros((6, *gradients[0][0].shape), np.float32)
+    for z, y, x in gradients:
         for i, product in enumerate((x * x, y * y, z * z, x * y, x * z, y * z)):
             out[i] += product
     return out
 
 
-def _gradient(volume: Float[np.ndarray, "z y x"]) -> list[Float[np.ndarray, "z y x"]]:
-    """Change per voxel along each axis; 0 along an axis of one voxel."""
+def gradient_of(volume: Float[np.ndarray, "z y x"]) -> list[Float[np.ndarray, "z y x"]]:
+    """Compute the gradient of a volume.
+
+    Parameters
+    ----------
+    volume : its values
+
+    Returns
+    -------
+    change per voxel along z, y and x; 0 along an axis of one voxel
+    """
     return [np.gradient(volume, axis=i) if n > 1 else np.zeros_like(volume) for i, n in enumerate(volume.shape)]
+
+
+def directions_across(
+    tensor: Float[np.ndarray, "pair z y x"], index: tuple[Int[np.ndarray, " point"], ...]
+) -> Float[np.ndarray, "point 3"]:
+    """Find the directions in which volumes change most, from their structure tensor averaged around.
+
+    Parameters
+    ----------
+    tensor : of `structure_tensor`
+    index : voxels, along z, y and x
+
+    Returns
+    -------
+    unit vectors (x, y, z), of either sign
+    """
+    xx, yy, zz, xy, xz, yz = (gaussian_filter(t, SMOOTHING)[index] for t in tensor)
+    matrices = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
+    return np.linalg.eigh(matrices)[1][:, :, 2]
 
 
 def relative_density(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "z y x"]:
@@ -147,12 +187,14 @@ def metal_without_agents(
 
 
 def _typical(values: Float[np.ndarray, "z y x"]) -> float:
-    """Median of the occupied voxels, whatever part is empty or very dense; 0 where all is empty.
+    """Median of the occupied voxels, whatever part is empty or very dense; 0 where all is empty."""
+    there = _occupied_values(values)
+    return float(there[(len(there) - 1) // 2] + there[len(there) // 2]) / 2 if len(there) else 0.0
 
-    Occupied are voxels above the part `_FAINT` of the value below which half of the sum of all values lies.
-    """
+
+def _occupied_values(values: Float[np.ndarray, "z y x"]) -> Float[np.ndarray, " occupied"]:
+    """Values in ascending order above the part `_FAINT` of that below which half of the sum of all values lies."""
     ordered = np.sort(np.maximum(values, 0), axis=None)
     below = np.cumsum(ordered, dtype=np.float64)
     middle = ordered[np.searchsorted(below, below[-1] / 2)]
-    there = ordered[np.searchsorted(ordered, _FAINT * middle) :]
-    return float(there[(len(there) - 1) // 2] + there[len(there) // 2]) / 2 if middle > 0 else 0.0
+    return ordered[np.searchsorted(ordered, _FAINT * middle) :] if middle > 0 else ordered[:0]

@@ -74,8 +74,6 @@ class SurfaceSettings:
     overlap : standard deviation of a Gaussian over the distance to its neighbours [no unit]; chosen by hand, not
         measured
     neighbours : Gaussians whose distance is meant, the nearest ones; chosen by hand, not measured
-    smoothing : standard deviation of the Gaussian that reduces noise before surfaces are found [voxels]; chosen by
-        hand, not measured
     contrast : smallest gradient on a surface, over a large signal (`recon.data.volume_edges.large_signal`) [1/voxel];
         chosen by hand, not measured
     empty : smallest value of a voxel with Gaussians, over a large signal [no unit]; chosen by hand, not measured
@@ -100,7 +98,6 @@ class SurfaceSettings:
     growth: float = 0.5
     overlap: float = 0.65
     neighbours: int = 6
-    smoothing: float = 0.7
     contrast: float = 0.02
     empty: float = 0.02
     air: int = 6

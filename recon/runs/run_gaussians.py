@@ -223,7 +223,6 @@ def outcome_of_fit(
         "dataset": dataset.path.name,
         "seed": recipe.seed,
         "gaussians": len(result.gaussians),
-        "numbers": result.gaussians.numbers,
     }
     about |= {"start": result.start, "notes": list(result.notes)}
     about |= {} if choice is None else {"basis_choice": choice.record()}

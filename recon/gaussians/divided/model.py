@@ -10,6 +10,7 @@ from torch import Tensor
 
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
+from recon.gaussians.initial.local_frame import rotations, unit
 from recon.gaussians.model import GaussianModel, Gaussians
 from recon.ops.interface.arrays import DividedTensors
 from recon.ops.interface.rasterize import rasterize_divided
@@ -143,7 +144,7 @@ class DividedGaussians(GaussianModel):
         """
         with torch.no_grad():
             scales = torch.exp(self.log_scales.double())
-            axes = _third_axes(self.quaternions.double())
+            axes = rotations(unit(self.quaternions.double()))[:, :, 2]
             cut = (self.offsets.double() / scales[:, 2]).clamp(-PLAIN, PLAIN)
             found = [self._side(side, cut, scales, axes) for side in (0, 1)]
             centres, log_scales, quaternions, values = (torch.cat(part).float() for part in zip(*found, strict=True))
@@ -180,9 +181,3 @@ def _parts_of_voxels(grid: Grid) -> Grid:
     spacing = tuple(s / n for s in grid.spacing)
     origin = tuple(o - s * (n - 1) / (2 * n) for o, s in zip(grid.origin, grid.spacing, strict=True))
     return Grid(shape, spacing, origin)  # type: ignore[arg-type]
-
-
-def _third_axes(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussian 3"]:
-    """Compute the third column of each rotation matrix."""
-    w, x, y, z = (quaternions / quaternions.norm(dim=1, keepdim=True)).unbind(dim=1)
-    return torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], dim=1)

@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from phantomgen.geometry.voxel_grid import Grid
-from recon.data.volume_edges import large_signal
+from recon.data.volume_edges import SMOOTHING, large_signal
 from recon.gaussians.divided.model import DividedGaussians
 from recon.gaussians.divided.surfaces import surfaces_of
 from recon.gaussians.initial.initialize import neighbour_distance, places_of, random_of_places
@@ -100,7 +100,7 @@ def _places_inside(
     settings: SurfaceSettings,
 ) -> Float[np.ndarray, "place 3"]:
     """Choose a place (x, y, z) [voxels] in every voxel that is not empty; the places belong to the voxels."""
-    square = sum((w * gaussian_filter(v, settings.smoothing)) ** 2 for v, w in zip(volumes, weights, strict=True))
+    square = sum((w * gaussian_filter(v, SMOOTHING)) ** 2 for v, w in zip(volumes, weights, strict=True))
     voxels = np.argwhere(square > settings.empty**2)
     return (voxels + random_of_places(voxels + places_of(grid), seed)[:, :3] - 0.5)[:, ::-1]
 

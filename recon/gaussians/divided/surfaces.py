@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from numba import njit
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from recon.data.volume_edges import SMOOTHING, directions_across, gradient_of, structure_tensor
 from recon.gaussians.settings import SurfaceSettings
 
 ALIKE = 0.5  # no unit; cosine of the angle between normals above which points belong to the same surface
@@ -57,20 +58,13 @@ def _ridges(
     volumes: Float[np.ndarray, "basis z y x"], weights: Float[np.ndarray, " basis"], settings: SurfaceSettings
 ) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
     """Find points (x, y, z) [voxels] on the ridges of the gradient, and the normals there."""
-    tensor = np.zeros((6, *volumes.shape[1:]), np.float32)
-    gradients = []
-    for volume, weight in zip(volumes, weights, strict=True):
-        smooth = gaussian_filter(np.float32(weight) * volume, settings.smoothing, mode="nearest")
-        z, y, x = (np.gradient(smooth, axis=i) if n > 1 else np.zeros_like(smooth) for i, n in enumerate(smooth.shape))
-        gradients.append((x, y, z))
-        for i, product in enumerate((x * x, x * y, x * z, y * y, y * z, z * z)):
-            tensor[i] += product
-    strength = np.sqrt(tensor[0] + tensor[3] + tensor[5])
+    smooth = [gaussian_filter(np.float32(w) * v, SMOOTHING) for w, v in zip(weights, volumes, strict=True)]
+    gradients = [gradient_of(volume) for volume in smooth]
+    tensor = structure_tensor(gradients)
+    strength = np.sqrt(tensor[:3].sum(axis=0))
     at = np.nonzero(strength > settings.contrast)
-    xx, xy, xz, yy, yz, zz = (gaussian_filter(t, settings.smoothing, mode="nearest")[at] for t in tensor)
-    matrices = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
-    normals = np.linalg.eigh(matrices)[1][:, :, 2].astype(float)
-    here = np.stack([np.stack([g[at] for g in gradient], axis=1) for gradient in gradients])
+    normals = directions_across(tensor, at).astype(float)
+    here = np.stack([np.stack([g[at] for g in gradient[::-1]], axis=1) for gradient in gradients])  # x, y, z
     largest = here[np.argmax((here**2).sum(axis=2), axis=0), np.arange(len(normals))]
     normals *= np.where((normals * largest).sum(axis=1) < 0, -1, 1)[:, None]
     voxels = np.stack(at, axis=1)

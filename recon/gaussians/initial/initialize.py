@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates, minimum_filter
 from scipy.spatial import KDTree
 
 from phantomgen.geometry.voxel_grid import Grid
-from recon.data.volume_edges import SMOOTHING, VolumeEdges
+from recon.data.volume_edges import SMOOTHING, VolumeEdges, directions_across
 from recon.gaussians.model import Gaussians
 from recon.gaussians.settings import PlacementSettings
 from recon.ops.voxelize import voxelize
@@ -88,10 +88,7 @@ def _normals(
 ) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, " point"]]:
     """Find the direction (x, y, z) across the edge at each point, and the strength of the edge there, 0 to 1."""
     index = tuple(np.clip(np.round(voxel).astype(int).T, 0, np.array(structure.occupied.shape)[:, None] - 1))
-    xx, yy, zz, xy, xz, yz = (gaussian_filter(t, SMOOTHING)[index] for t in structure.tensor)
-    matrices = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
-    edge = np.clip(structure.strength[index], 0, 1)
-    return np.linalg.eigh(matrices)[1][:, :, 2], edge
+    return directions_across(structure.tensor, index), np.clip(structure.strength[index], 0, 1)
 
 
 def turn_z_to(normals: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 4"]:

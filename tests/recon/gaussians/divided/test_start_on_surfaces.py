@@ -142,3 +142,13 @@ def test_faces_at_the_border_of_the_volumes_are_surfaces_once_air_is_around():
     beyond = model.voxels(Grid.cube(28, 28.0)).numpy()
     beyond[:, 8:20, 8:20, 8:20] = 0
     assert np.abs(beyond).mean() < 4e-3
+
+
+def test_an_object_of_few_voxels_in_much_air_gets_gaussians_of_its_size():
+    volume = np.zeros((1, 40, 40, 40), np.float32)
+    volume[0, 18:21, 18:21, 5:35] = 0.02  # a rod of 0.4 % of the voxels
+    grid = Grid.cube(40, 40.0)
+    model = place_on_surfaces(volume, grid, METRIC, ("compton",), 0, SETTINGS)
+    assert 10 < len(model) < 200
+    fitted = fit_divided_to_volume(solve_coefficients(model, volume, grid, METRIC, 8), volume, grid, METRIC, 40)
+    assert np.sqrt(np.mean((fitted.volume(grid) - volume) ** 2)) < 1e-4
