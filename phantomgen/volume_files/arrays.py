@@ -34,7 +34,8 @@ def read_npy(path: Path) -> Volume:
     try:
         found = np.load(path, mmap_mode="r", allow_pickle=False)  # only the header is read here
     except (ValueError, EOFError, OSError) as error:
-        raise InputError(f"{path}: the file cannot be read as an array of numbers: {_reason(error)}") from None
+        reason = "it is cut off" if "mmap length" in str(error) else _reason(error)
+        raise InputError(f"{path}: the file cannot be read as an array of numbers: {reason}") from None
     if not isinstance(found, np.ndarray):
         found.close()
         raise InputError(f"{path}: the file is an archive of arrays: give it the suffix .npz")
@@ -82,7 +83,7 @@ def read_npz(path: Path, name: str | None) -> Volume:
     return Volume(checked(where, values))
 
 
-def read_hdf5(path: Path, name: str) -> Volume:
+def read_hdf5(path: Path, name: str | None) -> Volume:
     """Read a dataset of an HDF5 file.
 
     Its grid is that of the nearest group ``grid`` with ``spacing`` and ``origin``, as our own files have, or that of
@@ -91,11 +92,11 @@ def read_hdf5(path: Path, name: str) -> Volume:
     Parameters
     ----------
     path : the file
-    name : path of the dataset inside the file
+    name : path of the dataset inside the file; None for the default plot of a NeXus file, as our volumes are
 
     Returns
     -------
-    voxels, and their place where the file states it
+    voxels, and their place and the names of their parts where the file states them
 
     Raises
     ------
@@ -106,14 +107,17 @@ def read_hdf5(path: Path, name: str) -> Volume:
 
     try:
         with h5py.File(path, "r") as file:
+            name = name or _default_plot(file)
+            if name is None:
+                raise InputError(f"{path}: which of its datasets? Write {path.name}:/path")
             found = file.get(name)
             if not isinstance(found, h5py.Dataset):
                 raise InputError(f"{path}: there is no dataset {name}")
             check_size(f"{path}:{name}", found.shape, found.dtype)
             values, letters = checked(path, found[()]), _letters(found)
-            units = found.attrs.get("units")
-            units = units.decode() if isinstance(units, bytes) else units
+            units = _text(found.attrs.get("units"))
             spacing, origin = _grid(file, name) or _axes_of_plot(found, letters)
+            names = _names(found)
     except OSError as error:
         raise InputError(f"{path}: the file cannot be read as HDF5: {_reason(error)}") from None
     if letters not in ("", "zyx"):
@@ -123,14 +127,49 @@ def read_hdf5(path: Path, name: str) -> Volume:
         None if spacing is None else triple(spacing[::-1]),
         np.eye(3) if letters or origin is not None else None,
         None if origin is None else triple(origin[::-1]),
-        units if isinstance(units, str) and units else None,
+        units or None,
+        names,
     )
+
+
+def _default_plot(file: "h5py.File") -> str | None:
+    """Path of what NeXus programs show first."""
+    import h5py  # noqa: PLC0415
+
+    group: h5py.File | h5py.Group = file
+    while isinstance(below := group.get(_text(group.attrs.get("default")) or "-"), h5py.Group) and below != group:
+        group = below
+    signal = _text(group.attrs.get("signal"))
+    return f"{group.name}/{signal}" if signal and isinstance(group.get(signal), h5py.Dataset) else None
+
+
+def _names(found: "h5py.Dataset") -> tuple[str, ...]:
+    """Names of the parts of a plot, which stand beside it under the name of its first axis."""
+    axes = [_text(axis) for axis in np.atleast_1d(found.parent.attrs.get("axes", ()))]
+    names = _group_of(found).get(axes[0]) if found.ndim == 4 and axes and axes[0] else None
+    if not isinstance(names, type(found)) or names.shape != found.shape[:1] or names.dtype.kind not in "OS":
+        return ()
+    return tuple(str(name) for name in names.asstr()[()])
+
+
+def _group_of(found: "h5py.Dataset") -> "h5py.Group":
+    """Group that holds a dataset."""
+    import h5py  # noqa: PLC0415
+
+    parent = found.parent
+    assert isinstance(parent, h5py.Group)
+    return parent
+
+
+def _text(value: object) -> str:
+    """Text of an attribute; empty where there is none."""
+    return value.decode() if isinstance(value, bytes) else value if isinstance(value, str) else ""
 
 
 def _letters(found: "h5py.Dataset") -> str:
     """Last three axes of a NeXus plot, such as ``zyx``; empty where the file does not name them."""
     axes = found.parent.attrs.get("axes", ())
-    texts = [axis.decode() if isinstance(axis, bytes) else str(axis) for axis in np.atleast_1d(axes)]
+    texts = [_text(axis) for axis in np.atleast_1d(axes)]
     letters = "".join(texts[-3:])
     return letters if len(texts) == found.ndim and sorted(letters) == ["x", "y", "z"] else ""
 
@@ -143,7 +182,8 @@ def _grid(file: "h5py.File", name: str) -> tuple[np.ndarray, np.ndarray] | None:
     while True:
         grid = file.get(f"{parent}/grid")
         if isinstance(grid, h5py.Group) and {"spacing", "origin"} <= set(grid):
-            return np.array(grid["spacing"], dtype=np.float64), np.array(grid["origin"], dtype=np.float64)
+            spacing, origin = (np.array(grid[key], dtype=np.float64) for key in ("spacing", "origin"))
+            return spacing, origin
         if not parent:
             return None
         parent = parent.rpartition("/")[0]
@@ -151,8 +191,11 @@ def _grid(file: "h5py.File", name: str) -> tuple[np.ndarray, np.ndarray] | None:
 
 def _axes_of_plot(found: "h5py.Dataset", letters: str) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
     """Spacing and origin (z, y, x) from evenly spaced positions in mm beside the dataset."""
-    places = [found.parent.get(axis) for axis in "zyx"] if letters else []
-    if not places or not all(p is not None and p.attrs.get("units") in ("mm", b"mm") and len(p) > 1 for p in places):
+    import h5py  # noqa: PLC0415
+
+    beside = [_group_of(found).get(axis) for axis in "zyx"] if letters else []
+    places = [place for place in beside if isinstance(place, h5py.Dataset)]
+    if len(places) < 3 or not all(_text(p.attrs.get("units")) == "mm" and p.shape[0] > 1 for p in places):
         return None, None
     positions = [np.array(place, dtype=np.float64) for place in places]
     steps = np.array([(p[-1] - p[0]) / (len(p) - 1) for p in positions])

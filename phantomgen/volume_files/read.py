@@ -63,8 +63,6 @@ def _read(path: Path, kind: str, inside: str | None) -> Volume:
         return arrays.read_npz(path, inside)
     if kind == ".vti":
         return vti.read_vti(path, inside)
-    if inside is None:
-        raise InputError(f"{path}: which of its datasets? Write {path.name}:/path")
     return arrays.read_hdf5(path, inside)
 
 

@@ -52,7 +52,7 @@ def read_vti(path: Path, name: str | None) -> Volume:
         parts.append(values.reshape(counts[::-1]))
     values = parts[0] if len(parts) == 1 else np.stack(parts)
     check_size(path, values.shape, values.dtype)
-    about = [str(text) for text in image.field_data.get("about", ())]
+    about = [str(text) for text in image.field_data["about"]] if "about" in image.field_data else []
     units = about[0].partition("[")[2].partition("]")[0] if about else ""
     origin = np.array(image.origin) + axes @ (spacing * first)
     return Volume(checked(path, values), triple(spacing), axes, triple(origin), units or None, tuple(known))
