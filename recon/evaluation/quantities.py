@@ -58,7 +58,10 @@ class Quantity:
         """Name of the volume in tables and figures."""
         if self.group == "basis":
             return self.item
-        return f"{self.group}_{self.item}_keV" if re.fullmatch(r"[\d.]+", self.item) else f"{self.group}_{self.item}"
+        plain = re.fullmatch(r"[\d.]+", self.item) is None
+        if self.kind == "channel":
+            return f"{self.group}_{self.item}" if plain else f"{self.group}_channel_{self.item}"
+        return f"{self.group}_{self.item}" if plain else f"{self.group}_{self.item}_keV"
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +74,14 @@ class Quantities:
     truth : with the quantities in place of the basis functions, [1/mm] or [g/cm^3]
     energies : at which attenuation is meant [keV]; None for others
     water : attenuation of water there [1/mm]; None for others than Hounsfield units
+    rows : what the basis coefficients of the dataset's truth are multiplied by; None for densities
     """
 
     each: tuple[Quantity, ...]
     truth: Truth
     energies: tuple[float | None, ...]
     water: tuple[float | None, ...]
+    rows: Float[np.ndarray, "quantity basis"] | None = None
 
     @property
     def group(self) -> str:
@@ -185,7 +190,7 @@ def with_truth(
     water = tuple(
         _water(row, truth, spectra) if quantity.kind == "hu" else None for quantity, row in zip(each, rows, strict=True)
     )
-    return Quantities(tuple(each), true, tuple(energies), water)
+    return Quantities(tuple(each), true, tuple(energies), water, rows)
 
 
 def _energy(item: str) -> float:

@@ -172,10 +172,11 @@ def stated_volume(
         raise DatasetError(f"{dataset.path} holds no truth to score against")
     read = [_read(source) for source in sources]
     for name, volume in read:
-        _refuse_silent(name, volume, stated)
+        refuse_silent(name, volume, stated)
     read, each, from_run = _with_quantities(read, stated)
+    order = _order(each, dataset.spectra.basis.names)
     densities = read_true_materials(dataset.path) if any(q.kind == "density" for q in each) else ()
-    quantities = with_truth(each, truth, dataset.spectra, densities)
+    given = with_truth(each, truth, dataset.spectra, densities)
     parts, grid = [], None
     for name, volume in read:
         values, own = placed(name, volume, stated.place)
@@ -183,12 +184,13 @@ def stated_volume(
             raise InputError(f"{name} has other voxels than {read[0][0]}: score them one by one")
         grid = grid or own
         for one in values:
-            parts.append(_converted(quantities, one, len(parts), stated.units or volume.units, name))
+            parts.append(_converted(given, one, len(parts), stated.units or volume.units, name))
     assert grid is not None
     covered = covered_part(grid, truth.grid)
     if covered <= 0:
         raise InputError(f"{read[0][0]} lies outside the truth of {dataset.path}: check --voxel-mm and --origin-mm")
-    model = MeanVoxels(np.stack(parts), grid, quantities.truth.basis_names)
+    quantities = with_truth([each[i] for i in order], truth, dataset.spectra, densities)
+    model = MeanVoxels(np.stack([parts[i] for i in order]), grid, quantities.truth.basis_names)
     record = {
         "files": [name for name, _ in read],
         "as": [str(quantity) for quantity in each],
@@ -316,8 +318,20 @@ def _with_quantities(
     return read, stated.quantities, False
 
 
-def _refuse_silent(name: str, volume: Volume, stated: Statement) -> None:
-    """Refuse a volume about which neither its file nor the user say all."""
+def refuse_silent(name: str, volume: Volume, stated: Statement) -> None:
+    """Refuse a volume about which neither its file nor the user say all.
+
+    Parameters
+    ----------
+    name : of the volume, for the message
+    volume : as read
+    stated : what the user states
+
+    Raises
+    ------
+    InputError
+        When something is missing.
+    """
     missing = [] if volume.names or stated.quantities is not None else [f"--as ({KINDS})"]
     missing += stated.place.missing(volume)
     known = stated.quantities is not None and all(quantity.kind == "hu" for quantity in stated.quantities)
@@ -325,6 +339,12 @@ def _refuse_silent(name: str, volume: Volume, stated: Statement) -> None:
         missing.append("--units")
     if missing:
         raise InputError(f"{name} does not say all that a score needs: state {_options(missing)}")
+
+
+def _order(each: Sequence[Quantity], names: Sequence[str]) -> list[int]:
+    """Basis volumes in the order of the dataset, other ones as they are."""
+    place = {name: i for i, name in enumerate(names)}
+    return sorted(range(len(each)), key=lambda i: place.get(each[i].item, 0) if each[i].kind == "basis" else i)
 
 
 def _parts(volume: Volume, place: Placement) -> int:

@@ -16,7 +16,7 @@ from phantomgen.runtime.stopwatch import Stopwatch, peak_memory_mib
 from phantomgen.runtime.versions import environment
 from recon.data.measurements import read_measurements
 from recon.evaluation.scoring import score_truth
-from recon.evaluation.stated_volume import MeanVoxels, StatedVolume, Statement, stated_volume
+from recon.evaluation.stated_volume import StatedVolume, Statement, stated_volume
 from recon.figures.model_figures import draw_volumes
 from recon.kedge.basis_names import left_out, named_basis
 from recon.runs.outcomes.volume_outcome import VolumeOutcome
@@ -45,12 +45,10 @@ class ScoredVolume:
         """The volume as a finished reconstruction, which predicts the test views; for basis volumes only."""
         model, stated = self.found.model, self.dataset.spectra.basis
         chosen = named_basis(stated, model.basis_names, self.dataset.path)
-        order = [model.basis_names.index(name) for name in chosen.names]
         dataset = self.dataset.with_basis(chosen)
         transmission = read_measurements(dataset, dataset.splits["train"][:1]).transmission
-        ordered = MeanVoxels(model.values[order], model.grid, chosen.names)
         missing = left_out(stated.names, chosen.names)
-        return VolumeOutcome(dataset, ordered, transmission, self.about, self.settings, left_out=missing)
+        return VolumeOutcome(dataset, model, transmission, self.about, self.settings, left_out=missing)
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -140,4 +140,5 @@ def test_labels():
         "attenuation_bin1",
         "density_iodine",
     ]
+    assert [Quantity("channel", item).label for item in ("1", "bin1")] == ["attenuation_channel_1", "attenuation_bin1"]
     assert TrueMaterial("a", None, None).name == "a"
