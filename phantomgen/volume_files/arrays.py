@@ -182,8 +182,11 @@ def _grid(file: "h5py.File", name: str) -> tuple[np.ndarray, np.ndarray] | None:
     while True:
         grid = file.get(f"{parent}/grid")
         if isinstance(grid, h5py.Group) and {"spacing", "origin"} <= set(grid):
-            spacing, origin = (np.array(grid[key], dtype=np.float64) for key in ("spacing", "origin"))
-            return spacing, origin
+            each = {key: grid[key] for key in ("spacing", "origin")}
+            for key, stored in each.items():
+                if not isinstance(stored, h5py.Dataset) or stored.shape != (3,) or stored.dtype.kind not in "iuf":
+                    raise InputError(f"{file.filename}: {grid.name}/{key} must be three numbers (z, y, x) in mm")
+            return np.array(each["spacing"], np.float64), np.array(each["origin"], np.float64)
         if not parent:
             return None
         parent = parent.rpartition("/")[0]

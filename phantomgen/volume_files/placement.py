@@ -108,10 +108,12 @@ def placed(name: str, volume: Volume, stated: Placement) -> tuple[Shaped[np.ndar
         return values, stated.grid
     space = [letter for letter in letters if letter != "c"]
     spacing = stated.voxel or _spacing(volume, space)
+    _check_place(name, "the size of a voxel", spacing, above=0.0)
     if stated.origin == CENTER:
         first = tuple((1 - n) / 2 * step for n, step in zip(shape, spacing, strict=True))
     else:
         begin = stated.origin if stated.origin is not None else _origin(volume, stated.coordinates)
+        _check_place(name, "the centre of the first voxel", begin)
         ends = zip(begin, signs, shape, spacing, strict=True)
         first = tuple(start - (sign < 0) * (n - 1) * step for start, sign, n, step in ends)
     return values, Grid(shape, spacing, first)  # type: ignore[arg-type]
@@ -158,6 +160,14 @@ def _axes_of(name: str, volume: Volume, coordinates: str) -> list[tuple[str, int
             "axes that are parallel to x, y and z first"
         )
     return [("xyz"[found[i]], 1 if directions[found[i], i] > 0 else -1) for i in (2, 1, 0)]
+
+
+def _check_place(name: str, what: str, numbers: Triple, above: float = -np.inf) -> None:
+    """Refuse what a damaged header may hold."""
+    if not all(above < number < np.inf for number in numbers):
+        bound = "" if above < 0 else " above 0"
+        text = ", ".join(f"{number:g}" for number in numbers)
+        raise InputError(f"{name}: {what} must be three finite numbers{bound} in mm, the file says {text} (z, y, x)")
 
 
 def _spacing(volume: Volume, letters: list[str]) -> Triple:

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from phantomgen.cli.common import debug_option, json_option
-from recon.cli.common import ProgressBar, exit_where_failed, memory_text, seconds_text, teller
+from recon.cli.common import ProgressBar, exit_where_failed, memory_text, seconds_text
 from recon.cli.run_argument import check_run_name
 
 
@@ -98,9 +98,10 @@ def score(
         return
     click.echo("\n".join([score_table(metrics), "", *verdict.lines(metrics)]).rstrip())
     for remark in metrics["remarks"]:
-        teller(quiet)(f"Warning: {remark}.")
+        click.echo(f"Warning: {remark}.", err=True)
     click.echo(f"{seconds_text(metrics)}{memory_text(metrics)}")
     for name in sorted(found.name for found in (folder.path / "figures").glob("*.png")):
         click.echo(str(folder.path / "figures" / name))
-    click.echo(f"Wrote {folder.path}; next: look at the figures, or at {folder.path / 'metrics.json'}")
+    onward = f"recon report {folder.path}" if "verdict" in metrics else "look at the figures"
+    click.echo(f"Wrote {folder.path}; next: {onward}, or read {folder.path / 'metrics.json'}")
     exit_where_failed(metrics, strict=False)

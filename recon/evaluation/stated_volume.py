@@ -21,7 +21,9 @@ from recon.evaluation.quantities import KINDS, Quantities, Quantity, parse_quant
 from recon.voxel.model import Voxels
 from spectra.errors import DatasetError, InputError
 
-_LEAST_GAIN = 0.5  # part of the mean square error that another orientation or unit must leave for a remark; our choice
+# Parts of the mean square error that another orientation, or another unit, must leave for a remark; our choice.
+_TURNED_LEAVES, _SCALED_LEAVES = 0.8, 0.5
+_ROUNDING = 1e-6  # part of the square of the truth; errors below it are those of float32
 _SAMPLES = 64  # voxels along an axis that orientations are compared on
 _FACTORS = (1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3)  # between the units that people confuse
 _LARGEST = 1e30  # [1/mm] or [g/cm^3]; beyond this squares do not fit into float32
@@ -136,12 +138,12 @@ class StatedVolume:
         if turned is not None:
             volumes = turned.volumes
             found.append(
-                f"{turned.words}, the error would be smaller by far: check --axes, and --coordinates of images in "
-                "patient coordinates"
+                f"{turned.words}, the mean square error would be {100 * turned.gain:.0f} % smaller: check --axes, and "
+                "--coordinates of images in patient coordinates"
             )
         scales = [better_factor(volume, true) for volume, true in zip(volumes, truth.volumes, strict=True)]
         if scales[0] is not None and len(set(scales)) == 1:
-            found.append(f"multiplied by {scales[0]:g} the error would be smaller by far: check --units")
+            found.append(f"multiplied by {scales[0]:g}, the error would be smaller by far: check --units")
         return found
 
 
@@ -218,10 +220,12 @@ class Orientation:
     ----------
     words : what would have to be done
     volumes : the volumes after that
+    gain : part of the mean square error that it takes away, after the best scalar
     """
 
     words: str
     volumes: Float[np.ndarray, "part z y x"]
+    gain: float
 
 
 def better_orientation(
@@ -235,8 +239,8 @@ def better_orientation(
 
     Returns
     -------
-    the orientation; None where none leaves half of the mean square error, and half of that of volumes of zeros, each
-    after the best scalar of each part
+    the orientation; None where none takes away a fifth of the mean square error after the best scalar of each part,
+    and half of that of volumes of zeros
     """
     step = tuple(slice(None, None, max(n // _SAMPLES, 1)) for n in truth.shape[1:])
     true = np.asarray(truth[:, *step], dtype=np.float64)
@@ -249,13 +253,15 @@ def better_orientation(
             flipped = turned[:, *(slice(None, None, sign) for sign in signs)]
             found[order, signs] = _error_after_scalar(flipped[:, *step], true), flipped
     as_it_is = found[(1, 2, 3), (1, 1, 1)][0]
+    if as_it_is < _ROUNDING * len(truth):
+        return None
     (order, signs), (least, best) = min(found.items(), key=lambda pair: pair[1][0])
-    if not least < _LEAST_GAIN * min(as_it_is, len(truth)):  # the last one is what volumes of zeros leave
+    if not least < min(_TURNED_LEAVES * as_it_is, _SCALED_LEAVES * len(truth)):  # zeros leave len(truth)
         return None
     mirrored = [axis for axis, sign in zip("zyx", signs, strict=True) if sign < 0]
     words = ["with the axes " + "".join("zyx"[i - 1] for i in order) + " in place of zyx"] if order != (1, 2, 3) else []
     words += [f"mirrored along {' and '.join(mirrored)}"] if mirrored else []
-    return Orientation(" and ".join(words), best)
+    return Orientation(" and ".join(words), best, 1 - least / as_it_is)
 
 
 def _error_after_scalar(volumes: np.ndarray, truth: np.ndarray) -> float:
@@ -284,7 +290,7 @@ def better_factor(volume: Float[np.ndarray, "z y x"], truth: Float[np.ndarray, "
     scale = float(np.vdot(v, t)) / energy if energy > 0 else 1.0
     near = [factor for factor in _FACTORS if 0.5 < scale / factor < 2]
     left, zeros = float(np.mean((scale * v - t) ** 2)), float(np.mean(t**2))
-    return near[0] if near and left < _LEAST_GAIN * min(float(np.mean((v - t) ** 2)), zeros) else None
+    return near[0] if near and left < _SCALED_LEAVES * min(float(np.mean((v - t) ** 2)), zeros) else None
 
 
 def _read(source: str | np.ndarray) -> tuple[str, Volume]:

@@ -89,11 +89,26 @@ def report(results: Sequence[Result], protocol: str, title: str) -> str:
         _section("Chi-square of the counts of those views", agreement_table(good)),
         _section("Bias and noise inside materials [1e-3/mm]", material_table(good)),
         _section("Material maps: Dice, and colours beside the true ones", map_table(good)),
+        _section("Remarks on volumes of other programs", "\n".join(remarks(good))),
         "\n".join(["## Gaussians beside the others", "", *methods_ahead(good, protocol)])
         if methods_ahead(good, protocol)
         else "",
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def remarks(results: Sequence[Result]) -> list[str]:
+    """List what looks wrong about volumes of other programs.
+
+    Parameters
+    ----------
+    results : of `recon.comparison.campaign.Campaign.results`
+
+    Returns
+    -------
+    a line per remark, each once
+    """
+    return list(dict.fromkeys(f"- {r['contender']}: {text}." for r in results for text in r.get("remarks", ())))
 
 
 def _section(title: str, table: str) -> str:

@@ -287,3 +287,24 @@ def test_without_a_library_the_sentence_names_the_extra(tmp_path, monkeypatch, p
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(NotInstalledError, match=rf"pip install 'spectral-ct\[{extra}\]'"):
         read_volume(f"a.{suffix}", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("spacing", "origin", "words"),
+    [
+        ((1.0, 2.0), (0.0, 0.0, 0.0), "/a/grid/spacing must be three numbers"),
+        ("text", (0.0, 0.0, 0.0), "/a/grid/spacing must be three numbers"),
+        (
+            (1.0, 0.0, 1.0),
+            (0.0, 0.0, 0.0),
+            "the size of a voxel must be three finite numbers above 0 in mm, the file says 1, 0",
+        ),
+        ((1.0, np.nan, 1.0), (0.0, 0.0, 0.0), "the size of a voxel must be three finite numbers"),
+        ((1.0, 1.0, 1.0), (0.0, np.inf, 0.0), "the centre of the first voxel must be three finite numbers in mm"),
+    ],
+)
+def test_places_that_cannot_be_are_refused(tmp_path, spacing, origin, words):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["a/v"], file["a/grid/spacing"], file["a/grid/origin"] = VALUES, spacing, origin
+    with pytest.raises(InputError, match=words):
+        placed("volume", read_volume("a.h5:/a/v", tmp_path), Placement("zyx"))
