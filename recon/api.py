@@ -282,7 +282,7 @@ def segment(run: Fit | Path | str, **options: Any) -> Segmentation:
 
 
 def score(
-    volume: str | Path | np.ndarray | Sequence[str | Path | np.ndarray],
+    volume: Any,
     dataset: Dataset | str | Path,
     quantity: str | Sequence[str] = (),
     *,
@@ -299,7 +299,7 @@ def score(
 
     Parameters
     ----------
-    volume : array, file or run folder, or several of them; an array needs `axes`, and where its voxels are
+    volume : array or tensor, file or run folder, or several of them; an array needs `axes`, and where its voxels are
     dataset : open dataset with a truth, or its file
     quantity : what each part holds, such as ``basis:photoelectric``, ``mono:60``, ``channel:bin1``, ``hu:60`` or
         ``density:iodine``; nothing for files that name their basis volumes
@@ -338,10 +338,10 @@ def score(
         "same-grid": same_grid,
         "coordinates": coordinates,
     }
-    sources = [volume] if isinstance(volume, (str, Path, np.ndarray)) else list(volume)
+    sources = [volume] if isinstance(volume, (str, Path)) or hasattr(volume, "__array__") else list(volume)
     folder = None if out is None else RunFolder(Path(out), overwrite)
     return score_volume(
-        [str(source) if isinstance(source, Path) else source for source in sources],
+        [str(source) if isinstance(source, (str, Path)) else np.asarray(source) for source in sources],
         dataset,
         Statement.of(options, dataset.grid),
         folder,

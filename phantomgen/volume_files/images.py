@@ -4,13 +4,12 @@ SimpleITK counts to the left and to the back (LPS): x and y change their signs, 
 and superior (RAS+).
 """
 
-import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from phantomgen.volume_files.volume import Volume, check_size, checked, triple
+from phantomgen.volume_files.volume import Volume, check_size, checked, triple, unit_in
 from spectra.errors import InputError, NotInstalledError
 
 SUFFIXES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr")
@@ -61,14 +60,13 @@ def read_image(path: Path) -> Volume:
 
 
 def _of_file(itk: Any, path: Path) -> tuple[Any, str | None]:
-    """Image, and the unit that its description ends in, as our own exports do."""
+    """Image, and the unit in its description."""
     reader = itk.ImageFileReader()
     reader.SetFileName(str(path))
     reader.ReadImageInformation()
     check_size(path, reader.GetSize()[::-1], np.uint8)
     told = reader.GetMetaData("descrip") if reader.HasMetaDataKey("descrip") else ""
-    unit = re.search(r"\[([^\]]+)\]", told)
-    return reader.Execute(), unit.group(1) if unit else None
+    return reader.Execute(), unit_in(told)
 
 
 def _of_series(itk: Any, folder: Path) -> tuple[Any, str | None]:

@@ -1,6 +1,7 @@
 """A volume as a file states it: values, their place in space, and their unit, as far as the file says."""
 
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -80,6 +81,21 @@ def check_size(path: Path | str, shape: Sequence[int], dtype: Any) -> None:
     if need > there:
         size = f"{' x '.join(map(str, shape))} voxels, {need / 2**30:.3g} GiB"
         raise InputError(f"{path}: the volume has {size}, more than the {there / 2**30:.3g} GiB of this machine")
+
+
+def unit_in(text: str) -> str | None:
+    """Find the unit that a description states in brackets, as our own exports do.
+
+    Parameters
+    ----------
+    text : such as ``basis coefficients [1/mm]: photoelectric, compton``
+
+    Returns
+    -------
+    the unit; None where there is none
+    """
+    found = re.search(r"\[(1/c?m|1/mm|g/cm\^3|mg/ml|HU)\]", text)
+    return found.group(1) if found else None
 
 
 def triple(values: Any) -> Triple:

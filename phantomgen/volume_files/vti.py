@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from phantomgen.volume_files.volume import Volume, check_size, checked, triple
+from phantomgen.volume_files.volume import Volume, check_size, checked, triple, unit_in
 from spectra.errors import InputError
 
 
@@ -53,6 +53,5 @@ def read_vti(path: Path, name: str | None) -> Volume:
     values = parts[0] if len(parts) == 1 else np.stack(parts)
     check_size(path, values.shape, values.dtype)
     about = [str(text) for text in image.field_data["about"]] if "about" in image.field_data else []
-    units = about[0].partition("[")[2].partition("]")[0] if about else ""
     origin = np.array(image.origin) + axes @ (spacing * first)
-    return Volume(checked(path, values), triple(spacing), axes, triple(origin), units or None, tuple(known))
+    return Volume(checked(path, values), triple(spacing), axes, triple(origin), unit_in(" ".join(about)), tuple(known))

@@ -117,8 +117,9 @@ class Quantities:
         factor = known.get(_normal(unit)) if unit is not None else 1.0 if water is not None else None
         if factor is None:
             wanted = "HU" if water is not None else ", ".join(known)
+            hint = ", or --as hu:KEV" if unit is not None and _normal(unit) in _HOUNSFIELD else ""
             raise InputError(
-                f"{where}: the unit {unit!r} is not one of {self.each[part]}: state --units, one of {wanted}"
+                f"{where}: the unit {unit!r} is not one of {self.each[part]}: state --units, one of {wanted}{hint}"
             )
         return water * (1 + plain / 1000) if water is not None else factor * plain
 

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import torch
 from click.testing import CliRunner
 from support.agent_scan import agent_scan
 from support.tiny_scans import make, one_sentence
@@ -184,7 +185,7 @@ def test_a_run_has_the_scores_that_it_gave_itself(tmp_path):
 
 def test_python_scores_as_the_command_does(scan, noisy, tmp_path):
     np.save(tmp_path / "v.npy", noisy[0])
-    for volume in (noisy[0], tmp_path / "v.npy"):
+    for volume in (noisy[0], torch.from_numpy(noisy[0]), tmp_path / "v.npy"):
         found = package.score(volume, scan, "basis:kedge_I", units="1/mm", axes="zyx", same_grid=True)
         same(found["basis"]["kedge_I"], noisy[1])
     found = package.score(
