@@ -13,6 +13,7 @@ from phantomgen.volume_files.images import FROM_ITK
 from phantomgen.volume_files.volume import Triple, Volume
 from spectra.errors import InputError
 
+_SIZES, _PLACES = (1e-6, 1e6), (-1e9, 1e9)  # mm; other numbers are not those of a scan
 _TURNED = 1e-3  # rad; axes that are turned by more are not those of the scan; less is rounding of headers
 CENTER, COORDINATES = "center", ("header", "scan")
 
@@ -41,8 +42,8 @@ class Placement:
     def __post_init__(self) -> None:
         if self.axes is not None:
             parse_axes(self.axes)
-        if self.voxel is not None and not (min(self.voxel) > 0 and max(self.voxel) < np.inf):
-            raise InputError(f"--voxel-mm takes sizes above 0, got {', '.join(f'{v:g}' for v in self.voxel)}")
+        if self.voxel is not None:
+            _check_place("--voxel-mm", "a size", self.voxel, _SIZES)
         if self.grid is not None and (self.voxel is not None or self.origin is not None):
             raise InputError("--same-grid states size and place of the voxels: leave --voxel-mm and --origin-mm out")
 
@@ -108,12 +109,12 @@ def placed(name: str, volume: Volume, stated: Placement) -> tuple[Shaped[np.ndar
         return values, stated.grid
     space = [letter for letter in letters if letter != "c"]
     spacing = stated.voxel or _spacing(volume, space)
-    _check_place(name, "the size of a voxel", spacing, above=0.0)
+    _check_place(name, "the size of a voxel", spacing, _SIZES)
     if stated.origin == CENTER:
         first = tuple((1 - n) / 2 * step for n, step in zip(shape, spacing, strict=True))
     else:
         begin = stated.origin if stated.origin is not None else _origin(volume, stated.coordinates)
-        _check_place(name, "the centre of the first voxel", begin)
+        _check_place(name, "the centre of the first voxel", begin, _PLACES)
         ends = zip(begin, signs, shape, spacing, strict=True)
         first = tuple(start - (sign < 0) * (n - 1) * step for start, sign, n, step in ends)
     return values, Grid(shape, spacing, first)  # type: ignore[arg-type]
@@ -162,12 +163,12 @@ def _axes_of(name: str, volume: Volume, coordinates: str) -> list[tuple[str, int
     return [("xyz"[found[i]], 1 if directions[found[i], i] > 0 else -1) for i in (2, 1, 0)]
 
 
-def _check_place(name: str, what: str, numbers: Triple, above: float = -np.inf) -> None:
+def _check_place(name: str, what: str, numbers: Triple, limits: tuple[float, float]) -> None:
     """Refuse what a damaged header may hold."""
-    if not all(above < number < np.inf for number in numbers):
-        bound = "" if above < 0 else " above 0"
+    low, high = limits
+    if not all(low <= number <= high for number in numbers):
         text = ", ".join(f"{number:g}" for number in numbers)
-        raise InputError(f"{name}: {what} must be three finite numbers{bound} in mm, the file says {text} (z, y, x)")
+        raise InputError(f"{name}: {what} must be from {low:g} to {high:g} mm, got {text} (z, y, x)")
 
 
 def _spacing(volume: Volume, letters: list[str]) -> Triple:

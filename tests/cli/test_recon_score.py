@@ -173,7 +173,9 @@ def test_bases_predict_counts_and_their_folder_is_a_run(scan, truth, tmp_path):
 
 def test_a_run_has_the_scores_that_it_gave_itself(tmp_path):
     scan = make(tmp_path / "tiny.h5", "--set", "geometry.views=12", "--set", "geometry.test_views=2")
-    fit = CliRunner().invoke(recon, ["fit", str(scan), "--method", "fdk", "-o", str(tmp_path / "run"), "-q", "--json"])
+    fit = CliRunner().invoke(
+        recon, ["fit", str(scan), "--method", "fdk", "-o", str(tmp_path / "run"), "-q", "--json", "--no-figures"]
+    )
     assert fit.exit_code == 0, (fit.output, fit.exception)
     own = json.loads(fit.stdout)
     found = scores(tmp_path / "run", "--truth", scan, "-o", tmp_path / "out")
@@ -181,6 +183,14 @@ def test_a_run_has_the_scores_that_it_gave_itself(tmp_path):
         same(own["basis"][name], row, rel=1e-12)
     assert found["materials"] == own["materials"]
     assert found["cross_talk"] == own["cross_talk"]
+    for package_name in ("nibabel", "SimpleITK"):
+        pytest.importorskip(package_name)
+    for kind, stated in (("vti", ()), ("nii.gz", ("--as", "basis:photoelectric,compton,kedge_63.3"))):
+        file = tmp_path / f"exported.{kind}"
+        assert CliRunner().invoke(recon, ["export", str(tmp_path / "run"), "-o", str(file)]).exit_code == 0
+        again = scores(file, "--truth", scan, *stated, "-o", tmp_path / kind)  # units and place are in the file
+        for name, row in again["basis"].items():
+            same(own["basis"][name], row)
 
 
 def test_python_scores_as_the_command_does(scan, noisy, tmp_path):
