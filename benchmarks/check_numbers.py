@@ -19,25 +19,25 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from benchmarks.claims import ROOT, Claim, Ledger, Run, Same, Value, ledger, read
+from benchmarks.claims import ROOT, Claim, NumbersFile, Run, Same, Value, read, read_numbers_file
 
 UNRUN, FAILED = "not run", "failed"
 
 
 @dataclass
-class Workshop:
+class CommandRunner:
     """Runs commands, each once, and gives what they wrote.
 
     Parameters
     ----------
-    book : all runs
+    numbers_file : all runs
     folder : to run in
     slow : also what takes hours
     stored : nothing at all
     resume : what ended in this folder before is not run again
     """
 
-    book: Ledger
+    numbers_file: NumbersFile
     folder: Path
     slow: bool = False
     stored: bool = False
@@ -53,7 +53,7 @@ class Workshop:
     def text(self, name: str) -> str | None:
         """What a run wrote; None where it was not run, or failed."""
         if name not in self.texts:
-            self.texts[name] = self._text(self.book.runs[name])
+            self.texts[name] = self._text(self.numbers_file.runs[name])
         return self.texts[name]
 
     def _text(self, run: Run) -> str | None:
@@ -102,15 +102,15 @@ def environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": path}
 
 
-def verdict(value: Value, shop: Workshop) -> tuple[str, str]:
+def verdict(value: Value, runner: CommandRunner) -> tuple[str, str]:
     """What was measured, and what that says."""
-    text = shop.text(value.run)
+    text = runner.text(value.run)
     if text is None:
-        return "-", FAILED if value.run in shop.failed else UNRUN
+        return "-", FAILED if value.run in runner.failed else UNRUN
     try:
         found = value.measured(text)
     except (LookupError, ValueError) as error:
-        shop.absent[value] = str(error.args[0])
+        runner.absent[value] = str(error.args[0])
         return "absent", "no"
     if value.machine:
         return f"{found:.4g}", "machine"
@@ -132,38 +132,38 @@ def short(words: str, width: int = 60) -> str:
     return text if len(text) <= width else f"{text[: width - 3]}..."
 
 
-def listing(claims: list[Claim], book: Ledger) -> None:
+def listing(claims: list[Claim], numbers_file: NumbersFile) -> None:
     """What is stated, and the commands that give it."""
     for claim in claims:
         stated = ", ".join(value.stated for value in claim.values)
         print(f"{claim.document}: {short(claim.words, 100)}\n    {stated}")
         for name in dict.fromkeys(value.run for value in claim.values):
-            run = book.runs[name]
+            run = numbers_file.runs[name]
             print(f"    {'slow: ' if run.slow else ''}{'; '.join(run.commands)}")
 
 
-def judged(claims: list[Claim], shop: Workshop) -> tuple[dict[Claim, list[str]], int]:
+def judged(claims: list[Claim], runner: CommandRunner) -> tuple[dict[Claim, list[str]], int]:
     """Prints every number; sentences that do not hold with what is wrong, and how many numbers were not looked at."""
     wrong: dict[Claim, list[str]] = {}
     unrun = 0
     lines = [f"{'document':<28}{'words':<62}{'stated':>10}{'measured':>12}  verdict"]
     for claim in claims:
         for value in claim.values:
-            found, says = verdict(value, shop)
+            found, says = verdict(value, runner)
             lines.append(f"{claim.document:<28}{short(claim.words):<62}{value.stated:>10}{found:>12}  {says}")
             unrun += says == UNRUN
             if says in ("no", FAILED):
-                reason = FAILED if says == FAILED else shop.absent.get(value, found)
+                reason = FAILED if says == FAILED else runner.absent.get(value, found)
                 wrong.setdefault(claim, []).append(f"{value.stated}: {reason}")
     print("\n".join(lines))
     return wrong, unrun
 
 
-def differing(entries: Iterable[Same], shop: Workshop) -> list[str]:
+def differing(entries: Iterable[Same], runner: CommandRunner) -> list[str]:
     """Lines of documents that are not those of the results any more."""
     found = []
     for entry in entries:
-        text = shop.text(entry.run)
+        text = runner.text(entry.run)
         if text is not None:
             found += [f"{entry.document}: {line}" for line in entry.missing(read(entry.document), text)]
     return found
@@ -180,25 +180,25 @@ def main() -> int:
     parser.add_argument("--scratch", type=Path, help="folder for scans and runs, which is kept")
     parser.add_argument("--resume", action="store_true", help="do not repeat what ended in that folder")
     asked = parser.parse_args()
-    book = ledger()
-    claims = selected(book.all_claims(), asked.only)
+    numbers_file = read_numbers_file()
+    claims = selected(numbers_file.all_claims(), asked.only)
     if asked.list:
-        listing(claims, book)
+        listing(claims, numbers_file)
         return 0
     with tempfile.TemporaryDirectory() as temporary:
         folder = (asked.scratch or Path(temporary)).absolute()
         folder.mkdir(parents=True, exist_ok=True)
-        shop = Workshop(book, folder, asked.slow, asked.stored, asked.resume)
-        wrong, unrun = judged(claims, shop)
-        differ = differing((s for s in book.same if not asked.only), shop)
-    for name, why in shop.failed.items():
+        runner = CommandRunner(numbers_file, folder, asked.slow, asked.stored, asked.resume)
+        wrong, unrun = judged(claims, runner)
+        differ = differing((s for s in numbers_file.same if not asked.only), runner)
+    for name, why in runner.failed.items():
         print(f"failed: {name}: {why}")
     for claim, reasons in wrong.items():
         print(f"no longer holds: {claim.document}: {' '.join(claim.words.split())}\n    {'; '.join(reasons)}")
     for line in differ:
         print(f"not in the results: {line}")
     print(f"{len(claims)} sentences: {len(wrong) + len(differ)} do not hold; {unrun} numbers were not measured")
-    return 3 if wrong or differ or shop.failed else 0
+    return 3 if wrong or differ or runner.failed else 0
 
 
 if __name__ == "__main__":

@@ -196,7 +196,7 @@ class Same:
 
 
 @dataclass(frozen=True)
-class Ledger:
+class NumbersFile:
     """All of `numbers.yaml`."""
 
     runs: dict[str, Run]
@@ -210,7 +210,7 @@ class Ledger:
         return [*self.claims, *rows]
 
 
-def ledger(path: Path = NUMBERS) -> Ledger:
+def read_numbers_file(path: Path = NUMBERS) -> NumbersFile:
     """Read the file; every scalar stays the text that it is, so that digits are kept."""
     entries = yaml.load(path.read_text(encoding="utf-8"), Loader=yaml.BaseLoader)
     runs = {name: _run(name, entry) for name, entry in entries["runs"].items()}
@@ -222,7 +222,7 @@ def ledger(path: Path = NUMBERS) -> Ledger:
     tables = tuple(
         Table(**{**t, **{key: tuple(map(int, t.get(key, ()))) for key in _PLACES}}) for t in entries["tables"]
     )
-    return Ledger(runs, claims, tables, tuple(Same(**s) for s in entries["same"]))
+    return NumbersFile(runs, claims, tables, tuple(Same(**s) for s in entries["same"]))
 
 
 def _run(name: str, entry: dict[str, Any]) -> Run:

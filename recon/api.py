@@ -14,13 +14,13 @@ from phantomgen.dataset.reader import Dataset, Region, open_dataset
 from phantomgen.dataset.truth import Truth, read_truth
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.runtime.guarded import Guard, Salvage, unguarded
+from phantomgen.runtime.guarded import Guard, WarnOnFailure, unguarded
 from phantomgen.runtime.plain_json import to_json, write_json
 from phantomgen.runtime.stopwatch import peak_memory_mib
 from phantomgen.runtime.thumbnails import thumbnails
 from recon.evaluation.stated_volume import Statement
 from recon.evaluation.verdict import Verdict
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.optimize import Progress
 from recon.gaussians.recipe import RECIPES, Recipe
 from recon.gaussians.reconstruct import Reconstruction, reconstruct
@@ -37,7 +37,7 @@ from recon.runs.unfinished_run import LOG, log_entry
 from recon.runs.write_run import RunFolder
 from recon.segmentation.result import Options, Segmentation
 from recon.segmentation.segment import segment_subject
-from recon.segmentation.subject import Subject, detected_spectrum, open_subject
+from recon.segmentation.subject import Subject, open_subject
 from spectra.basis.basis import Basis, pretty
 from spectra.errors import InputError
 
@@ -84,7 +84,7 @@ class Fit:
     log: list[dict[str, Any]] = field(default_factory=list, repr=False)
 
     @property
-    def gaussians(self) -> Gaussians:
+    def gaussians(self) -> GaussianModel:
         """The model."""
         return self.result.gaussians
 
@@ -171,7 +171,7 @@ class Fit:
             When the folder exists and `overwrite` is not given.
         """
         target = RunFolder(Path(folder), overwrite)
-        guard = Salvage(lambda sentence, error: warnings.warn(sentence, RuntimeWarning, stacklevel=5))
+        guard = WarnOnFailure(lambda sentence, error: warnings.warn(sentence, RuntimeWarning, stacklevel=5))
         with target as part, self._outcome() as outcome:
             outcome.write(part)
             (part / LOG).write_text("".join(to_json(entry) + "\n" for entry in self.log), encoding="utf-8")
@@ -277,8 +277,9 @@ def segment(run: Fit | Path | str, **options: Any) -> Segmentation:
     if not isinstance(run, Fit):
         return segment_subject(open_subject(Path(run)), chosen)
     basis = Basis(run.basis.functions[: len(run.basis_names)], run.basis.reference_energy)
-    spectrum = detected_spectrum(basis, run.result.transmission)
-    return segment_subject(Subject(run.volume(), run.grid, basis, *spectrum, run.gaussians, run.path.name), chosen)
+    transmission, name = run.result.transmission, run.path.name
+    subject = Subject.of(run.volume(), run.grid, basis, transmission, run.gaussians, name)
+    return segment_subject(subject, chosen)
 
 
 def score(

@@ -21,7 +21,7 @@ _HOME = {
     "Material": "materials.material",
     "PulseHeightDetector": "detector.pulse_height",
     "ResponseMatrix": "detector.response_matrix",
-    "Sharing": "detector.pulse_height",
+    "ChargeSharing": "detector.pulse_height",
     "Part": "materials.mixing",
     "Quadrature": "quadrature",
     "Source": "source.source",

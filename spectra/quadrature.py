@@ -74,7 +74,9 @@ class Response(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Integrand:
-    """Integrand of the expected counts over energy: photons x response x exp(-columns . line integrals).
+    """Integrand of the expected counts over energy: product of photons, response and transmission.
+
+    The transmission is exp(-sum_m columns_m(E) L_m), with L_m the line integral of column m.
 
     Parameters
     ----------

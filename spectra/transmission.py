@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 
 from spectra.cramer_rao import least_covariance
-from spectra.energy.node_reduction import FewNodes, choose_nodes, compress_channel
+from spectra.energy.node_reduction import ReducedNodes, choose_nodes, compress_channel
 from spectra.errors import InputError
 from spectra.ops.transmit import expected_and_jacobian, expected_counts, log_counts_and_slopes
 from spectra.threads import run_parallel
@@ -247,7 +247,7 @@ class Transmission:
         if not tolerance > 0:
             raise InputError(f"the tolerance of a compression must be positive, got {tolerance:g}")
 
-        def channel(c: int) -> FewNodes:
+        def channel(c: int) -> ReducedNodes:
             own = slice(self.starts[c], self.starts[c + 1])
             rng = np.random.default_rng([seed, c])
             return compress_channel(self.weights[own], self.columns[:, own], box, tolerance, rng, refine, thorough)
@@ -271,13 +271,13 @@ class Transmission:
         """
         rays, _ = self._rays(lengths)
 
-        def channel(c: int) -> FewNodes:
+        def channel(c: int) -> ReducedNodes:
             own = slice(self.starts[c], self.starts[c + 1])
             return choose_nodes(self.weights[own], self.columns[:, own], rays, tolerance)
 
         return self._with_channels(run_parallel(channel, range(len(self))))
 
-    def _with_channels(self, channels: Iterable[FewNodes]) -> tuple["Transmission", float]:
+    def _with_channels(self, channels: Iterable[ReducedNodes]) -> tuple["Transmission", float]:
         """Replace weights and columns of all channels; also return the worst of their errors."""
         weights, columns, errors = zip(*channels, strict=True)
         starts = np.concatenate([[0], np.cumsum([len(w) for w in weights])])

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from phantomgen.geometry.conversions.rtk import to_rtk_object
 from phantomgen.geometry.orbits import short_arc, spread_angles
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.panel_mount import Mount, mounted
@@ -66,15 +67,7 @@ def rtk_fdk(images: np.ndarray, geometry: Geometry, short: bool, half: bool) -> 
 
     rtk = itk.RTK
     kind = itk.Image[itk.F, 3]
-    poses = rtk.ThreeDCircularProjectionGeometry.New()
-    turn = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]], float)
-    rays = zip(geometry.source, geometry.panel_center, geometry.column_step, geometry.row_step, strict=True)
-    for source, center, column, row in rays:
-        vectors = [turn @ v for v in (source, center, column / np.linalg.norm(column), -row / np.linalg.norm(row))]
-        point = [itk.Point[itk.D, 3](v.tolist()) for v in vectors[:2]]
-        steps = [itk.Vector[itk.D, 3](v.tolist()) for v in vectors[2:]]
-        if not poses.AddProjection(*point, *steps):
-            raise RuntimeError("RTK refused a pose")
+    poses = to_rtk_object(geometry)
     stack = itk.image_from_array(np.ascontiguousarray(images[:, ::-1]))  # rows go up
     panel = geometry.panel
     stack.SetSpacing([panel.column_pitch, panel.row_pitch, 1.0])

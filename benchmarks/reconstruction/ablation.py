@@ -2,11 +2,11 @@
 
     python -m benchmarks.reconstruction.ablation [z_aligned | metal | implant | pin] [WORD ...]
 
-Fits of `development.yaml`, the scene on which recipes were chosen, or of one of its siblings,
-`development_z_aligned.yaml` and so on; rows whose name is one of the words, or has it after the recipe's name; all
-where there are none. Scores are PSNR [dB] of the basis volumes; times are processor time of both threads from reading
-to the last step, so that they do not depend on what else the machine does. Rows take the place of those in
-`results/ablation.txt`, `results/ablation_z_aligned.txt` and so on.
+Fits of Gaussians without planes to `development.yaml`, the scene on which their recipes were chosen, or to one of its
+siblings, `development_z_aligned.yaml` and so on; rows whose name is one of the words, or has it after the recipe's
+name; all where there are none. Scores are PSNR [dB] of the basis volumes; times are processor time of both threads
+from reading to the last step, so that they do not depend on what else the machine does. Rows take the place of those
+in `results/ablation.txt`, `results/ablation_z_aligned.txt` and so on.
 """
 
 import platform
@@ -40,8 +40,8 @@ OTHERS = (
     "implant",
     "pin",
 )  # flat sides on faces of voxels; thin and thick metal; metal in tissue
-NAMED = 66  # characters of a row for its change
-HEADER = f"{'change':<66}PE     Compton  K edge  CPU s  Gaussians"
+NAMED = 70  # characters of a row for its change
+HEADER = f"{'change':<70}PE     Compton  K edge  CPU s  Gaussians"
 
 
 @dataclass(frozen=True)
@@ -68,20 +68,23 @@ def best(name: str, *patches: tuple[str, Any], **changes: Any) -> Change:
     return Change(f"best, {name}", replace(BEST, **changes), patches)
 
 
-HELD = {"centre_rate": 1e-9, "shape_rate": 1e-9}
+FIXED_GEOMETRY = {"centre_rate": 1e-9, "shape_rate": 1e-9}
 FROM_RAYS = {"prior": 0.0, "centre_rate": 0.06, "shape_rate": 0.015}
-BY_INFORMATION = ("recon.gaussians.initial.first_guess.metric_of", lambda volumes, fisher, settings: fisher)
-SUMMED = ("recon.data.measurements.excess_of_blocks", lambda counts, air, factor: 0.0)
+FISHER_METRIC = ("recon.gaussians.initial.first_guess.metric_of", lambda volumes, fisher, settings: fisher)
+BINNED_BY_SUMS = ("recon.data.measurements.excess_of_blocks", lambda counts, air, factor: 0.0)
 UNCORRECTED = ("recon.data.measurements.excess_of_pixels", lambda counts, air: 0.0)
-UNEVEN = ("recon.data.measurements.even_shares", lambda counts, air: 1.0)
-UNDOUBTED = ("recon.data.measurements.doubtful_shares", lambda counts, air, dispersion: 1.0)
-EVEN_PACE = ("recon.voxel.iterative.likelihood.relative_density", lambda volumes: np.ones_like(volumes[0]))
-NO_DENSITY = ("recon.gaussians.voxel_prior.over_metal", lambda volumes: np.ones_like(volumes[0]))
-EVEN_SAY = ("recon.voxel.iterative.one_step._statistical_weights", lambda curvatures, density: np.ones_like(density))
-HELD_BACK = ("recon.voxel.iterative.one_step.CURVATURE_FLOOR", 1e-3)
-NODES = ("recon.voxel.iterative.one_step.means_in_metal", lambda volumes: volumes)
-UP_TO_METAL = ("recon.data.volume_edges.LARGEST", np.inf)
-BASIS_BY_BASIS = (
+OWN_WEIGHTS = ("recon.data.measurements.neighbourhood_weights", lambda counts, air: 1.0)
+EXACT_CORRECTIONS = ("recon.data.measurements.correction_weights", lambda counts, air, dispersion: 1.0)
+EQUAL_STEPS = ("recon.voxel.iterative.likelihood.relative_density", lambda volumes: np.ones_like(volumes[0]))
+EQUAL_PRIOR_AT_METAL = ("recon.gaussians.voxel_prior.over_metal", lambda volumes: np.ones_like(volumes[0]))
+EQUAL_TV_WEIGHTS = (
+    "recon.voxel.iterative.one_step._statistical_weights",
+    lambda curvatures, density: np.ones_like(density),
+)
+HIGH_CURVATURE_FLOOR = ("recon.voxel.iterative.one_step.CURVATURE_FLOOR", 1e-3)
+NO_MEANS_IN_METAL = ("recon.voxel.iterative.one_step.means_in_metal", lambda volumes: volumes)
+EMPTY_BELOW_DENSEST = ("recon.data.volume_edges.LARGEST", np.inf)
+DIAGONAL_CURVATURE = (
     "recon.gaussians.objective.coefficient_curvature",
     lambda *scene: torch.diag_embed(torch.diagonal(coefficient_curvature(*scene), dim1=1, dim2=2)),
 )
@@ -91,39 +94,39 @@ CHANGES = (
     Change("fast", FAST),
     fast("from decomposed rays and FDK, no prior, 3 sweeps", **FROM_RAYS, stages=(Stage(0.5, 3.0),)),
     fast("coarse voxels not sharpened", UNSHARPENED),
-    fast("pixels summed to match voxels by their sums", SUMMED),
-    fast("partial volume of single pixels left in", UNCORRECTED),
-    fast("every ray with the say of its counts", UNEVEN),
-    fast("corrections for partial volume taken for exact", UNDOUBTED),
-    fast("dense voxels at the pace of others", EVEN_PACE),
-    fast("total variation with the same say everywhere", EVEN_SAY),
-    fast("steps held back where rays know less than a thousandth", HELD_BACK),
-    fast("empty is what has less than a tenth of the densest", UP_TO_METAL),
-    fast("voxels in metal as they fit the rays, no means", NODES),
-    fast("bases count by the rays' information as Gaussians follow", BY_INFORMATION),
-    fast("Gaussians do not follow the voxels first", approximation=1),
-    fast("Gaussians follow the voxels, and are not fitted", stages=(Stage(0.5, 1e-9),)),
+    fast("pixels binned by sums, not by geometric means", BINNED_BY_SUMS),
+    fast("no partial-volume correction of single pixels", UNCORRECTED),
+    fast("each ray weighted by its own counts", OWN_WEIGHTS),
+    fast("partial-volume corrections treated as exact", EXACT_CORRECTIONS),
+    fast("dense voxels take the same steps as others", EQUAL_STEPS),
+    fast("total variation with equal weight everywhere", EQUAL_TV_WEIGHTS),
+    fast("curvature floor of a thousandth for all voxels", HIGH_CURVATURE_FLOOR),
+    fast("empty means below a tenth of the densest voxels", EMPTY_BELOW_DENSEST),
+    fast("voxel values in metal not converted to means", NO_MEANS_IN_METAL),
+    fast("fit to voxels weighted by the Fisher information of the rays", FISHER_METRIC),
+    fast("Gaussians not fitted to the voxels first", approximation=1),
+    fast("Gaussians fitted to the voxels only, not to the counts", stages=(Stage(0.5, 1e-9),)),
     fast("no prior after the start", prior=1e-9),
     fast("prior as strong along edges", steps_along_edges=1e9),
     fast("prior a tenth as strong along edges", steps_along_edges=1.8),
     fast("pixels summed to the size of voxels", stages=(Stage(1.0, 1.0),)),
     fast("half the rates of the geometry, falling to 0.3", centre_rate=0.01, shape_rate=0.0025, final_rate=0.3),
     fast("weights of pure Poisson noise", dispersion=0.0),
-    fast("coefficients alone, geometry held", **HELD),
+    fast("coefficients only, geometry fixed", **FIXED_GEOMETRY),
     fast("coefficients without momentum", momentum=0.0),
-    fast("curvature of each basis alone, without what they share", BASIS_BY_BASIS),
-    fast("half as many evaluations as Gaussians follow", approximation=30),
+    fast("curvature without terms between bases", DIAGONAL_CURVATURE),
+    fast("half as many evaluations of the fit to voxels", approximation=30),
     fast("2 views per step", views_per_step=2),
     fast("fewer Gaussians, spacing 1.2", spacing=1.2),
     Change("best", BEST),
-    best("bases count by the rays' information as Gaussians follow", BY_INFORMATION),
-    best("steps of the geometry at full length at once", warm_up=0.0),
+    best("fit to voxels weighted by the Fisher information of the rays", FISHER_METRIC),
+    best("no warm-up of the geometry steps", warm_up=0.0),
     best("2 views per step", views_per_step=2),
     best("3 sweeps", stages=(Stage(0.5, 3.0),)),
     best("fewer Gaussians, spacing 1.2", spacing=1.2),
     best("prior three times as strong along edges", steps_along_edges=54.0),
-    best("voxels in metal as they fit the rays, no means", NODES),
-    best("prior as strong at metal as along other edges", NO_DENSITY),
+    best("voxel values in metal not converted to means", NO_MEANS_IN_METAL),
+    best("prior as strong at metal as along other edges", EQUAL_PRIOR_AT_METAL),
 )
 
 
@@ -146,7 +149,7 @@ def row_of(change: Change, dataset: Dataset) -> str:
     truth = read_truth(dataset.path)
     assert truth is not None
     scores = "  ".join(f"{score:5.2f}" for score in psnr_of_bases(truth, gaussians).values())
-    return f"{change.name:<66}{scores}  {seconds:6.1f}  {len(gaussians):8d}"
+    return f"{change.name:<70}{scores}  {seconds:6.1f}  {len(gaussians):8d}"
 
 
 def main(words: list[str]) -> None:

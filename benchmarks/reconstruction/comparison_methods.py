@@ -28,7 +28,7 @@ from recon.evaluation.metrics import psnr
 from recon.gaussians.recipe import Recipe
 from recon.runs.methods import method_named
 from recon.runs.run_voxels import reconstruct_volumes
-from recon.voxel.method import Iteration, unwatched
+from recon.voxel.method import Iteration, no_callback
 from spectra.threads import thread_count, without_other_pools
 
 FOLDER = Path(__file__).parents[1]
@@ -104,7 +104,7 @@ def scored(setting: Setting, measured: Measurements, truth: Truth) -> Iterator[t
             score(setting.name(state.done), state.volumes)
 
     method: Any = replace(method_named(setting.method), **setting.changes)  # type: ignore[type-var]
-    told = watch if setting.at else unwatched
+    told = watch if setting.at else no_callback
     volumes = reconstruct_volumes(measured, truth.grid, method, "two-step", Stopwatch(), told)
     if not setting.at:
         score(setting.name(), volumes)

@@ -67,12 +67,12 @@ def row_of(name: str, scores: dict[str, Any], processor: float) -> str:
     ssim = min(basis["ssim"] for basis in scores["basis"].values())
     seconds = sum(time for stage, time in scores["seconds"].items() if stage not in AFTER)
     return (
-        f"{name}{psnr:<24}{ssim:5.3f}{agreement(scores['channels'])}{seconds:6.0f}{processor:7.0f}"
+        f"{name}{psnr:<24}{ssim:5.3f}{chi_square_cell(scores['channels'])}{seconds:6.0f}{processor:7.0f}"
         f"{scores['peak_memory_mib']:6.0f}{scores['gaussians']:11d}"
     )
 
 
-def agreement(channels: dict[str, Any]) -> str:
+def chi_square_cell(channels: dict[str, Any]) -> str:
     """Chi-square of the worst channel, away from edges and of all rays."""
     away, everywhere = (max(c[f"chi_square_{rays}"] for c in channels.values()) for rays in ("away", "all"))
     return f"{away:11.3f}{everywhere:8.2f}"
@@ -84,7 +84,7 @@ def row_of_truth(name: str, dataset: Path) -> str:
     assert truth is not None
     with phantomgen.open(dataset) as opened:
         channels = score_test_views(opened, Voxels(truth.volumes, truth.grid, truth.basis_names))
-    return f"{name}{'-':<24}{'-':>5}{agreement(channels)}"
+    return f"{name}{'-':<24}{'-':>5}{chi_square_cell(channels)}"
 
 
 def keep(row: str) -> None:

@@ -26,7 +26,7 @@ from scipy.stats import norm
 from phantomgen.dataset.spectral_model import Spectra
 from recon.gaussians.recipe import Recipe
 from recon.kedge.edge_likelihood import EdgeLikelihood
-from recon.kedge.expected_noise import null_law
+from recon.kedge.expected_noise import null_distribution
 from recon.kedge.judgement import LEAST_SCORE, judge
 from recon.kedge.rays import Rays
 from spectra.basis.basis import Basis, BasisFunction
@@ -99,7 +99,7 @@ def theory(model: EdgeLikelihood, symbol: str, concentration: float) -> tuple[fl
     """Chance to find it on the rays of the vial by the law of the score, and by a likelihood ratio that knows more."""
     further = BasisFunction("element", element=symbol)
     information = model.last_length((*PLAIN, further))[1]
-    law = null_law(model, PLAIN, further, model.deviances(PLAIN)[1])
+    law = null_distribution(model, PLAIN, further, model.deviances(PLAIN)[1])
     reference = max(70.0, float(further.edge_energy or 0) + 0.01)
     per_mg = curve(np.array([reference]), symbol, 1e-3)[0]
     inside = in_vial()

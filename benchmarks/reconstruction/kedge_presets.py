@@ -28,10 +28,10 @@ from recon.kedge import expected_noise
 from recon.kedge.alternatives import deviance_drops
 from recon.kedge.choose_basis import DISPERSION, choose_basis
 from recon.kedge.edge_likelihood import EdgeLikelihood
-from recon.kedge.expected_noise import NullLaw, excess_score, null_law
+from recon.kedge.expected_noise import NullDistribution, excess_score, null_distribution
 from recon.kedge.judgement import JUDGED_RAYS, LEAST_SCORE, POOL_RAYS, RAY_FRACTIONS
-from recon.kedge.neighbour_agreement import agreement
 from recon.kedge.rays import VIEWS, rays_away_from_edges
+from recon.kedge.spatial_correlation import correlation_score
 from spectra.basis.basis import Basis, BasisFunction
 from spectra.threads import set_threads
 
@@ -118,12 +118,12 @@ def needed_single(likelihood: EdgeLikelihood, further: BasisFunction) -> float:
     saved = np.where((lengths > 0) & (saved > 0), saved, 0.0)
     pool = likelihood.with_rays(likelihood.rays[likelihood.rays.highest(saved, POOL_RAYS)])
     saved = deviance_drops(pool, PLAIN, further)
-    law = null_law(pool, PLAIN, further, pool.deviances(PLAIN)[1], misfit=1.0)
+    law = null_distribution(pool, PLAIN, further, pool.deviances(PLAIN)[1], misfit=1.0)
     ranked = pool.rays.highest(saved, JUDGED_RAYS)
     choices = [ranked[: JUDGED_RAYS // part] for part in RAY_FRACTIONS]
 
     def score(misfit: float) -> float:
-        some = NullLaw(law.variance, misfit * law.shift)
+        some = NullDistribution(law.variance, misfit * law.shift)
         return max(excess_score(saved[rays], some[rays]) for rays in choices)
 
     return _least(score, 12)
@@ -134,7 +134,7 @@ def needed_neighbours(likelihood: EdgeLikelihood, further: BasisFunction) -> flo
 
     def score(misfit: float) -> float:
         with patch.object(expected_noise, "MISFIT", misfit):
-            return agreement(likelihood, PLAIN, further)
+            return correlation_score(likelihood, PLAIN, further)
 
     return _least(score, 6)
 

@@ -1,6 +1,6 @@
 """Whether a fit of Gaussians ends better than the volumes it started from, on one scene of every kind.
 
-    python -m benchmarks.reconstruction.scene_kinds [--threads N] [--out FOLDER] [--seed N] [--halfway W] [SCENE ...]
+    python -m benchmarks.reconstruction.scene_kinds [--kernel NAME] [--threads N] [--seed N] [--out FOLDER] [SCENE ...]
 
 Scenes of `scene_kinds.yaml`: 64^3 voxels, 45 views of 128 x 128 pixels unless the scene says otherwise; no setting of
 the program was chosen on them. PSNR [dB] of every basis volume on the grid of the truth: the one-step volumes that the
@@ -8,8 +8,8 @@ fit starts from, the Gaussians fitted to these volumes, and the end of the fit. 
 chi-square of the test views in the worst channel, away from edges and of all rays; the number of Gaussians; stored
 numbers over occupied voxels times bases; processor time of the fit.
 
-With `--halfway`, Gaussians are fitted to the start on a second grid, too, half a voxel further along every axis, with
-that weight and a cutoff of 3.5 standard deviations.
+With `--kernel interface`, planes divide the Gaussians. With `--halfway`, plain Gaussians are fitted to the start
+on a second grid, too, half a voxel further along every axis, with that weight and a cutoff of 3.5.
 
 Rows take the place of those in `results/scene_kinds.txt`.
 """
@@ -32,15 +32,15 @@ from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import Truth, read_truth
 from recon.evaluation.metrics import psnr
 from recon.evaluation.scoring import score_test_views
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.optimize import Progress
-from recon.gaussians.recipe import FAST, Recipe
+from recon.gaussians.recipe import FAST, FAST_INTERFACE, KERNELS, Recipe
 from recon.gaussians.reconstruct import reconstruct
 from spectra.threads import set_threads, thread_count, without_other_pools
 
 SCENES = Path(__file__).parents[1] / "scenes" / "scene_kinds.yaml"
 TABLE = Path(__file__).parents[1] / "results" / "scene_kinds.txt"
-NAMED = 28  # characters of a row for its scene, seed and second grid
+NAMED = 32  # characters of a row for its scene, seed and second grid
 HEADER = (
     f"{'scene':<{NAMED}}{'start':<24}{'fitted to start':<24}{'end':<24}{'gain':<24}"
     f"{'off edges':>9}{'all':>7}{'Gaussians':>11}{'numbers':>9}{'CPU s':>7}"
@@ -61,17 +61,19 @@ def scores(volumes: Float[np.ndarray, "basis z y x"], truth: Truth) -> Float[np.
     return np.array([psnr(t.max(), np.mean((v - t) ** 2)) for v, t in pairs], float)
 
 
-def recipe_with(halfway: float) -> Recipe:
-    """Default recipe, with a second grid where its weight is not 0."""
-    fit = FAST.volume_fit if halfway == 0 else replace(FAST.volume_fit, halfway=halfway, cutoff=3.5)
-    return replace(FAST, volume_fit=fit)
+def recipe_with(kernel: str, halfway: float) -> Recipe:
+    """Default recipe with a kernel, and with a second grid where its weight is not 0."""
+    if kernel == "interface":
+        return FAST_INTERFACE
+    fit = FAST.volume_fit
+    return replace(FAST, volume_fit=replace(fit, halfway=halfway, cutoff=3.5) if halfway else fit)
 
 
 def row_of(label: str, dataset: Dataset, recipe: Recipe) -> str:
     """One line of the results."""
     truth = read_truth(dataset.path)
     assert truth is not None
-    first: list[Gaussians] = []
+    first: list[GaussianModel] = []
 
     def on_step(progress: Progress) -> None:
         if progress.step == 1:
@@ -87,7 +89,7 @@ def row_of(label: str, dataset: Dataset, recipe: Recipe) -> str:
     away, every = (max(c[name] for c in channels) for name in ("chi_square_away", "chi_square_all"))
     peaks = truth.volumes.max(axis=(1, 2, 3), keepdims=True)
     occupied = int((truth.volumes > OCCUPIED * peaks).any(axis=0).sum()) * len(peaks)
-    stored = sum(part.numel() for part in found.gaussians.tensors().values())
+    stored = found.gaussians.numbers
     columns = (" ".join(f"{value:5.2f}" for value in values) for values in (start, fitted, end, end - start))
     told = "".join(f"{column:<24}" for column in columns)
     return (
@@ -103,6 +105,7 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", default=list(scenes), metavar="SCENE", help=", ".join(scenes))
     parser.add_argument("--threads", type=int, help="default: all")
     parser.add_argument("--seed", type=int, default=0, help="of the noise")
+    parser.add_argument("--kernel", choices=KERNELS, default="gaussian", help="default: gaussian")
     parser.add_argument("--halfway", type=float, default=0.0, help="weight of the second grid")
     parser.add_argument("--out", type=Path, help="folder to keep the scans in")
     parser.add_argument("--table", type=Path, default=TABLE, help="file that the rows go to")
@@ -116,9 +119,9 @@ def main() -> None:
         folder = asked.out or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         for name in asked.scenes:
-            label = f"{name} seed {asked.seed}" + (f" grid {asked.halfway:g}" if asked.halfway else "")
+            label = f"{name} seed {asked.seed} {asked.kernel}" + (f" {asked.halfway:g}" if asked.halfway else "")
             with scanned(name, scenes[name], asked.seed, folder / f"{name}-{asked.seed}.h5") as dataset:
-                row = row_of(label, dataset, recipe_with(asked.halfway))
+                row = row_of(label, dataset, recipe_with(asked.kernel, asked.halfway))
             store(asked.table, head, row, NAMED)
             print(row, flush=True)
 

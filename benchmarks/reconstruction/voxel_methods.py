@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
+from phantomgen.dataset.inpainting import inpainted
 from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.truth import Truth, read_truth
 from phantomgen.geometry.voxel_grid import Grid
-from recon.data.inpainting import inpainted
 from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import Measurements, matching_bin, read_measurements
 from recon.evaluation.metrics import psnr
@@ -64,7 +64,7 @@ def two_step(measured: Measurements, grid: Grid, tell: Told) -> None:
     clock = Clock()
     data = measured.completed().binned(matching_bin(measured.geometry, min(grid.spacing)))
     line_integrals, fisher = decompose_views(data, DISPERSION)
-    line_integrals = inpainted(line_integrals, data.unseen)
+    line_integrals = inpainted(line_integrals, data.blind_pixels)
     volumes = fdk(line_integrals, data.geometry, grid)
     tell("ML, then FDK", clock.seconds(), volumes)
     images = np.ascontiguousarray(np.moveaxis(line_integrals, 1, 0))

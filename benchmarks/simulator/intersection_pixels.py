@@ -2,7 +2,7 @@
 
     python -m benchmarks.simulator.intersection_pixels
 
-Prints, and writes to results/intersected_pixels.txt beside this file.
+Prints, and writes to results/intersection_pixels.txt beside this file.
 """
 
 import platform

@@ -53,6 +53,6 @@ def schema(scene: bool) -> None:
 
         click.echo(json.dumps(json_schema(), indent=1))
         return
-    from phantomgen.dataset.layout import TABLE
+    from phantomgen.dataset.layout import SCHEMA_TABLE
 
-    click.echo(TABLE, nl=False)
+    click.echo(SCHEMA_TABLE, nl=False)

@@ -1,4 +1,4 @@
-"""The command ``phantomgen export``: the truth of a dataset in formats of other programs."""
+"""The command ``phantomgen export``: truth and scans in formats of other programs."""
 
 import json
 from pathlib import Path
@@ -7,24 +7,72 @@ import click
 
 from phantomgen.cli.common import debug_option, json_option
 
+# As in `phantomgen.exporters.scans.folder`, which takes time to import.
+PROGRAMS = [
+    "astra",
+    "tomosipo",
+    "tigre",
+    "cil",
+    "rtk",
+    "leap",
+    "r2",
+    "naf",
+    "nxtomo",
+    "dxchange",
+    "dicom-ct-pd",
+    "tiff",
+]
+
 
 @click.command(
     epilog="\b\nExamples:\n  phantomgen export kedge.h5 -o truth.vti\n"
-    "  phantomgen export kedge.h5 --labels -o labels.nii.gz"
+    "  phantomgen export kedge.h5 --to rtk -o kedge-rtk"
 )
 @click.argument("dataset", type=click.Path(dir_okay=False, path_type=Path))
 @click.option(
-    "-o", "--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="File: .vti, .nii or .nii.gz."
-)
+    "-o", "--out", type=click.Path(path_type=Path), required=True,
+    help="File of the truth: .vti, .nii or .nii.gz; with --to, a folder.",
+)  # fmt: skip
 @click.option("--labels", is_flag=True, help="What fills most of each voxel, in place of basis volumes.")
-@click.option("--overwrite", is_flag=True, help="Replace a file that exists.")
+@click.option("--to", "program", type=click.Choice(PROGRAMS), help="Write the scan for this program.")
+@click.option(
+    "--what", type=click.Choice(["line-integrals", "counts"]),
+    help="What to write of the scan [default: what the program takes].",
+)  # fmt: skip
+@click.option("--channel", "channels", multiple=True, metavar="NAME", help="Write this channel only; may be repeated.")
+@click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
+@click.option("--overwrite", is_flag=True, help="Replace a file or a folder that exists.")
 @json_option
 @debug_option
-def export(dataset: Path, out: Path, labels: bool, overwrite: bool, as_json: bool) -> None:
-    """Write the true basis volumes of DATASET for ParaView, 3D Slicer and others.
+def export(
+    dataset: Path,
+    out: Path,
+    labels: bool,
+    program: str | None,
+    what: str | None,
+    channels: tuple[str, ...],
+    air: str | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Write the truth or the scan of DATASET for other programs.
 
-    x, y and z are those of the scan, in mm; values are in 1/mm.
+    Without --to: the true basis volumes, for ParaView, 3D Slicer and others; x, y and z are those of the scan, in mm;
+    values are in 1/mm. With --to: training views and their geometry as a folder that the program reads, with a script
+    load.py that loads it there. Line integrals of basis functions: `recon decompose`.
     """
+    if program is None and (what or channels or air):
+        raise click.UsageError("--what, --channel and --air need --to")
+    if program is not None and labels:
+        raise click.UsageError("--labels is about the truth and does not go with --to")
+    found = _export_truth(dataset, out, labels, overwrite) if program is None else {}
+    if program is not None:
+        found = _export_scan(dataset, air, out, program, what, channels, overwrite)
+    text = found.pop("text")
+    click.echo(json.dumps(found) if as_json else text)
+
+
+def _export_truth(dataset: Path, out: Path, labels: bool, overwrite: bool) -> dict:
     from phantomgen.dataset.truth import true_volumes
     from phantomgen.exporters.volumes import write_volumes, writer_of
     from phantomgen.runtime.outputs import check_output
@@ -33,6 +81,29 @@ def export(dataset: Path, out: Path, labels: bool, overwrite: bool, as_json: boo
     check_output(out, overwrite)
     volumes = true_volumes(dataset, labels)
     write_volumes(out, volumes)
-    found = {"file": str(out), "volumes": list(volumes.values), "shape": list(volumes.grid.shape)}
     shape = " x ".join(map(str, volumes.grid.shape))
-    click.echo(json.dumps(found) if as_json else f"Wrote {out}: {', '.join(volumes.values)}, {shape} voxels")
+    found = {"file": str(out), "volumes": list(volumes.values), "shape": list(volumes.grid.shape)}
+    return {**found, "text": f"Wrote {out}: {', '.join(volumes.values)}, {shape} voxels"}
+
+
+def _export_scan(
+    dataset: Path,
+    air: str | None,
+    out: Path,
+    program: str,
+    what: str | None,
+    channels: tuple[str, ...],
+    overwrite: bool,
+) -> dict:
+    from phantomgen.dataset.adapters.to_projections import to_projections
+    from phantomgen.dataset.reader import open_dataset
+    from phantomgen.exporters.scans.folder import check_folder, kind_for, write_folder
+
+    kind = kind_for(program, what)
+    check_folder(out, overwrite)
+    with open_dataset(dataset, air) as opened:
+        projections = to_projections(opened, kind, channels)
+        write_folder(out, program, projections)
+    names = projections.names
+    found = {"folder": str(out), "to": program, "what": kind, "names": list(names)}
+    return {**found, "text": f"Wrote {out} for {program}: {kind} of {', '.join(names)}; python {out / 'load.py'}"}

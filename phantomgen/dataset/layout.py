@@ -21,7 +21,7 @@ FRACTION_SCALE = 65535
 # Most bytes of a chunk, uncompressed; rows of larger images are split.
 _CHUNK_BYTES = 4 << 20
 
-TABLE = """\
+SCHEMA_TABLE = """\
 /entry/instrument/detector/data          (V,C,R,K) int32 or float32   counts, or signal as `units` says
 /entry/instrument/detector/x_pixel_size  () mm     pitch along columns; y_pixel_size along rows
 /entry/instrument/detector/distance      () mm     sample to panel

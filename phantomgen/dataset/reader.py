@@ -479,7 +479,7 @@ def check_counts(counts: Shaped[np.ndarray, "..."], where: str, signed: bool = F
     Raises
     ------
     DatasetError
-        When a value is negative or not a number.
+        When a value is negative, infinite or not a number (NaN).
     """
     smallest = counts.min(initial=0)
     if np.isnan(smallest) or np.isinf(counts.max(initial=0)):

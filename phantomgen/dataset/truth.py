@@ -130,8 +130,8 @@ class Truth:
     @property
     def labels(self) -> Integer[np.ndarray, "z y x"]:
         """Label of the material that fills most of each voxel: 0 the background, i + 1 material i."""
-        filled = self.fractions.sum(axis=0, dtype=np.int32)
-        largest = np.maximum(FRACTION_SCALE - filled, 0)
+        total = self.fractions.sum(axis=0, dtype=np.int32)
+        largest = np.maximum(FRACTION_SCALE - total, 0)
         labels = np.zeros(self.grid.shape, self.label_type)
         for i, fraction in enumerate(self.fractions):
             more = fraction > largest
@@ -147,7 +147,7 @@ class StreamedTruth:
     Parameters
     ----------
     grid, basis_names, material_names, coefficients : see `Truth`
-    filled : function that returns the part of each voxel of a grid that each material fills
+    fractions_on : function that returns the part of each voxel of a grid that each material fills
     scene, fit : see `Truth`
     """
 
@@ -155,7 +155,7 @@ class StreamedTruth:
     basis_names: tuple[str, ...]
     material_names: tuple[str, ...]
     coefficients: Float[np.ndarray, "material basis"]
-    filled: Callable[[Grid], Float32[np.ndarray, "material z y x"]]
+    fractions_on: Callable[[Grid], Float32[np.ndarray, "material z y x"]]
     scene: str = ""
     fit: CoefficientFit | None = None
 
@@ -171,7 +171,7 @@ class StreamedTruth:
         the truth
         """
         names = self.basis_names, self.material_names
-        return Truth.of(grid, *names, self.coefficients, self.filled(grid), self.scene, self.fit)
+        return Truth.of(grid, *names, self.coefficients, self.fractions_on(grid), self.scene, self.fit)
 
     def slabs(self) -> Iterator[tuple[int, Truth]]:
         """Yield slabs with their first slice; their number depends on the grid only, not on the machine.

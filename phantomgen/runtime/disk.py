@@ -28,7 +28,7 @@ def free_bytes(path: Path) -> int:
     return shutil.disk_usage(path.absolute().parent).free
 
 
-def check_room(path: Path, needed: float) -> None:
+def check_free_space(path: Path, needed: float) -> None:
     """Refuse an output that cannot fit on the disk.
 
     Parameters

@@ -14,7 +14,7 @@ class Guard(Protocol):
         ...
 
 
-class Salvage:
+class WarnOnFailure:
     """Guard that turns the failure of a block of code into a warning, and continues after it.
 
     Parameters

@@ -9,7 +9,7 @@ from phantomgen.scene.input_files.response_matrix import read_response
 from phantomgen.scene.source import composition_name
 from spectra.detector.dead_time import DeadTime
 from spectra.detector.detector import AnyDetector, Detector
-from spectra.detector.pulse_height import PulseHeightDetector, Sharing
+from spectra.detector.pulse_height import ChargeSharing, PulseHeightDetector
 from spectra.detector.scintillator import SCINTILLATORS, EnergyIntegrating
 from spectra.errors import InputError
 from spectra.materials.material import Material
@@ -97,7 +97,7 @@ def _photon_counting(file: SceneFile, model: schema.PhotonCountingModel, source:
     if not (model.resolution or model.fluorescence or model.charge_sharing):
         return ideal
     shared = model.charge_sharing
-    sharing = None if shared is None else Sharing(shared.pitch, shared.cloud)
+    sharing = None if shared is None else ChargeSharing(shared.pitch, shared.cloud)
     return PulseHeightDetector(ideal.channels, sensor, model.thickness, model.resolution, model.fluorescence, sharing)
 
 

@@ -21,9 +21,9 @@ from phantomgen.scene.file.find_scene import find_scene
 from phantomgen.scene.file.scene_file import SceneFile, closest
 from phantomgen.scene.geometry import scene_geometry
 from phantomgen.scene.materials import check_material, scene_materials
-from phantomgen.scene.objects.build import Filling, has_curves, objects_of
+from phantomgen.scene.objects.build import ObjectContent, has_curves, objects_of
 from phantomgen.scene.objects.overlap import added_up
-from phantomgen.scene.source import profile_of, source_fields, sources_of
+from phantomgen.scene.source import beam_profile_of, source_fields, sources_of
 from phantomgen.shapes import Shape, solids_of
 from spectra.basis.basis import Basis
 from spectra.detector.dead_time import DeadTime
@@ -164,9 +164,9 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
     background = _background(file)
     if model.overlap == "add":
         objects, materials = added_up(file, objects)
-        filled = _filled(objects, background)
+        filled = _material_names(objects, background)
     else:
-        filled = _filled(objects, background)
+        filled = _material_names(objects, background)
         materials = scene_materials(file, filled)
     used = [name for name in materials if name in filled]
     basis = scene_basis(file, materials, used, source, detector)
@@ -175,7 +175,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
     return Scan(
         name=model.name,
         scene=Scene(
-            objects=tuple((shape, _indices(filling, used)) for shape, filling in objects),
+            objects=tuple((shape, _indices(content, used)) for shape, content in objects),
             materials=tuple(materials[name] for name in used),
             background=-1 if background is None else used.index(background),
         ),
@@ -193,7 +193,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
         text=file.resolved,
         sub_rays=model.panel.sub_rays,
         exposure=_exposure(file, geometry.splits, detector),
-        profile=profile_of(file, source),
+        profile=beam_profile_of(file, source),
         dead_time=scene_dead_time(file),
         effects=scene_effects(file),
         file=file if model.tessellation == "auto" and has_curves(file) else None,
@@ -202,20 +202,20 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
     )
 
 
-def _filled(objects: Sequence[tuple[Shape, Filling]], background: str | None) -> list[str]:
+def _material_names(objects: Sequence[tuple[Shape, ObjectContent]], background: str | None) -> list[str]:
     """Names of the materials that an object or the background consists of, each once."""
-    names = [name for _, filling in objects for name in _names(filling)]
+    names = [name for _, content in objects for name in _names(content)]
     return list(dict.fromkeys([*names, *([] if background is None else [background])]))
 
 
-def _names(filling: Filling) -> tuple[str, ...]:
+def _names(content: ObjectContent) -> tuple[str, ...]:
     """Names of an object's materials."""
-    return filling if isinstance(filling, tuple) else (filling,)
+    return content if isinstance(content, tuple) else (content,)
 
 
-def _indices(filling: Filling, used: list[str]) -> int | tuple[int, ...]:
+def _indices(content: ObjectContent, used: list[str]) -> int | tuple[int, ...]:
     """Indices of an object's materials."""
-    return tuple(map(used.index, filling)) if isinstance(filling, tuple) else used.index(filling)
+    return tuple(map(used.index, content)) if isinstance(content, tuple) else used.index(content)
 
 
 def _source_and_detector(file: SceneFile) -> tuple[Source, AnyDetector]:

@@ -80,7 +80,7 @@ def _bare(file: SceneFile, model: schema.OneSourceModel, at: Location) -> Source
         return read_source(Path(file.name).parent / model.file, model.values, model.energies)
 
 
-def profile_of(file: SceneFile, source: Source) -> Profile | None:
+def beam_profile_of(file: SceneFile, source: Source) -> Profile | None:
     """Create the beam profile from bowtie filter and heel effect.
 
     Parameters

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from phantomgen.dataset.layout import pack_image, write_image
 from phantomgen.dataset.writing.frame_journal import Frame, FrameJournal, Packed
 from phantomgen.dataset.writing.writer import DatasetWriter
-from phantomgen.runtime.disk import check_room
+from phantomgen.runtime.disk import check_free_space
 from phantomgen.simulation.forward_model.detector import Frame as Images
 from phantomgen.simulation.forward_model.frames import Views
 from phantomgen.simulation.forward_model.readout import dark, flat, projections
@@ -91,7 +91,7 @@ def _keep(journal: FrameJournal, kind: str, frames: Iterator[Frame], count: int,
         missing = count - number + later
         needed = _size(frame) * (2 * missing + sum(journal.finished.values()))
         if number == first:
-            check_room(journal.path, needed)
+            check_free_space(journal.path, needed)
         journal.append(kind, number, frame, needed)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from phantomgen.volume_files.volume import Triple, Volume, check_size, checked
-from spectra.errors import InputError, NotInstalledError
+from spectra.errors import InputError
 
 SUFFIXES = (".tif", ".tiff")
 _MM = {"mm": 1.0, "millimeter": 1.0, "cm": 10.0, "um": 1e-3, "µm": 1e-3, "\\u00B5m": 1e-3, "micron": 1e-3, "nm": 1e-6}
@@ -46,13 +46,9 @@ def read_tiff(path: Path) -> Volume:
     ------
     InputError
         When it cannot be read, or slices differ in size.
-    NotInstalledError
-        When tifffile is not there.
     """
-    try:
-        import tifffile  # noqa: PLC0415 - an extra
-    except ImportError:
-        raise NotInstalledError(f"{path}: reading TIFF needs tifffile: pip install 'spectral-ct[io]'") from None
+    import tifffile  # noqa: PLC0415 - only where there is such a file
+
     files = slices_of(path) if path.is_dir() else [path]
     parts, spacing = [], None
     for one in files:

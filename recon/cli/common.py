@@ -61,6 +61,25 @@ def refuse_options(beside: str, options: dict[str, Any]) -> None:
             raise click.UsageError(f"--{name} cannot be used with {beside}.")
 
 
+def gaussians_text(metrics: dict[str, Any]) -> str:
+    """Format the size of a model.
+
+    Parameters
+    ----------
+    metrics : content of ``metrics.json``
+
+    Returns
+    -------
+    Gaussians, the numbers that they consist of, and how many voxels would take
+    """
+    gaussians = f"{metrics['gaussians']} Gaussians"
+    if "numbers_over_voxels" not in metrics:
+        return gaussians
+    return (
+        f"{gaussians} ({metrics['numbers']} numbers, {100 * metrics['numbers_over_voxels']:.2g} % of those of voxels)"
+    )
+
+
 def seconds_text(metrics: dict[str, Any]) -> str:
     """Format the time of a run.
 
@@ -105,7 +124,7 @@ def each_text(values: Any) -> str:
     return "/".join(f"{value:.1f}" for value in values)
 
 
-def teller(quiet: bool) -> Callable[[str], None]:
+def stderr_printer(quiet: bool) -> Callable[[str], None]:
     """Return a function that writes sentences to stderr.
 
     Parameters
@@ -144,7 +163,7 @@ class ProgressBar:
         if not self.quiet and name != "fit":
             click.echo(f"{name} ...", err=True)
 
-    def say(self, sentence: str) -> None:
+    def note(self, sentence: str) -> None:
         """Show a decision.
 
         Parameters

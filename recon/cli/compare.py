@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from phantomgen.cli.common import debug_option, json_option
-from recon.cli.common import teller
+from recon.cli.common import stderr_printer
 from recon.cli.run_argument import check_run_name
 
 CHECK_FAILED = 3  # exit code of a finished comparison in which a requirement is not met
@@ -104,7 +104,7 @@ def compare(
         check_programs(others, dataset)
     stated = tuple(dict.fromkeys(other.statement["as"] for other in others if "as" in other.statement))
     campaign = Campaign(dataset, folder, clock, threads, resume, overwrite, stated)
-    campaign.run(who, budgets, teller(quiet or as_json))
+    campaign.run(who, budgets, stderr_printer(quiet or as_json))
     results = campaign.results(who, budgets)
     text = write_outcome(campaign, results, protocol, chosen)
     failed = requirements(results, required, budgets[-1], protocol)

@@ -57,11 +57,15 @@ def _export_gaussians(run: Path, out: Path) -> dict[str, Any]:
     gaussians = read_run(run).gaussians
     if gaussians is None:
         raise InputError(f"{run} is a run in voxels without Gaussians: export its volumes as .vti, .nii or .nii.gz")
-    write_ply(out, gaussians)
-    return {"gaussians": len(gaussians), "bases": list(gaussians.basis_names)}
+    plain = gaussians.plain()
+    write_ply(out, plain)
+    found = {"gaussians": len(plain), "bases": list(plain.basis_names)}
+    return found | ({"planes": "left out"} if gaussians.SIGNED else {})
 
 
 def _said(found: dict[str, Any]) -> str:
     if "gaussians" in found:
-        return f"{found['gaussians']} Gaussians with {', '.join(found['bases'])}"
+        planes = "; the format has no planes that divide Gaussians: each side is one, and the edges are blurred"
+        said = f"{found['gaussians']} Gaussians with {', '.join(found['bases'])}"
+        return said + (planes if "planes" in found else "")
     return f"{', '.join(found['volumes'])}, {' x '.join(map(str, found['shape']))} voxels"

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 import click
 
 from phantomgen.cli.common import debug_option, json_option
-from recon.cli.common import ProgressBar, exit_where_failed, finite_number, memory_text, refuse_options, seconds_text
+from recon.cli.common import (
+    ProgressBar,
+    exit_where_failed,
+    finite_number,
+    gaussians_text,
+    memory_text,
+    refuse_options,
+    seconds_text,
+)
 from recon.cli.run_argument import check_run_name
 from recon.runs.methods import METHODS
 
@@ -42,6 +50,19 @@ if TYPE_CHECKING:
     default="fast",
     show_default=True,
     help="This project's fit, short or long, or the method of SpectralCTGaussians.",
+)
+@click.option(
+    "--kernel",
+    type=click.Choice(["gaussian", "interface"]),
+    default="gaussian",
+    show_default=True,
+    help="Plain Gaussians, or Gaussians that planes divide at interfaces: fewer, and sharper edges.",
+)
+@click.option(
+    "--detail",
+    type=click.FloatRange(min=0.25, max=4),
+    callback=finite_number,
+    help="Factor by which Gaussians are closer to each other; 2 gives four to eight times as many [default: 1].",
 )
 @click.option("--steps", type=click.IntRange(min=1), help="Steps of --recipe paper; schedules scale [default: 30000].")
 @click.option("--without", metavar="NAME", multiple=True, help="Leave out a component of --recipe paper; repeatable.")
@@ -88,6 +109,8 @@ def fit(
     edge: str | None,
     sweeps: float | None,
     recipe: str,
+    kernel: str,
+    detail: float | None,
     steps: int | None,
     without: tuple[str, ...],
     method: str,
@@ -134,6 +157,7 @@ def fit(
     if out:
         check_run_name(Path(out))
     special = {"resume": resume, "dry-run": dry_run, "memory": memory, "held-out": held_out, "edge": edge}
+    special |= {"kernel": None if kernel == "gaussian" else kernel, "detail": detail}
     special |= {"device": None if device == "cpu" else device_named(device).type}
     if method != "gaussian":
         refuse_options(f"--method {method}", special | {"steps": steps, "without": without, "recipe": recipe != "fast"})
@@ -142,7 +166,7 @@ def fit(
         how = PaperRecipe(steps=steps or PAPER_STEPS, without=without, seed=seed)
     else:
         refuse_options(f"--recipe {recipe}, whose length is --sweeps", {"steps": steps, "without": without})
-        how = chosen_recipe(recipe, sweeps, seed, held_out)
+        how = chosen_recipe(recipe, sweeps, seed, held_out, kernel, detail or 1.0)
     source, edges, asked = Path(dataset), parse_edges(edge), parse_bases(bases)
     set_threads(threads)
     if dry_run and not isinstance(how, PaperRecipe):
@@ -170,10 +194,10 @@ def fit(
         return
     click.echo("\n".join([score_table(metrics), "", *verdict.lines(metrics)]))
     if isinstance(how, PaperRecipe):
-        click.echo(how.says)
+        click.echo(how.description)
     has_volumes = (folder.path / VOLUMES).is_file()
     in_what = "in voxels" if has_volumes else "without a volume"
-    what = f"{metrics['gaussians']} Gaussians" if method == "gaussian" else f"{method} {in_what}"
+    what = gaussians_text(metrics) if method == "gaussian" else f"{method} {in_what}"
     click.echo(f"{what}, {seconds_text(metrics)}{memory_text(metrics)}")
     for name in sorted(path.name for path in (folder.path / "figures").glob("*.png")):
         click.echo(str(folder.path / "figures" / name))

@@ -4,6 +4,7 @@ import click
 
 from phantomgen.cli.common import Commands, version_option
 from recon.cli.compare import compare
+from recon.cli.decompose import decompose
 from recon.cli.edge import edge
 from recon.cli.export import export
 from recon.cli.fit import fit
@@ -24,5 +25,5 @@ def main() -> None:
     """Reconstruct basis volumes from spectral-CT scans, and score them."""
 
 
-for command in (fit, edge, score, compare, report, view, segment, volume, render, export):
+for command in (fit, edge, score, compare, report, view, segment, volume, render, export, decompose):
     main.add_command(command)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from phantomgen.cli.common import debug_option, json_option
-from recon.cli.common import teller
+from recon.cli.common import stderr_printer
 from recon.cli.run_argument import RunFolder
 
 _RUN = RunFolder()
@@ -49,7 +49,7 @@ def report(
     check_page(target, overwrite)
     set_threads(threads)
     began = time.perf_counter()
-    tell = teller(quiet or as_json)
+    tell = stderr_printer(quiet or as_json)
     page = run_report(runs, dataset, air, lambda name: tell(f"{name} ..."))
     size = write_page(page, target)
     found = {

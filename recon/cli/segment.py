@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from phantomgen.cli.common import debug_option, json_option
-from recon.cli.common import teller
+from recon.cli.common import stderr_printer
 from recon.cli.run_argument import RunFolder, check_run_name
 
 if TYPE_CHECKING:
@@ -24,7 +24,9 @@ _POSITIVE = click.FloatRange(min=0, min_open=True)
 @click.argument("run", type=RunFolder())
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder to write [default: RUN/segment].")
 @click.option(
-    "--domain", type=click.Choice(["gaussians", "voxels"]), help="What is labelled [default: Gaussians, if there are]."
+    "--domain",
+    type=click.Choice(["gaussians", "voxels"]),
+    help="What is labelled [default: Gaussians, if there are and no planes divide them].",
 )
 @click.option(
     "--features",
@@ -111,7 +113,7 @@ def segment(
 
     if out is not None:
         check_run_name(out)
-    say = teller(quiet or as_json)
+    note = stderr_printer(quiet or as_json)
     chosen = parse_views(views) or DEFAULT_VIEWS
     options = Options(domain, features, bandwidth, energies or (ENERGY,), seed)
     if truth is not None:
@@ -119,13 +121,13 @@ def segment(
     subject = open_subject(run)
     folder = SegmentFolder(out or run / "segment", overwrite)
     set_threads(threads)
-    say("segment ...")
+    note("segment ...")
     found = segment_subject(subject, options)
-    reference = _reference(run, truth, found, say)
+    reference = _reference(run, truth, found, note)
     if reference is not None:
-        say("score ...")
+        note("score ...")
     scores = None if reference is None else score(found, reference)
-    say("write ...")
+    note("write ...")
     content = record(found, scores)
     with folder as part:
         write_segmentation(part / VOLUMES, found)
@@ -142,7 +144,7 @@ def segment(
     click.echo(f"Wrote {folder.path}; next: look at the pictures, or open {folder.path / VOLUMES}")
 
 
-def _reference(run: Path, truth: Path | None, found: "Segmentation", say) -> "Reference | None":
+def _reference(run: Path, truth: Path | None, found: "Segmentation", note) -> "Reference | None":
     """The truth that is asked for, or that of a dataset beside the run or here; says why there are no scores."""
     from recon.segmentation.scoring.reference import read_reference
     from spectra.errors import Error
@@ -150,15 +152,15 @@ def _reference(run: Path, truth: Path | None, found: "Segmentation", say) -> "Re
     name = found.subject.dataset
     places = [truth] if truth else [p / name for p in (run.absolute().parent, Path()) if name and (p / name).is_file()]
     if not places:
-        say(f"No scores: the dataset {name or 'of the run'} is not at hand; name it by --truth")
+        note(f"No scores: the dataset {name or 'of the run'} is not at hand; name it by --truth")
         return None
     try:
         reference = read_reference(places[0], found)
     except Error as error:
         if truth:
             raise
-        say(f"No scores: {error}")
+        note(f"No scores: {error}")
         return None
     if reference is None:
-        say(f"No scores: {places[0]} has no truth")
+        note(f"No scores: {places[0]} has no truth")
     return reference

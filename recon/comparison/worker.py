@@ -24,7 +24,7 @@ from recon.comparison.contenders.clock import Clock
 from recon.comparison.contenders.contender import GAUSSIAN, PAPER, Contender, contender
 from recon.comparison.contenders.model import Runs
 from recon.comparison.contenders.other_program import Ended, OtherProgram, end_commands, run_command
-from recon.comparison.contenders.recorder import Moment, Recorder
+from recon.comparison.contenders.recorder import RecordedModel, Recorder
 from recon.comparison.contenders.timed_gaussians import run_gaussian, run_paper
 from recon.comparison.contenders.timed_voxels import run_voxels
 from recon.comparison.job import Job, write_result
@@ -130,30 +130,30 @@ def _write_scores(job: Job, dataset: Dataset, runs: Runs, memory: float | None) 
     scored: dict[Path, dict[str, Any]] = {}
     for budget in job.budgets:
         recorder = runs.recorder(budget)
-        moment = None if recorder is None else recorder.result(budget)
+        recorded_model = None if recorder is None else recorder.result(budget)
         content: dict[str, Any] = {"contender": job.contender, "budget": budget}
-        if recorder is None or moment is None:
+        if recorder is None or recorded_model is None:
             lacking = f"nothing is ready within {budget:g} s: {runs.lacking}"
             write_result(Path(job.folder), budget, content | {"error": lacking, "too_short": True})
             continue
-        if moment.path not in scored:
-            model = runs.load(moment.path)
-            scored[moment.path] = score(model, dataset, truth, pseudo)
+        if recorded_model.path not in scored:
+            model = runs.load(recorded_model.path)
+            scored[recorded_model.path] = score(model, dataset, truth, pseudo)
             if job.stated and truth is not None and model.bases is not None:
-                scored[moment.path]["stated"] = score_attenuation(model.bases, job.stated, dataset, truth)
-            scored[moment.path]["stated_as"] = list(job.stated)
-        count, kind = runs.load(moment.path).primitives
+                scored[recorded_model.path]["stated"] = score_attenuation(model.bases, job.stated, dataset, truth)
+            scored[recorded_model.path]["stated_as"] = list(job.stated)
+        count, kind = runs.load(recorded_model.path).primitives
         content |= {
-            "seconds": moment.seconds,
-            "done": moment.done,
-            "total": moment.total,
-            "finished": recorder.is_final(moment),
+            "seconds": recorded_model.seconds,
+            "done": recorded_model.done,
+            "total": recorded_model.total,
+            "finished": recorder.is_final(recorded_model),
             "primitives": count,
             "kind": kind,
             "peak_memory_mib": memory,
-            "curve": _curve(recorder.moments, runs, truth, dataset, job.stated),
+            "curve": _curve(recorder.recorded, runs, truth, dataset, job.stated),
         }
-        write_result(Path(job.folder), budget, content | scored[moment.path])
+        write_result(Path(job.folder), budget, content | scored[recorded_model.path])
 
 
 def _work_other(job: Job, program: OtherProgram) -> None:
@@ -200,7 +200,7 @@ def _scored(job: Job, path: str, ended: Ended | None) -> dict[str, Any]:
 
 
 def _curve(
-    moments: list[Moment], runs: Runs, truth: Truth | None, dataset: Dataset, stated: Sequence[str]
+    recorded: list[RecordedModel], runs: Runs, truth: Truth | None, dataset: Dataset, stated: Sequence[str]
 ) -> list[dict[str, float]]:
     """PSNR over time of each basis, and of attenuation that other programs state; empty without a truth.
 
@@ -209,11 +209,11 @@ def _curve(
     points = []
     if truth is None:
         return points
-    for moment in moments:
-        bases = runs.load(moment.path).bases
+    for recorded_model in recorded:
+        bases = runs.load(recorded_model.path).bases
         if bases is not None:
             scores = psnr_of_bases(truth, bases) | psnr_of_attenuation(bases, stated, dataset, truth)
-            points.append({"seconds": moment.seconds, "done": float(moment.done)} | scores)
+            points.append({"seconds": recorded_model.seconds, "done": float(recorded_model.done)} | scores)
     return points
 
 

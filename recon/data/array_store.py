@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from jaxtyping import Float32
 
-from phantomgen.runtime.disk import check_room, one_sentence
+from phantomgen.runtime.disk import check_free_space, one_sentence
 
 
 class ArrayStore:
@@ -43,7 +43,7 @@ class ArrayStore:
         if self.folder is None:
             return np.empty(shape, np.float32)
         path = self.folder / f"{name}.npy"
-        check_room(path, 4 * float(np.prod(shape)))
+        check_free_space(path, 4 * float(np.prod(shape)))
         with one_sentence(path):
             return np.lib.format.open_memmap(path, "w+", np.float32, shape)
 
@@ -67,7 +67,7 @@ def array_store(folder: Path, on_disk: bool) -> Iterator[ArrayStore]:
         yield ArrayStore(Path(name))
 
 
-def taken(array: Float32[np.ndarray, "..."], index: object) -> Float32[np.ndarray, "..."]:
+def read_part(array: Float32[np.ndarray, "..."], index: object) -> Float32[np.ndarray, "..."]:
     """Take a part of an array.
 
     Parameters

@@ -17,7 +17,7 @@ from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements
 from recon.data.partial_volume import FEWEST, LEAST_COUNTS
-from recon.data.view_subsets import kinds_of, spread
+from recon.data.view_subsets import evenly_spread_views, view_groups
 
 # All limits below were chosen by hand and not measured one by one; what they do together is measured by
 # `python -m benchmarks.reconstruction.truncation` (docs/reference/benchmarks/truncation.md).
@@ -71,7 +71,7 @@ def coverage(measured: Measurements, grid: Grid) -> Coverage:
     -------
     the coverage, with a grid that is large enough
     """
-    some = measured[spread(kinds_of(measured.exposure), VIEWS)]
+    some = measured[evenly_spread_views(view_groups(measured.exposure), VIEWS)]
     panel, size = some.geometry.panel, -(-max(some.counts.shape[2:]) // BLOCKS)
     rows, columns = (np.arange(0, n, size) for n in (panel.rows, panel.columns))
     blocks = _BlockProjections.of(some, rows, columns)

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from recon.data.array_store import IN_MEMORY, ArrayStore, release, taken
+from recon.data.array_store import IN_MEMORY, ArrayStore, read_part, release
 from recon.data.measurements import Measurements
 from recon.ops.decompose import decompose
 
@@ -30,7 +30,7 @@ def decompose_views(
     profile = measurements.profile
     known = None if profile is None else np.ascontiguousarray(profile.reshape(len(profile), -1).T)
     for view in range(views):
-        counts = taken(measurements.counts, view).reshape(channels, -1).T
+        counts = read_part(measurements.counts, view).reshape(channels, -1).T
         gains = (measurements.exposure[view, :, None, None] * measurements.gains).reshape(channels, -1).T
         lengths, information = decompose(counts, gains, measurements.transmission, dispersion, known=known)
         images[view] = lengths.T.reshape(bases, rows, columns)

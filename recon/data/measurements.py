@@ -12,14 +12,14 @@ from jaxtyping import Bool, Float, Int
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.geometry.poses import Geometry
-from recon.data.array_store import IN_MEMORY, ArrayStore, release, taken
+from recon.data.array_store import IN_MEMORY, ArrayStore, read_part, release
 from recon.data.missing_channels import interpolate_missing
 from recon.data.partial_volume import (
     LEAST_COUNTS,
-    doubtful_shares,
-    even_shares,
+    correction_weights,
     excess_of_blocks,
     excess_of_pixels,
+    neighbourhood_weights,
 )
 from recon.data.pixel_blocks import sum_blocks, touched
 from recon.data.readout_noise import with_floor, without_floor
@@ -53,9 +53,9 @@ class Measurements:
     transmission : spectral model whose columns are the basis functions, and after them the parts of `profile`
     basis_names : names of the basis functions
     profile : line integrals of bowtie filter and heel effect in each pixel; None where there are none
-    shares : statistical weight of each count in a fit, from 0 to 1, see `weighted`; None where all weights are 1
-    apart : blocks of pixels of the whole panel that are left out of a fit, see `recon.gaussians.unseen_rays`; None
-        where there are none
+    statistical_weights : weight of each count in a fit, from 0 to 1, see `weighted`; None where all weights are 1
+    unseen_blocks : blocks of pixels of the whole panel that are left out of a fit, see `recon.gaussians.unseen_rays`;
+        None where there are none
     """
 
     counts: Float[np.ndarray, "view channel row column"]
@@ -65,19 +65,24 @@ class Measurements:
     transmission: Transmission
     basis_names: tuple[str, ...]
     profile: Float[np.ndarray, "part row column"] | None = None
-    shares: Float[np.ndarray, "view channel row column"] | None = None
-    apart: Bool[np.ndarray, "view block_row block_column"] | None = None
+    statistical_weights: Float[np.ndarray, "view channel row column"] | None = None
+    unseen_blocks: Bool[np.ndarray, "view block_row block_column"] | None = None
 
     def __len__(self) -> int:
         return len(self.counts)
 
     def __getitem__(self, views: slice | list[int] | np.ndarray) -> "Measurements":
         """Take some of the views."""
-        counts = taken(self.counts, views)
-        shares = None if self.shares is None else taken(self.shares, views)
-        apart, exposure = None if self.apart is None else self.apart[views], self.exposure[views]
-        geometry = self.geometry[views]
-        return replace(self, counts=counts, exposure=exposure, geometry=geometry, shares=shares, apart=apart)
+        return replace(
+            self,
+            counts=read_part(self.counts, views),
+            exposure=self.exposure[views],
+            geometry=self.geometry[views],
+            statistical_weights=None
+            if self.statistical_weights is None
+            else read_part(self.statistical_weights, views),
+            unseen_blocks=None if self.unseen_blocks is None else self.unseen_blocks[views],
+        )
 
     def summed(self, factor: int) -> "Measurements":
         """Sum `factor` x `factor` pixels to one; the variance of sums of counts is their mean, as before.
@@ -88,14 +93,14 @@ class Measurements:
 
         Returns
         -------
-        the binned scan, without `shares`, which belong to single pixels
+        the binned scan, without `statistical_weights`, which belong to single pixels
         """
         if factor == 1:
             return self
         geometry = self.geometry.binned(factor)  # refuses panels that do not divide
         counts, gains = (sum_blocks(images, factor) for images in (self.counts, self.gains))
         profile = None if self.profile is None else sum_blocks(self.profile, factor) / factor**2
-        coarse = replace(self, counts=counts, gains=gains, geometry=geometry, profile=profile, shares=None)
+        coarse = replace(self, counts=counts, gains=gains, geometry=geometry, profile=profile, statistical_weights=None)
         if profile is None:
             return coarse
         open_beam = sum_blocks(self.gains * self.open_beam, factor)
@@ -112,7 +117,7 @@ class Measurements:
 
         Returns
         -------
-        the binned scan, without `shares`
+        the binned scan, without `statistical_weights`
         """
         if factor == 1:
             return self
@@ -147,7 +152,7 @@ class Measurements:
         return replace(self, counts=counts)
 
     def weighted(self, dispersion: float, store: ArrayStore = IN_MEMORY) -> "Measurements":
-        """Compute the statistical weights of the counts, `shares`.
+        """Compute the statistical weights of the counts, `statistical_weights`.
 
         Rays close to each other get equal weights, and counts lower ones where their correction for partial volume is
         uncertain (`recon.data.partial_volume`). Pixels that are left out get the weight 0.
@@ -159,19 +164,19 @@ class Measurements:
 
         Returns
         -------
-        the scan with `shares`
+        the scan with `statistical_weights`
         """
-        shares, air = store.empty("shares", self.counts.shape), self.gains * self.open_beam
+        statistical_weights, air = store.empty("statistical_weights", self.counts.shape), self.gains * self.open_beam
 
         def fill(view: int) -> None:
             image, beam = np.asarray(self.counts[view]), air * self.exposure[view, :, None, None]
-            shares[view] = even_shares(image, beam) * doubtful_shares(image, beam, dispersion)
-            if self.apart is not None:
-                shares[view, :, touched(self.apart[view], *image.shape[1:])] = 0
+            statistical_weights[view] = neighbourhood_weights(image, beam) * correction_weights(image, beam, dispersion)
+            if self.unseen_blocks is not None:
+                statistical_weights[view, :, touched(self.unseen_blocks[view], *image.shape[1:])] = 0
 
         _in_parallel(fill, self.counts)
-        release(shares)
-        return replace(self, shares=shares)
+        release(statistical_weights)
+        return replace(self, statistical_weights=statistical_weights)
 
     @property
     def open_beam(self) -> Float[np.ndarray, "channel row column"]:
@@ -184,7 +189,7 @@ class Measurements:
         return np.moveaxis(self.transmission.expected(self.with_profile(nothing)), -1, 0)
 
     @property
-    def unseen(self) -> Bool[np.ndarray, "row column"]:
+    def blind_pixels(self) -> Bool[np.ndarray, "row column"]:
         """Pixels in which too few channels measure to separate the bases."""
         channels = (self.gains > 0).sum(axis=0)
         return channels < min(len(self.basis_names), int(channels.max(initial=0)))
@@ -410,7 +415,7 @@ def _line_integral_box(
     The line integral of a basis cannot exceed what the least attenuated channel allows.
     """
     air = (measured.gains * measured.open_beam)[:, *SAMPLED] * measured.exposure[:, :, None, None]
-    counts = taken(measured.counts, np.s_[:, :, *SAMPLED])
+    counts = read_part(measured.counts, np.s_[:, :, *SAMPLED])
     projections = np.log(np.maximum(air, LEAST_COUNTS) / np.maximum(counts, LEAST_COUNTS))
     largest = np.maximum(np.quantile(projections, LARGEST_PROJECTION, axis=(0, 2, 3)), LEAST_PROJECTION)
     bases = len(measured.basis_names)

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-from recon.data.array_store import taken
+from recon.data.array_store import read_part
 from recon.data.partial_volume import LEAST_COUNTS
 
 
@@ -24,7 +24,7 @@ def interpolate_missing(
     -------
     counts of these views, and their exposure with 1 for what was interpolated; a channel that no view has stays missing
     """
-    completed, known = np.asarray(taken(counts, views)), exposure[views]
+    completed, known = np.asarray(read_part(counts, views)), exposure[views]
     for c in np.flatnonzero((exposure > 0).any(axis=0)):
         measuring = np.flatnonzero(exposure[:, c] > 0)
         for place in np.flatnonzero(known[:, c] == 0):

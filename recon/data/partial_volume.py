@@ -70,7 +70,7 @@ def excess_of_pixels(counts: Image, air: Image) -> Image:
     return out
 
 
-def doubtful_shares(counts: Image, air: Image, dispersion: float) -> Image:
+def correction_weights(counts: Image, air: Image, dispersion: float) -> Image:
     """Compute the weights of counts whose correction for partial volume has a standard deviation of `KNOWN_TO`.
 
     Variances of counts Y grow from Y + (dispersion Y)^2 by (x Y)^2, with x the deviation of the correction beyond that
@@ -117,7 +117,7 @@ def excess_of_blocks(counts: Image, air: Image, factor: int) -> Float[np.ndarray
     return np.where(known, np.log(np.where(known, mean, 1)) - logs - noise, 0).astype(np.float32)
 
 
-def even_shares(counts: Image, air: Image) -> Image:
+def neighbourhood_weights(counts: Image, air: Image) -> Image:
     """Compute the weights that give rays within `NEAR` pixels the information of the most attenuated one.
 
     Parameters

@@ -56,12 +56,26 @@ class VolumeEdges:
         smooth = np.einsum("nm,mzyx->nzyx", np.linalg.cholesky(fisher).T, volumes)
         smooth = np.stack([gaussian_filter(w, SMOOTHING) for w in smooth])
         signal = np.sqrt((smooth**2).sum(axis=0))
-        occupied = signal > BACKGROUND * min(np.percentile(signal, 99), LARGEST * _typical(signal))
+        occupied = signal > BACKGROUND * large_signal(signal)
         occupied = occupied if occupied.any() else np.ones_like(occupied)
         tensor = _products_of_gradients(smooth)
         gradient = np.sqrt(tensor[:3].sum(axis=0))
         least = min(EDGE * np.median(gradient[occupied]), CONTRAST * _typical(signal))
         return cls(occupied, tensor, gradient / max(least, 1e-30))
+
+
+def large_signal(signal: Float[np.ndarray, "z y x"]) -> float:
+    """Find a large value of a signal, whatever part of the volume is empty, and without metal or a few wrong voxels.
+
+    Parameters
+    ----------
+    signal : not negative
+
+    Returns
+    -------
+    the 99th percentile, or `LARGEST` times the typical value where that is less
+    """
+    return float(min(np.percentile(signal, 99), LARGEST * _typical(signal)))
 
 
 def _products_of_gradients(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "pair z y x"]:

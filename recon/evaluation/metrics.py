@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Real
 from scipy import ndimage
 
-from recon.data.inpainting import inpainted
+from phantomgen.dataset.inpainting import inpainted
 from recon.data.partial_volume import LEAST_COUNTS
 from recon.data.projection_edges import edge_mask
 from spectra.errors import InputError

@@ -18,7 +18,7 @@ from recon.evaluation.metrics import (
     score_materials,
     score_projections,
 )
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.voxel.model import Voxels
 from recon.voxel.unreliable import Unreliable
 
@@ -27,7 +27,7 @@ VIEWS_AT_ONCE = 2  # views; predicted together, which bounds the memory
 
 
 def held_out_views(
-    dataset: Dataset, model: Gaussians | Voxels, unreliable: Unreliable | None = None
+    dataset: Dataset, model: GaussianModel | Voxels, unreliable: Unreliable | None = None
 ) -> Iterator[HeldOutView]:
     """Predict the test views of a dataset, one after the other.
 
@@ -48,7 +48,9 @@ def held_out_views(
         yield from _predict(measured, model, unreliable)
 
 
-def _predict(measured: Measurements, model: Gaussians | Voxels, unreliable: Unreliable | None) -> Iterator[HeldOutView]:
+def _predict(
+    measured: Measurements, model: GaussianModel | Voxels, unreliable: Unreliable | None
+) -> Iterator[HeldOutView]:
     lengths = model.line_integrals(measured.geometry).numpy()
     lengths = measured.with_profile(np.moveaxis(lengths, 1, -1))
     expected = np.moveaxis(measured.transmission.expected(lengths), -1, 1)
@@ -67,7 +69,7 @@ def _rays_through(unreliable: Unreliable, measured: Measurements) -> Bool[np.nda
 
 
 def score_test_views(
-    dataset: Dataset, model: Gaussians | Voxels, unreliable: Unreliable | None = None
+    dataset: Dataset, model: GaussianModel | Voxels, unreliable: Unreliable | None = None
 ) -> dict[str, Any]:
     """Score the predictions of the test views.
 
@@ -84,7 +86,7 @@ def score_test_views(
     return score_projections(held_out_views(dataset, model, unreliable), dataset.spectra.channels)
 
 
-def score_truth(truth: Truth, model: Gaussians | Voxels, unreliable: Unreliable | None = None) -> dict[str, Any]:
+def score_truth(truth: Truth, model: GaussianModel | Voxels, unreliable: Unreliable | None = None) -> dict[str, Any]:
     """Score a model against the truth, on the grid and in the basis of the truth.
 
     A basis that the model lacks is scored as a volume of zeros.
@@ -110,7 +112,7 @@ def score_truth(truth: Truth, model: Gaussians | Voxels, unreliable: Unreliable 
     return {"basis": basis, **materials}
 
 
-def psnr_of_bases(truth: Truth, model: Gaussians | Voxels) -> dict[str, float]:
+def psnr_of_bases(truth: Truth, model: GaussianModel | Voxels) -> dict[str, float]:
     """Compute the PSNR of each basis that the model and the truth have.
 
     Parameters

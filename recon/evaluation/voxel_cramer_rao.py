@@ -108,7 +108,7 @@ class VoxelInformation:
         ramp[0, 0, 0] = ramp[ramp > 0].min(initial=1.0) / 2
         return ramp
 
-    def solve_roughly(self, vectors: Vectors) -> Vectors:
+    def precondition(self, vectors: Vectors) -> Vectors:
         """Multiply vectors by a positive definite approximation of the inverse, which preconditions the iterations.
 
         The approximation is the ramp of back-projection in whitened voxels, as in Fessler & Booth 1999,
@@ -149,7 +149,7 @@ def least_variances(
     bases = information.rays.shape[-1]
     left = np.einsum("kzyx,mn->kmnzyx", weights, np.eye(bases)).reshape(-1, bases, *weights.shape[1:])
     found = np.zeros(len(left))
-    guess = information.solve_roughly(left)
+    guess = information.precondition(left)
     direction, energy = guess, _inner(left, guess)
     for _ in range(iterations):
         image = information.times(direction)
@@ -159,7 +159,7 @@ def least_variances(
         if (grown <= converged * found).all():
             break
         left = left - _each(step) * image
-        guess = information.solve_roughly(left)
+        guess = information.precondition(left)
         before, energy = energy, _inner(left, guess)
         direction = guess + _each(_ratio(energy, before)) * direction
     return found.reshape(len(weights), bases)

@@ -12,14 +12,14 @@ from phantomgen.display.figures.style import UNIT
 from phantomgen.runtime.guarded import Guard, unguarded
 from recon.evaluation.scoring import held_out_views
 from recon.figures import run_figures as figures
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.voxel.model import Voxels
 
 
 def draw_model(
     dataset: Dataset,
     truth: Truth | None,
-    model: Gaussians | Voxels,
+    model: GaussianModel | Voxels,
     folder: Path,
     left_out: Sequence[str] = (),
     guard: Guard = unguarded,
@@ -43,7 +43,7 @@ def draw_model(
 def draw_volumes(
     dataset: Dataset,
     truth: Truth | None,
-    model: Gaussians | Voxels,
+    model: GaussianModel | Voxels,
     folder: Path,
     left_out: Sequence[str] = (),
     guard: Guard = unguarded,
@@ -88,7 +88,7 @@ def truth_of(truth: Truth, names: Sequence[str]) -> Float[np.ndarray, "basis z y
     return np.stack([truth.volumes[known.index(name)] if name in known else nothing for name in names])
 
 
-def _draw_residuals(dataset: Dataset, model: Gaussians | Voxels, path: Path) -> None:
+def _draw_residuals(dataset: Dataset, model: GaussianModel | Voxels, path: Path) -> None:
     """Draw the residuals of the first test view."""
     for view in held_out_views(dataset, model):
         taken = np.flatnonzero(view.open_beam.any(axis=(1, 2)))

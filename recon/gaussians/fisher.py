@@ -6,15 +6,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.data.measurements import Measurements
-from recon.gaussians.model import Gaussians
-from recon.ops.rasterize import rasterize
+from recon.gaussians.model import GaussianModel
 
 VIEWS_AT_ONCE = 5  # views; images of so many are held in memory together; chosen by hand, not measured
 
 
 def coefficient_curvature(
-    gaussians: Gaussians, measurements: Measurements, dispersion: float
-) -> Float[Tensor, "gaussian basis basis"]:
+    gaussians: GaussianModel, measurements: Measurements, dispersion: float
+) -> Float[Tensor, "gaussian *side basis basis"]:
     """Compute a separable majoriser of the data term's curvature in the coefficients, with the geometry held.
 
     Parameters
@@ -38,30 +37,27 @@ def coefficient_curvature(
     Separable quadratic surrogates: Weidinger et al. 2016, doi:10.1155/2016/5871604; Mechlem et al. 2018,
     doi:10.1109/TMI.2017.2726687.
     """
-    bases = gaussians.coefficients.shape[1]
+    bases = gaussians.coefficients.shape[-1]
     upper = np.triu_indices(bases)
-    parts = (gaussians.centres.detach(), gaussians.log_scales.detach(), gaussians.quaternions.detach())
-    values = gaussians.coefficients.new_zeros(len(gaussians), max(bases + 1, len(upper[0])))
-    values[:, :bases], values[:, bases] = gaussians.coefficients.detach(), 1
+    values = gaussians.coefficients.new_zeros(*gaussians.coefficients.shape[:-1], max(bases + 1, len(upper[0])))
+    values[..., :bases], values[..., bases] = gaussians.coefficients.detach(), 1
     values.requires_grad_()
     sums = torch.zeros_like(values)
-    panel = measurements.geometry.panel
     for first in range(0, len(measurements), VIEWS_AT_ONCE):
         some = measurements[slice(first, first + VIEWS_AT_ONCE)]
-        frames = torch.from_numpy(some.geometry.ray_frames())
-        images = rasterize(*parts, values, frames, panel.rows, panel.columns)
+        images = gaussians.with_values(values).line_integrals(some.geometry)
         # The operator is linear in `values`, so its adjoint may be applied to images other than those it made.
         ray_gradients = torch.zeros_like(images)
         for view in range(len(some)):  # matrices of one view at a time, in float64
-            line_integrals = images[[view], :bases].detach().cpu().numpy()
+            line_integrals = images[[view], :bases].detach().clamp(min=0).cpu().numpy()
             information = ray_information(some[[view]], line_integrals, dispersion)[0][:, :, *upper]
             ray_gradients[view, : len(upper[0])] = torch.from_numpy(information).movedim(-1, 0).to(ray_gradients)
         ray_gradients *= images[:, bases : bases + 1].detach()
         sums += torch.autograd.grad(images, values, ray_gradients)[0]
-    sums = sums[:, : len(upper[0])]
-    blocks = sums.new_empty(len(gaussians), bases, bases)
-    blocks[:, upper[0], upper[1]] = sums
-    blocks[:, upper[1], upper[0]] = sums
+    sums = sums[..., : len(upper[0])]
+    blocks = sums.new_empty(*sums.shape[:-1], bases, bases)
+    blocks[..., upper[0], upper[1]] = sums
+    blocks[..., upper[1], upper[0]] = sums
     return blocks
 
 
@@ -87,6 +83,6 @@ def ray_information(
     expected, jacobian = transmission.expected_and_jacobian(lengths)
     expected, jacobian = expected * gains, jacobian[..., : len(measurements.basis_names)] * gains[..., None]
     precision = 1 / np.maximum(expected * (1 + dispersion**2 * expected), np.finfo(float).tiny)
-    if measurements.shares is not None:
-        precision = precision * np.moveaxis(measurements.shares, 1, -1)
+    if measurements.statistical_weights is not None:
+        precision = precision * np.moveaxis(measurements.statistical_weights, 1, -1)
     return np.einsum("...c,...cm,...cn->...mn", precision, jacobian, jacobian, optimize=True)

@@ -8,7 +8,7 @@ from phantomgen.geometry.voxel_grid import Grid
 from recon.data.array_store import IN_MEMORY, ArrayStore, array_store
 from recon.data.coverage import VIEWS, Coverage, coverage
 from recon.data.measurements import Measurements, read_measurements
-from recon.data.view_subsets import kinds_of, spread
+from recon.data.view_subsets import evenly_spread_views, view_groups
 from recon.gaussians.recipe import Recipe
 from recon.voxel.margin import with_margin_found
 
@@ -68,7 +68,7 @@ def fitted_grid(dataset: Dataset, recipe: Recipe, bases: int | None, folder: Pat
     the dataset's grid, or a larger one
     """
     train = dataset.splits["train"]
-    some = train[spread(kinds_of(dataset.exposure[train]), VIEWS)]
+    some = train[evenly_spread_views(view_groups(dataset.exposure[train]), VIEWS)]
     with array_store(folder, on_disk=True) as store:
         covered = coverage(read_measurements(dataset, some, bases, store), dataset.grid)
         return read_with_coverage(dataset, recipe, bases, store).coverage.grid if covered.lateral else covered.grid

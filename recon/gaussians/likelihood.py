@@ -14,11 +14,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from recon.data.measurements import Measurements
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.processes import ALONE, Processes
 from recon.ops.deviance import chi_square, deviance, expected_chi_square, expected_deviance
 from recon.voxel.model import Voxels
 from spectra.differentiable import transmit
+
+MOST_NEGATIVE = 0.1  # no unit; bound of negative line integrals; those of models that fit are above -0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +40,7 @@ class Likelihood:
 
 
 def likelihood(
-    model: Gaussians | Voxels, data: Measurements, dispersion: float, processes: Processes = ALONE
+    model: GaussianModel | Voxels, data: Measurements, dispersion: float, processes: Processes = ALONE
 ) -> Likelihood:
     """Compute the likelihood of a model with all views.
 
@@ -61,7 +63,7 @@ def likelihood(
     return _summed(sums, processes)
 
 
-def deviances(model: Gaussians | Voxels, data: Measurements, dispersion: float) -> Float[np.ndarray, " view"]:
+def deviances(model: GaussianModel | Voxels, data: Measurements, dispersion: float) -> Float[np.ndarray, " view"]:
     """Compute the deviance of each view, twice its part of F_data.
 
     Parameters
@@ -80,7 +82,7 @@ def deviances(model: Gaussians | Voxels, data: Measurements, dispersion: float) 
 
 
 def likelihood_and_gradients(
-    gaussians: Gaussians,
+    gaussians: GaussianModel,
     data: Measurements,
     views: Int[np.ndarray, " view"],
     dispersion: float,
@@ -127,7 +129,9 @@ def _view_sums(
 ) -> tuple[Tensor, Float[Tensor, " sum"]]:
     """Compute the sum of the deviance; and as numbers that sum, chi-square per channel, and expected values of both."""
     counts, expected, measuring = _counts(images, one)
-    statistical_weights = 1.0 if one.shares is None else torch.from_numpy(one.shares).to(images.device)
+    statistical_weights = (
+        1.0 if one.statistical_weights is None else torch.from_numpy(one.statistical_weights).to(images.device)
+    )
     loss = (statistical_weights * deviance(counts, expected, dispersion)).sum()
     with torch.no_grad():
         found = torch.where(measuring, chi_square(counts, expected, dispersion), 0.0)
@@ -136,6 +140,23 @@ def _view_sums(
         least = torch.where(measuring, weighted_noise, 0.0).sum()
         parts = [loss.reshape(1), found.sum(dim=(0, 2, 3)), least.reshape(1), noise.sum(dim=(0, 2, 3))]
         return loss, torch.cat([part.double().cpu() for part in parts])
+
+
+def bounded(images: Float[Tensor, "view basis row column"]) -> Float[Tensor, "view basis row column"]:
+    """Keep line integrals above `-MOST_NEGATIVE`, with a gradient everywhere; those that are not negative stay.
+
+    Gaussians of either sign may add up to less than nothing along a ray, and expected counts would overflow.
+
+    Parameters
+    ----------
+    images : line integrals [no unit]
+
+    Returns
+    -------
+    L where L is not negative, else L / (1 - L / MOST_NEGATIVE)
+    """
+    below = images.clamp(max=0)
+    return torch.where(images < 0, below / (1 - below / MOST_NEGATIVE), images)
 
 
 class _Counts(NamedTuple):
@@ -149,7 +170,7 @@ class _Counts(NamedTuple):
 def _counts(images: Float[Tensor, "view basis row column"], data: Measurements) -> _Counts:
     """Compute expected counts of line integrals, beside the measured ones."""
     gains = torch.from_numpy(data.gains * data.exposure[:, :, None, None].astype(np.float32)).to(images.device)
-    lengths = images.movedim(1, -1).contiguous()
+    lengths = bounded(images).movedim(1, -1).contiguous()
     if data.profile is not None:
         known = torch.from_numpy(data.profile).to(lengths).movedim(0, -1)
         lengths = torch.cat([lengths, known.expand(len(lengths), *known.shape)], dim=-1)

@@ -1,27 +1,207 @@
-"""The model: Gaussians in space, each with one coefficient per basis function."""
+"""Models of an object: sums of Gaussians in space, with coefficients for every basis function."""
 
 import json
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int64
 from torch import Tensor
 
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.ops.rasterize import rasterize
-from recon.ops.voxelize import voxelize
+from recon.ops.voxelize import CUTOFF, voxelize, voxelize_tensor
 from spectra.errors import DatasetError
 
-PARTS = ("centres", "log_scales", "quaternions", "coefficients")
-_HEADER = "gaussians"  # key of the metadata in a file
-_SCHEMA = "spectral-ct gaussians 1.0"
+HEADER = "gaussians"  # key of the metadata in a file
+
+
+class GaussianModel(ABC):
+    """What every sum of Gaussians gives: volumes, line integrals, its arrays, and a file.
+
+    Attributes
+    ----------
+    GEOMETRY : names of the arrays that place and shape the Gaussians
+    SIGNED : whether single coefficients may be negative
+    LEAST_CUTOFF : smallest cutoff at which sums of the Gaussians hold what they were fitted to [standard deviations]
+    SCHEMA : what a file of the model calls itself
+    basis_names : names of the M basis functions B_m
+    coefficients : the last axis is that of the bases [1/mm]
+    """
+
+    GEOMETRY: ClassVar[tuple[str, ...]]
+    SIGNED: ClassVar[bool]
+    LEAST_CUTOFF: ClassVar[float]
+    SCHEMA: ClassVar[str]
+    UNITS: ClassVar[dict[str, str]]
+    basis_names: tuple[str, ...]
+    centres: Float[Tensor, "gaussian 3"]
+    log_scales: Float[Tensor, "gaussian 3"]
+    coefficients: Float[Tensor, "gaussian *side basis"]
+
+    def __len__(self) -> int:
+        return len(self.centres)
+
+    @property
+    @abstractmethod
+    def numbers(self) -> int:
+        """Count the numbers that describe the model."""
+
+    @abstractmethod
+    def voxels(self, grid: Grid, cutoff: float = CUTOFF) -> Float[Tensor, "basis z y x"]:
+        """Compute the mean coefficient of each basis in every voxel.
+
+        Parameters
+        ----------
+        grid : voxels to evaluate
+        cutoff : where Gaussians end [standard deviations]
+
+        Returns
+        -------
+        volumes, (M, Z, Y, X), differentiable in all arrays of the model [1/mm]
+        """
+
+    @abstractmethod
+    def volume(self, grid: Grid) -> Float[np.ndarray, "basis z y x"]:
+        """Compute the mean coefficient of each basis in every voxel.
+
+        Parameters
+        ----------
+        grid : voxels to evaluate; any part of a grid gives the same values as the whole
+
+        Returns
+        -------
+        volumes, (M, Z, Y, X), float32, not negative [1/mm]
+        """
+
+    @abstractmethod
+    def line_integrals(self, geometry: Geometry) -> Float[Tensor, "view basis row column"]:
+        """Compute the line integrals of each basis, averaged over every pixel.
+
+        Parameters
+        ----------
+        geometry : poses of the views, and the panel
+
+        Returns
+        -------
+        line integrals, (V, M, R, K), differentiable in all arrays of the model [no unit]
+        """
+
+    @abstractmethod
+    def plain(self) -> "Gaussians":
+        """Describe the model by Gaussians alone, for what knows nothing else.
+
+        Returns
+        -------
+        Gaussians of the same mass, centre and covariance; the model itself where it has nothing but Gaussians
+        """
+
+    def header(self) -> dict[str, Any]:
+        """Collect what is no array.
+
+        Returns
+        -------
+        values by the name of their field, besides `basis_names`
+        """
+        return {}
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Collect the arrays.
+
+        Returns
+        -------
+        those of `GEOMETRY` in order, then the coefficients, by name
+        """
+        return {name: getattr(self, name) for name in (*self.GEOMETRY, "coefficients")}
+
+    def with_tensors(self, tensors: dict[str, Tensor]) -> Self:
+        """Make the same model of other arrays.
+
+        Parameters
+        ----------
+        tensors : arrays by name; those that are missing stay
+
+        Returns
+        -------
+        a model with these arrays
+        """
+        return replace(self, **tensors)  # type: ignore[type-var]
+
+    def with_values(self, values: Float[Tensor, "gaussian *side value"]) -> Self:
+        """Replace the coefficients, and hold the geometry.
+
+        Parameters
+        ----------
+        values : other coefficients, any number of them in place of one per basis
+
+        Returns
+        -------
+        a model whose volumes and line integrals are linear in `values`
+        """
+        held = {name: getattr(self, name).detach() for name in self.GEOMETRY}
+        return self.with_tensors(held | {"coefficients": values})
+
+    def part(self, which: Int64[Tensor, " some"]) -> Self:
+        """Select some of the Gaussians.
+
+        Parameters
+        ----------
+        which : their indices
+
+        Returns
+        -------
+        a model of these, differentiable in the arrays of the whole
+        """
+        return self.with_tensors({name: value.index_select(0, which) for name, value in self.tensors().items()})
+
+    def to(self, device: torch.device | str) -> Self:
+        """Copy the arrays to a device, which then computes volumes and line integrals.
+
+        Parameters
+        ----------
+        device : a device of torch, such as ``cpu`` or ``cuda``
+
+        Returns
+        -------
+        a model with the same values
+        """
+        return self.with_tensors({name: value.to(device) for name, value in self.tensors().items()})
+
+    def detached(self) -> Self:
+        """Copy the model without its gradients.
+
+        Returns
+        -------
+        a model with the same values in arrays of its own
+        """
+        return self.with_tensors({name: value.detach().clone() for name, value in self.tensors().items()})
+
+    def save(self, path: Path) -> None:
+        """Write a safetensors file whose header names axes, units and bases.
+
+        Parameters
+        ----------
+        path : file to write
+        """
+        from safetensors.torch import save_file  # noqa: PLC0415
+
+        header = {
+            "schema": self.SCHEMA,
+            "basis": self.basis_names,
+            "units": self.UNITS,
+            "axes": {"centres": "x y z", "quaternions": "w x y z"},
+        }
+        tensors = {name: value.contiguous() for name, value in self.tensors().items()}
+        # One entry: safetensors writes several in random order, and the same model must give the same bytes.
+        save_file(tensors, path, metadata={HEADER: json.dumps(header | self.header())})
 
 
 @dataclass(frozen=True, eq=False)
-class Gaussians:
+class Gaussians(GaussianModel):
     """A sum of Gaussians that describes the attenuation of a volume.
 
     Parameters
@@ -43,89 +223,33 @@ class Gaussians:
     coefficients: Float[Tensor, "gaussian basis"]
     basis_names: tuple[str, ...]
 
-    def __len__(self) -> int:
-        return len(self.centres)
+    GEOMETRY: ClassVar = ("centres", "log_scales", "quaternions")
+    SIGNED: ClassVar = False
+    LEAST_CUTOFF: ClassVar = 0.0
+    SCHEMA: ClassVar = "spectral-ct gaussians 1.0"
+    UNITS: ClassVar = {"centres": "mm", "log_scales": "log mm", "coefficients": "1/mm"}
 
     def __repr__(self) -> str:
         return f"Gaussians({len(self)} with {', '.join(self.basis_names)})"
 
-    def volume(self, grid: Grid) -> Float[np.ndarray, "basis z y x"]:
-        """Compute the mean coefficient of each basis in every voxel.
+    @property
+    def numbers(self) -> int:
+        """Count the numbers that describe the model: 10 + M for each Gaussian."""
+        return len(self) * (10 + self.coefficients.shape[1])
 
-        Parameters
-        ----------
-        grid : voxels to evaluate; any part of a grid gives the same values as the whole
+    def voxels(self, grid: Grid, cutoff: float = CUTOFF) -> Float[Tensor, "basis z y x"]:  # noqa: D102 - inherited
+        return voxelize_tensor(self.centres, self.log_scales, self.quaternions, self.coefficients, grid, cutoff=cutoff)
 
-        Returns
-        -------
-        volumes, (M, Z, Y, X), float32 [1/mm]
-        """
+    def volume(self, grid: Grid) -> Float[np.ndarray, "basis z y x"]:  # noqa: D102 - inherited
         return voxelize(self.centres, self.log_scales, self.quaternions, self.coefficients, grid)
 
-    def line_integrals(self, geometry: Geometry) -> Float[Tensor, "view basis row column"]:
-        """Compute the line integrals of each basis, averaged over every pixel.
-
-        Parameters
-        ----------
-        geometry : poses of the views, and the panel
-
-        Returns
-        -------
-        line integrals, (V, M, R, K), differentiable in all arrays of the model [no unit]
-        """
+    def line_integrals(self, geometry: Geometry) -> Float[Tensor, "view basis row column"]:  # noqa: D102 - inherited
         frames = torch.from_numpy(geometry.ray_frames())
         parts = (self.centres, self.log_scales, self.quaternions, self.coefficients)
         return rasterize(*parts, frames, geometry.panel.rows, geometry.panel.columns)
 
-    def to(self, device: torch.device | str) -> "Gaussians":
-        """Copy the arrays to a device, which then computes volumes and line integrals.
-
-        Parameters
-        ----------
-        device : a device of torch, such as ``cpu`` or ``cuda``
-
-        Returns
-        -------
-        a model with the same values
-        """
-        return replace(self, **{name: value.to(device) for name, value in self.tensors().items()})
-
-    def tensors(self) -> dict[str, Tensor]:
-        """Collect the arrays.
-
-        Returns
-        -------
-        `PARTS` in order, by name
-        """
-        return {name: getattr(self, name) for name in PARTS}
-
-    def detached(self) -> "Gaussians":
-        """Copy the model without its gradients.
-
-        Returns
-        -------
-        a model with the same values in arrays of its own
-        """
-        return replace(self, **{name: value.detach().clone() for name, value in self.tensors().items()})
-
-    def save(self, path: Path) -> None:
-        """Write a safetensors file whose header names axes, units and bases.
-
-        Parameters
-        ----------
-        path : file to write
-        """
-        from safetensors.torch import save_file  # noqa: PLC0415
-
-        header = {
-            "schema": _SCHEMA,
-            "basis": self.basis_names,
-            "units": {"centres": "mm", "log_scales": "log mm", "coefficients": "1/mm"},
-            "axes": {"centres": "x y z", "quaternions": "w x y z"},
-        }
-        tensors = {name: value.contiguous() for name, value in self.tensors().items()}
-        # One entry: safetensors writes several in random order, and the same model must give the same bytes.
-        save_file(tensors, path, metadata={_HEADER: json.dumps(header)})
+    def plain(self) -> "Gaussians":  # noqa: D102 - inherited
+        return self
 
     @classmethod
     def load(cls, path: Path) -> "Gaussians":
@@ -144,16 +268,40 @@ class Gaussians:
         DatasetError
             When the file is not such a file.
         """
-        from safetensors import SafetensorError, safe_open  # noqa: PLC0415
-
+        header, tensors = read_model_file(path)
+        if header["schema"] != cls.SCHEMA:
+            raise DatasetError(f"{path} was written as {header['schema']!r}, this reader takes {cls.SCHEMA!r}")
         try:
-            with safe_open(path, framework="pt") as file:
-                header = json.loads((file.metadata() or {})[_HEADER])
-                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dict
-            if header["schema"] != _SCHEMA:
-                raise DatasetError(f"{path} was written as {header['schema']!r}, this version reads {_SCHEMA!r}")
-            return cls(**tensors, basis_names=tuple(header["basis"]))
-        except DatasetError:
-            raise
-        except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+            return cls(**tensors, basis_names=header["basis"])
+        except TypeError as error:
             raise DatasetError(f"{path}: not a Gaussian model written by recon ({error})") from error
+
+
+PARTS = (*Gaussians.GEOMETRY, "coefficients")  # names of the arrays of `Gaussians`, in order
+
+
+def read_model_file(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """Read the header and the arrays of a model.
+
+    Parameters
+    ----------
+    path : file that `GaussianModel.save` wrote
+
+    Returns
+    -------
+    header with at least ``schema`` and ``basis``; arrays by name
+
+    Raises
+    ------
+    DatasetError
+        When the file is not such a file.
+    """
+    from safetensors import SafetensorError, safe_open  # noqa: PLC0415
+
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = json.loads((file.metadata() or {})[HEADER])
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dict
+        return header | {"schema": header["schema"], "basis": tuple(header["basis"])}, tensors
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise DatasetError(f"{path}: not a Gaussian model written by recon ({error})") from error

@@ -27,7 +27,7 @@ Y        ``expected``                    expected counts
 d_eta    `recon.ops.deviance.deviance`   deviance of counts with variance Y + (eta Y)^2; of Poisson counts for eta = 0
 eta      ``dispersion``                  model error: relative standard deviation of Y that is conceded
 s        ``statistical_weights``         statistical weights of the counts, 0 to 1, by `Measurements.weighted`
-u        ``Measurements.apart``          0 for the rays that were set apart, else 1
+u        ``Measurements.unseen_blocks``  0 for the rays that were set apart, else 1
 I        `recon.data.partial_volume`     y over the open beam; with a tilde smoothed; N(r) are pixels within 2 of r
 delta    `recon.data.partial_volume`     standard deviation of the correction for partial volume, beyond the least of
                                          the ray's channels
@@ -52,6 +52,9 @@ Held fixed are y, g, e, S, B, s, mu^0 and w for the whole fit, and W between two
 coefficients of K edges in metal keep their values. In the prior, Gaussians end at a cutoff, and mu^0 is multiplied by
 the part of a Gaussian's mass within it.
 
+Where planes divide the Gaussians (`recon.gaussians.divided.model`), coefficients have either sign, theta also has the
+offsets of the planes, and line integrals below 0 enter Y by `recon.gaussians.likelihood.bounded`.
+
 A step uses some of the views, scaled to all of them, and one slab of the voxels, scaled to the whole volume; the mean
 of its gradient over the steps is that of F. Gradients are of F over half the number of counts (`Objective.scale`).
 """
@@ -65,10 +68,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from recon.data.measurements import Measurements
-from recon.data.view_subsets import every, kinds_of
+from recon.data.view_subsets import every_nth_view, view_groups
 from recon.gaussians.fisher import coefficient_curvature
 from recon.gaussians.likelihood import Likelihood, likelihood_and_gradients
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.processes import ALONE, Processes
 from recon.gaussians.settings import OptimizerSettings
 from recon.gaussians.voxel_prior import VoxelPrior
@@ -83,7 +86,7 @@ class Curvature(NamedTuple):
     prior_metric : W, (M, M) [mm^2]; empty without a prior
     """
 
-    inverse: Float[Tensor, "gaussian basis basis"]
+    inverse: Float[Tensor, "gaussian *side basis basis"]
     prior_metric: Float[Tensor, "..."]
 
 
@@ -110,7 +113,7 @@ class Objective:
         return float(np.prod(self.data.counts.shape)) / 2
 
     def set_gradients(
-        self, gaussians: Gaussians, views: Int[np.ndarray, " view"], prior_metric: Float[Tensor, "..."], step: int
+        self, gaussians: GaussianModel, views: Int[np.ndarray, " view"], prior_metric: Float[Tensor, "..."], step: int
     ) -> Likelihood:
         """Leave the gradients of F over `scale`, estimated from some views and one slab, in the arrays of a model.
 
@@ -130,7 +133,7 @@ class Objective:
             self.prior.add_gradients(gaussians, prior_metric / self.scale, step)
         return found
 
-    def curvature(self, gaussians: Gaussians, settings: OptimizerSettings) -> Curvature:
+    def curvature(self, gaussians: GaussianModel, settings: OptimizerSettings) -> Curvature:
         """Compute the curvature of F in the coefficients, from some of the views, and the metric of the prior.
 
         Parameters
@@ -143,14 +146,14 @@ class Objective:
         inverse of the damped curvature, and W
         """
         data = self.data
-        some = every(kinds_of(data.exposure), -(-len(data) // settings.curvature_views))
+        some = every_nth_view(view_groups(data.exposure), -(-len(data) // settings.curvature_views))
         blocks = coefficient_curvature(gaussians, data[self.processes.share(some)], self.dispersion)
         self.processes.add_up([blocks])
         blocks, metric = blocks * (len(data) / len(some)), torch.empty(0)
         if self.prior is not None:
             blocks, metric = self.prior.curvature(gaussians, blocks)
-        diagonal = torch.diagonal(blocks, dim1=1, dim2=2)
-        mean = diagonal.mean(dim=0).clamp_min(1)
+        diagonal = torch.diagonal(blocks, dim1=-2, dim2=-1)
+        mean = diagonal.flatten(0, -2).mean(dim=0).clamp_min(1)
         added = settings.relative_damping * diagonal + settings.mean_damping * mean
         held = None if self.prior is None else self.prior.held_coefficients(gaussians)
         if held is not None:

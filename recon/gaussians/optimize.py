@@ -1,6 +1,6 @@
 """The steps of the fit, which lower the objective for all channels at once.
 
-`recon.gaussians.objective` has the equation. It has two kinds of unknowns, and each has its own kind of step. With the
+`recon.gaussians.objective` has the equation. It has two groups of unknowns, and each has its own kind of step. With the
 geometry held, the model is linear in the coefficients up to the exponential of Beer's law, so these take second-order
 steps (`recon.gaussians.fisher`) with momentum, projected onto non-negative coefficients. Centres, scales and rotations
 take steps of Adam. What steps change is a `recon.gaussians.state.FitState`, so that a fit can be interrupted between
@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import accumulate, islice
+from math import log
 
 import numpy as np
 import torch
@@ -18,9 +19,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from recon.data.measurements import Measurements, matching_bin
-from recon.data.view_subsets import kinds_of, parts_of, rounds_of
+from recon.data.view_subsets import count_complete_sets, golden_section_order, interleaved_subsets, view_groups
 from recon.gaussians.likelihood import Likelihood, likelihood
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.objective import Objective
 from recon.gaussians.processes import LOCAL, Processes, Resources
 from recon.gaussians.recipe import Recipe
@@ -31,9 +32,6 @@ from recon.ops.nonnegative_newton import nonnegative_newton_step
 from spectra.threads import without_other_pools
 
 SNAPSHOTS = 10  # models kept along the way, for error against time; with held-out views, looks at them
-STRIDE = (
-    0.38  # of the views of a sweep; from one step to the next, near the golden section, so that views are far apart
-)
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,7 @@ class Progress:
     steps: int
     seconds: float
     deviance: float
-    gaussians: Gaussians
+    gaussians: GaussianModel
     chi_square: Float[np.ndarray, " channel"]
     state: FitState | None
     snapshot: bool
@@ -68,7 +66,7 @@ OnStep = Callable[[Progress], bool | None]
 
 @without_other_pools()
 def fit(
-    start: Gaussians | FitState,
+    start: GaussianModel | FitState,
     measurements: Measurements,
     voxel: float,
     recipe: Recipe,
@@ -76,7 +74,7 @@ def fit(
     held_out: Measurements | None = None,
     prior: VoxelPrior | None = None,
     resources: Resources = LOCAL,
-) -> Gaussians:
+) -> GaussianModel:
     """Fit Gaussians until the recipe's sweeps are used up.
 
     Parameters
@@ -98,17 +96,17 @@ def fit(
     state = start if isinstance(start, FitState) else FitState.begin(start)
     settings, processes = recipe.optimizer, resources.processes
     began = time.perf_counter() - state.seconds
-    kinds = kinds_of(measurements.exposure)
-    rounds = rounds_of(kinds)  # a step uses a view of each kind: one kind alone cannot tell bases apart
-    lengths, per_sweep = recipe.steps(rounds), recipe.per_sweep(rounds)
+    groups = view_groups(measurements.exposure)
+    complete_sets = count_complete_sets(groups)  # a step uses views of all groups: one alone cannot separate the bases
+    lengths, per_sweep = recipe.steps(complete_sets), recipe.per_sweep(complete_sets)
     steps, firsts = sum(lengths), accumulate(lengths, initial=0)
     for stage, first, length in zip(recipe.stages, firsts, lengths, strict=False):
         if state.done >= first + length:
             continue
         data = measurements.binned(matching_bin(measurements.geometry, stage.pixel * voxel))
         objective = Objective(data.weighted(recipe.dispersion, resources.store), recipe.dispersion, prior, processes)
-        for step, views in islice(enumerate(_subsets(kinds, per_sweep, length)), state.done - first, None):
-            if step % recipe.curvature_steps(rounds) == 0:
+        for step, views in islice(enumerate(_subsets(groups, per_sweep, length)), state.done - first, None):
+            if step % recipe.curvature_steps(complete_sets) == 0:
                 state.inverse_curvature, state.prior_metric = objective.curvature(state.gaussians, settings)
             found = objective.set_gradients(state.gaussians, views, state.prior_metric, state.done)
             _move_geometry(state, recipe, voxel, per_sweep, steps)
@@ -116,29 +114,45 @@ def fit(
             _shorten_after_rise(state, found.deviance, (step + 1) % per_sweep == 0, settings)
             state.done += 1
             snapshot = state.done % max(steps // SNAPSHOTS, 1) == 0 or state.done == steps
-            unseen = _judge(state, held_out, recipe, processes) if snapshot and held_out is not None else None
+            unseen = (
+                _held_out_likelihood(state, held_out, recipe, processes) if snapshot and held_out is not None else None
+            )
             state.seconds = time.perf_counter() - began
             progress = _progress(state, steps, found, snapshot, unseen)
-            if processes.any(bool(on_step(progress))) or state.unimproved >= settings.patience:
+            if processes.any(bool(on_step(progress))) or _has_stopped_improving(state, settings):
                 return state.gaussians.detached()
     return state.gaussians.detached()
 
 
 def _move_geometry(state: FitState, recipe: Recipe, voxel: float, per_sweep: int, steps: int) -> None:
     """Make a step of Adam in centres, scales and rotations, whose length grows at first and then falls."""
-    lengths = np.array([recipe.centre_rate * voxel, recipe.shape_rate, recipe.shape_rate])
+    of_arrays: dict[str, float] = dict.fromkeys(("log_scales", "quaternions"), recipe.shape_rate)
+    names = state.gaussians.GEOMETRY
+    lengths = np.array([of_arrays.get(name, recipe.centre_rate * voxel) for name in names])
     ramp = min(1.0, (state.done + 1) / max(recipe.warm_up * per_sweep, 1.0))
     decays = recipe.optimizer.gradient_decay, recipe.optimizer.square_decay
     state.adam.step(lengths * ramp * recipe.final_rate ** (state.done / steps), state.done + 1, decays)
+    if state.gaussians.SIGNED:  # a Gaussian of either sign may grow beyond all the others that make up for it
+        with torch.no_grad():
+            widest = state.initial.log_scales.amax(dim=1, keepdim=True) + log(recipe.volume_fit.widest)
+            state.gaussians.log_scales.copy_(torch.minimum(state.gaussians.log_scales, widest))
 
 
 def _move_coefficients(state: FitState, recipe: Recipe, scale: float, steps: int) -> None:
     """Make a step of Newton's method with momentum in the coefficients, whose length falls towards the end."""
     settings, coefficients = recipe.optimizer, state.gaussians.coefficients
-    newton_step = torch.einsum("gmn,gn->gm", state.inverse_curvature, coefficients.grad) * scale
+    newton_step = torch.einsum("...mn,...n->...m", state.inverse_curvature, coefficients.grad) * scale
     fall = (1 / settings.coefficient_final) ** (1 - state.done / steps / settings.coefficient_full)
     rate = state.step_factor * recipe.coefficient_rate * min(1.0, fall)
-    _project_step(coefficients, state.velocity, newton_step, state.inverse_curvature, rate, recipe.momentum)
+    _project_step(
+        coefficients,
+        state.velocity,
+        newton_step,
+        state.inverse_curvature,
+        rate,
+        recipe.momentum,
+        state.gaussians.SIGNED,
+    )
 
 
 def _shorten_after_rise(state: FitState, deviance: float, swept: bool, settings: OptimizerSettings) -> None:
@@ -162,7 +176,7 @@ def _progress(state: FitState, steps: int, found: Likelihood, snapshot: bool, un
     )  # fmt: skip
 
 
-def _judge(state: FitState, held_out: Measurements, recipe: Recipe, processes: Processes) -> Likelihood:
+def _held_out_likelihood(state: FitState, held_out: Measurements, recipe: Recipe, processes: Processes) -> Likelihood:
     """Compute the likelihood of held-out views, and keep the smallest chi-square in the state."""
     found = likelihood(state.gaussians, held_out, recipe.dispersion, processes)
     mean = float(np.nanmean(found.chi_square))
@@ -171,22 +185,37 @@ def _judge(state: FitState, held_out: Measurements, recipe: Recipe, processes: P
     return found
 
 
-def _subsets(kinds: Int[np.ndarray, " view"], per_sweep: int, steps: int) -> Iterator[np.ndarray]:
+def _has_stopped_improving(state: FitState, settings: OptimizerSettings) -> bool:
+    """Stopping rule: chi-square of the held-out views was not a new minimum `settings.patience` times in a row.
+
+    Without held-out views it never applies, and a fit ends after the sweeps of its recipe.
+    """
+    return state.unimproved >= settings.patience
+
+
+def _subsets(groups: Int[np.ndarray, " view"], per_sweep: int, steps: int) -> Iterator[np.ndarray]:
     """Yield evenly spread subsets of the views, in an order in which neighbours are far apart on the orbit."""
-    parts = parts_of(kinds, per_sweep)
-    stride = next(s for s in range(max(int(STRIDE * per_sweep), 1), per_sweep + 1) if np.gcd(s, per_sweep) == 1)
+    parts = interleaved_subsets(groups, per_sweep)
+    order = golden_section_order(per_sweep)
     for step in range(steps):
-        yield parts[step * stride % per_sweep]
+        yield parts[order[step % per_sweep]]
 
 
 @torch.no_grad()
 def _project_step(
-    coefficients: Tensor, velocity: Tensor, newton_step: Tensor, inverse: Tensor, rate: float, momentum: float
+    coefficients: Tensor,
+    velocity: Tensor,
+    newton_step: Tensor,
+    inverse: Tensor,
+    rate: float,
+    momentum: float,
+    signed: bool,
 ) -> None:
-    """Make a heavy-ball step, in place, that ends at non-negative coefficients."""
+    """Make a heavy-ball step, in place, that ends at non-negative coefficients where they have no sign."""
     moved = coefficients + momentum * velocity - (1 - momentum) * rate * newton_step
-    outside = (moved < 0).any(dim=1)
-    moved[outside] = _nearest_non_negative(moved[outside], inverse[outside])
+    if not signed:
+        outside = (moved < 0).any(dim=-1)
+        moved[outside] = _nearest_non_negative(moved[outside], inverse[outside])
     velocity.copy_(moved - coefficients)
     coefficients.copy_(moved)
 

@@ -5,18 +5,20 @@ folders make have their own: voxels in `recon.voxel.iterative.one_step`, edges i
 volume in `recon.data.partial_volume`.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from recon.gaussians.settings import (
     OptimizerSettings,
     PlacementSettings,
     PriorSettings,
+    SurfaceSettings,
     UnseenRaysSettings,
     VolumeFitSettings,
     check_positive,
 )
 from spectra.errors import InputError
 
+KERNELS = ("interface", "gaussian")
 _ANY_SIGN = ("seed", "warm_up", "momentum", "dispersion", "prior", "held_out")
 
 
@@ -44,6 +46,8 @@ class Recipe:
     Parameters
     ----------
     name : value of ``--recipe`` that selects it
+    kernel : ``gaussian``, or ``interface`` for Gaussians that planes divide; both were measured on scenes of twelve
+        kinds by `python -m benchmarks.reconstruction.scene_kinds`
     stages : binnings and how long each lasts; pixels of half a voxel were measured against whole ones, and one sweep
         (`fast`) and four (`best`) against three
     views_per_step : views whose gradients make one step; measured against 2
@@ -81,6 +85,7 @@ class Recipe:
     seed : of the placement, of the order of views, and of which are held out
     held_out : training views that are not fitted; the fit ends when chi-square on them no longer falls; 0 for none
     placement : how the first Gaussians are placed
+    surfaces : how Gaussians that planes divide are placed
     volume_fit : how they are fitted to the voxel volumes
     voxel_prior : how the voxel prior is evaluated
     optimizer : how steps are made and when they end
@@ -88,6 +93,7 @@ class Recipe:
     """
 
     name: str = "own"
+    kernel: str = "gaussian"
     stages: tuple[Stage, ...] = (Stage(0.5, 1.0),)
     views_per_step: int = 1
     most_turns: float = 1.0
@@ -112,6 +118,7 @@ class Recipe:
     seed: int = 0
     held_out: int = 0
     placement: PlacementSettings = field(default_factory=PlacementSettings)
+    surfaces: SurfaceSettings = field(default_factory=SurfaceSettings)
     volume_fit: VolumeFitSettings = field(default_factory=VolumeFitSettings)
     voxel_prior: PriorSettings = field(default_factory=PriorSettings)
     optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
@@ -123,6 +130,8 @@ class Recipe:
             raise InputError(f"recipe held_out must be a number of views, 0 or more, got {self.held_out}")
         if not self.stages:
             raise InputError("a recipe needs at least one stage")
+        if self.kernel not in KERNELS:
+            raise InputError(f"recipe kernel must be {' or '.join(KERNELS)}, got {self.kernel}")
 
     def steps(self, views: int) -> list[int]:
         """Count the steps of each stage.
@@ -193,4 +202,37 @@ class Recipe:
 
 FAST = Recipe(name="fast", most_turns=4.0)
 BEST = Recipe(name="best", most_turns=4.0, stages=(Stage(0.5, 4.0),), spacing=0.9)
+FAST_INTERFACE = Recipe(name="fast", kernel="interface", most_turns=4.0, stages=(Stage(0.5, 3.0),))
+BEST_INTERFACE = Recipe(
+    name="best",
+    kernel="interface",
+    most_turns=4.0,
+    stages=(Stage(0.5, 12.0),),
+    surfaces=SurfaceSettings(spacing=0.5, finest=1.0, evaluations=150),
+)
 RECIPES = {recipe.name: recipe for recipe in (FAST, BEST)}
+INTERFACE_RECIPES = {recipe.name: recipe for recipe in (FAST_INTERFACE, BEST_INTERFACE)}
+
+
+def with_detail(recipe: Recipe, detail: float) -> Recipe:
+    """Place Gaussians closer to each other, or further apart.
+
+    Parameters
+    ----------
+    recipe : the recipe
+    detail : factor by which all distances between Gaussians shrink
+
+    Returns
+    -------
+    a recipe with other distances
+    """
+    if detail == 1:
+        return recipe
+    surfaces = recipe.surfaces
+    closer = {name: getattr(surfaces, name) / detail for name in ("spacing", "finest", "coarsest")}
+    return replace(
+        recipe,
+        spacing=recipe.spacing / detail,
+        finest_spacing=recipe.finest_spacing / detail,
+        surfaces=replace(surfaces, **closer),
+    )

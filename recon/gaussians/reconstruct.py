@@ -17,18 +17,19 @@ from recon.data.coverage import Coverage, inner_box
 from recon.data.devices import device_named
 from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import Measurements, matching_bin
-from recon.data.view_subsets import every, kinds_of, rounds_of
+from recon.data.view_subsets import count_complete_sets, every_nth_view, view_groups
+from recon.gaussians.divided.first_gaussians import divided_gaussians
 from recon.gaussians.fitted_grid import read_with_coverage
-from recon.gaussians.initial.first_guess import Scan, filled_part, first_guess, start_method
-from recon.gaussians.model import Gaussians
+from recon.gaussians.initial.first_guess import Scan, first_guess, occupied_part, plain_gaussians, start_method
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.optimize import OnStep, fit
 from recon.gaussians.processes import LOCAL, Processes, Resources
 from recon.gaussians.recipe import Recipe
 from recon.gaussians.state import FitState, InterruptedFit
-from recon.gaussians.unseen_rays import UnseenRays, with_rays_apart
+from recon.gaussians.unseen_rays import UnseenRays, with_unseen_rays
 from recon.gaussians.voxel_prior import VoxelPrior
 from recon.voxel.initial_volumes import starting_method
-from recon.voxel.method import OnIteration, unwatched
+from recon.voxel.method import OnIteration, no_callback
 from recon.voxel.model import Voxels
 from recon.voxel.unreliable import Unreliable, unreliable_voxels
 from spectra.errors import InputError
@@ -53,7 +54,7 @@ class Reconstruction:
     unreliable : voxels whose bases the counts do not determine; None where there are none or they were not computed
     """
 
-    gaussians: Gaussians
+    gaussians: GaussianModel
     start: str
     initial_volumes: Float[np.ndarray, "basis z y x"]
     node_error: float
@@ -95,7 +96,7 @@ def reconstruct(
     on_stage: Callable[[str], None] = lambda name: None,
     on_step: OnStep = lambda progress: None,
     checkpoints: CheckpointStore | None = None,
-    on_iteration: OnIteration = unwatched,
+    on_iteration: OnIteration = no_callback,
     resources: Resources = LOCAL,
 ) -> Reconstruction:
     """Fit Gaussians to the training views of a dataset.
@@ -114,8 +115,17 @@ def reconstruct(
     Returns
     -------
     the fitted model, and what is known of the fit
+
+    Raises
+    ------
+    InputError
+        When the recipe's Gaussians have planes, and the device is not the processor.
     """
     processes, device = resources.processes, device_named(resources.device)
+    if recipe.kernel == "interface" and device.type != "cpu":
+        raise InputError(
+            f"planes divide Gaussians on the processor alone: take --kernel gaussian with --device {device.type}"
+        )
     starting_method(dataset.geometry[dataset.splits["train"]], dataset.grid)  # refuses views from one side alone
     stage = Stopwatch(on_stage)
     with stage("read"):
@@ -127,7 +137,8 @@ def reconstruct(
         state, volumes = kept.state, kept.volumes
         stage.seconds.update(kept.seconds | {"fit": state.seconds})
     elif processes.first:
-        volumes, start = first_guess(scan, recipe, stage, on_iteration, resources)
+        place = divided_gaussians if recipe.kernel == "interface" else plain_gaussians
+        volumes, start = first_guess(scan, recipe, stage, on_iteration, resources, place)
         state = FitState.begin(start)
         if checkpoints is not None:
             checkpoints.begin(volumes, stage.seconds, state)
@@ -166,14 +177,14 @@ def _read(dataset: Dataset, recipe: Recipe, bases: int | None, resources: Resour
     measured, node_error, covered = read_with_coverage(dataset, recipe, bases, resources.store)
     voxel = min(dataset.grid.spacing)
     if recipe.prior:
-        measured = with_rays_apart(measured, voxel, recipe.seed, recipe.unseen_rays)
+        measured = with_unseen_rays(measured, voxel, recipe.seed, recipe.unseen_rays)
     air = recipe.margin_air if covered.grid != dataset.grid else 0
     return Scan(measured, node_error, covered, _mean_information(measured, voxel, recipe), air)
 
 
 def _mean_information(measured: Measurements, voxel: float, recipe: Recipe) -> Float[np.ndarray, "basis basis"]:
     """Compute the Fisher matrix of line integrals, averaged over the rays of some views."""
-    some = measured.completed(every(kinds_of(measured.exposure), recipe.information_step))
+    some = measured.completed(every_nth_view(view_groups(measured.exposure), recipe.information_step))
     return decompose_views(some.binned(matching_bin(measured.geometry, voxel)), recipe.dispersion)[1]
 
 
@@ -191,9 +202,9 @@ def _prior_of(
     volumes: Float[np.ndarray, "basis z y x"], scan: Scan, fitted: Measurements, recipe: Recipe
 ) -> VoxelPrior:
     """Make the voxel prior of the volumes that the fit started from."""
-    trust = recipe.prior_along_edges(rounds_of(kinds_of(fitted.exposure)))
-    filled = filled_part(volumes, scan.coverage.grid, scan.air)
-    prior = VoxelPrior.of_volumes(*filled, scan.fisher, recipe.prior, trust, recipe.voxel_prior)
+    trust = recipe.prior_along_edges(count_complete_sets(view_groups(fitted.exposure)))
+    occupied = occupied_part(volumes, scan.coverage.grid, scan.air)
+    prior = VoxelPrior.of_volumes(*occupied, scan.fisher, recipe.prior, trust, recipe.voxel_prior)
     return prior.holding_kedges(scan.measured.basis_names)
 
 

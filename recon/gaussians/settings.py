@@ -61,6 +61,63 @@ class PlacementSettings:
 
 
 @dataclass(frozen=True)
+class SurfaceSettings:
+    """How Gaussians that planes divide are placed and sharpened (`recon.gaussians.divided`); lengths in voxels.
+
+    Parameters
+    ----------
+    spacing : distance between Gaussians on a surface over the radius in which a plane describes it [no unit]; measured
+        against 0.9
+    finest : smallest of these distances [voxels]; measured against 1.5
+    coarsest : largest of these distances [voxels]; chosen by hand, not measured
+    growth : increase of the distance per distance from a surface [no unit]; chosen by hand, not measured
+    overlap : standard deviation of a Gaussian over the distance to its neighbours [no unit]; chosen by hand, not
+        measured
+    neighbours : Gaussians whose distance is meant, the nearest ones; chosen by hand, not measured
+    smoothing : standard deviation of the Gaussian that reduces noise before surfaces are found [voxels]; chosen by
+        hand, not measured
+    contrast : smallest gradient on a surface, over a large signal (`recon.data.volume_edges.large_signal`) [1/voxel];
+        chosen by hand, not measured
+    empty : smallest value of a voxel with Gaussians, over a large signal [no unit]; chosen by hand, not measured
+    air : empty voxels around the object, so that faces at the border of its box are surfaces, and that Gaussians which
+        extend beyond it are fitted to nothing there; chosen by hand, not measured
+    radii : radii in which planes are tried [voxels]; chosen by hand, not measured
+    tolerance : largest root mean square distance of a surface from its plane [voxels]; chosen by hand, not measured
+    foreign : largest part of the points around that belong to another surface [no unit]; chosen by hand, not measured
+    least_sum : smallest sum of all Gaussians at a centre that a coefficient is divided by [no unit]; chosen by hand,
+        not measured
+    first_width : width of the transition while Gaussians are fitted to the voxel volumes [voxels]; measured against 0.1
+        and 0.3
+    width : width of the transition while they are fitted to the counts [voxels]; measured against 0.12, 0.15 and 0.2
+    solves : iterations of conjugate gradients for the first coefficients, on voxels of twice the size; chosen by hand,
+        not measured
+    evaluations : evaluations of the fit to the voxel volumes; chosen by hand, not measured
+    """
+
+    spacing: float = 0.6
+    finest: float = 1.2
+    coarsest: float = 9.0
+    growth: float = 0.5
+    overlap: float = 0.65
+    neighbours: int = 6
+    smoothing: float = 0.7
+    contrast: float = 0.02
+    empty: float = 0.02
+    air: int = 6
+    radii: tuple[float, ...] = (9.0, 7.0, 5.0, 3.5, 2.5)
+    tolerance: float = 0.15
+    foreign: float = 0.03
+    least_sum: float = 0.5
+    first_width: float = 0.15
+    width: float = 0.1
+    solves: int = 12
+    evaluations: int = 100
+
+    def __post_init__(self) -> None:
+        check_positive(self, "recipe surfaces")
+
+
+@dataclass(frozen=True)
 class VolumeFitSettings:
     """How Gaussians are fitted to the voxel volumes, without rays (`recon.gaussians.initial.fit_to_volume`).
 

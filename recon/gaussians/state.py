@@ -10,9 +10,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.gaussians.adam import Adam
-from recon.gaussians.model import PARTS, Gaussians
+from recon.gaussians.divided.model_file import model_of
+from recon.gaussians.model import GaussianModel
 
-GEOMETRY = ("centres", "log_scales", "quaternions")
 _ARRAYS = ("velocity", "inverse_curvature", "prior_metric")
 _NUMBERS = ("done", "seconds", "unimproved", "sweep_deviance", "step_factor")
 _LEAST = ("lowest", "last_sweep_deviance")  # infinite at first, which JSON cannot express
@@ -26,9 +26,9 @@ class FitState:
     ----------
     gaussians : the model, whose arrays require gradients
     initial : the model before the first step
-    adam : means of the gradients of `GEOMETRY` and of their squares
-    velocity : last step of the coefficients, (N, M) [1/mm]
-    inverse_curvature : inverse blocks of the objective's curvature in the coefficients, (N, M, M) [1/mm^2]; empty
+    adam : means of the gradients of the model's geometry and of their squares
+    velocity : last step of the coefficients, with their shape [1/mm]
+    inverse_curvature : inverse blocks of the objective's curvature in the coefficients, (..., M, M) [1/mm^2]; empty
         before the first step
     prior_metric : W of the voxel prior, (M, M) [mm^2]; empty before the first step and without a prior
     done : number of steps made
@@ -40,10 +40,10 @@ class FitState:
     step_factor : factor of the steps of the coefficients; 1 as long as no sweep raised the deviance
     """
 
-    gaussians: Gaussians
-    initial: Gaussians
+    gaussians: GaussianModel
+    initial: GaussianModel
     adam: Adam
-    velocity: Float[Tensor, "gaussian basis"]
+    velocity: Float[Tensor, "gaussian *side basis"]
     inverse_curvature: Float[Tensor, "..."] = field(default_factory=lambda: torch.empty(0))
     prior_metric: Float[Tensor, "..."] = field(default_factory=lambda: torch.empty(0))
     done: int = 0
@@ -55,7 +55,7 @@ class FitState:
     step_factor: float = 1.0
 
     @classmethod
-    def begin(cls, start: Gaussians) -> "FitState":
+    def begin(cls, start: GaussianModel) -> "FitState":
         """Make the state before the first step.
 
         Parameters
@@ -67,7 +67,7 @@ class FitState:
         state with copies of the first guess
         """
         gaussians = start.detached()
-        geometry = [getattr(gaussians, name).requires_grad_() for name in GEOMETRY]
+        geometry = [getattr(gaussians, name).requires_grad_() for name in gaussians.GEOMETRY]
         gaussians.coefficients.requires_grad_()
         return cls(gaussians, start.detached(), Adam(geometry), torch.zeros_like(gaussians.coefficients))
 
@@ -96,7 +96,7 @@ class FitState:
         found = {name: value.detach() for name, value in self.gaussians.tensors().items()}
         found |= {f"{name}.initial": value for name, value in self.initial.tensors().items()}
         found |= {name: getattr(self, name) for name in _ARRAYS}
-        for name, mean, square in zip(GEOMETRY, self.adam.means, self.adam.squares, strict=True):
+        for name, mean, square in zip(self.gaussians.GEOMETRY, self.adam.means, self.adam.squares, strict=True):
             found |= {f"{name}.mean": mean, f"{name}.square": square}
         return found
 
@@ -108,7 +108,15 @@ class FitState:
         values that JSON takes by name, for `restore`
         """
         least = {name: None if getattr(self, name) == inf else getattr(self, name) for name in _LEAST}
-        return {"basis": list(self.gaussians.basis_names)} | {name: getattr(self, name) for name in _NUMBERS} | least
+        return (
+            {
+                "basis": list(self.gaussians.basis_names),
+                "model": self.gaussians.header(),
+                "initial": self.initial.header(),
+            }
+            | {name: getattr(self, name) for name in _NUMBERS}
+            | least
+        )
 
     @classmethod
     def restore(cls, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> "FitState":
@@ -123,17 +131,19 @@ class FitState:
         -------
         an equal state
         """
-        names = tuple(numbers["basis"])
-        state = cls.begin(Gaussians(*(tensors[name] for name in PARTS), basis_names=names))
-        state.initial = Gaussians(*(tensors[f"{name}.initial"].clone() for name in PARTS), basis_names=names)
+        names, header = tuple(numbers["basis"]), numbers.get("model", {})
+        start = {name: value.clone() for name, value in tensors.items() if f"{name}.initial" in tensors}
+        state = cls.begin(model_of(start, names, header))
+        initial = {name: tensors[f"{name}.initial"].clone() for name in start}
+        state.initial = model_of(initial, names, header | numbers.get("initial", {}))
         for name in _ARRAYS:
             setattr(state, name, tensors[name].clone())
         for name in _NUMBERS:
             setattr(state, name, numbers[name])
         for name in _LEAST:
             setattr(state, name, inf if numbers[name] is None else numbers[name])
-        state.adam.means = [tensors[f"{name}.mean"].clone() for name in GEOMETRY]
-        state.adam.squares = [tensors[f"{name}.square"].clone() for name in GEOMETRY]
+        state.adam.means = [tensors[f"{name}.mean"].clone() for name in state.gaussians.GEOMETRY]
+        state.adam.squares = [tensors[f"{name}.square"].clone() for name in state.gaussians.GEOMETRY]
         return state
 
 

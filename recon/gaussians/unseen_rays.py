@@ -2,8 +2,8 @@
 
 A fit may end further from the object than the volumes that it started from, and rays that both were fitted to cannot
 show it. So blocks of pixels of some views are set apart, one ray of 64 in all, before anything is reconstructed: their
-statistical weights are 0 (`recon.data.measurements.Measurements.apart`). Afterwards every model predicts them, with the
-same correction for partial volume and the same model error as in the fit.
+statistical weights are 0 (`recon.data.measurements.Measurements.unseen_blocks`). Afterwards every model predicts them,
+with the same correction for partial volume and the same model error as in the fit.
 """
 
 from dataclasses import dataclass, replace
@@ -12,16 +12,16 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.data.measurements import Measurements, matching_bin
-from recon.data.view_subsets import kinds_of, spread
+from recon.data.view_subsets import evenly_spread_views, view_groups
 from recon.gaussians.likelihood import deviances
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.settings import UnseenRaysSettings
 from recon.voxel.model import Voxels
 
 DEFAULT = UnseenRaysSettings()
 
 
-def with_rays_apart(
+def with_unseen_rays(
     measured: Measurements, voxel: float, seed: int, settings: UnseenRaysSettings = DEFAULT
 ) -> Measurements:
     """Set some rays apart.
@@ -35,16 +35,16 @@ def with_rays_apart(
 
     Returns
     -------
-    the same scan with blocks of pixels marked in `Measurements.apart`
+    the same scan with blocks of pixels marked in `Measurements.unseen_blocks`
     """
     panel, block = measured.geometry.panel, matching_bin(measured.geometry, settings.block * voxel)
     apart = np.zeros((len(measured), panel.rows // block, panel.columns // block), bool)
-    views = spread(kinds_of(measured.exposure), settings.views)
+    views = evenly_spread_views(view_groups(measured.exposure), settings.views)
     each = round(settings.part * apart.size / len(views))
     rng = np.random.default_rng(seed)
     for view in views:
         apart[view].flat[rng.choice(apart[view].size, min(max(each, 1), apart[view].size - 1), replace=False)] = True
-    return replace(measured, apart=apart)
+    return replace(measured, unseen_blocks=apart)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class UnseenRays:
     def of(
         cls, measured: Measurements, voxel: float, dispersion: float, settings: UnseenRaysSettings = DEFAULT
     ) -> "UnseenRays":
-        """Select the rays that `with_rays_apart` set apart.
+        """Select the rays that `with_unseen_rays` set apart.
 
         Parameters
         ----------
@@ -79,13 +79,15 @@ class UnseenRays:
         -------
         these rays
         """
-        assert measured.apart is not None
-        views = np.flatnonzero(measured.apart.any(axis=(1, 2)))
-        some = replace(measured[views], apart=~measured.apart[views])
+        assert measured.unseen_blocks is not None
+        views = np.flatnonzero(measured.unseen_blocks.any(axis=(1, 2)))
+        some = replace(measured[views], unseen_blocks=~measured.unseen_blocks[views])
         some = some.binned(matching_bin(some.geometry, voxel))
         return cls(some.weighted(dispersion), dispersion, settings.certain)
 
-    def better_of(self, initial: Gaussians, fitted: Gaussians, start: Voxels) -> tuple[Gaussians, tuple[str, ...]]:
+    def better_of(
+        self, initial: GaussianModel, fitted: GaussianModel, start: Voxels
+    ) -> tuple[GaussianModel, tuple[str, ...]]:
         """Choose the fitted model, or the one before the fit where that is more likely.
 
         Parameters

@@ -18,9 +18,9 @@ from torch import Tensor
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.volume_edges import VolumeEdges, metal_without_agents, over_metal
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.settings import PriorSettings
-from recon.ops.voxelize import mass_within, voxelize_tensor
+from recon.ops.voxelize import mass_within
 
 DEFAULT = PriorSettings()
 
@@ -88,7 +88,7 @@ class VoxelPrior:
         """
         return replace(self, metal=metal_without_agents(self.volumes, names)[1])
 
-    def held_coefficients(self, gaussians: Gaussians) -> Bool[Tensor, "gaussian basis"] | None:
+    def held_coefficients(self, gaussians: GaussianModel) -> Bool[Tensor, "gaussian *side basis"] | None:
         """Find the coefficients that keep the values of the volumes: those of K edges in metal.
 
         No mixture of basis functions attenuates as metal does. What is missing would become a contrast agent there,
@@ -109,11 +109,13 @@ class VoxelPrior:
         index = np.round(place / np.array(self.grid.spacing)).astype(int)
         index = np.clip(index, 0, np.array(self.grid.shape) - 1)
         dense = self.metal[tuple(index.T)] > 1
-        return torch.from_numpy(dense[:, None] & edges).to(gaussians.centres.device)
+        return torch.from_numpy(dense.reshape(-1, *[1] * (gaussians.coefficients.ndim - 1)) & edges).to(
+            gaussians.centres.device
+        )
 
     def curvature(
-        self, gaussians: Gaussians, blocks: Float[Tensor, "gaussian basis basis"]
-    ) -> tuple[Float[Tensor, "gaussian basis basis"], Float[Tensor, "basis basis"]]:
+        self, gaussians: GaussianModel, blocks: Float[Tensor, "gaussian *side basis basis"]
+    ) -> tuple[Float[Tensor, "gaussian *side basis basis"], Float[Tensor, "basis basis"]]:
         """Compute the metric W, and the curvature of both terms in the coefficients.
 
         Parameters
@@ -125,17 +127,16 @@ class VoxelPrior:
         -------
         blocks of the data term plus the separable majoriser of the prior's curvature [mm^2]; the metric W [mm^2]
         """
-        parts = (gaussians.centres.detach(), gaussians.log_scales.detach(), gaussians.quaternions.detach())
-        one = torch.ones_like(gaussians.coefficients[:, :1]).detach()
-        density = voxelize_tensor(*parts, one, self.grid)
+        one = torch.ones_like(gaussians.coefficients[..., :1]).detach()
+        density = gaussians.with_values(one).voxels(self.grid)
         everywhere = float(torch.sum(density * density, dtype=torch.float64))
-        metric = self.strength * blocks.sum(dim=0) / max(everywhere, 1e-30)
+        metric = self.strength * blocks.flatten(0, -3).sum(dim=0) / max(everywhere, 1e-30)
         one.requires_grad_()
-        voxelize_tensor(*parts, one, self.grid).backward(density * torch.from_numpy(self.trust).to(density))
+        gaussians.with_values(one).voxels(self.grid).backward(density * torch.from_numpy(self.trust).to(density))
         assert one.grad is not None
-        return blocks + one.grad[:, :, None] * metric, metric
+        return blocks + one.grad[..., None] * metric, metric
 
-    def add_gradients(self, gaussians: Gaussians, metric: Float[Tensor, "basis basis"], step: int) -> None:
+    def add_gradients(self, gaussians: GaussianModel, metric: Float[Tensor, "basis basis"], step: int) -> None:
         """Add the gradients of the prior in one slab of the volume, times the number of slabs.
 
         The mean over as many steps as there are slabs is the gradient of the whole term.
@@ -146,22 +147,19 @@ class VoxelPrior:
         metric : W, divided by what the objective is divided by
         step : number of the step, which selects the slab
         """
-        depth, cutoff = self.grid.shape[0], self.settings.cutoff
+        depth, cutoff = self.grid.shape[0], max(self.settings.cutoff, gaussians.LEAST_CUTOFF)
         slabs = min(self.settings.slabs, depth)
         k = step * self.settings.slab_stride % slabs
         first, last = k * depth // slabs, (k + 1) * depth // slabs
         slab = self.grid.slices(first, last - first)
         near = _reaching(gaussians, slab, cutoff)
-        centres, log_scales, quaternions, coefficients = (
-            part.index_select(0, near) for part in gaussians.tensors().values()
-        )
-        found = voxelize_tensor(centres, log_scales, quaternions, coefficients, slab, cutoff=cutoff)
+        found = gaussians.part(near).voxels(slab, cutoff)
         difference = found.detach() - mass_within(cutoff) * torch.from_numpy(self.volumes[:, first:last]).to(found)
         difference *= torch.from_numpy(self.trust[first:last]).to(found)
         found.backward(torch.einsum("mn,nzyx->mzyx", slabs * metric, difference))
 
 
-def _reaching(gaussians: Gaussians, slab: Grid, cutoff: float) -> Tensor:
+def _reaching(gaussians: GaussianModel, slab: Grid, cutoff: float) -> Tensor:
     """Find the indices of the Gaussians that may reach into a slab, in order."""
     across, height = slab.spacing[0], slab.spacing[0] * slab.shape[0]
     middle = slab.origin[0] + 0.5 * (height - across)

@@ -10,10 +10,10 @@ from recon.kedge.basis_names import Asked, named_basis
 from recon.kedge.edge_likelihood import EdgeLikelihood, Functions
 from recon.kedge.elements import plain_alternatives, settle_elements
 from recon.kedge.judgement import LEAST_SCORE, Judgement, judge, judge_by_neighbours
-from recon.kedge.neighbour_agreement import between_channels
 from recon.kedge.profile_likelihood import EdgeProfile
 from recon.kedge.rays import rays_away_from_edges
 from recon.kedge.search import ROUNDS, likeliest_edge, refine_together
+from recon.kedge.spatial_correlation import between_channels
 from spectra.basis.basis import Basis, BasisFunction
 from spectra.errors import InputError
 

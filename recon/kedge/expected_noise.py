@@ -37,7 +37,7 @@ MISFIT = 2e-3
 
 
 @dataclass(frozen=True, eq=False)
-class NullLaw:
+class NullDistribution:
     """Distribution of u of each ray that does not need the further function.
 
     Parameters
@@ -49,9 +49,9 @@ class NullLaw:
     variance: Float[np.ndarray, " ray"]
     shift: Float[np.ndarray, " ray"]
 
-    def __getitem__(self, rays: Int[np.ndarray, " few"]) -> "NullLaw":
+    def __getitem__(self, rays: Int[np.ndarray, " few"]) -> "NullDistribution":
         """Take some of the rays."""
-        return NullLaw(self.variance[rays], self.shift[rays])
+        return NullDistribution(self.variance[rays], self.shift[rays])
 
 
 class Direction(NamedTuple):
@@ -69,13 +69,13 @@ class Direction(NamedTuple):
     expected: Float[np.ndarray, "ray channel"]
 
 
-def null_law(
+def null_distribution(
     likelihood: EdgeLikelihood,
     functions: Functions,
     further: BasisFunction,
     lengths: Float[np.ndarray, "ray basis"],
     misfit: float | None = None,
-) -> NullLaw:
+) -> NullDistribution:
     """Compute variance and largest shift of u on every ray.
 
     Parameters
@@ -93,7 +93,7 @@ def null_law(
     direction, root, expected = _direction(likelihood, functions, further, lengths)
     variance = (direction**2 * root**2 * expected).sum(axis=1)
     conceded = MISFIT if misfit is None else misfit
-    return NullLaw(variance, conceded * (np.abs(direction) * root * expected).sum(axis=1))
+    return NullDistribution(variance, conceded * (np.abs(direction) * root * expected).sum(axis=1))
 
 
 def _direction(
@@ -113,7 +113,7 @@ def _direction(
     return Direction(np.divide(rest, size, out=np.zeros_like(rest), where=size > 0), root, expected)
 
 
-def excess_score(drops: Float[np.ndarray, " ray"], law: NullLaw) -> float:
+def excess_score(drops: Float[np.ndarray, " ray"], null: NullDistribution) -> float:
     """Compute by how many standard deviations of noise drops exceed what noise and the conceded misfit give.
 
     score = (sum max(u - b, 0)^2 - sum q / 2) / sqrt(5/4 sum q^2) with u^2 the drops. For noise alone its mean is 0, or
@@ -122,17 +122,17 @@ def excess_score(drops: Float[np.ndarray, " ray"], law: NullLaw) -> float:
     Parameters
     ----------
     drops : drop in deviance of each ray, 0 where the line integral would have to be negative
-    law : distribution for rays that do not need the function
+    null : distribution for rays that do not need the function
 
     Returns
     -------
     the score [no unit], 0 without rays
     """
-    spread = np.sqrt(1.25 * (law.variance**2).sum())
+    spread = np.sqrt(1.25 * (null.variance**2).sum())
     if not spread > 0:
         return 0.0
-    beyond = np.maximum(np.sqrt(np.maximum(drops, 0.0)) - law.shift, 0.0)
-    return float(((beyond**2).sum() - law.variance.sum() / 2) / spread)
+    beyond = np.maximum(np.sqrt(np.maximum(drops, 0.0)) - null.shift, 0.0)
+    return float(((beyond**2).sum() - null.variance.sum() / 2) / spread)
 
 
 def _within(

@@ -1,4 +1,4 @@
-"""Whether the counts warrant a further basis function: by single rays, or by the agreement of neighbouring rays."""
+"""Whether the counts warrant a further basis function: by single rays, or by the correlation of neighbouring rays."""
 
 from dataclasses import dataclass, replace
 
@@ -6,8 +6,8 @@ import numpy as np
 
 from recon.kedge.alternatives import deviance_drops
 from recon.kedge.edge_likelihood import EdgeLikelihood, Functions
-from recon.kedge.expected_noise import excess_score, null_law
-from recon.kedge.neighbour_agreement import agreement
+from recon.kedge.expected_noise import excess_score, null_distribution
+from recon.kedge.spatial_correlation import correlation_score
 from spectra.basis.basis import BasisFunction
 
 JUDGED_RAYS = 2000  # rays; largest number that is judged; chosen by hand, not measured
@@ -89,7 +89,7 @@ def judge_by_neighbours(
     -------
     the new judgement, or `before` with a longer explanation where they do not agree
     """
-    score = agreement(likelihood, functions, further)
+    score = correlation_score(likelihood, functions, further)
     many = f"neighbours among {len(likelihood.rays)} rays agree on it by {score:.1f} standard deviations of noise"
     if score < LEAST_SCORE:
         return replace(before, reason=f"{before.reason}; {many}")
@@ -119,16 +119,16 @@ def judge_rays(
     """
     saved = deviance_drops(likelihood, functions, further)
     before, lengths = likelihood.deviances(functions)
-    law = null_law(likelihood, functions, further, lengths)
+    null = null_distribution(likelihood, functions, further, lengths)
     rays = np.arange(len(saved))
     if choose and len(rays) > JUDGED_RAYS // max(RAY_FRACTIONS):
         ranked = likelihood.rays.highest(saved, JUDGED_RAYS)
         choices = [ranked[: JUDGED_RAYS // part] for part in RAY_FRACTIONS]
-        rays = max(choices, key=lambda some: excess_score(saved[some], law[some]))
-    score = excess_score(saved[rays], law[rays])
+        rays = max(choices, key=lambda some: excess_score(saved[some], null[some]))
+    score = excess_score(saved[rays], null[rays])
     after = likelihood.with_rays(likelihood.rays[rays]).deviances((*functions, further))[0]
     means = [float(values.mean()) if len(rays) else 0.0 for values in (before[rays], after, saved[rays])]
-    noise = float(law.variance[rays].mean() / 2) if len(rays) else 0.0
+    noise = float(null.variance[rays].mean() / 2) if len(rays) else 0.0
     more = f"it saves {means[2]:.3g} per ray, where noise saves {noise:.3g}: {score:.1f} standard deviations more"
     if not len(rays):
         reason = "no ray passes through the object away from its edges"

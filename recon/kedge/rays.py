@@ -14,7 +14,7 @@ from phantomgen.dataset.reader import Dataset
 from recon.data.measurements import Measurements, matching_bin, read_measurements
 from recon.data.partial_volume import LEAST_COUNTS
 from recon.data.projection_edges import edge_mask
-from recon.data.view_subsets import kinds_of, spread
+from recon.data.view_subsets import evenly_spread_views, view_groups
 
 VIEWS = 12  # views, evenly spread over the training views; the largest number that is used; chosen by hand
 MOST_PIXELS = 250_000  # pixels of all these views together, after binning; bounds time and memory
@@ -117,7 +117,7 @@ def rays_away_from_edges(dataset: Dataset, binned: bool = True) -> Rays:
     binning = matching_bin(dataset.geometry, min(dataset.grid.spacing)) if binned else 1
     rows, columns = (n // binning for n in dataset.counts.shape[2:])
     count = int(np.clip(MOST_PIXELS // (rows * columns), 1, min(VIEWS, len(train))))
-    some = train[spread(kinds_of(dataset.exposure[train]), count)]
+    some = train[evenly_spread_views(view_groups(dataset.exposure[train]), count)]
     measured = read_measurements(dataset, some).summed(binning)
     inside = np.stack([_inside(measured, view) for view in range(len(some))])
     places = np.stack(np.nonzero(inside))

@@ -5,7 +5,7 @@ from math import ceil
 from typing import Any
 
 from phantomgen.dataset.reader import Dataset
-from recon.data.view_subsets import kinds_of, rounds_of
+from recon.data.view_subsets import count_complete_sets, view_groups
 from recon.gaussians.optimize import Progress
 from recon.gaussians.processes import Resources
 from recon.gaussians.recipe import Recipe
@@ -84,14 +84,14 @@ def expected_cost(
 
     result = reconstruct(dataset, recipe, bases, on_step=on_step, resources=Resources(device=device))
     count, grid = len(result.gaussians), result.coverage.grid if result.coverage else dataset.grid
-    rounds = rounds_of(kinds_of(dataset.exposure[dataset.splits["train"][recipe.held_out :]]))
+    complete_sets = count_complete_sets(view_groups(dataset.exposure[dataset.splits["train"][recipe.held_out :]]))
     start = sum(seconds for name, seconds in result.seconds.items() if name != "fit")
     return ExpectedCost(
         count,
         grid.shape,
         timed[-1].steps,
         start,
-        seconds_of_steps(timed, recipe, rounds),
+        seconds_of_steps(timed, recipe, complete_sets),
         plan_memory(dataset, recipe, bases, limit, count, grid),
     )
 

@@ -39,7 +39,7 @@ class Watcher(Protocol):
         iteration : number of the iteration and its residual
         """
 
-    def say(self, sentence: str) -> None:
+    def note(self, sentence: str) -> None:
         """Show a decision of the run.
 
         Parameters

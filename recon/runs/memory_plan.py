@@ -11,7 +11,10 @@ from math import prod
 from phantomgen.dataset.reader import Dataset
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import matching_bin
+from recon.gaussians import fisher
 from recon.gaussians.recipe import Recipe
+from recon.gaussians.settings import SurfaceSettings
+from recon.voxel.filtered import fdk
 from spectra.errors import InputError
 
 GIB = 2**30  # bytes
@@ -19,9 +22,8 @@ PROGRAM = (
     0.55  # GiB; torch, numba, h5py and compiled kernels; measured as the peak of a scan of 9 views of 32 x 32 pixels
 )
 GAUSSIANS_PER_VOXEL = 0.07  # at a spacing of 1 voxel, before they are placed; kedge-small has 0.066
+GAUSSIANS_PER_SIDE = 1.0  # over the power 2/3 of the voxels, with planes and a detail of 1; kedge-small has 0.94
 _BYTES_PER_GAUSSIAN = 1600  # bytes; parameters, moments, gradients in float64, curvature, two footprint tables
-_CURVATURE_VIEWS = 5  # views that are rasterized at once for the curvature, see recon.gaussians.fisher
-_FDK_VIEWS = 16  # views that filtered back-projection holds at once, see recon.voxel.filtered.fdk
 _ONE_STEP_VOLUMES = 14  # volumes of each basis that recon.voxel.iterative.one_step holds at its peak
 
 
@@ -99,11 +101,14 @@ def _parts(dataset: Dataset, recipe: Recipe, bases: int | None, gaussians: int |
     m = bases or len(dataset.spectra.basis)
     factor = matching_bin(dataset.geometry, min(dataset.grid.spacing)) ** 2
     if gaussians is None:
-        gaussians = round(GAUSSIANS_PER_VOXEL * voxels / recipe.distance(views) ** 2)
+        finer = SurfaceSettings().finest / recipe.surfaces.finest
+        on_surfaces, inside = GAUSSIANS_PER_SIDE * voxels ** (2 / 3) * finer**2, GAUSSIANS_PER_VOXEL * voxels
+        expected = on_surfaces if recipe.kernel == "interface" else inside / recipe.distance(views) ** 2
+        gaussians = round(expected)
     per_step = recipe.views_per_step * 4 * (3 * m + 1) + 4 * 12 * channels + 8 * (channels * (m + 2) + 2 * m)
     pairs = m * (m + 1) // 2
-    curvature = _CURVATURE_VIEWS * 4 * (m + 1 + 4 * pairs) + 8 * channels * (m + 2) + 8 * m * m * 2
-    filtering = _FDK_VIEWS * m * (3 * 4 + 2 * 8) // factor
+    curvature = fisher.VIEWS_AT_ONCE * 4 * (m + 1 + 4 * pairs) + 8 * channels * (m + 2) + 8 * m * m * 2
+    filtering = fdk.VIEWS_AT_ONCE * m * (3 * 4 + 2 * 8) // factor
     sizes = {
         "counts": 2 * 4 * views * channels * pixels,  # before and after their correction, or they and their shares
         "line integrals": 4 * views * m * pixels // factor,

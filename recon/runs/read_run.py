@@ -11,7 +11,8 @@ from jaxtyping import Float32
 
 from phantomgen.dataset.layout import array_at, group_at
 from phantomgen.geometry.voxel_grid import Grid
-from recon.gaussians.model import Gaussians
+from recon.gaussians.divided.model_file import load_model
+from recon.gaussians.model import GaussianModel
 from recon.runs.run_folder import MODEL, VOLUMES, open_run
 from recon.voxel.model import Voxels
 from spectra.errors import DatasetError
@@ -34,7 +35,7 @@ class StoredRun:
     grid: Grid
     basis_names: tuple[str, ...]
     volumes: Float32[np.ndarray, "basis z y x"]
-    gaussians: Gaussians | None
+    gaussians: GaussianModel | None
     dataset: str
 
     @property
@@ -110,7 +111,7 @@ def read_run(folder: Path) -> StoredRun:
     """
     check_run_folder(folder)
     volumes, model = folder / VOLUMES, folder / MODEL
-    gaussians = Gaussians.load(model) if model.is_file() else None
+    gaussians = load_model(model) if model.is_file() else None
     if volumes.is_file():
         grid, names, values = read_volumes(volumes)
     else:

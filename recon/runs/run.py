@@ -5,7 +5,7 @@ from typing import Any
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import read_truth
-from phantomgen.runtime.guarded import Salvage
+from phantomgen.runtime.guarded import WarnOnFailure
 from phantomgen.runtime.plain_json import write_json
 from phantomgen.runtime.stopwatch import Stopwatch, peak_memory_mib
 from recon.kedge.basis_names import left_out_sentence
@@ -41,7 +41,7 @@ def run(dataset: Dataset, folder: Path | None, method: RunMethod, figures: bool,
     The truth is opened only when the reconstruction is written. Scores or figures that fail after that are a warning,
     and are named under ``failed`` in ``metrics.json``.
     """
-    clock, guard, truth = Stopwatch(watcher.stage), Salvage(watcher.warn), None
+    clock, guard, truth = Stopwatch(watcher.stage), WarnOnFailure(watcher.warn), None
     with clock("check"):
         method.check(dataset)
         for view in dataset.splits["test"]:
@@ -52,7 +52,7 @@ def run(dataset: Dataset, folder: Path | None, method: RunMethod, figures: bool,
     with clock("write"):
         outcome.write(folder)
     if outcome.left_out:
-        watcher.say(left_out_sentence(outcome.left_out))
+        watcher.note(left_out_sentence(outcome.left_out))
     with clock("score"):
         with guard("reading the truth"):
             truth = read_truth(dataset.path)
@@ -65,7 +65,7 @@ def run(dataset: Dataset, folder: Path | None, method: RunMethod, figures: bool,
     return metrics
 
 
-def _write_metrics(folder: Path, metrics: dict[str, Any], clock: Stopwatch, guard: Salvage) -> None:
+def _write_metrics(folder: Path, metrics: dict[str, Any], clock: Stopwatch, guard: WarnOnFailure) -> None:
     """Add times, memory and failures to the scores, and write them."""
     metrics |= {"seconds": clock.seconds, "peak_memory_mib": peak_memory_mib()}
     metrics |= {"failed": guard.failed} if guard.failed else {}

@@ -9,7 +9,8 @@ import numpy as np
 
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.plain_json import write_json
-from recon.gaussians.model import Gaussians
+from recon.gaussians.divided.model_file import load_model
+from recon.gaussians.model import GaussianModel
 from spectra.basis.basis import Basis
 from spectra.errors import DatasetError
 from spectra.transmission import Transmission
@@ -46,7 +47,7 @@ class Run:
     transmission : spectral model of a pixel at the panel's centre, at exposure 1; `columns` are those of the model
     """
 
-    gaussians: Gaussians
+    gaussians: GaussianModel
     grid: Grid
     basis: Basis
     transmission: Transmission
@@ -91,7 +92,7 @@ def open_run(folder: Path) -> Run:
                 f"{folder} is a run in voxels, but Gaussians are needed: `recon export` writes its volumes"
             )
         raise DatasetError(f"{folder} is not a run folder: it has no {MODEL}; make one by recon fit")
-    gaussians = Gaussians.load(folder / MODEL)
+    gaussians = load_model(folder / MODEL)
     scan = open_scan(folder, len(gaussians.basis_names))
     return Run(gaussians, scan.grid, scan.basis, scan.transmission)
 

@@ -16,7 +16,7 @@ from recon.figures.run_figures import convergence
 from recon.gaussians.fitted_grid import fitted_grid
 from recon.gaussians.optimize import Progress
 from recon.gaussians.processes import ALONE, Processes, Resources
-from recon.gaussians.recipe import RECIPES, Recipe
+from recon.gaussians.recipe import INTERFACE_RECIPES, RECIPES, Recipe, with_detail
 from recon.gaussians.reconstruct import Reconstruction, reconstruct
 from recon.kedge.basis_names import Asked, left_out, with_named
 from recon.kedge.choose_basis import BasisChoice, choose_basis
@@ -141,7 +141,7 @@ class GaussianRun:
             outcome.write_model(unfinished.folder)
             raise _stopped(last[0], unfinished)
         for sentence in result.notes:  # of a whole fit; a part of it tells nothing
-            watcher.say(sentence)
+            watcher.note(sentence)
         seconds, deviances = (np.array([entry[key] for entry in unfinished.log]) for key in ("seconds", "deviance"))
         more: dict[str, Callable[[Path], Any]] = {"convergence.png": partial(convergence, seconds, deviances)}
         if fitted.choice is not None:
@@ -155,7 +155,7 @@ class GaussianRun:
         with clock("basis"):
             choice = choose_basis(dataset, self.bases, self.edges)
             for sentence in choice.sentences:
-                watcher.say(sentence)
+                watcher.note(sentence)
             return Fitted(dataset.with_basis(choice.basis), None, choice)
 
     def _memory_plan(self, fitted: Fitted, recipe: Recipe, folder: Path, clock: Stopwatch) -> MemoryPlan:
@@ -168,7 +168,9 @@ class GaussianRun:
         return plan_memory(fitted.dataset, recipe, fitted.count, self.memory, grid=grid)
 
 
-def chosen_recipe(name: str, sweeps: float | None, seed: int, held_out: int) -> Recipe:
+def chosen_recipe(
+    name: str, sweeps: float | None, seed: int, held_out: int, kernel: str = "gaussian", detail: float = 1.0
+) -> Recipe:
     """Return a recipe of this project with what a user chose.
 
     Parameters
@@ -178,15 +180,22 @@ def chosen_recipe(name: str, sweeps: float | None, seed: int, held_out: int) -> 
         recipe
     seed : of all that is random
     held_out : number of training views that only tell when to stop
+    kernel : ``interface`` or ``gaussian``
+    detail : factor by which Gaussians are closer to each other than in the recipe
 
     Returns
     -------
     the recipe
     """
-    recipe = replace(RECIPES[name], seed=seed, held_out=held_out)
+    recipes = INTERFACE_RECIPES if kernel == "interface" else RECIPES
+    recipe = with_detail(replace(recipes[name], seed=seed, held_out=held_out), detail)
     if sweeps is None:
         return recipe
-    return replace(recipe, most_turns=1.0, stages=tuple(replace(stage, sweeps=sweeps) for stage in recipe.stages))
+    return replace(
+        recipe,
+        most_turns=1.0,
+        stages=tuple(replace(stage, sweeps=sweeps) for stage in recipe.stages),
+    )
 
 
 def outcome_of_fit(
@@ -210,10 +219,15 @@ def outcome_of_fit(
     -------
     the outcome, without a log and without figures of its own
     """
-    about = {"dataset": dataset.path.name, "seed": recipe.seed, "gaussians": len(result.gaussians)}
+    about = {
+        "dataset": dataset.path.name,
+        "seed": recipe.seed,
+        "gaussians": len(result.gaussians),
+        "numbers": result.gaussians.numbers,
+    }
     about |= {"start": result.start, "notes": list(result.notes)}
     about |= {} if choice is None else {"basis_choice": choice.record()}
-    about |= {"recipe": recipe.says if isinstance(recipe, PaperRecipe) else recipe.name}
+    about |= {"recipe": recipe.description if isinstance(recipe, PaperRecipe) else recipe.name}
     settings = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(recipe).items()}
     return VolumeOutcome(
         dataset, result.gaussians, result.transmission, about, settings, result.node_error,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.runtime.stopwatch import Stopwatch
-from recon.data.inpainting import ray_weights
+from recon.data.measured_rays import ray_weights
 from recon.data.measurements import read_measurements
 from recon.kedge.basis_names import Asked
 from recon.runs.checks import PIPELINES, check_method
@@ -75,7 +75,7 @@ class ViewRun:
             watcher.iterated(iteration)
 
         with clock(self.method.name):
-            seen = ray_weights(measured.unseen, len(measured))
+            seen = ray_weights(measured.blind_pixels, len(measured))
             views = self.method.learn_views(images, seen, measured.geometry, dataset.grid, on_iteration)
         log.write()
         settings = {"method": self.method.name} | asdict(self.method)  # type: ignore[call-overload] - methods are dataclasses

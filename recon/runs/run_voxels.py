@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.dataset.inpainting import inpainted
 from phantomgen.dataset.reader import Dataset
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.stopwatch import Stopwatch
 from recon.data.coverage import coverage, inner_box
-from recon.data.inpainting import inpainted, ray_weights
 from recon.data.material_decomposition import decompose_views
+from recon.data.measured_rays import ray_weights
 from recon.data.measurements import Measurements, matching_bin, read_measurements
 from recon.gaussians.recipe import Recipe
 from recon.kedge.basis_names import Asked, left_out, with_named
@@ -125,12 +126,12 @@ def reconstruct_volumes(
         with stage(method.name):
             return method.reconstruct_counts(measured, grid, on_iteration)
     coarse = measured.completed().binned(matching_bin(measured.geometry, min(grid.spacing)))
-    seen = ray_weights(coarse.unseen, len(coarse))
+    seen = ray_weights(coarse.blind_pixels, len(coarse))
     if pipeline == "image":
         with stage(method.name):
             return reconstruct_channels(coarse, seen, method, grid, on_iteration)
     with stage("decompose"):
-        lengths = inpainted(decompose_views(coarse, Recipe().dispersion)[0], coarse.unseen)
+        lengths = inpainted(decompose_views(coarse, Recipe().dispersion)[0], coarse.blind_pixels)
     with stage(method.name):
         images = np.ascontiguousarray(np.moveaxis(lengths, 1, 0))
         return method.reconstruct(images, seen, coarse.geometry, grid, on_iteration)

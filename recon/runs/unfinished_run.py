@@ -20,7 +20,8 @@ from jaxtyping import Float
 
 from phantomgen.runtime.plain_json import to_json
 from recon.data.measurements import Measurements
-from recon.gaussians.model import Gaussians
+from recon.gaussians.divided.model_file import load_model
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.optimize import Progress
 from recon.gaussians.state import FitState, InterruptedFit
 from recon.runs.checkpoint import identity, read_checkpoint, write_checkpoint, write_whole
@@ -183,7 +184,7 @@ class PartialRun:
         found = {int(entry["step"]): self._snapshot(int(entry["step"])) for entry in self.log}
         return {step: path for step, path in found.items() if path.is_file()}
 
-    def models(self) -> Iterator[tuple[int, Gaussians]]:
+    def models(self) -> Iterator[tuple[int, GaussianModel]]:
         """Load the models that were kept between steps.
 
         Yields
@@ -191,7 +192,7 @@ class PartialRun:
         number of the step, and the model after it
         """
         for step, path in self.snapshots().items():
-            yield step, Gaussians.load(path)
+            yield step, load_model(path)
 
     def add_scores(self, scores: dict[int, dict[str, float]]) -> None:
         """Add scores to the lines of their steps.

@@ -40,7 +40,7 @@ def segment_subject(subject: Subject, options: Options) -> Segmentation:
     InputError
         When there are no Gaussians to segment, or nothing but air.
     """
-    domain, model = options.domain or DOMAINS[subject.gaussians is None], subject.gaussians
+    domain, model = options.domain or DOMAINS[subject.gaussians is None or subject.divided], subject.gaussians
     if domain == "gaussians" and model is None:
         raise InputError("a method on voxels has no Gaussians to segment: leave --domain out, or take voxels")
     if domain == "voxels" and options.features == "own":

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from phantomgen.geometry.voxel_grid import Grid
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel, Gaussians
 from recon.runs.read_run import VOLUMES, dataset_name, read_volumes
 from recon.runs.run_folder import MODEL, SCAN, open_run, open_scan
 from spectra.basis.basis import Basis
@@ -27,8 +27,9 @@ class Subject:
     grid : grid of the volumes
     basis : basis functions of the volumes
     energy, weights : detected spectrum in the open beam, energies [keV] and photons
-    gaussians : model; None for methods on voxels
+    gaussians : model, without the planes that divide its Gaussians; None for methods on voxels
     dataset : file name of the scan; empty where the run does not state it
+    divided : whether planes divide the Gaussians of the model, so that `gaussians` approximates it
     """
 
     volumes: Float[np.ndarray, "basis z y x"]
@@ -38,6 +39,35 @@ class Subject:
     weights: Float[np.ndarray, " node"]
     gaussians: Gaussians | None = None
     dataset: str = ""
+    divided: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        volumes: Float[np.ndarray, "basis z y x"],
+        grid: Grid,
+        basis: Basis,
+        transmission: Transmission,
+        model: GaussianModel | None,
+        dataset: str = "",
+    ) -> "Subject":
+        """Make a subject of the results of a reconstruction.
+
+        Parameters
+        ----------
+        volumes : coefficients [1/mm]
+        grid : grid of the volumes
+        basis : basis functions of the volumes
+        transmission : spectral model of all channels
+        model : Gaussians; None for methods on voxels
+        dataset : file name of the scan
+
+        Returns
+        -------
+        the subject
+        """
+        plain, divided = (None, False) if model is None else (model.plain(), model.SIGNED)
+        return cls(volumes, grid, basis, *detected_spectrum(basis, transmission), plain, dataset, divided)
 
 
 def open_subject(folder: Path) -> Subject:
@@ -61,14 +91,14 @@ def open_subject(folder: Path) -> Subject:
         run = open_run(folder)
         names = run.gaussians.basis_names
         volumes, grid, basis, transmission = run.gaussians.volume(run.grid), run.grid, run.basis, run.transmission
-        gaussians = run.gaussians
+        model = run.gaussians
     elif (folder / VOLUMES).is_file():
         if not (folder / SCAN).is_file():
             raise DatasetError(f"{folder} has no {SCAN}, which older versions did not write: run recon fit again")
         stored = read_volumes(folder / VOLUMES)
         names, volumes = stored.basis_names, stored.values
         scan = open_scan(folder, len(names))
-        grid, basis, transmission, gaussians = scan.grid, scan.basis, scan.transmission, None
+        grid, basis, transmission, model = scan.grid, scan.basis, scan.transmission, None
     else:
         raise DatasetError(f"{folder} is not a run folder: it has neither {MODEL} nor {VOLUMES}; make one by recon fit")
     if basis.names[: len(names)] != names or volumes.shape[1:] != grid.shape:
@@ -76,7 +106,7 @@ def open_subject(folder: Path) -> Subject:
             f"{folder} does not fit together: {SCAN} describes another basis or grid than the result has"
         )
     basis = Basis(basis.functions[: len(names)], basis.reference_energy)
-    return Subject(volumes, grid, basis, *detected_spectrum(basis, transmission), gaussians, dataset)
+    return Subject.of(volumes, grid, basis, transmission, model, dataset)
 
 
 def detected_spectrum(

@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.dataset.inpainting import inpainted
 from phantomgen.geometry.voxel_grid import Grid
-from recon.data.inpainting import inpainted
 from recon.data.measurements import Measurements
 from recon.data.partial_volume import LEAST_COUNTS
-from recon.voxel.method import Iteration, LinearMethod, OnIteration, Volumes, Weights, unwatched
+from recon.voxel.method import Iteration, LinearMethod, OnIteration, Volumes, Weights, no_callback
 
 
 def log_projections(measured: Measurements) -> Float[np.ndarray, "channel view row column"]:
@@ -56,7 +56,7 @@ def reconstruct_channels(
     weights: Weights | None,
     method: LinearMethod,
     grid: Grid,
-    on_iteration: OnIteration = unwatched,
+    on_iteration: OnIteration = no_callback,
 ) -> Volumes:
     """Reconstruct one volume per channel and fit the bases in each voxel by least squares.
 

@@ -43,7 +43,7 @@ class Iteration:
 OnIteration: TypeAlias = Callable[[Iteration], None]
 
 
-def unwatched(_: Iteration) -> None:
+def no_callback(_: Iteration) -> None:
     """Do nothing after an iteration.
 
     Parameters
@@ -85,7 +85,7 @@ class LinearMethod(Protocol):
         weights: Weights | None,
         geometry: Geometry,
         grid: Grid,
-        on_iteration: OnIteration = unwatched,
+        on_iteration: OnIteration = no_callback,
     ) -> Volumes:
         """Reconstruct volumes from line integrals.
 
@@ -114,7 +114,7 @@ class CountsMethod(Protocol):
         ...
 
     def reconstruct_counts(
-        self, measurements: Measurements, grid: Grid, on_iteration: OnIteration = unwatched
+        self, measurements: Measurements, grid: Grid, on_iteration: OnIteration = no_callback
     ) -> Volumes:
         """Reconstruct volumes from counts.
 
@@ -146,7 +146,7 @@ class ViewMethod(Protocol):
         weights: Weights | None,
         geometry: Geometry,
         grid: Grid,
-        on_iteration: OnIteration = unwatched,
+        on_iteration: OnIteration = no_callback,
     ) -> ViewModel:
         """Train a model of the log projections of all channels on the given views.
 

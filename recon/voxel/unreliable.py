@@ -15,7 +15,7 @@ from scipy.ndimage import label
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements, matching_bin
-from recon.data.view_subsets import kinds_of, spread
+from recon.data.view_subsets import evenly_spread_views, view_groups
 from recon.data.volume_edges import over_metal, relative_density
 from recon.ops.likelihood import MeasuredCounts, likelihood
 from recon.ops.nonnegative_newton import as_matrices
@@ -41,12 +41,12 @@ class Unreliable:
     ----------
     flags : sum of `METAL` and `STARVED` in every marked voxel, 0 elsewhere
     grid : grid of the flags
-    held : number of voxels of the object
+    object_voxels : number of voxels of the object
     """
 
     flags: UInt8[np.ndarray, "z y x"]
     grid: Grid
-    held: int
+    object_voxels: int
 
     @property
     def marked(self) -> Bool[np.ndarray, "z y x"]:
@@ -68,7 +68,7 @@ class Unreliable:
         ]
         return {
             "voxels": int(self.marked.sum()),
-            "part": float(self.marked.sum() / max(self.held, 1)),
+            "part": float(self.marked.sum() / max(self.object_voxels, 1)),
             "metal": int(((self.flags & METAL) > 0).sum()),
             "starved": int(((self.flags & STARVED) > 0).sum()),
             "places": int(places),
@@ -99,16 +99,18 @@ def unreliable_voxels(
     edges = np.array([name.startswith("kedge") for name in measured.basis_names])
     if not values.any():
         return None
-    held = relative_density(values) > OBJECT_DENSITY
-    metal = np.zeros(held.shape, bool) if edges.all() else over_metal(values[~edges]) > 1
-    starved = held & (relative_deviations(volumes, held, measured, grid, dispersion) > STARVED_DEVIATION)
+    object_voxels = relative_density(values) > OBJECT_DENSITY
+    metal = np.zeros(object_voxels.shape, bool) if edges.all() else over_metal(values[~edges]) > 1
+    starved = object_voxels & (
+        relative_deviations(volumes, object_voxels, measured, grid, dispersion) > STARVED_DEVIATION
+    )
     flags = (METAL * metal + STARVED * starved).astype(np.uint8)
-    return Unreliable(flags, grid, int(np.count_nonzero(held))) if flags.any() else None
+    return Unreliable(flags, grid, int(np.count_nonzero(object_voxels))) if flags.any() else None
 
 
 def relative_deviations(
     volumes: Float[np.ndarray, "basis z y x"],
-    held: Bool[np.ndarray, "z y x"],
+    object_voxels: Bool[np.ndarray, "z y x"],
     measured: Measurements,
     grid: Grid,
     dispersion: float,
@@ -117,22 +119,22 @@ def relative_deviations(
 
     With a_ri the length of ray r in voxel i and F_r the Fisher matrix of its line integrals, the information of a voxel
     is taken as sum_r a_ri F_r times a length that is the same for all voxels: correlations between bases count, those
-    between voxels do not. The typical deviation of a basis is the median over the voxels of `held` whose bases are
+    between voxels do not. The typical deviation of a basis is the median over those of `object_voxels` whose bases are
     determined at all.
 
     Parameters
     ----------
     volumes : the result [1/mm]
-    held : voxels to predict
+    object_voxels : voxels to predict
     measured : the views that were fitted
     grid : grid of `volumes`
     dispersion : relative model error added to the Poisson variance [no unit]
 
     Returns
     -------
-    largest relative standard deviation over the bases [no unit], 0 outside of `held`
+    largest relative standard deviation over the bases [no unit], 0 outside of `object_voxels`
     """
-    some = measured[spread(kinds_of(measured.exposure), MOST_VIEWS)]
+    some = measured[evenly_spread_views(view_groups(measured.exposure), MOST_VIEWS)]
     some = some.binned(matching_bin(some.geometry, min(grid.spacing)))
     lengths = forward(volumes.astype(np.float32), some.geometry, grid)
     counts = MeasuredCounts(some.counts, some.gains, some.exposure, some.profile)
@@ -141,10 +143,10 @@ def relative_deviations(
     found = np.zeros((len(volumes), *grid.shape), np.float32)
     slab = max(1, SLAB_VALUES // (len(volumes) ** 2 * grid.shape[1] * grid.shape[2]))
     for first in range(0, grid.shape[0], slab):
-        part, inside = grid.slices(first, slab), held[first : first + slab]
+        part, inside = grid.slices(first, slab), object_voxels[first : first + slab]
         blocks = transpose(fisher, some.geometry, part)[:, inside]
         found[:, first : first + slab][:, inside] = np.moveaxis(least_deviations(as_matrices(blocks)), -1, 0)
-    values = found[:, held]
+    values = found[:, object_voxels]
     known = np.isfinite(values).all(axis=0)
     if not known.any():
         return np.zeros(grid.shape, np.float32)

@@ -1,9 +1,9 @@
-"""Counts that a pixel loses because it is busy with the count before.
+"""Dead time and pile-up: counts that a pixel loses while it is busy with the count before.
 
 With n the rate of events above the lowest threshold and tau the dead time, a non-paralyzable counter records
 n / (1 + n tau), a paralyzable one, whose dead time every event prolongs, n exp(-n tau) (Knoll, Radiation Detection and
-Measurement, chapter 4). All channels of a pixel lose the same part. Pulses on top of each other also change their
-height; that is left out.
+Measurement, chapter 4). All channels of a pixel lose the same part. Pile-up also changes the height of pulses;
+that is left out.
 """
 
 from dataclasses import dataclass

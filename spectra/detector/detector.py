@@ -100,7 +100,7 @@ class AnyDetector(ABC):
         return None
 
     @property
-    def poor(self) -> tuple[str, ...]:
+    def model_warnings(self) -> tuple[str, ...]:
         """Sentences about what the model of the detector leaves out and should not."""
         return ()
 

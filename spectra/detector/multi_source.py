@@ -80,9 +80,9 @@ class MultiSource(AnyDetector):
         return tuple(sorted({edge for detector in self.detectors for edge in detector.breaks}))
 
     @property
-    def poor(self) -> tuple[str, ...]:
+    def model_warnings(self) -> tuple[str, ...]:
         """Sentences about what the models of the detectors leave out and should not."""
-        return tuple(dict.fromkeys(sentence for detector in self.detectors for sentence in detector.poor))
+        return tuple(dict.fromkeys(sentence for detector in self.detectors for sentence in detector.model_warnings))
 
     def response(self, energies: Energies) -> Float[np.ndarray, "channel energy"]:
         """Compute the mean signal of each channel per photon of all sources together, for each bin.

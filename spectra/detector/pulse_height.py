@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
 from spectra.detector.detector import Detector
-from spectra.detector.semiconductor import charge_fractions, escape, moved_charge
+from spectra.detector.semiconductor import charge_fractions, escape, fluorescence_events
 from spectra.elements.attenuation import LOWEST_ENERGY, compton_share, k_lines, k_shell_share, mass_fractions
 from spectra.energy.grid import Energies
 from spectra.errors import InputError
@@ -44,7 +44,7 @@ _NEGLIGIBLE = 1e-9  # counts per absorbed photon
 
 
 @dataclass(frozen=True)
-class Sharing:
+class ChargeSharing:
     """Charge sharing between pixels.
 
     Parameters
@@ -71,19 +71,19 @@ class PulseHeightDetector(Detector):
     ----------
     resolution : full width at half maximum of the photopeak [keV], the same at all energies
     fluorescence : whether K fluorescence of the sensor is followed
-    sharing : pixels and charge clouds; None for pixels that keep all charge and all fluorescence that does not leave
-        the sensor
+    charge_sharing : pixels and charge clouds; None for pixels that keep all charge and all fluorescence that does not
+        leave the sensor
     """
 
     resolution: float = 0.0
     fluorescence: bool = False
-    sharing: Sharing | None = None
+    charge_sharing: ChargeSharing | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0 <= self.resolution < np.inf:
             raise InputError(f"the resolution must be finite and not negative, got {self.resolution:g} keV")
-        if self.sharing is not None and self.resolution < _SHARPEST:
+        if self.charge_sharing is not None and self.resolution < _SHARPEST:
             raise InputError(
                 f"shared charge needs a resolution of at least {_SHARPEST:g} keV, got {self.resolution:g} keV"
             )
@@ -112,7 +112,7 @@ class PulseHeightDetector(Detector):
         return tuple(sorted({*self.thresholds, *edges, *(e for e in lost if e < top)}))
 
     @property
-    def poor(self) -> tuple[str, ...]:
+    def model_warnings(self) -> tuple[str, ...]:
         """A sentence where Compton scattering in the sensor matters."""
         top = self.channels[-1].upper
         share = float(compton_share(self._composition, np.array([top]))[0])
@@ -148,7 +148,7 @@ class PulseHeightDetector(Detector):
         -------
         counts per absorbed photon, (channel, energy)
         """
-        counts = whole = self._clouds(energy)
+        counts = whole = self._counts_of_clouds(energy)
         for number, line, per_hole in self._lines:
             emitted = per_hole * k_shell_share(self._composition, number, energy)
             counts = counts + emitted * (self._with_fluorescence(energy, line) - whole)
@@ -158,56 +158,56 @@ class PulseHeightDetector(Detector):
         """Counts of each channel in all pixels, per absorbed photon that emits fluorescence of `line` [keV]."""
         mu_line = float(self.material.attenuation(np.array([line]))[0])
         escaped = escape(self.material.attenuation(energy), mu_line, self.thickness)
-        without = self._clouds(np.maximum(energy - line, 0.0))
-        if self.sharing is None:
-            return escaped * without + (1 - escaped) * self._clouds(energy)
+        without = self._counts_of_clouds(np.maximum(energy - line, 0.0))
+        if self.charge_sharing is None:
+            return escaped * without + (1 - escaped) * self._counts_of_clouds(energy)
         # Pixels that get charge of the fluorescence, and what charge of the photon itself adds to them.
-        moved = self._clouds(np.array([line])) * (1 - escaped)
-        return escaped * without + moved + _disjoint(self._lifted[line](np.maximum(energy, line)))
+        moved = self._counts_of_clouds(np.array([line])) * (1 - escaped)
+        return escaped * without + moved + _disjoint(self._raised_by_photon[line](np.maximum(energy, line)))
 
-    def _clouds(self, deposited: EnergyArray) -> PerChannel:
+    def _counts_of_clouds(self, deposited: EnergyArray) -> PerChannel:
         """Counts of each channel in all pixels, per charge cloud of each energy [keV]."""
-        if self.sharing is None:
-            return _disjoint(np.stack([self._passes(deposited, t) for t in self.thresholds]))
-        return np.maximum(_disjoint(self._shared(deposited)), 0.0)
+        if self.charge_sharing is None:
+            return _disjoint(np.stack([self._fraction_above(deposited, t) for t in self.thresholds]))
+        return np.maximum(_disjoint(self._pixels_above(deposited)), 0.0)
 
     @cached_property
-    def _shared(self) -> CubicSpline:
+    def _pixels_above(self) -> CubicSpline:
         """Pixels above each threshold per charge cloud, as a function of its energy [keV]."""
-        fractions, pixels = charge_fractions(*self._pixels)
-        energy = self._ladder(0.0, _CLOUD_STEPS)
+        fractions, pixels = charge_fractions(*self._pitch_and_cloud)
+        energy = self._energy_grid(0.0, _CLOUD_STEPS)
         above = [ndtr((energy[:, None] * fractions - t) / self.sigma) @ pixels for t in self.thresholds]
         return CubicSpline(energy, np.stack(above), axis=1)
 
     @cached_property
-    def _lifted(self) -> dict[float, CubicSpline]:
+    def _raised_by_photon(self) -> dict[float, CubicSpline]:
         """For each line: pixels above each threshold only by the charge that the photon left there."""
         lines = [line for _, line, _ in self._lines]
-        return dict(zip(lines, run_parallel(self._lifted_beside, lines), strict=True))
+        return dict(zip(lines, run_parallel(self._raised_by_photon_of_line, lines), strict=True))
 
-    def _lifted_beside(self, line: float) -> CubicSpline:
-        """Compute the entry of `_lifted` for one line, as a function of the photon's energy [keV]."""
+    def _raised_by_photon_of_line(self, line: float) -> CubicSpline:
+        """Compute the entry of `_raised_by_photon` for one line, as a function of the photon's energy [keV]."""
         mu_line, limits = float(self.material.attenuation(np.array([line]))[0]), np.array(self.thresholds)[:, None]
-        energy = self._ladder(line, _EVENT_STEPS)
+        energy = self._energy_grid(line, _EVENT_STEPS)
         above = np.empty((len(self), len(energy)))
         for i, (e, mu) in enumerate(zip(energy, self.material.attenuation(energy), strict=True)):
-            events = moved_charge(float(mu), mu_line, self.thickness, *self._pixels)
-            alone = line * events.moved - limits
-            lifted = ndtr((alone + (e - line) * events.left) / self.sigma) - ndtr(alone / self.sigma)
-            above[:, i] = lifted @ events.weights
+            events = fluorescence_events(float(mu), mu_line, self.thickness, *self._pitch_and_cloud)
+            alone = line * events.fluorescence_fraction - limits
+            raised = ndtr((alone + (e - line) * events.photon_fraction) / self.sigma) - ndtr(alone / self.sigma)
+            above[:, i] = raised @ events.weights
         return CubicSpline(energy, above, axis=1)
 
-    def _ladder(self, low: float, steps: int) -> EnergyArray:
+    def _energy_grid(self, low: float, steps: int) -> EnergyArray:
         """Energies from `low` to above the highest one, `steps` to a standard deviation [keV]."""
         width = max(self.channels[-1].upper - low, 0.0) + 1.0
         return np.linspace(low, low + width, int(np.ceil(width / self.sigma * steps)) + 2)
 
     @property
-    def _pixels(self) -> tuple[float, float]:
-        """Pitch and charge cloud [mm]; only with `sharing`."""
-        return (np.inf, 0.0) if self.sharing is None else (self.sharing.pitch, self.sharing.cloud)
+    def _pitch_and_cloud(self) -> tuple[float, float]:
+        """Pitch and charge cloud [mm]; only with `charge_sharing`."""
+        return (np.inf, 0.0) if self.charge_sharing is None else (self.charge_sharing.pitch, self.charge_sharing.cloud)
 
-    def _passes(self, energy: EnergyArray, threshold: float) -> EnergyArray:
+    def _fraction_above(self, energy: EnergyArray, threshold: float) -> EnergyArray:
         """Part of the pulses of an energy that reach a threshold."""
         return (energy >= threshold) * 1.0 if self.sigma == 0 else ndtr((energy - threshold) / self.sigma)
 

@@ -31,13 +31,13 @@ class Events(NamedTuple):
     Parameters
     ----------
     weights : events per fluorescence photon that each entry stands for
-    left : fraction of the charge that stayed behind which the pixel collects
-    moved : fraction of the fluorescence's charge which the pixel collects
+    photon_fraction : fraction of the primary photon's own charge that the pixel collects
+    fluorescence_fraction : fraction of the fluorescence photon's charge that the pixel collects
     """
 
     weights: Float[np.ndarray, " event"]
-    left: Float[np.ndarray, " event"]
-    moved: Float[np.ndarray, " event"]
+    photon_fraction: Float[np.ndarray, " event"]
+    fluorescence_fraction: Float[np.ndarray, " event"]
 
 
 def escape(mu: Float[np.ndarray, " energy"], mu_line: float, thickness: float) -> Float[np.ndarray, " energy"]:
@@ -80,7 +80,7 @@ def collected(place: Array, pitch: float, cloud: float) -> Array:
     return ndtr((place + pitch / 2) / cloud) - ndtr((place - pitch / 2) / cloud)
 
 
-def moved_charge(mu: float, mu_line: float, thickness: float, pitch: float, cloud: float) -> Events:
+def fluorescence_events(mu: float, mu_line: float, thickness: float, pitch: float, cloud: float) -> Events:
     """Compute a lattice of fluorescence events in which one pixel collects charge of the primary photon.
 
     A pixel may also collect the charge of the fluorescence photon, which is absorbed at another place.
@@ -102,11 +102,11 @@ def moved_charge(mu: float, mu_line: float, thickness: float, pitch: float, clou
     across = -np.log1p(-flight * inside) / mu_line * np.sqrt(1 - cosine**2)
     window = pitch + 2 * _CLOUD_REACH * cloud
     x, y = (x - 0.5) * window, (y - 0.5) * window
-    left = collected(x, pitch, cloud) * collected(y, pitch, cloud)
-    moved = collected(x + across * np.cos(azimuth), pitch, cloud) * collected(
+    photon_fraction = collected(x, pitch, cloud) * collected(y, pitch, cloud)
+    fluorescence_fraction = collected(x + across * np.cos(azimuth), pitch, cloud) * collected(
         y + across * np.sin(azimuth), pitch, cloud
     )
-    return Events(inside * (window / pitch) ** 2 / _EVENTS, left, moved)
+    return Events(inside * (window / pitch) ** 2 / _EVENTS, photon_fraction, fluorescence_fraction)
 
 
 @lru_cache(maxsize=16)

@@ -44,7 +44,7 @@ class Nodes(NamedTuple):
     columns: Float[np.ndarray, "node basis"]
 
 
-class FewNodes(NamedTuple):
+class ReducedNodes(NamedTuple):
     """Nodes that replace those of one channel.
 
     Parameters
@@ -67,7 +67,7 @@ def compress_channel(
     rng: np.random.Generator,
     refine: bool = True,
     thorough: bool = False,
-) -> FewNodes:
+) -> ReducedNodes:
     """Find the fewest nodes whose log counts err by at most `tolerance` in the box.
 
     Parameters
@@ -87,16 +87,16 @@ def compress_channel(
     scale = np.maximum(np.abs(box).max(axis=0), np.finfo(float).tiny)
     full = Nodes(weights, columns.T * scale)
     if len(weights) < 2:
-        return FewNodes(weights, columns, 0.0)
+        return ReducedNodes(weights, columns, 0.0)
     samples = _SAMPLES * len(columns) if thorough else _SAMPLES
     fitted, fresh = (sample_box(box / scale, count, rng) for count in (samples, _FRESH))
     wanted = log_counts(full, fitted), log_counts(full, fresh)
     goal = tolerance / 2 if refine else None
-    found = FewNodes(weights, columns, 0.0)
-    for nodes in (_ever_fewer if thorough else _ever_more)(full, fitted, wanted[0], goal):
+    found = ReducedNodes(weights, columns, 0.0)
+    for nodes in (_with_fewer_nodes if thorough else _with_more_nodes)(full, fitted, wanted[0], goal):
         error = float(np.abs(log_counts(nodes, fresh) - wanted[1]).max())
         if error <= tolerance and len(nodes.weights) < len(weights):
-            found = FewNodes(nodes.weights, (nodes.columns / scale).T, error)
+            found = ReducedNodes(nodes.weights, (nodes.columns / scale).T, error)
             if not thorough:
                 break
         elif thorough and error > _HOPELESS * tolerance:
@@ -109,7 +109,7 @@ def choose_nodes(
     columns: Float[np.ndarray, "basis node"],
     rays: Float[np.ndarray, "ray basis"],
     tolerance: float,
-) -> FewNodes:
+) -> ReducedNodes:
     """Select some of the given nodes, with new weights, whose log counts err by at most `tolerance` on given rays.
 
     Parameters
@@ -124,13 +124,13 @@ def choose_nodes(
     """
     full = Nodes(weights, columns.T)
     if len(weights) < 2:
-        return FewNodes(weights, columns, 0.0)
+        return ReducedNodes(weights, columns, 0.0)
     fitted, fresh = np.concatenate([np.zeros((1, len(columns))), rays[::2]]), rays[1::2]
     few = _sparse(full, fitted, log_counts(full, fitted))
     error = float(np.abs(log_counts(few, fresh) - log_counts(full, fresh)).max(initial=0.0))
     if error > tolerance or len(few.weights) == len(weights):
-        return FewNodes(weights, columns, 0.0)
-    return FewNodes(few.weights, few.columns.T, error)
+        return ReducedNodes(weights, columns, 0.0)
+    return ReducedNodes(few.weights, few.columns.T, error)
 
 
 def sample_box(
@@ -185,7 +185,7 @@ def _attenuation(nodes: Nodes, rays: Float[np.ndarray, "ray basis"]) -> Float[np
     return np.einsum("rm,km->rk", rays, nodes.columns)
 
 
-def _ever_more(
+def _with_more_nodes(
     full: Nodes, rays: Float[np.ndarray, "ray basis"], wanted: Float[np.ndarray, " ray"], goal: float | None
 ) -> Iterator[Nodes]:
     """Yield ever larger sets of refined nodes, where there is a goal, and last the sparse set that they came from."""
@@ -201,7 +201,7 @@ def _ever_more(
     yield levels[0]
 
 
-def _ever_fewer(
+def _with_fewer_nodes(
     full: Nodes, rays: Float[np.ndarray, "ray basis"], wanted: Float[np.ndarray, " ray"], goal: float | None
 ) -> Iterator[Nodes]:
     """Yield the sparse set, then ever smaller ones: two nodes are merged, and all are refined, again and again.

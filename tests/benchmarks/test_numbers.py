@@ -7,17 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.check_numbers import Workshop, differing, judged, selected, words_of
-from benchmarks.claims import Claim, Ledger, Run, Value, ledger, numbers_of, numbers_of_line, read
+from benchmarks.check_numbers import CommandRunner, differing, judged, selected, words_of
+from benchmarks.claims import Claim, NumbersFile, Run, Value, numbers_of, numbers_of_line, read, read_numbers_file
 
 ROOT = Path(__file__).parents[2]
-BOOK = ledger()
-CLAIMS = BOOK.all_claims()
+NUMBERS_FILE = read_numbers_file()
+CLAIMS = NUMBERS_FILE.all_claims()
 README_ROWS = [line for line in read("README.md").splitlines() if line.startswith("|") and numbers_of(line)]
 
 
-def shop(tmp_path: Path, *runs: Run, **options: bool) -> Workshop:
-    return Workshop(Ledger({run.name: run for run in runs}, (), (), ()), tmp_path, **options)
+def runner(tmp_path: Path, *runs: Run, **options: bool) -> CommandRunner:
+    return CommandRunner(NumbersFile({run.name: run for run in runs}, (), (), ()), tmp_path, **options)
 
 
 @pytest.mark.parametrize("document", sorted({claim.document for claim in CLAIMS}))
@@ -29,8 +29,8 @@ def test_the_words_of_every_claim_stand_in_its_document(document):
 
 def test_every_claim_states_the_numbers_that_its_runs_give():
     assert not [(claim.words, claim.unstated) for claim in CLAIMS if claim.unstated]
-    assert not {value.run for claim in CLAIMS for value in claim.values} - set(BOOK.runs)
-    assert not {needed for run in BOOK.runs.values() for needed in run.after} - set(BOOK.runs)
+    assert not {value.run for claim in CLAIMS for value in claim.values} - set(NUMBERS_FILE.runs)
+    assert not {needed for run in NUMBERS_FILE.runs.values() for needed in run.after} - set(NUMBERS_FILE.runs)
 
 
 @pytest.mark.parametrize("row", README_ROWS)
@@ -41,17 +41,17 @@ def test_every_number_in_a_table_of_the_readme_has_a_command(row):
 
 
 def test_every_number_of_a_row_of_results_has_its_place():
-    rows = [claim for table in BOOK.tables for claim in table.claims(read(table.document))]
+    rows = [claim for table in NUMBERS_FILE.tables for claim in table.claims(read(table.document))]
     assert rows
     assert not [(claim.words, claim.uncovered) for claim in rows if claim.uncovered]
 
 
 def test_what_documents_state_is_what_is_stored(tmp_path, capsys):
-    stored = Workshop(BOOK, tmp_path, stored=True)
+    stored = CommandRunner(NUMBERS_FILE, tmp_path, stored=True)
     wrong, _ = judged(CLAIMS, stored)
     capsys.readouterr()
     assert not {claim.words: reasons for claim, reasons in wrong.items()}
-    assert not differing(BOOK.same, stored)
+    assert not differing(NUMBERS_FILE.same, stored)
     assert not list(tmp_path.iterdir())
 
 
@@ -96,17 +96,19 @@ def test_runs_come_after_what_they_need_and_only_once(tmp_path):
     write = "python -c \"import json, pathlib; p = pathlib.Path('n.json'); n = json.loads(p.read_text()) if p.exists() else 0; p.write_text(json.dumps(n + 1))\""  # fmt: skip # noqa: E501
     made = Run("made", (write,), file="n.json")
     fitted = Run("fitted", ("python -c \"print(open('n.json').read())\"",), ("made",))
-    works = shop(tmp_path, made, fitted)
+    works = runner(tmp_path, made, fitted)
     assert float(works.text("fitted") or "nan") == 1
     works.text("made")
     assert json.loads((tmp_path / "n.json").read_text()) == 1
-    again = Workshop(works.book, tmp_path, resume=True)
+    again = CommandRunner(works.numbers_file, tmp_path, resume=True)
     assert float(again.text("fitted") or "nan") == 1
     assert json.loads((tmp_path / "n.json").read_text()) == 1
 
 
 def test_a_command_that_fails_is_reported_and_what_needs_it_is_not_run(tmp_path):
-    works = shop(tmp_path, Run("bad", ("python -c \"raise SystemExit('no beam')\"",)), Run("next", ("true",), ("bad",)))
+    works = runner(
+        tmp_path, Run("bad", ("python -c \"raise SystemExit('no beam')\"",)), Run("next", ("true",), ("bad",))
+    )
     claim = Claim("README.md", "words 1", (Value("1", "next", find="(1)"),))
     wrong, _ = judged([claim], works)
     assert wrong == {claim: ["1: failed"]}
@@ -115,9 +117,9 @@ def test_a_command_that_fails_is_reported_and_what_needs_it_is_not_run(tmp_path)
 
 
 def test_slow_commands_are_not_run_unless_asked_for(tmp_path):
-    works = shop(tmp_path, Run("slow", ("python -c 'print(2)'",), slow=True))
+    works = runner(tmp_path, Run("slow", ("python -c 'print(2)'",), slow=True))
     assert works.text("slow") is None
-    assert shop(tmp_path, *works.book.runs.values(), slow=True).text("slow") == "2\n"
+    assert runner(tmp_path, *works.numbers_file.runs.values(), slow=True).text("slow") == "2\n"
 
 
 def test_commands_are_those_of_this_checkout():

@@ -105,6 +105,47 @@ def test_the_model_holds_physical_gaussians(complete):
     assert all(np.isfinite(values).all() for values in model.values())
 
 
+@pytest.fixture(scope="module")
+def with_planes(dataset, tmp_path_factory):
+    run = tmp_path_factory.mktemp("planes") / "run"
+    result = fit(dataset, "-o", run, "--kernel", "interface", "--sweeps", "2", "--no-figures", "--quiet")
+    assert result.exit_code == 0, result.output
+    return run, result
+
+
+def test_planes_divide_the_gaussians_of_the_interface_kernel(with_planes):
+    run, result = with_planes
+    model = load_file(run / "model.safetensors")
+    assert {name: values.shape[1:] for name, values in model.items()} == {
+        "centres": (3,), "log_scales": (3,), "quaternions": (4,), "offsets": (), "coefficients": (2, 3),
+    }  # fmt: skip
+    assert all(np.isfinite(values).all() for values in model.values())
+    assert "% of those of voxels" in result.output
+    metrics = metrics_of(run)
+    assert metrics["numbers"] < metrics["gaussians"] * 17
+    assert read_run(run).volumes.min() >= 0
+
+
+def test_the_interface_kernel_gives_the_same_bytes_again(dataset, with_planes, tmp_path):
+    options = ("--kernel", "interface", "--sweeps", "2", "--no-figures", "--quiet", "--threads", "1")
+    assert fit(dataset, "-o", tmp_path / "run", *options).exit_code == 0
+    one, other = ((run / "model.safetensors").read_bytes() for run in (with_planes[0], tmp_path / "run"))
+    assert one == other
+
+
+def test_a_run_with_planes_is_exported_segmented_and_reported(with_planes, tmp_path):
+    run, _ = with_planes
+    for command in (["export", run, "-o", tmp_path / "a.ply"], ["export", run, "-o", tmp_path / "a.vti"]):
+        assert CliRunner().invoke(recon, [str(word) for word in command]).exit_code == 0
+    assert (tmp_path / "a.ply").stat().st_size > 0
+    assert CliRunner().invoke(recon, ["segment", str(run)]).exit_code == 0
+
+
+def test_more_detail_places_more_gaussians(dataset, tmp_path, complete):
+    assert fit(dataset, "-o", tmp_path / "run", "--detail", "1.6", *FAST).exit_code == 0
+    assert metrics_of(tmp_path / "run")["gaussians"] > 1.5 * metrics_of(complete[0])["gaussians"]
+
+
 def test_volumes_state_shape_axes_and_units(complete):
     with h5py.File(complete[0] / "volumes.h5") as file:
         for group in ("basis", "one-step"):

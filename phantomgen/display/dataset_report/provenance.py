@@ -7,7 +7,7 @@ import h5py
 
 from phantomgen.dataset.layout import array_at, text_of
 from phantomgen.dataset.reader import Dataset
-from phantomgen.display.html import Code, Part, Table, Words
+from phantomgen.display.html import Code, Paragraph, Part, Table
 
 _ERRORS = {
     "edge_rms": "edge pixels, rms",
@@ -82,7 +82,7 @@ def provenance_parts(dataset: Dataset) -> list[Part]:
     for name, group in processes:
         if isinstance(group, h5py.Group):
             found += _process(name, group)
-    return found or [Words("The file does not say what made it.")]
+    return found or [Paragraph("The file does not say what made it.")]
 
 
 def _process(name: str, group: h5py.Group) -> list[Part]:

@@ -29,7 +29,7 @@ def geometry_parts(dataset: Dataset, folder: Path) -> list[Part]:
     """
     path = folder / "geometry.svg"
     geometry = dataset.geometry
-    draw(geometry, path, dataset.grid, upright=True)
+    draw(geometry, path, dataset.grid, stacked=True)
     header = ["view", "angle_deg", *(f"{name}_{axis}_mm" for name in ("source", "panel_center") for axis in "xyz")]
     poses = np.column_stack([np.rad2deg(geometry.angles), geometry.source, geometry.panel_center])
     rows = [(view, *(f"{value:.6g}" for value in row)) for view, row in enumerate(poses)]

@@ -37,7 +37,7 @@ class _Side:
 
 
 def draw(
-    geometry: Geometry, path: Path | str | None = None, grid: Grid | None = None, upright: bool = False
+    geometry: Geometry, path: Path | str | None = None, grid: Grid | None = None, stacked: bool = False
 ) -> "Figure":
     """Draw a scan: path of source and panel, and view 0 with its fan.
 
@@ -46,7 +46,7 @@ def draw(
     geometry : with at least one view
     path : PNG, PDF or SVG to write; none is written where left out
     grid : a volume to draw with it
-    upright : one below the other, for a narrow page, in place of side by side
+    stacked : one below the other, for a narrow page, in place of side by side
 
     Returns
     -------
@@ -62,8 +62,8 @@ def draw(
         _Side("from above", np.eye(3)[0], np.eye(3)[1], ("x [mm]", "y [mm]")),
         _Side("from the side of view 0", along, np.eye(3)[2], ("towards the source [mm]", "z [mm]")),
     )
-    with styled_figure((4.7, 9.0) if upright else (11.0, 4.3)) as figure:
-        if upright:
+    with styled_figure((4.7, 9.0) if stacked else (11.0, 4.3)) as figure:
+        if stacked:
             above, beside, panel = figure.subplots(3, 1)
         else:
             above, beside, panel = figure.subplots(1, 3, width_ratios=(1.15, 1.15, 1.0))
@@ -74,13 +74,13 @@ def draw(
             label = "seen in all views"
             above.plot(radius * np.cos(turn), radius * np.sin(turn), color=BLUE, linestyle=(0, (4, 2)), label=label)
         _draw_panel(panel, geometry, grid)
-        if not upright:
+        if not stacked:
             figure.suptitle(_title(geometry), fontsize=10.5)
         handles, labels = above.get_legend_handles_labels()
-        columns = 2 if upright else len(labels)
+        columns = 2 if stacked else len(labels)
         figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8.5)
         if path is not None:
-            figure.savefig(path, transparent=upright)
+            figure.savefig(path, transparent=stacked)
     return figure
 
 

@@ -54,7 +54,7 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Words:
+class Paragraph:
     """Paragraph of a page.
 
     Parameters
@@ -81,7 +81,7 @@ class Code:
     text: str
 
 
-Part = Picture | Table | Words | Code
+Part = Picture | Table | Paragraph | Code
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ class Bar:
 
 
 @dataclass
-class Words:
+class PaneText:
     """Text of a panel.
 
     Parameters
@@ -76,7 +76,7 @@ class Pane:
     place: tuple[int, int]
     font: int
     for_page: bool = False
-    words: Words = field(default_factory=Words)
+    words: PaneText = field(default_factory=PaneText)
 
     @property
     def index(self) -> int:
@@ -173,7 +173,7 @@ class Pane:
         for title in [title for title, bar in bars.items() if self.renderer.HasViewProp(bar)]:
             bars.remove_scalar_bar(title, render=False)  # its slot is not freed otherwise
         self.renderer.clear_actors()
-        vars(self.words).update(vars(Words()))
+        vars(self.words).update(vars(PaneText()))
 
     def finish(self) -> None:
         """Draw all text and the axes into the panel."""

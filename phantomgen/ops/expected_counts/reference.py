@@ -8,7 +8,7 @@ from phantomgen.ops.solids import Solids
 from phantomgen.ops.trace.reference import trace_one
 
 
-def expose_one(
+def expected_counts_of_pixel(
     frame: Float[np.ndarray, "4 3"],
     pixel: tuple[int, int],
     solids: Solids,

@@ -53,7 +53,7 @@ def project(
         shape = tuple(volume.shape)
         raise InputError(f"a volume on a grid of shape {grid.shape} must end with these axes, got {shape}")
     views, spacing = _in_voxels(frames, grid, parallel)
-    return _home(volume).forward(volume, views, bool(parallel), spacing, rows, columns)
+    return _implementation(volume).forward(volume, views, bool(parallel), spacing, rows, columns)
 
 
 def project_transpose(
@@ -82,7 +82,7 @@ def project_transpose(
         shape = tuple(images.shape)
         raise InputError(f"images of {len(frames)} views must be (component, view, row, column), got {shape}")
     views, spacing = _in_voxels(frames, grid, parallel)
-    return _home(images).backward(images, views, bool(parallel), spacing, grid.shape)
+    return _implementation(images).backward(images, views, bool(parallel), spacing, grid.shape)
 
 
 def values_of_averages(volume: Float[np.ndarray, "... z y x"]) -> Float[np.ndarray, "... z y x"]:
@@ -111,7 +111,7 @@ def values_of_averages(volume: Float[np.ndarray, "... z y x"]) -> Float[np.ndarr
     return volume - bends / 8
 
 
-def _home(values: object) -> Any:
+def _implementation(values: object) -> Any:
     """Module that computes with such values; torch is not imported here, as it is where there are tensors."""
     torch = sys.modules.get("torch")
     if torch is not None and isinstance(values, torch.Tensor):

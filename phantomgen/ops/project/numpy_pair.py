@@ -85,7 +85,7 @@ def backward(
     stacked = _are_z_aligned(views, rows, columns, parallel)
     out = np.zeros((components, *shape), dtype=np.float32)
     flat, strides = out.reshape(components, -1), _strides(shape)
-    upright_views = [cpu.VoxelView(view, parallel, spacing, strides) for view in views[stacked]]
+    z_aligned_views = [cpu.VoxelView(view, parallel, spacing, strides) for view in views[stacked]]
     groups = _columns_side_by_side(images[stacked]) if stacked.any() else []
 
     def piece(first: int) -> None:
@@ -94,7 +94,7 @@ def backward(
             seen = cpu.VoxelView(view, parallel, spacing, strides)
             cpu.backward(image, seen, first, last, cpu.BeamScratch.of(shape, components), flat)
         for group, lanes, beside in groups:
-            layers = _upright_layers(lanes, beside, upright_views, (first, last))
+            layers = _z_aligned_layers(lanes, beside, z_aligned_views, (first, last))
             out[group, first : last + 1] += layers
 
     for _ in run_parallel(piece, range(0, shape[0], _LAYERS)):
@@ -137,7 +137,7 @@ def _columns_side_by_side(
     return found
 
 
-def _upright_layers(
+def _z_aligned_layers(
     lanes: tuple[np.float32, ...],
     images: Float32[np.ndarray, "view column number"],
     views: list[cpu.VoxelView],

@@ -34,10 +34,10 @@ from phantomgen.shapes import (
 )
 
 # Name of an object's material; of a voxel map those of its parts.
-Filling = str | tuple[str, ...]
+ObjectContent = str | tuple[str, ...]
 
 
-def objects_of(file: SceneFile) -> list[tuple[Shape, Filling]]:
+def objects_of(file: SceneFile) -> list[tuple[Shape, ObjectContent]]:
     """Create shapes with the names of their materials, lowest priority first, groups and patterns resolved.
 
     Parameters
@@ -58,7 +58,7 @@ def objects_of(file: SceneFile) -> list[tuple[Shape, Filling]]:
 
 def _members(
     file: SceneFile, models: tuple[schema.ObjectModel, ...], where: Location
-) -> Iterator[tuple[Shape, Filling]]:
+) -> Iterator[tuple[Shape, ObjectContent]]:
     """Objects of the scene or of a group."""
     for i, model in enumerate(models):
         place = (*where, i)
@@ -75,7 +75,7 @@ def _members(
             yield from ((copy(shape), material) for shape, material in found)
 
 
-def _group(file: SceneFile, model: schema.GroupModel, where: Location) -> Iterator[tuple[Shape, Filling]]:
+def _group(file: SceneFile, model: schema.GroupModel, where: Location) -> Iterator[tuple[Shape, ObjectContent]]:
     """Members of a group where they belong."""
     _refuse_material(file, model, where)
     scale = np.broadcast_to(np.asarray(model.scale, dtype=np.float64), 3)

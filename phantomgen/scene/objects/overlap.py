@@ -48,15 +48,15 @@ def added_up(file: SceneFile, objects: Objects) -> tuple[list[tuple[Shape, str]]
         raise file.error(
             ("background",), "'overlap: add' knows no background: let the first object be a box around all"
         )
-    fillings = [_one_material(file, filling) for _, filling in objects]
-    values = {name: _coefficients(file, name) for name in fillings}
+    contents = [_one_material(file, content) for _, content in objects]
+    values = {name: _coefficients(file, name) for name in contents}
     arrangement = Arrangement(tuple(shape for shape, _ in objects))
     with file.at("overlap"):
         regions = arrangement.regions()
     found: list[tuple[Shape, str]] = []
     names: dict[tuple[tuple[str, float], ...], str] = {}
     for region in regions:
-        members = [fillings[i] for i in sorted(region)]
+        members = [contents[i] for i in sorted(region)]
         total, label = _sum(values[name] for name in members), _label(members)
         for function, value in total:
             if value < 0:
@@ -150,10 +150,10 @@ class Arrangement:
         return found
 
 
-def _one_material(file: SceneFile, filling: str | tuple[str, ...]) -> str:
+def _one_material(file: SceneFile, content: str | tuple[str, ...]) -> str:
     """Name of the material of an object that has just one."""
-    if isinstance(filling, str):
-        return filling
+    if isinstance(content, str):
+        return content
     raise file.error(("overlap",), "a voxel map, of several materials, cannot be added to: write 'replace'")
 
 

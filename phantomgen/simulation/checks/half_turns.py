@@ -16,7 +16,7 @@ _STEPS = 4.0
 # A source that travels along the columns of the panel by more than this part of the panel's height runs on a helix.
 _TRAVEL = 0.1
 # Columns of all views point along the axis: the length of their mean direction is this at least.
-_UPRIGHT = 0.999
+_Z_ALIGNED = 0.999
 
 
 def helix_axis(frames: Float[np.ndarray, "view 4 3"], panel: Panel) -> Float[np.ndarray, " 3"] | None:
@@ -33,7 +33,7 @@ def helix_axis(frames: Float[np.ndarray, "view 4 3"], panel: Panel) -> Float[np.
     """
     columns = frames[:, 3] / np.linalg.norm(frames[:, 3], axis=1, keepdims=True)
     axis = columns.mean(axis=0)
-    if np.linalg.norm(axis) < _UPRIGHT:
+    if np.linalg.norm(axis) < _Z_ALIGNED:
         return None
     axis /= np.linalg.norm(axis)
     return axis if np.ptp(frames[:, 0] @ axis) > _TRAVEL * panel.rows * panel.row_pitch else None

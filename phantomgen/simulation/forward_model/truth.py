@@ -15,7 +15,7 @@ from phantomgen.simulation.forward_model.energy_grids import (
 )
 
 # From a grid to the part of each voxel that each material fills.
-Filled = Callable[[Grid], Float32[np.ndarray, "material z y x"]]
+FractionsOnGrid = Callable[[Grid], Float32[np.ndarray, "material z y x"]]
 
 
 def scan_truth(scan: Scan) -> Truth:
@@ -32,13 +32,13 @@ def scan_truth(scan: Scan) -> Truth:
     return streamed_truth(scan).part(scan.grid)
 
 
-def streamed_truth(scan: Scan, filled: Filled | None = None) -> StreamedTruth:
+def streamed_truth(scan: Scan, fractions_on: FractionsOnGrid | None = None) -> StreamedTruth:
     """Create the truth slab by slab, for volumes that are larger than memory.
 
     Parameters
     ----------
     scan : what is simulated
-    filled : function that returns the material fractions of a grid where these are known
+    fractions_on : function that returns the material fractions of a grid where these are known
 
     Returns
     -------
@@ -51,4 +51,4 @@ def streamed_truth(scan: Scan, filled: Filled | None = None) -> StreamedTruth:
     def voxelized(grid: Grid) -> Float32[np.ndarray, "material z y x"]:
         return fractions(grid, solids, len(names), background=background)
 
-    return StreamedTruth(scan.grid, scan.basis.names, names, coefficients, filled or voxelized, scan.text, fit)
+    return StreamedTruth(scan.grid, scan.basis.names, names, coefficients, fractions_on or voxelized, scan.text, fit)

@@ -246,13 +246,13 @@ class ProjectionCache:
             if any(tuple(array_at(file, f"truth/grid/{key}")[()]) != value for key, value in wanted.items()):
                 return None
 
-        def filled(part: Grid) -> Float32[np.ndarray, "material z y x"]:
+        def fractions_on(part: Grid) -> Float32[np.ndarray, "material z y x"]:
             first = round((part.origin[0] - whole.origin[0]) / whole.spacing[0])
             with h5py.File(self.path, "r") as file:
                 slab = array_at(file, "truth/fractions")[:, first : first + part.shape[0]]
             return slab.astype(np.float32) / np.float32(FRACTION_SCALE)
 
-        return filled
+        return fractions_on
 
     def _choices(self, tolerance: float) -> tuple[Choice, ...]:
         """Parts of the plan, with shares of another tolerance."""

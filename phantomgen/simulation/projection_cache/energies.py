@@ -44,14 +44,14 @@ def cache_energies(scan: Scan, tolerance: float) -> tuple[PiecewiseChebyshev, fl
     """
     low, high = min(LOWEST, scan.detector.lowest), max(HIGHEST, scan.source.maximum)
     lengths, rng = sampled_lengths(scan), np.random.default_rng(0)
-    fitted, fresh = (Mixed.of(scan, lengths, rng) for _ in range(2))
+    fitted, fresh = (SharedPixels.of(scan, lengths, rng) for _ in range(2))
     pieces = [piece for a, b in pairwise(_cuts(scan, low, high)) for piece in _split(fitted, a, b, tolerance)]
     bounds = (*(a for a, _, _ in pieces), high)
     found = PiecewiseChebyshev(bounds, tuple(count for _, _, count in pieces))
     return found, max(fresh.error(a, b, count) for a, b, count in pieces)
 
 
-class Mixed:
+class SharedPixels:
     """Pixels that two rays share, for tests of the interpolation.
 
     Parameters
@@ -65,7 +65,7 @@ class Mixed:
         self.scan, self.first, self.second, self.part = scan, first, second, part[:, None]
 
     @classmethod
-    def of(cls, scan: Scan, lengths: Float[np.ndarray, "ray material"], rng: np.random.Generator) -> "Mixed":
+    def of(cls, scan: Scan, lengths: Float[np.ndarray, "ray material"], rng: np.random.Generator) -> "SharedPixels":
         """Create pixels from pairs of rays, the longest among them.
 
         A third of the pixels contains one ray; one in six is half air.
@@ -147,7 +147,7 @@ def _cuts(scan: Scan, low: float, high: float) -> list[float]:
     return [low, *sorted(edges), high]
 
 
-def _split(pixels: Mixed, low: float, high: float, tolerance: float) -> list[tuple[float, float, int]]:
+def _split(pixels: SharedPixels, low: float, high: float, tolerance: float) -> list[tuple[float, float, int]]:
     """Intervals between two energies and nodes in each: one of them, or as many as the fewest nodes ask for."""
     enough = (n for n in range(1, _MOST_NODES + 1) if pixels.error(low, high, n) <= tolerance)
     count = next(enough, None)

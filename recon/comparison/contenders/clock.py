@@ -7,7 +7,7 @@ from contextlib import contextmanager
 CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}  # s; cpu: sum over all threads
 
 
-class Spent(BaseException):
+class BudgetSpent(BaseException):
     """Signal that the time of the largest budget is over; the recorder has kept the models that count."""
 
 

@@ -11,7 +11,7 @@ from phantomgen.dataset.reader import Dataset
 from recon.comparison.contenders.channel_voxels import ChannelVoxels
 from recon.comparison.contenders.recorder import Recorder
 from recon.evaluation.metrics import HeldOutView
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.runs.outcomes.view_outcome import predicted_views
 from recon.voxel.model import Voxels
 
@@ -53,14 +53,14 @@ class Model:
     views : test views, of a method without volumes
     """
 
-    bases: Gaussians | Voxels | None
+    bases: GaussianModel | Voxels | None
     channels: ChannelVoxels | None = None
     views: StoredViews | None = None
 
     @property
     def primitives(self) -> tuple[int, str]:
         """Number of Gaussians or of voxels, and which of both."""
-        if isinstance(self.bases, Gaussians):
+        if isinstance(self.bases, GaussianModel):
             return len(self.bases), "Gaussians"
         voxels = self.channels or self.bases
         return (0 if voxels is None else voxels.values[0].size), "voxels"

@@ -4,14 +4,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from recon.comparison.contenders.clock import Clock, Spent
+from recon.comparison.contenders.clock import BudgetSpent, Clock
 
 SPACING = 1.15  # ratio of the times of two kept models; gives about 16 points per decade of time
 Save = Callable[[Path], None]
 
 
 @dataclass(frozen=True)
-class Moment:
+class RecordedModel:
     """A model between the steps of a method.
 
     Parameters
@@ -38,13 +38,13 @@ class Recorder:
 
     Attributes
     ----------
-    moments : models that were kept
+    recorded : models that were kept
     finished : whether the method came to its own end
     """
 
     def __init__(self, clock: Clock, folder: Path, budgets: Sequence[float]) -> None:
         self.clock, self.folder, self.budgets = clock, folder, sorted(budgets)
-        self.moments: list[Moment] = []
+        self.recorded: list[RecordedModel] = []
         self.finished = False  # whether the method came to its own end
         self._spaced = 0.0
         self._count = 0
@@ -60,20 +60,20 @@ class Recorder:
 
         Raises
         ------
-        Spent
+        BudgetSpent
             When the largest budget is over.
         """
         with self.clock.paused() as seconds:
             if seconds > self.budgets[-1]:
-                raise Spent
+                raise BudgetSpent
             path = self.folder / str(self._count)
             self._count += 1
             save(path)
-            if self.moments:
-                self._settle(self.moments[-1], seconds)
-            self.moments.append(Moment(seconds, done, total, path))
+            if self.recorded:
+                self._settle(self.recorded[-1], seconds)
+            self.recorded.append(RecordedModel(seconds, done, total, path))
 
-    def result(self, budget: float) -> Moment | None:
+    def result(self, budget: float) -> RecordedModel | None:
         """Return the last model within a budget.
 
         Parameters
@@ -84,28 +84,28 @@ class Recorder:
         -------
         the model; None where there is none
         """
-        within = [moment for moment in self.moments if moment.seconds <= budget]
+        within = [model for model in self.recorded if model.seconds <= budget]
         return within[-1] if within else None
 
-    def is_final(self, moment: Moment) -> bool:
+    def is_final(self, model: RecordedModel) -> bool:
         """Tell whether a model is the final one of a method that came to its own end.
 
         Parameters
         ----------
-        moment : a model
+        model : a model
 
         Returns
         -------
         True where it is
         """
-        return self.finished and moment is self.moments[-1]
+        return self.finished and model is self.recorded[-1]
 
-    def _settle(self, last: Moment, now: float) -> None:
+    def _settle(self, last: RecordedModel, now: float) -> None:
         """Remove the last model where no budget ends between it and now, and it is close in time to the one before."""
         if any(last.seconds <= budget < now for budget in self.budgets):
             return
         if last.seconds >= SPACING * self._spaced:
             self._spaced = last.seconds
             return
-        self.moments.pop()
+        self.recorded.pop()
         last.path.unlink()

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from phantomgen.dataset.reader import Dataset
-from recon.comparison.contenders.clock import Clock, Spent
+from recon.comparison.contenders.clock import BudgetSpent, Clock
 from recon.comparison.contenders.contender import Contender
 from recon.comparison.contenders.model import Model, Runs
 from recon.comparison.contenders.recorder import Recorder
 from recon.data.measurements import Measurements
-from recon.gaussians.model import Gaussians
+from recon.gaussians.divided.model_file import load_model
 from recon.gaussians.optimize import Progress
 from recon.gaussians.recipe import BEST, FAST
 from recon.gaussians.reconstruct import reconstruct
@@ -109,7 +109,7 @@ def run_gaussian(dataset: Dataset, contender: Contender, clock: Clock, new: NewR
         part = (RESERVE * budget - following) / max(start - following, 1e-9)
         if (evaluations := int(part * recipe.approximation)) > 0:
             clock.start(0.0)
-            with suppress(Spent):
+            with suppress(BudgetSpent):
                 reconstruct(dataset, replace(recipe, approximation=evaluations), checkpoints=_Unfitted(recorder))
             clock.stop()
         return recorder
@@ -160,7 +160,7 @@ def _run_all(
     recorders = []
     for budgets, share in [*groups, *([(whole, 1.0)] if whole else [])]:
         recorder = new(budgets)
-        with suppress(Spent):
+        with suppress(BudgetSpent):
             fit(share, recorder)
             recorder.finished = True
         clock.stop()
@@ -207,8 +207,8 @@ class _Unfitted:
         """See `recon.gaussians.reconstruct.CheckpointStore`."""
         del volumes, seconds
         self.recorder.add(0, 1, state.gaussians.save)
-        raise Spent
+        raise BudgetSpent
 
 
 def _load(path: Path) -> Model:
-    return Model(Gaussians.load(path))
+    return Model(load_model(path))

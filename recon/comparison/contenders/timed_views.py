@@ -8,10 +8,10 @@ import numpy as np
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.geometry.poses import Geometry
-from recon.comparison.contenders.clock import Spent
+from recon.comparison.contenders.clock import BudgetSpent
 from recon.comparison.contenders.model import Model, Runs, StoredViews
 from recon.comparison.contenders.recorder import Recorder
-from recon.data.inpainting import ray_weights
+from recon.data.measured_rays import ray_weights
 from recon.data.measurements import read_measurements
 from recon.voxel.image_domain import log_projections
 from recon.voxel.method import Iteration, ViewMethod, ViewModel
@@ -38,8 +38,8 @@ def run_views(dataset: Dataset, method: ViewMethod, recorder: Recorder) -> Runs:
 
     recorder.clock.start()
     measured = read_measurements(dataset, dataset.splits["train"]).completed()
-    weights = ray_weights(measured.unseen, len(measured))
-    with suppress(Spent):
+    weights = ray_weights(measured.blind_pixels, len(measured))
+    with suppress(BudgetSpent):
         method.learn_views(log_projections(measured), weights, measured.geometry, dataset.grid, record)
         recorder.finished = True
     recorder.clock.stop()

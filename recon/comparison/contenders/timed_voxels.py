@@ -12,7 +12,7 @@ from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.stopwatch import Stopwatch
 from recon.comparison.contenders.channel_voxels import ChannelVoxels
-from recon.comparison.contenders.clock import Spent
+from recon.comparison.contenders.clock import BudgetSpent
 from recon.comparison.contenders.contender import Contender
 from recon.comparison.contenders.model import Model, Runs
 from recon.comparison.contenders.recorder import Recorder
@@ -32,7 +32,7 @@ from recon.voxel.method import (  # fmt: skip
     ViewMethod,
     Volumes,
     Weights,
-    unwatched,
+    no_callback,
 )
 from recon.voxel.model import Voxels
 
@@ -55,7 +55,7 @@ def run_voxels(dataset: Dataset, contender: Contender, recorder: Recorder) -> Ru
     check_method(method, pipeline, dataset)
     if isinstance(method, ViewMethod):
         return run_views(dataset, method, recorder)
-    grid, on_iteration = dataset.grid, unwatched
+    grid, on_iteration = dataset.grid, no_callback
 
     def record(iteration: Iteration) -> None:
         save = partial(_save, iteration.volumes, iteration.grid or grid, grid)
@@ -68,7 +68,7 @@ def run_voxels(dataset: Dataset, contender: Contender, recorder: Recorder) -> Ru
     recorder.clock.start()
     measured = read_measurements(dataset, dataset.splits["train"], contender.bases).without_partial_volume()
     measured = measured.compressed(Recipe().node_tolerance)[0]
-    with suppress(Spent):
+    with suppress(BudgetSpent):
         reconstruct_volumes(measured, grid, method, pipeline, Stopwatch(), on_iteration)
         recorder.finished = True
     recorder.clock.stop()
@@ -102,7 +102,7 @@ class RecordedMethod:
         weights: Weights | None,
         geometry: Geometry,
         grid: Grid,
-        on_iteration: OnIteration = unwatched,
+        on_iteration: OnIteration = no_callback,
     ) -> Volumes:
         """Reconstruct volumes, and record those of every iteration.
 

@@ -6,18 +6,18 @@ import numpy as np
 
 from phantomgen.dataset.reader import Dataset
 from recon.data.measurements import read_measurements
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.segmentation.result import Options
 from recon.segmentation.scoring.reference import read_reference
 from recon.segmentation.scoring.scores import score
 from recon.segmentation.segment import segment_subject
-from recon.segmentation.subject import Subject, detected_spectrum
+from recon.segmentation.subject import Subject
 from recon.voxel.model import Voxels
 from spectra.basis.basis import Basis
 from spectra.errors import Error
 
 
-def score_maps(bases: Gaussians | Voxels, dataset: Dataset) -> dict[str, Any]:
+def score_maps(bases: GaussianModel | Voxels, dataset: Dataset) -> dict[str, Any]:
     """Score the material maps, and their renderings in colour.
 
     Parameters
@@ -36,8 +36,8 @@ def score_maps(bases: Gaussians | Voxels, dataset: Dataset) -> dict[str, Any]:
         return {}
     basis = Basis(functions, known.reference_energy)
     transmission = read_measurements(dataset.with_basis(basis), np.array([0])).transmission
-    model = bases if isinstance(bases, Gaussians) else None
-    subject = Subject(bases.volume(dataset.grid), dataset.grid, basis, *detected_spectrum(basis, transmission), model)
+    model = bases if isinstance(bases, GaussianModel) else None
+    subject = Subject.of(bases.volume(dataset.grid), dataset.grid, basis, transmission, model)
     try:
         found = segment_subject(subject, Options())
         reference = read_reference(dataset.path, found)

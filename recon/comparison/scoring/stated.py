@@ -19,7 +19,7 @@ from recon.comparison.scoring.scores import score
 from recon.evaluation.metrics import psnr
 from recon.evaluation.quantities import parse_quantities, with_truth
 from recon.evaluation.stated_volume import StatedVolume, Statement, refuse_silent, stated_volume
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.voxel.model import Voxels
 from spectra.errors import InputError
 
@@ -90,7 +90,7 @@ def channel_index(item: str, channels: Sequence[str]) -> int:
 
 
 def score_attenuation(
-    bases: Gaussians | Voxels, texts: Sequence[str], dataset: Dataset, truth: Truth
+    bases: GaussianModel | Voxels, texts: Sequence[str], dataset: Dataset, truth: Truth
 ) -> dict[str, dict[str, Any]]:
     """Score the attenuation of basis volumes at the energies that volumes of other programs hold.
 
@@ -111,7 +111,7 @@ def score_attenuation(
 
 
 def psnr_of_attenuation(
-    bases: Gaussians | Voxels, texts: Sequence[str], dataset: Dataset, truth: Truth
+    bases: GaussianModel | Voxels, texts: Sequence[str], dataset: Dataset, truth: Truth
 ) -> dict[str, float]:
     """Compute the PSNR of attenuation at the energies that volumes of other programs hold.
 
@@ -148,7 +148,7 @@ def _psnr(volume: Float[np.ndarray, "z y x"], true: Float[np.ndarray, "z y x"]) 
 
 
 def _attenuation_pairs(
-    bases: Gaussians | Voxels, texts: Sequence[str], kinds: Sequence[str], dataset: Dataset, truth: Truth
+    bases: GaussianModel | Voxels, texts: Sequence[str], kinds: Sequence[str], dataset: Dataset, truth: Truth
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Attenuation of basis volumes and its truth [1/mm], by quantity."""
     each = [quantity for text in texts for quantity in parse_quantities(text) if quantity.kind in kinds]

@@ -86,7 +86,7 @@ def report(results: Sequence[Result], protocol: str, title: str) -> str:
         _section("Volumes at the mean energy of each channel", channel_table(good, "energies", protocol)),
         _section("Attenuation at other energies, and densities", channel_table(good, "stated", protocol)),
         _section("Views that no method has seen", channel_table(good, "views", protocol)),
-        _section("Chi-square of the counts of those views", agreement_table(good)),
+        _section("Chi-square of the counts of those views", chi_square_table(good)),
         _section("Bias and noise inside materials [1e-3/mm]", material_table(good)),
         _section("Material maps: Dice, and colours beside the true ones", map_table(good)),
         _section("Remarks on volumes of other programs", "\n".join(remarks(good))),
@@ -217,7 +217,7 @@ def channel_table(results: Sequence[Result], section: str, protocol: str) -> str
     return markdown_table(header, rows)
 
 
-def agreement_table(results: Sequence[Result]) -> str:
+def chi_square_table(results: Sequence[Result]) -> str:
     """Write the table of chi-square per channel, of rays away from edges and of all rays.
 
     Parameters

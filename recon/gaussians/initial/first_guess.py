@@ -1,20 +1,21 @@
 """The start of a fit: voxel volumes from the counts, and Gaussians fitted to them."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.dataset.inpainting import inpainted
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.stopwatch import Stopwatch
 from recon.data.coverage import Coverage
 from recon.data.devices import device_named
-from recon.data.inpainting import inpainted
 from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import Measurements, matching_bin
 from recon.gaussians.initial.fit_to_volume import evaluations_for, fit_to_volume, metric_of
 from recon.gaussians.initial.initialize import initialize
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.processes import Resources
 from recon.gaussians.recipe import Recipe
 from recon.voxel.initial_volumes import initial_volumes, starting_method
@@ -42,7 +43,7 @@ class Scan(NamedTuple):
     air: int
 
 
-class FilledPart(NamedTuple):
+class OccupiedPart(NamedTuple):
     """The part of volumes that is not empty.
 
     Parameters
@@ -53,6 +54,9 @@ class FilledPart(NamedTuple):
 
     volumes: Float[np.ndarray, "basis z y x"]
     grid: Grid
+
+
+Placement = Callable[[OccupiedPart, Scan, Recipe, Stopwatch, OnIteration, Resources], GaussianModel]
 
 
 def start_method(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
@@ -75,8 +79,13 @@ def start_method(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
 
 
 def first_guess(
-    scan: Scan, recipe: Recipe, stage: Stopwatch, on_iteration: OnIteration, resources: Resources
-) -> tuple[Float[np.ndarray, "basis z y x"], Gaussians]:
+    scan: Scan,
+    recipe: Recipe,
+    stage: Stopwatch,
+    on_iteration: OnIteration,
+    resources: Resources,
+    place: Placement,
+) -> tuple[Float[np.ndarray, "basis z y x"], GaussianModel]:
     """Reconstruct the first volumes, and fit Gaussians to them.
 
     Parameters
@@ -86,39 +95,68 @@ def first_guess(
     stage : stopwatch of the stages
     on_iteration : called after every pass over voxels, and after every evaluation of the fit to the volumes
     resources : device of the Gaussians, and where line integrals are kept
+    place : makes Gaussians of the volumes, such as `plain_gaussians`
 
     Returns
     -------
     volumes on the grid that is fitted, (M, Z, Y, X) [1/mm]; Gaussians on the processor
     """
     measured, grid = scan.measured, scan.coverage.grid
-    voxel, method = min(grid.spacing), start_method(measured, grid, recipe)
+    method = start_method(measured, grid, recipe)
     if isinstance(method, CountsMethod):
         with stage(method.name):
             volumes = method.reconstruct_counts(measured, grid, on_iteration)
     else:
-        coarse = measured.completed().binned(matching_bin(measured.geometry, voxel))
+        coarse = measured.completed().binned(matching_bin(measured.geometry, min(grid.spacing)))
         with stage("decompose"):
             line_integrals = decompose_views(coarse, recipe.dispersion, resources.store)[0]
-            for image in line_integrals if coarse.unseen.any() else ():
-                image[:] = inpainted(image, coarse.unseen)
+            for image in line_integrals if coarse.blind_pixels.any() else ():
+                image[:] = inpainted(image, coarse.blind_pixels)
         with stage(method.name):
-            volumes = initial_volumes(line_integrals, coarse.unseen, coarse.geometry, grid, method)
+            volumes = initial_volumes(line_integrals, coarse.blind_pixels, coarse.geometry, grid, method)
+    occupied = occupied_part(volumes, grid, scan.air)
+    return volumes, place(occupied, scan, recipe, stage, on_iteration, resources)
+
+
+def plain_gaussians(
+    occupied: OccupiedPart,
+    scan: Scan,
+    recipe: Recipe,
+    stage: Stopwatch,
+    on_iteration: OnIteration,
+    resources: Resources,
+) -> GaussianModel:
+    """Place Gaussians, and fit them to the volumes where the recipe has a voxel prior; a `Placement`.
+
+    Parameters
+    ----------
+    occupied : volumes
+    scan : what is known of the scan
+    recipe : settings
+    stage : stopwatch of the stages
+    on_iteration : called after every evaluation of the fit to the volumes
+    resources : device of the Gaussians
+
+    Returns
+    -------
+    Gaussians on the processor
+    """
     with stage("initialize"):
-        filled, names = filled_part(volumes, grid, scan.air), measured.basis_names
-        spacing = recipe.distance(len(measured)) * voxel
-        gaussians = initialize(*filled, scan.fisher, spacing, names, recipe.seed, recipe.placement)
+        spacing = recipe.distance(len(scan.measured)) * min(occupied.grid.spacing)
+        gaussians = initialize(
+            *occupied, scan.fisher, spacing, scan.measured.basis_names, recipe.seed, recipe.placement
+        )
     if not recipe.prior:
-        return volumes, gaussians
-    metric, settings = metric_of(filled.volumes, scan.fisher, recipe.volume_fit), recipe.volume_fit
+        return gaussians
+    metric = metric_of(occupied.volumes, scan.fisher, recipe.volume_fit)
     with stage("approximate"):
-        evaluations = evaluations_for(len(gaussians), recipe.approximation, settings)
+        evaluations = evaluations_for(len(gaussians), recipe.approximation, recipe.volume_fit)
         gaussians = gaussians.to(device_named(resources.device))
-        gaussians = fit_to_volume(gaussians, *filled, metric, evaluations, on_iteration, settings)
-    return volumes, gaussians.to("cpu")
+        gaussians = fit_to_volume(gaussians, *occupied, metric, evaluations, on_iteration, recipe.volume_fit)
+    return gaussians.to("cpu")
 
 
-def filled_part(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, air: int) -> FilledPart:
+def occupied_part(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, air: int) -> OccupiedPart:
     """Cut off the empty border of volumes, after adding voxels of air around them.
 
     A grid that was enlarged ends where its object does; with air around it, Gaussians do not extend beyond the object
@@ -134,9 +172,26 @@ def filled_part(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, air: int)
     -------
     the smallest box with all that is not empty
     """
-    if air:
-        volumes = np.pad(volumes, ((0, 0), *[(air, air)] * 3))
-        origin = tuple(o - air * s for o, s in zip(grid.origin, grid.spacing, strict=True))
-        grid = Grid(tuple(n + 2 * air for n in grid.shape), grid.spacing, origin)  # type: ignore[arg-type]
+    volumes, grid = in_air(OccupiedPart(volumes, grid), air)
     box = occupied(volumes)
-    return FilledPart(np.ascontiguousarray(volumes[:, *box]), grid.part(box))
+    return OccupiedPart(np.ascontiguousarray(volumes[:, *box]), grid.part(box))
+
+
+def in_air(part: OccupiedPart, voxels: int) -> OccupiedPart:
+    """Add empty voxels around volumes.
+
+    Parameters
+    ----------
+    part : volumes
+    voxels : number to add on every side
+
+    Returns
+    -------
+    larger volumes
+    """
+    grid = part.grid
+    if voxels == 0:
+        return part
+    origin = tuple(o - voxels * s for o, s in zip(grid.origin, grid.spacing, strict=True))
+    larger = Grid(tuple(n + 2 * voxels for n in grid.shape), grid.spacing, origin)  # type: ignore[arg-type]
+    return OccupiedPart(np.pad(part.volumes, ((0, 0), *[(voxels, voxels)] * 3)), larger)

@@ -35,11 +35,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from phantomgen.geometry.voxel_grid import Grid
+from recon.gaussians.initial.descent import descend
 from recon.gaussians.initial.local_frame import GEOMETRY, SCALES, gradient_of_steps, moved
 from recon.gaussians.model import Gaussians
 from recon.gaussians.settings import VolumeFitSettings
 from recon.ops.voxelize import mass_within, voxelize_tensor
-from recon.voxel.method import OnIteration, Report, unwatched
+from recon.voxel.method import OnIteration, Report, no_callback
 
 DEFAULT = VolumeFitSettings()
 LEAST_CURVATURE = 1e-12  # no unit; added to the diagonal, so that a Gaussian without coefficients is not divided by 0
@@ -52,7 +53,7 @@ def fit_to_volume(
     grid: Grid,
     metric: Float[np.ndarray, "basis basis"],
     evaluations: int,
-    on_evaluation: OnIteration = unwatched,
+    on_evaluation: OnIteration = no_callback,
     settings: VolumeFitSettings = DEFAULT,
 ) -> Gaussians:
     """Fit Gaussians to volumes.
@@ -73,29 +74,8 @@ def fit_to_volume(
     """
     report = Report(on_evaluation, evaluations)
     problem = _Distance(torch.from_numpy(volumes).to(start.centres), metric, grid, report, settings)
-    model, length, since = start.detached(), settings.step_length, 0
-    widest = model.log_scales.amax(dim=1, keepdim=True) + math.log(settings.widest)
-    distance, gradient = problem.evaluate(model)
-    last, renewed = torch.zeros_like(gradient), -settings.renewal
-    while problem.evaluations < evaluations:
-        if problem.evaluations >= renewed + settings.renewal:
-            problem.renew_diagonal(model)
-            renewed = problem.evaluations
-        if float((last * gradient).sum()) > 0:
-            last, since = torch.zeros_like(last), 0
-        held = _held(model, gradient, widest)
-        inertia = min(settings.momentum, since / (since + 3))  # Nesterov's sequence for convex functions
-        wanted = inertia * last - length * problem.precondition(gradient.masked_fill(held, 0))
-        step = _limited(wanted.masked_fill(held, 0), model, grid, settings)
-        ahead = _bounded(moved(model, step), widest)
-        there, slope = problem.evaluate(ahead)
-        if there > settings.rise * distance:
-            last, since, length = torch.zeros_like(last), 0, settings.shortening * length
-            continue
-        step[:, SCALES] = ahead.log_scales - model.log_scales
-        step[:, GEOMETRY:] = ahead.coefficients - model.coefficients
-        model, distance, gradient, last, since = ahead, there, slope, step, since + 1
-    return model
+    problem.widest = start.log_scales.amax(dim=1, keepdim=True) + math.log(settings.widest)
+    return descend(start.detached(), problem, evaluations, settings)
 
 
 def evaluations_for(gaussians: int, asked: int, settings: VolumeFitSettings = DEFAULT) -> int:
@@ -161,6 +141,7 @@ class _Distance:
         self.metric = torch.from_numpy(metric / np.trace(metric)).to(volumes)
         self.inverse_metric = torch.linalg.inv(self.metric)
         self.evaluations, self.report = 0, report
+        self.widest = torch.empty(0)
 
     def evaluate(self, model: Gaussians) -> tuple[float, Float[Tensor, "gaussian step"]]:
         """Compute D, and its gradient with respect to steps."""
@@ -214,6 +195,27 @@ class _Distance:
         geometry = gradient[:, :GEOMETRY] / self.curvatures
         return torch.cat([geometry, gradient[:, GEOMETRY:] @ self.inverse_metric / self.overlap], dim=1)
 
+    def held(self, model: Gaussians, gradient: Float[Tensor, "gaussian step"]) -> Tensor:
+        """Find the log-scales that are widest and would grow, and the coefficients at 0 that would become negative."""
+        held = torch.zeros_like(gradient, dtype=torch.bool)
+        held[:, SCALES] = (model.log_scales >= self.widest) & (gradient[:, SCALES] < 0)
+        held[:, GEOMETRY:] = (model.coefficients <= 0) & (gradient[:, GEOMETRY:] > 0)
+        return held
+
+    def limited(self, step: Float[Tensor, "gaussian step"], model: Gaussians) -> Float[Tensor, "gaussian step"]:
+        """Limit the steps of the geometry to lengths for which the diagonal describes the curvature."""
+        return _limited(step, model, self.grid, self.settings)
+
+    def moved(
+        self, model: Gaussians, step: Float[Tensor, "gaussian step"]
+    ) -> tuple[Gaussians, Float[Tensor, "gaussian step"]]:
+        """Make a step within the bounds; also returns the step that was made."""
+        ahead = moved(model, step)
+        ahead = replace(ahead, log_scales=torch.minimum(ahead.log_scales, self.widest))
+        step[:, SCALES] = ahead.log_scales - model.log_scales
+        step[:, GEOMETRY:] = ahead.coefficients - model.coefficients
+        return ahead, step
+
 
 def halfway(grid: Grid) -> Grid:
     """Return the grid whose voxels are centred on the corners of the voxels of another one.
@@ -256,19 +258,6 @@ def _parts(model: Gaussians) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 def _voxel_mean_variance(model: Gaussians, grid: Grid) -> Float[Tensor, "gaussian 3"]:
     """Compute the variances, along its axes, of a Gaussian averaged over voxels [mm^2]."""
     return torch.exp(2 * model.log_scales) + min(grid.spacing) ** 2 / 12
-
-
-def _bounded(model: Gaussians, widest: Float[Tensor, "gaussian 1"]) -> Gaussians:
-    """Reduce log-scales above the widest to that."""
-    return replace(model, log_scales=torch.minimum(model.log_scales, widest))
-
-
-def _held(model: Gaussians, gradient: Float[Tensor, "gaussian step"], widest: Float[Tensor, "gaussian 1"]) -> Tensor:
-    """Find the log-scales that are widest and would grow, and the coefficients at 0 that would become negative."""
-    held = torch.zeros_like(gradient, dtype=torch.bool)
-    held[:, SCALES] = (model.log_scales >= widest) & (gradient[:, SCALES] < 0)
-    held[:, GEOMETRY:] = (model.coefficients <= 0) & (gradient[:, GEOMETRY:] > 0)
-    return held
 
 
 def _limited(

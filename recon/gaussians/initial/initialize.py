@@ -53,16 +53,16 @@ def initialize(
     smooth = np.stack([gaussian_filter(v, SMOOTHING) for v in volumes])
     structure = VolumeEdges.of(volumes, fisher)
     distance = _wanted_distance(structure, grid, spacing, settings)
-    voxel = _blue_noise(structure.occupied, distance / min(grid.spacing), _places(grid), seed)
+    voxel = _blue_noise(structure.occupied, distance / min(grid.spacing), places_of(grid), seed)
     centres = (np.array(grid.origin) + voxel * np.array(grid.spacing))[:, ::-1].copy()
-    scales = _neighbour_distance(centres, settings.neighbours, default=spacing) * settings.overlap
+    scales = neighbour_distance(centres, settings.neighbours, default=spacing) * settings.overlap
     normals, edge = _normals(structure, voxel)
     thickness = settings.flatness**edge
     flat = np.stack([thickness**-0.25, thickness**-0.25, thickness**0.75], axis=1)  # thinner, and a little wider
     parts = (
         torch.from_numpy(centres).float(),
         torch.log(torch.from_numpy(scales[:, None] * flat)).float(),
-        torch.from_numpy(_turn_z_to(normals)).float(),
+        torch.from_numpy(turn_z_to(normals)).float(),
     )
     values = np.stack([map_coordinates(v, voxel.T, order=1, mode="nearest") for v in np.maximum(smooth, 0)], axis=1)
     density = voxelize(*parts, torch.ones(len(centres), 1), grid)[0]
@@ -94,7 +94,7 @@ def _normals(
     return np.linalg.eigh(matrices)[1][:, :, 2], edge
 
 
-def _turn_z_to(normals: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 4"]:
+def turn_z_to(normals: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 4"]:
     """Compute the quaternions (w, x, y, z) of the shortest rotation from +z to each normal."""
     up = np.where(normals[:, 2:] < 0, -normals, normals)
     quaternions = np.stack([1 + up[:, 2], -up[:, 1], up[:, 0], np.zeros(len(up))], axis=1)
@@ -147,7 +147,7 @@ def _blue_noise(
     blocks, so that Gaussians which follow each other in memory cover the same voxels, which are then in the cache.
     """
     voxels = np.argwhere(occupied)
-    numbers = _random_of_places(voxels + first, seed)
+    numbers = random_of_places(voxels + first, seed)
     distances = distance[occupied]
     order = np.lexsort([numbers[:, 3], np.round(distances, 1)])  # equal tenths of a voxel in random order
     taken = np.full(occupied.shape, -1)
@@ -158,12 +158,12 @@ def _blue_noise(
     return voxels[kept] + offsets[kept]
 
 
-def _places(grid: Grid) -> Int[np.ndarray, " 3"]:
+def places_of(grid: Grid) -> Int[np.ndarray, " 3"]:
     """Find the place (z, y, x) of a grid's first voxel among all voxels of this size, which a part of it shares."""
     return np.floor(np.array(grid.origin) / np.array(grid.spacing) + 0.25).astype(np.int64)  # centres lie at halves
 
 
-def _random_of_places(places: Int[np.ndarray, "voxel 3"], seed: int) -> Float[np.ndarray, "voxel 4"]:
+def random_of_places(places: Int[np.ndarray, "voxel 3"], seed: int) -> Float[np.ndarray, "voxel 4"]:
     """Compute four uniform random numbers in [0, 1) for each place.
 
     References
@@ -184,7 +184,7 @@ def _mixed(state: UInt64[np.ndarray, "..."]) -> UInt64[np.ndarray, "..."]:
     return state ^ (state >> np.uint64(31))
 
 
-def _neighbour_distance(
+def neighbour_distance(
     points: Float[np.ndarray, "point 3"], nearest: int, default: float
 ) -> Float[np.ndarray, " point"]:
     """Compute the root mean square distance to the nearest points [mm]; `default` where there is one point alone."""

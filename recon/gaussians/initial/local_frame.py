@@ -30,10 +30,10 @@ def gradient_of_steps(gaussians: Gaussians, gradients: Sequence[Tensor]) -> Floa
     gradient with respect to the 9 + M steps of each Gaussian
     """
     centres, log_scales, quaternions, coefficients = gradients
-    turned = _unit(gaussians.quaternions)
-    along = torch.einsum("gij,gi->gj", _rotations(turned), centres)
+    turned = unit(gaussians.quaternions)
+    along = torch.einsum("gij,gi->gj", rotations(turned), centres)
     per_unit = quaternions * gaussians.quaternions.norm(dim=1, keepdim=True)
-    about = torch.einsum("gqk,gq->gk", _turns(turned), per_unit)
+    about = torch.einsum("gqk,gq->gk", turns(turned), per_unit)
     return torch.cat([along, log_scales, about, coefficients], dim=1)
 
 
@@ -49,23 +49,23 @@ def moved(gaussians: Gaussians, steps: Float[Tensor, "gaussian step"]) -> Gaussi
     -------
     the model after these steps
     """
-    turned = _unit(gaussians.quaternions)
-    turn = torch.einsum("gqk,gk->gq", _turns(turned), steps[:, 6:9])
+    turned = unit(gaussians.quaternions)
+    turn = torch.einsum("gqk,gk->gq", turns(turned), steps[:, 6:9])
     return replace(
         gaussians,
-        centres=gaussians.centres + torch.einsum("gij,gj->gi", _rotations(turned), steps[:, :3]),
+        centres=gaussians.centres + torch.einsum("gij,gj->gi", rotations(turned), steps[:, :3]),
         log_scales=gaussians.log_scales + steps[:, SCALES],
-        quaternions=_unit(turned + turn),
+        quaternions=unit(turned + turn),
         coefficients=(gaussians.coefficients + steps[:, GEOMETRY:]).clamp(min=0),
     )
 
 
-def _unit(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussian 4"]:
+def unit(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussian 4"]:
     """Divide quaternions by their length."""
     return quaternions / quaternions.norm(dim=1, keepdim=True)
 
 
-def _rotations(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussian 3 3"]:
+def rotations(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussian 3 3"]:
     """Compute the matrices, whose columns are the axes, of unit quaternions."""
     w, x, y, z = quaternions.unbind(dim=1)
     rows = (
@@ -76,7 +76,7 @@ def _rotations(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gauss
     return torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
 
 
-def _turns(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussian 4 3"]:
+def turns(quaternions: Float[Tensor, "gaussian 4"]) -> Float[Tensor, "gaussian 4 3"]:
     """Compute the change of a unit quaternion per rotation about each of its own axes."""
     w, x, y, z = quaternions.unbind(dim=1)
     rows = ((-x, -y, -z), (w, -z, y), (z, w, -x), (-y, x, w))

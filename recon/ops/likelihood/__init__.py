@@ -24,14 +24,14 @@ class MeasuredCounts(NamedTuple):
     gains : open-beam counts of each pixel over those of the transmission; 0 where a channel of a pixel is not used
     exposure : tube output of each view and channel relative to the flat frames; 0 where a view was not taken
     profile : line integrals of a bowtie filter and of the heel effect for each pixel; None where there are none
-    shares : weight of each count in the likelihood; None where all weights are 1
+    statistical_weights : weight of each count in the likelihood; None where all weights are 1
     """
 
     counts: Float[np.ndarray, "view channel row column"]
     gains: Float[np.ndarray, "channel row column"]
     exposure: Float[np.ndarray, "view channel"]
     profile: Float[np.ndarray, "part row column"] | None = None
-    shares: Float[np.ndarray, "view channel row column"] | None = None
+    statistical_weights: Float[np.ndarray, "view channel row column"] | None = None
 
 
 class Likelihood(NamedTuple):
@@ -91,7 +91,7 @@ def likelihood(
         _flat(lengths, bases, views, pixels),
         _flat(measured.profile, parts, pixels),
         _flat(measured.counts, views, channels, pixels),
-        _flat(measured.shares, 0 if measured.shares is None else views, channels, pixels),
+        _flat(measured.statistical_weights, 0 if measured.statistical_weights is None else views, channels, pixels),
         _flat(measured.gains, channels, pixels),
         np.ascontiguousarray(measured.exposure, np.float64),
     )

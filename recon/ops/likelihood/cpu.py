@@ -21,7 +21,7 @@ class Rays(NamedTuple):
     lengths : line integrals of the bases
     known : line integrals of further columns, which are the same in all views; none where there are no such columns
     counts : measured counts
-    shares : weight of each count in the likelihood; no views where all weights are 1
+    statistical_weights : weight of each count in the likelihood; no views where all weights are 1
     gains : open-beam counts of each pixel over those of the energy nodes
     exposure : tube output of each view and channel
     """
@@ -29,7 +29,7 @@ class Rays(NamedTuple):
     lengths: Float32[np.ndarray, "basis view ray"]
     known: Float32[np.ndarray, "part ray"]
     counts: Float32[np.ndarray, "view channel ray"]
-    shares: Float32[np.ndarray, "view_or_0 channel ray"]
+    statistical_weights: Float32[np.ndarray, "view_or_0 channel ray"]
     gains: Float32[np.ndarray, "channel ray"]
     exposure: Float64[np.ndarray, "view channel"]
 
@@ -99,7 +99,7 @@ def likelihood(rays, view, nodes, dispersion, least, room, gradient, fisher):
     -------
     deviance of the view, each count times its share
     """
-    counts, shares, gains, exposure = rays.counts, rays.shares, rays.gains, rays.exposure
+    counts, statistical_weights, gains, exposure = rays.counts, rays.statistical_weights, rays.gains, rays.exposure
     bases, _, size = rays.lengths.shape
     view = np.uint64(view)  # unsigned: no index counts from the end, so loops become vector instructions
     total, block = 0.0, room.shape[1]
@@ -114,7 +114,7 @@ def likelihood(rays, view, nodes, dispersion, least, room, gradient, fisher):
             _transmit(rays, view, nodes, c, start, count, room)
             for i in range(count):
                 scale = gains[c, start + i] * exposure[view, c]
-                share = shares[view, c, start + i] if shares.shape[0] > 0 else 1.0
+                share = statistical_weights[view, c, start + i] if statistical_weights.shape[0] > 0 else 1.0
                 expected, counted = scale * room[0, i], float(counts[view, c, start + i])
                 if expected < least:
                     if counted > 0.0 and scale > 0.0:

@@ -11,7 +11,8 @@ from jaxtyping import Float
 
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.versions import program_version
-from recon.gaussians.model import Gaussians
+from recon.gaussians.divided.model_file import load_model
+from recon.gaussians.model import GaussianModel
 from recon.runs.read_run import VOLUMES, read_volumes
 from recon.runs.run_folder import MODEL
 from recon.voxel.model import Voxels
@@ -42,10 +43,10 @@ class FinishedRun:
     basis_names: tuple[str, ...]
 
     @cached_property
-    def model(self) -> Gaussians | Voxels:
+    def model(self) -> GaussianModel | Voxels:
         """Model that predicts projections: the Gaussians, or the voxels of a method without Gaussians."""
         if (self.folder / MODEL).is_file():
-            return Gaussians.load(self.folder / MODEL)
+            return load_model(self.folder / MODEL)
         return Voxels(self.volumes, self.grid, self.basis_names)
 
     @property

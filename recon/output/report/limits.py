@@ -13,7 +13,7 @@ from phantomgen.display.html import picture
 from phantomgen.display.html.content import csv_of
 from phantomgen.ops.project import project
 from recon.data.measurements import matching_bin, read_measurements
-from recon.data.view_subsets import kinds_of, spread
+from recon.data.view_subsets import evenly_spread_views, view_groups
 from recon.evaluation.scoring import FULL_FRACTION
 from recon.gaussians.fisher import ray_information
 from recon.output.report.case import LINES, Case, LeftOut, Parts
@@ -111,10 +111,10 @@ def material_limits(dataset: Dataset, truth: Truth) -> dict[str, dict[str, float
 
 def _spread(exposure: Float[np.ndarray, "view channel"]) -> Int[np.ndarray, " few"]:
     """Indices of some of the views; of every kind where tube voltages are switched."""
-    kinds = kinds_of(exposure)
-    if kinds.any():
-        return spread(kinds, MOST_VIEWS)
-    return np.unique(np.linspace(0, len(kinds) - 1, min(len(kinds), MOST_VIEWS)).round().astype(int))
+    groups = view_groups(exposure)
+    if groups.any():
+        return evenly_spread_views(groups, MOST_VIEWS)
+    return np.unique(np.linspace(0, len(groups) - 1, min(len(groups), MOST_VIEWS)).round().astype(int))
 
 
 def limit_figure(

@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 
 from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.truth import read_truth
-from phantomgen.display.html import Page, Part, Section, Words
+from phantomgen.display.html import Page, Paragraph, Part, Section
 from phantomgen.runtime.versions import program_version
 from recon.evaluation import verdict
 from recon.output.report import cost, energies, limits, materials, progress, resolution, scores, segments, slices, views
@@ -167,7 +167,7 @@ def _verdicts(case: Case) -> tuple[Section, ...]:
     parts = []
     for run in case.runs:
         who = f"{run.name}: " if len(case.runs) > 1 else ""
-        parts += [Words(f"{who}{line}") for line in verdict.lines(run.metrics)]
+        parts += [Paragraph(f"{who}{line}") for line in verdict.lines(run.metrics)]
     return (Section("Verdict", tuple(parts)),) if parts else ()
 
 

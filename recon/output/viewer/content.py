@@ -10,7 +10,7 @@ from phantomgen.dataset.truth import Truth
 from phantomgen.display.viewer.content import Triple, limits, round_scale, usual_top
 from phantomgen.geometry.voxel_grid import Grid
 from recon.evaluation.metrics import psnr
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from spectra.errors import InputError
 
 SHOWN_FROM = 0.02  # part of the end of a colour bar; smaller values are taken for empty; our choice
@@ -39,7 +39,7 @@ class RunContent:
     result: Float[np.ndarray, "basis z y x"]
     truth: Truth | None
     true: Float[np.ndarray, "basis z y x"] | None
-    gaussians: Gaussians | None
+    gaussians: GaussianModel | None
     at: Triple
 
     def __post_init__(self) -> None:
@@ -57,7 +57,7 @@ class RunContent:
         basis_names: tuple[str, ...],
         result: Float[np.ndarray, "basis z y x"],
         truth: Truth | None,
-        gaussians: Gaussians | None,
+        gaussians: GaussianModel | None,
         at: Triple | None = None,
     ) -> "RunContent":
         """Create the content with the bases of the run and of the truth, and zeros where either lacks one.

@@ -153,12 +153,13 @@ def draw_gaussians(pane: Pane, content: RunContent) -> None:
         return
     pane.plotter.subplot(*pane.place)
     most = (MOST_IN_A_PAGE, COARSE) if pane.for_page else (MOST, FINE)
-    found = ellipsoids(content.gaussians, content.at[1], *most)
+    plain = content.gaussians.plain()
+    found = ellipsoids(plain, content.at[1], *most)
     if found.count:
         pane.plotter.add_mesh(found.mesh, scalars="colour", rgb=True, smooth_shading=True, **SOLID)
     names = content.gaussians.basis_names
     pane.words.legend = [(pretty(n), c) for n, c in zip(names, basis_colours(names), strict=True)]
-    pane.words.title = f"{found.count} of {len(content.gaussians)} Gaussians"
+    pane.words.title = f"{found.count} of {len(plain)} Gaussians"
     share = "" if found.share == 1 else f"{100 * found.share:.0f} % of mass at "
     pane.words.note = f"{share}y > {content.at[1]:.4g} mm, 1 sigma"
     look_at_volume(pane, content.grid)

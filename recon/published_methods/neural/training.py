@@ -14,7 +14,7 @@ from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.published_methods.neural.networks import SEGMENT, FeatureGrids, Field
 from recon.published_methods.neural.rays import RayNumbers, Rays
-from recon.voxel.method import Images, Iteration, OnIteration, Volumes, Weights, unwatched
+from recon.voxel.method import Images, Iteration, OnIteration, Volumes, Weights, no_callback
 from spectra.threads import without_other_pools
 
 BRIGHTEST = 0.999  # quantile of the images that sets the unit of attenuation; our choice
@@ -86,7 +86,7 @@ class CoordinateNetwork(ABC):
         weights: Weights | None,
         geometry: Geometry,
         grid: Grid,
-        on_iteration: OnIteration = unwatched,
+        on_iteration: OnIteration = no_callback,
     ) -> Volumes:
         """Reconstruct volumes from line integrals.
 

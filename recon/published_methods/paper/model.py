@@ -102,14 +102,14 @@ class FactorisedGaussians:
         -------
         Gaussians, with densities of at least `LEAST_DENSITY` and fractions of at least `LEAST_FRACTION`
         """
-        upright = torch.zeros(len(centres), 4)
-        upright[:, 0] = 1
+        unrotated = torch.zeros(len(centres), 4)
+        unrotated[:, 0] = 1
         relative = torch.from_numpy(np.maximum(density / units.density, LEAST_DENSITY))
         return cls(
             torch.from_numpy(centres).float(),
             inverse_softplus(relative[:, None]).float(),
             inverse_bounded(torch.from_numpy(sigma), units).float(),
-            upright,
+            unrotated,
             torch.from_numpy(np.log(np.maximum(fractions, LEAST_FRACTION))).float(),
         )
 

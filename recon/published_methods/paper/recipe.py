@@ -127,7 +127,7 @@ class PaperRecipe:
         return max(round(steps * self.steps / PAPER_STEPS), 1)
 
     @property
-    def says(self) -> str:
+    def description(self) -> str:
         """Sentence on the length of the fit, compared with the paper's, and on the components that are left out."""
         share = "" if self.steps == PAPER_STEPS else f" in place of {PAPER_STEPS}, all schedules scaled to match"
         left_out = f"; without {', '.join(self.without)}" if self.without else ""

@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.dataset.inpainting import inpainted
 from phantomgen.dataset.reader import Dataset
 from phantomgen.runtime.stopwatch import Stopwatch
-from recon.data.inpainting import inpainted
 from recon.data.measurements import Measurements, matching_bin, read_measurements
 from recon.data.readout_noise import without_floor
 from recon.gaussians.model import Gaussians

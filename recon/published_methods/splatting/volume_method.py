@@ -12,7 +12,7 @@ from recon.published_methods.paper.initialize import first_gaussians, units_of
 from recon.published_methods.splatting.primitives import VolumePrimitives
 from recon.published_methods.splatting.training import Splatting, Training, seen_rays, train
 from recon.voxel.initial_volumes import initial_volumes, starting_method
-from recon.voxel.method import Images, Iteration, OnIteration, Volumes, Weights, unwatched
+from recon.voxel.method import Images, Iteration, OnIteration, Volumes, Weights, no_callback
 from spectra.threads import without_other_pools
 
 
@@ -29,7 +29,7 @@ class VolumeSplatting(Splatting):
         weights: Weights | None,
         geometry: Geometry,
         grid: Grid,
-        on_iteration: OnIteration = unwatched,
+        on_iteration: OnIteration = no_callback,
     ) -> Volumes:
         """Reconstruct volumes from line integrals, with first primitives at voxels of a first reconstruction.
 

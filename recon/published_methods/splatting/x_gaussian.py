@@ -25,7 +25,7 @@ from recon.published_methods.paper.model import FactorisedGaussians, Units
 from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.splatting.primitives import Radiance
 from recon.published_methods.splatting.training import Splatting, Training, seen_rays, train
-from recon.voxel.method import Images, Iteration, OnIteration, Weights, unwatched
+from recon.voxel.method import Images, Iteration, OnIteration, Weights, no_callback
 from spectra.threads import without_other_pools
 
 BRIGHTEST = 0.999  # quantile of the images that is radiance 1 in the normalised scene; our choice
@@ -83,7 +83,7 @@ class XGaussian(Splatting):
         weights: Weights | None,
         geometry: Geometry,
         grid: Grid,
-        on_iteration: OnIteration = unwatched,
+        on_iteration: OnIteration = no_callback,
     ) -> Views:
         """Fit Gaussians to log projections, and predict other views with them.
 

@@ -10,7 +10,7 @@ import yaml
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import read_truth
-from phantomgen.runtime.guarded import Guard, Salvage, unguarded
+from phantomgen.runtime.guarded import Guard, WarnOnFailure, unguarded
 from phantomgen.runtime.plain_json import write_json
 from phantomgen.runtime.stopwatch import Stopwatch, peak_memory_mib
 from phantomgen.runtime.versions import environment
@@ -153,7 +153,7 @@ def score_volume(
         with clock("score"):
             metrics = scored.scores(unguarded)
         return metrics | {"seconds": clock.seconds, "peak_memory_mib": peak_memory_mib()}
-    guard = Salvage(warn)
+    guard = WarnOnFailure(warn)
     with folder as part:
         with clock("write"):
             scored.write(part)

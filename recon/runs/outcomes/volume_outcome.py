@@ -18,7 +18,7 @@ from recon.data.coverage import Coverage
 from recon.evaluation import verdict
 from recon.evaluation.scoring import psnr_of_bases, score_start, score_test_views, score_truth
 from recon.figures.model_figures import draw_model
-from recon.gaussians.model import Gaussians
+from recon.gaussians.model import GaussianModel
 from recon.gaussians.recipe import Recipe
 from recon.runs.run_folder import MODEL, VOLUMES, write_scan
 from recon.runs.write_run import write_volumes
@@ -26,12 +26,14 @@ from recon.voxel.model import Voxels
 from recon.voxel.unreliable import Unreliable
 from spectra.transmission import Transmission
 
+OCCUPIED = 0.02  # of the largest value of a basis; a voxel that holds less of every basis counts as empty
+
 
 @runtime_checkable
 class Log(Protocol):
     """Interface of a log that kept models between its steps, as `recon.runs.unfinished_run.PartialRun` does."""
 
-    def models(self) -> Iterator[tuple[int, Gaussians | Voxels]]:
+    def models(self) -> Iterator[tuple[int, GaussianModel | Voxels]]:
         """Yield the models that were kept.
 
         Yields
@@ -72,7 +74,7 @@ class VolumeOutcome:
     """
 
     dataset: Dataset
-    model: Gaussians | Voxels
+    model: GaussianModel | Voxels
     transmission: Transmission
     about: dict[str, Any]
     settings: dict[str, Any]
@@ -90,6 +92,12 @@ class VolumeOutcome:
     def volumes(self) -> Float[np.ndarray, "basis z y x"]:
         """The result on the grid of the dataset [1/mm]."""
         return self.model.volume(self.dataset.grid)
+
+    @property
+    def _occupied(self) -> int:
+        """Number of voxels that hold more than `OCCUPIED` of the largest value of a basis."""
+        peaks = self.volumes.max(axis=(1, 2, 3), keepdims=True)
+        return int((self.volumes > OCCUPIED * peaks).any(axis=0).sum())
 
     def write(self, folder: Path) -> None:
         """Write model, settings, the record of the scan, and volumes.
@@ -109,7 +117,7 @@ class VolumeOutcome:
         ----------
         folder : run folder
         """
-        if isinstance(self.model, Gaussians):
+        if isinstance(self.model, GaussianModel):
             self.model.save(folder / MODEL)
         (folder / "recipe.yaml").write_text(yaml.safe_dump(self.settings, sort_keys=False), encoding="utf-8")
         spectra = self.dataset.spectra
@@ -128,6 +136,9 @@ class VolumeOutcome:
         entries of ``metrics.json``
         """
         metrics, names = dict(self.about), self.model.basis_names
+        if isinstance(self.model, GaussianModel):
+            metrics["numbers"] = self.model.numbers
+            metrics["numbers_over_voxels"] = self.model.numbers / max(self._occupied * len(names), 1)
         if truth is not None:
             with guard("scoring against the truth"):
                 metrics.update(score_truth(truth, self.model, self.unreliable))

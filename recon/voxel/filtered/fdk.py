@@ -12,13 +12,13 @@ from jaxtyping import Float
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
-from recon.data.array_store import taken
+from recon.data.array_store import read_part
 from recon.ops.backproject import backproject
 from recon.voxel.filtered.circular_orbit import CircularOrbit, circular_orbit_of
 from recon.voxel.filtered.ramp_filter import WINDOWS, ramp_filtered
 from recon.voxel.filtered.redundancy_weights import half_fan_weights, parker_weights
 from recon.voxel.filtered.z_aligned_panel import on_z_aligned_panel
-from recon.voxel.method import Images, Iteration, OnIteration, Volumes, Weights, unwatched
+from recon.voxel.method import Images, Iteration, OnIteration, Volumes, Weights, no_callback
 from spectra.errors import InputError
 
 
@@ -46,7 +46,7 @@ class Fdk:
         weights: Weights | None,
         geometry: Geometry,
         grid: Grid,
-        on_iteration: OnIteration = unwatched,
+        on_iteration: OnIteration = no_callback,
     ) -> Volumes:
         """Reconstruct volumes from line integrals.
 
@@ -115,7 +115,7 @@ def fdk(
     volume = np.zeros((line_integrals.shape[1], *grid.shape), np.float32)
     for first in range(0, len(geometry), VIEWS_AT_ONCE):
         some = slice(first, first + VIEWS_AT_ONCE)
-        filtered = ramp_filtered(taken(line_integrals, some) * weights[some, None], pitch, window, cutoff)
+        filtered = ramp_filtered(read_part(line_integrals, some) * weights[some, None], pitch, window, cutoff)
         volume = backproject(filtered, geometry[some], grid, (circle.sod / circle.sdd)[some], volume)
     return volume * np.float32(circle.arc / len(geometry))
 

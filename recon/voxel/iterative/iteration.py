@@ -13,7 +13,7 @@ import numpy as np
 
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
-from recon.voxel.method import Images, Iteration, OnIteration, Volumes, Weights, unwatched
+from recon.voxel.method import Images, Iteration, OnIteration, Volumes, Weights, no_callback
 from recon.voxel.projector_pair import ProjectorPair
 
 # One pass over the views, by the volumes and the number of the pass from 1 on. It changes the volumes in place, by one
@@ -82,7 +82,7 @@ class IterativeMethod(ABC):
         weights: Weights | None,
         geometry: Geometry,
         grid: Grid,
-        on_iteration: OnIteration = unwatched,
+        on_iteration: OnIteration = no_callback,
     ) -> Volumes:
         """Reconstruct volumes from line integrals.
 

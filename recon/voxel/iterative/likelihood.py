@@ -131,6 +131,6 @@ def _portions(measurements: Measurements) -> Iterator[Measurements]:
 def _likelihood(
     lengths: Images, data: Measurements, dispersion: float, information: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    counts = MeasuredCounts(data.counts, data.gains, data.exposure, data.profile, data.shares)
+    counts = MeasuredCounts(data.counts, data.gains, data.exposure, data.profile, data.statistical_weights)
     deviances, gradient, fisher = likelihood(lengths, counts, data.transmission, dispersion, information)
     return deviances, gradient, np.zeros(0) if fisher is None else fisher

@@ -28,14 +28,14 @@ from scipy.ndimage import convolve1d, minimum_filter
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements, matching_bin
-from recon.data.view_subsets import every, kinds_of, parts_of
+from recon.data.view_subsets import every_nth_view, golden_section_order, interleaved_subsets, view_groups
 from recon.data.volume_edges import metal_without_agents, over_metal
 from recon.ops.nonnegative_newton import as_matrices, inverse_blocks, nonnegative_newton_step
 from recon.ops.total_variation import ascend, neighbour_sums
 from recon.ops.total_variation import gradient as total_variation_gradient
 from recon.voxel.iterative.likelihood import curvature, deviance_and_gradient
 from recon.voxel.iterative.multigrid import coarser, occupied, resampled, sharpened
-from recon.voxel.method import OnIteration, Report, Volumes, unwatched
+from recon.voxel.method import OnIteration, Report, Volumes, no_callback
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
 
@@ -121,7 +121,7 @@ class OneStep:
         self,
         measurements: Measurements,
         grid: Grid,
-        on_iteration: OnIteration = unwatched,
+        on_iteration: OnIteration = no_callback,
         start: Volumes | None = None,
     ) -> Volumes:
         """Reconstruct volumes from counts; any number of threads gives the same ones.
@@ -190,10 +190,10 @@ def _descend(
     counts = max(int(np.count_nonzero(data.gains, axis=(1, 2)) @ np.count_nonzero(data.exposure, axis=0)), 1)
     first = np.ascontiguousarray(volumes[:, *box])
     state = _State(first, np.zeros((3, *first.shape), np.float32))
-    more, best, least, metric = _more_than_many(data), first, np.inf, None
-    parts = min(round(more * settings.subsets), len(data))
+    ratio, best, least, metric = _view_ratio(data), first, np.inf, None
+    parts = min(round(ratio * settings.subsets), len(data))
     for i in range(passes):
-        if metric is None or i == ceil(METRIC_RENEWED / more):
+        if metric is None or i == ceil(METRIC_RENEWED / ratio):
             metric = _metric(state.volumes, data, inner, settings)
         deviance = _pass(state, data, inner, settings, metric, parts)
         if not deviance < DIVERGED * least and parts > 1:
@@ -214,7 +214,7 @@ def _passes(asked: int, views: int) -> int:
     return max(ceil(asked * min(MANY_VIEWS / views, 1.0)), min(asked, FEWEST_PASSES))
 
 
-def _more_than_many(data: Measurements) -> float:
+def _view_ratio(data: Measurements) -> float:
     """Views over `MANY_VIEWS`, at least 1: with so many times more subsets and fewer passes, steps stay as many."""
     return max(len(data) / MANY_VIEWS, 1.0)
 
@@ -236,21 +236,21 @@ class _State:
 
 def _pass(state: _State, data: Measurements, grid: Grid, settings: OneStep, metric: "_Metric", parts: int) -> float:
     """Use every view once, in so many subsets, and return the sum of the deviances before the steps."""
-    total, agreement = 0.0, 0.0
-    subsets = parts_of(kinds_of(data.exposure), parts)
-    for first in _order(len(subsets)):
-        some = data[subsets[first]]
+    total, restart_test = 0.0, 0.0
+    subsets = interleaved_subsets(view_groups(data.exposure), parts)
+    for number in golden_section_order(len(subsets)):
+        some = data[subsets[number]]
         point = state.volumes if state.point is None else state.point
         deviance, gradient = deviance_and_gradient(point, some, grid, settings.dispersion)
         gradient *= np.float32(len(data) / len(some))
         new = _proximal(point, gradient, state.field, metric, grid, settings)
         step = new - state.volumes
-        agreement += _inner(point - new, step, metric.mixing)
+        restart_test += _inner(point - new, step, metric.mixing)
         faster = (1 + np.sqrt(1 + 4 * state.speed**2)) / 2 if settings.momentum else 1.0
         state.point = new + np.float32((state.speed - 1) / faster) * step
         state.volumes, state.speed = new, faster
         total += deviance
-    if agreement > 0:
+    if restart_test > 0:
         state.point, state.speed = None, 1.0
     return total
 
@@ -276,7 +276,7 @@ def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep)
     Metal holds no contrast agent, but no combination of bases attenuates as metal does, and the difference resembles a
     K edge. So K edges have a prior at 0 in metal, the stronger the denser the metal.
     """
-    some = data[every(kinds_of(data.exposure), CURVATURE_STEP)]
+    some = data[every_nth_view(view_groups(data.exposure), CURVATURE_STEP)]
     share = len(data) / len(some)
     blocks, covariance = curvature(volumes, some, grid, settings.dispersion)
     upper = np.triu_indices(len(volumes))
@@ -350,9 +350,3 @@ def _inner(one: Volumes, other: Volumes, mixing: Float[np.ndarray, "basis basis"
     """Inner product in which every basis is weighted by its information."""
     products = one.reshape(len(one), -1) @ other.reshape(len(other), -1).T
     return float(np.sum(products * (mixing.T @ mixing)))
-
-
-def _order(count: int) -> list[int]:
-    """Order of the subsets in which neighbours are far apart on the orbit."""
-    stride = next(s for s in range(max(int(0.38 * count), 1), count + 1) if np.gcd(s, count) == 1)
-    return [i * stride % count for i in range(count)]

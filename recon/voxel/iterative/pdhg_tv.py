@@ -27,7 +27,7 @@ from recon.ops.total_variation import ascend, total_variation
 from recon.ops.total_variation import gradient as total_variation_gradient
 from recon.voxel.iterative.likelihood import forward, transpose
 from recon.voxel.iterative.ray_weights import RayWeights, UniformWeights, inner, noise_information
-from recon.voxel.method import Images, OnIteration, Report, Volumes, unwatched
+from recon.voxel.method import Images, OnIteration, Report, Volumes, no_callback
 from spectra.errors import InputError
 from spectra.threads import without_other_pools
 
@@ -90,7 +90,7 @@ class PdhgTv:
         weights: Weights | None,
         geometry: Geometry,
         grid: Grid,
-        on_iteration: OnIteration = unwatched,
+        on_iteration: OnIteration = no_callback,
         start: Volumes | None = None,
     ) -> Volumes:
         """Reconstruct volumes from line integrals; any number of threads gives the same ones.

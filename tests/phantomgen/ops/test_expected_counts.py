@@ -17,7 +17,7 @@ from phantomgen.ops.expected_counts import (
     expected_counts,
     expected_counts_by_grid,
 )
-from phantomgen.ops.expected_counts.reference import expose_one
+from phantomgen.ops.expected_counts.reference import expected_counts_of_pixel
 from phantomgen.ops.silhouette.forms import cone_silhouettes, parallel_silhouettes
 from phantomgen.ops.silhouette.quadrature import CONICS, make_room, make_rules, square_nodes
 from phantomgen.ops.silhouette.tiles import TILE, Tiles
@@ -81,7 +81,7 @@ def test_brute_is_the_definition() -> None:
     objects = [(Ellipsoid((3, 2, 1), (10, 40, 20), (1, 2, 3)), 0), (Box((20, 0, 0), (30, 20, 25), (3, 2, 1)), 1)]
     frame, solids = frame_of(16, 12.8), solids_of(objects)
     for pixel in ((7, 8), (6, 6), (9, 10)):
-        expected = expose_one(frame, pixel, solids, SPECTRUM, n=5, background=3)
+        expected = expected_counts_of_pixel(frame, pixel, solids, SPECTRUM, n=5, background=3)
         found = expected_counts_by_grid(frame, np.array([pixel]), solids, SPECTRUM, background=3, n=5)
         np.testing.assert_allclose(found[0], expected, rtol=1e-12)
 

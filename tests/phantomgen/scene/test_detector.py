@@ -9,7 +9,7 @@ from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import load_scene
 from phantomgen.simulation.run import simulate
 from spectra.detector.detector import Detector
-from spectra.detector.pulse_height import PulseHeightDetector, Sharing
+from spectra.detector.pulse_height import ChargeSharing, PulseHeightDetector
 from spectra.errors import SceneError
 
 SCENE = """\
@@ -41,7 +41,7 @@ def test_a_detector_is_ideal_unless_the_scene_says_more():
     assert type(toy().detector) is Detector
     real = toy(*REAL).detector
     assert isinstance(real, PulseHeightDetector)
-    assert (real.resolution, real.fluorescence, real.sharing) == (4.7, True, Sharing(0.25, 0.018))
+    assert (real.resolution, real.fluorescence, real.charge_sharing) == (4.7, True, ChargeSharing(0.25, 0.018))
 
 
 def test_a_dataset_holds_the_response_with_all_effects(tmp_path):

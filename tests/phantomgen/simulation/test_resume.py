@@ -240,7 +240,7 @@ def test_a_full_disk_is_one_sentence_and_the_run_goes_on_when_there_is_room(room
     path = small / "a.h5"
     try:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("phantomgen.simulation.write_frames.check_room", lambda *_: None)
+            patch.setattr("phantomgen.simulation.write_frames.check_free_space", lambda *_: None)
             with pytest.raises(
                 StorageError, match=r"cannot be written: the disk is full, .* free.*: make room"
             ) as caught:

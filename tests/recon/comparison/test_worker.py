@@ -86,7 +86,7 @@ def test_scores_of_views_agree_with_what_counts_say(scan, tmp_path):
         who = contender("fdk")
         job = Job(str(scan), str(tmp_path), "fdk", (LONG,), "cpu", 1, None)
         runs = run(dataset, who, job, tmp_path / "models")
-        model = runs.load(runs.recorders[0].moments[-1].path).bases
+        model = runs.load(runs.recorders[0].recorded[-1].path).bases
         measured = read_measurements(dataset, dataset.splits["test"])
         lengths = np.moveaxis(model.line_integrals(measured.geometry).numpy(), 1, -1)
         expected = np.moveaxis(measured.transmission.expected(lengths), -1, 1)

@@ -8,10 +8,10 @@ import torch
 from support.detector_scenes import counting
 from support.gaussian_scenes import PIXEL, circular, small_model, small_scan, spectral_model
 
+from phantomgen.dataset.inpainting import inpainted
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.simulation.run import simulate
-from recon.data.inpainting import inpainted
 from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import read_measurements
 from recon.evaluation.metrics import HeldOutView, score_projections
@@ -62,10 +62,10 @@ def test_reading_gives_masked_pixels_no_weight_and_leaves_the_others_as_they_are
     for found in (read["bad"], read["kept back"]):  # stuck pixels show in the darks, dead ones in the flats
         assert not found.gains[:, bad].any()
         assert not found.counts[:, :, bad].any()
-        np.testing.assert_array_equal(found.unseen, bad)
+        np.testing.assert_array_equal(found.blind_pixels, bad)
         np.testing.assert_array_equal(found.counts[..., ~bad], read["good"].counts[..., ~bad])
         np.testing.assert_array_equal(found.gains[..., ~bad], read["good"].gains[..., ~bad])
-    assert not read["good"].unseen.any()
+    assert not read["good"].blind_pixels.any()
 
 
 def test_decomposition_of_the_other_rays_is_the_same_and_holes_are_filled(scan):
@@ -83,7 +83,7 @@ def test_pixels_that_are_masked_in_a_bin_take_their_part_of_its_open_beam_along(
     bad = bad_pixels(0.2)
     binned = masked(scan, bad).binned(2)
     np.testing.assert_array_equal(binned.gains[0], (~bad).reshape(8, 2, 8, 2).sum(axis=(1, 3)))
-    np.testing.assert_array_equal(binned.unseen, bad.reshape(8, 2, 8, 2).all(axis=(1, 3)))
+    np.testing.assert_array_equal(binned.blind_pixels, bad.reshape(8, 2, 8, 2).all(axis=(1, 3)))
 
 
 def test_a_fit_is_as_good_as_without_defects_which_would_ruin_it(scan):

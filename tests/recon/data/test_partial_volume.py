@@ -1,4 +1,4 @@
-"""Counts of pixels that something varies in become those of mean line integrals; rays get even shares."""
+"""Counts of pixels that something varies in become those of mean line integrals; rays get even weights."""
 
 from dataclasses import replace
 
@@ -10,10 +10,10 @@ from recon.data.measurements import Measurements
 from recon.data.partial_volume import (
     KNOWN_TO,
     STEEPEST,
-    doubtful_shares,
-    even_shares,
+    correction_weights,
     excess_of_blocks,
     excess_of_pixels,
+    neighbourhood_weights,
 )
 from recon.gaussians.model import Gaussians
 from spectra.transmission import Transmission
@@ -87,10 +87,10 @@ def test_blind_pixels_tell_nothing():
     counts[0, 7, 8] = air[0, 7, 8] = 0
     assert excess_of_pixels(counts, air).max() < 0.01
     assert excess_of_blocks(counts, air, 2)[0, 3, 4] == pytest.approx(0, abs=1e-3)
-    shares = even_shares(counts, air)
-    assert shares[0, 7, 8] == 0
-    assert shares[0, 5:10, 6:11].min() == 0
-    assert np.sort(shares[0, 5:10, 6:11].ravel())[1] > 0.9
+    weights = neighbourhood_weights(counts, air)
+    assert weights[0, 7, 8] == 0
+    assert weights[0, 5:10, 6:11].min() == 0
+    assert np.sort(weights[0, 5:10, 6:11].ravel())[1] > 0.9
     dark = excess_of_pixels(np.zeros((1, 4, 4)), np.zeros((1, 4, 4)))
     assert np.isfinite(dark).all()
     assert not dark.any()
@@ -99,37 +99,37 @@ def test_blind_pixels_tell_nothing():
 def test_shares_of_even_rays_are_whole_and_those_beside_dark_ones_small():
     counts = np.full((1, 20, 20), 1e4, np.float32)
     counts[0, 9:12, 9:12] = 10
-    shares = even_shares(counts, AIR)
-    assert shares[0, 10, 10] == 1
-    assert shares[0, 8, 8] < 0.1
-    np.testing.assert_allclose(shares[0, :, :6], 1, rtol=1e-3)
+    weights = neighbourhood_weights(counts, AIR)
+    assert weights[0, 10, 10] == 1
+    assert weights[0, 8, 8] < 0.1
+    np.testing.assert_allclose(weights[0, :, :6], 1, rtol=1e-3)
 
 
 def test_rays_with_their_shares_have_as_much_say_as_the_most_attenuated_near_by():
     counts = 1e5 * np.exp(-np.linspace(0, 3, 20)) * np.ones((1, 20, 1))
-    say = even_shares(counts, AIR) * counts
-    np.testing.assert_allclose(say[0, 5, 3:17], counts[0, 5, 5:19], rtol=0.02)
+    information = neighbourhood_weights(counts, AIR) * counts
+    np.testing.assert_allclose(information[0, 5, 3:17], counts[0, 5, 5:19], rtol=0.02)
 
 
 def test_channels_whose_correction_is_larger_lose_what_its_doubt_takes():
     soft, hard = (np.exp(-np.linspace(0, depth, 20)) * np.ones((20, 1)) for depth in (30.0, 10.0))
     counts = 1e6 * np.stack([soft, hard]).astype(np.float32)
     air = np.full(counts.shape, 1e6, np.float32)
-    shares = doubtful_shares(counts, air, 0.02)[:, 10, 3:6]
+    weights = correction_weights(counts, air, 0.02)[:, 10, 3:6]
     excess = excess_of_pixels(counts, air)[:, 10, 3:6]
     more = KNOWN_TO * (excess[0] - excess[1])
     variance = 1 / counts[0, 10, 3:6] + 0.02**2
-    np.testing.assert_allclose(shares[0] * (variance + more**2), variance, rtol=1e-4)
+    np.testing.assert_allclose(weights[0] * (variance + more**2), variance, rtol=1e-4)
     assert more.min() > 0.005
-    np.testing.assert_array_equal(shares[1], 1)
+    np.testing.assert_array_equal(weights[1], 1)
 
 
 def test_even_rays_and_those_without_counts_are_not_in_doubt():
     counts = np.random.default_rng(0).poisson(1e4, (2, 20, 20)).astype(np.float32)
-    np.testing.assert_allclose(doubtful_shares(counts, np.full(counts.shape, 2e4), 0.02), 1, atol=0.01)
+    np.testing.assert_allclose(correction_weights(counts, np.full(counts.shape, 2e4), 0.02), 1, atol=0.01)
     counts[:, :, 8:] = 1
-    shares = doubtful_shares(counts, np.full(counts.shape, 2e4), 0.02)
-    np.testing.assert_array_equal(shares[:, :, 9:], 1)
+    weights = correction_weights(counts, np.full(counts.shape, 2e4), 0.02)
+    np.testing.assert_array_equal(weights[:, :, 9:], 1)
 
 
 def filtered(model):
@@ -188,11 +188,11 @@ def test_views_that_a_channel_did_not_take_stay_empty():
     for changed in (scan.without_partial_volume(), scan.binned(2), scan.weighted(0.02)):
         assert np.isfinite(changed.counts).all()
         assert not changed.counts[0, 1].any()
-    assert not scan.weighted(0.02).shares[0, 1].any()
+    assert not scan.weighted(0.02).statistical_weights[0, 1].any()
 
 
 def test_some_views_take_their_shares_along():
     scan, _ = scan_of(small_model(3), GEOMETRY, (12, 14))
     weighted = scan.weighted(0.02)
-    np.testing.assert_array_equal(weighted[[1]].shares, weighted.shares[[1]])
-    assert weighted.binned(2).shares is None
+    np.testing.assert_array_equal(weighted[[1]].statistical_weights, weighted.statistical_weights[[1]])
+    assert weighted.binned(2).statistical_weights is None

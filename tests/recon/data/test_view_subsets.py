@@ -7,7 +7,13 @@ from support.tiny_scans import make
 import recon
 from phantomgen.dataset.reader import open_dataset
 from recon.data.measurements import read_measurements
-from recon.data.view_subsets import every, kinds_of, parts_of, spread
+from recon.data.view_subsets import (
+    evenly_spread_views,
+    every_nth_view,
+    golden_section_order,
+    interleaved_subsets,
+    view_groups,
+)
 from recon.gaussians.recipe import Stage
 from recon.kedge.rays import rays_away_from_edges
 
@@ -27,9 +33,14 @@ def switched(count):
 @pytest.mark.parametrize("views", [9, 45, 64, 200])
 def test_every_kind_of_view_is_taken_from(count, views):
     kinds = np.arange(views) % count
-    assert set(kinds[every(kinds, 8)]) == set(kinds[every(kinds, 3.236)]) == set(kinds[spread(kinds, 12)]) == set(kinds)
-    assert len(every(kinds, 8)) == pytest.approx(views / 8, abs=count)
-    parts = parts_of(kinds, 6)
+    assert (
+        set(kinds[every_nth_view(kinds, 8)])
+        == set(kinds[every_nth_view(kinds, 3.236)])
+        == set(kinds[evenly_spread_views(kinds, 12)])
+        == set(kinds)
+    )
+    assert len(every_nth_view(kinds, 8)) == pytest.approx(views / 8, abs=count)
+    parts = interleaved_subsets(kinds, 6)
     assert sorted(np.concatenate(parts)) == list(range(views))
     if views >= 12 * count:
         assert all(set(kinds[part]) == set(kinds) for part in parts)
@@ -37,10 +48,10 @@ def test_every_kind_of_view_is_taken_from(count, views):
 
 def test_views_of_one_kind_are_evenly_spread():
     kinds = np.zeros(45, int)
-    np.testing.assert_array_equal(every(kinds, 8), np.arange(0, 45, 8))
-    np.testing.assert_array_equal(every(kinds, 3.236), np.arange(0, 45, 3.236).astype(int))
-    np.testing.assert_array_equal(spread(kinds, 12), np.linspace(0, 45, 12, endpoint=False).astype(int))
-    np.testing.assert_array_equal(parts_of(kinds, 5)[2], np.arange(2, 45, 5))
+    np.testing.assert_array_equal(every_nth_view(kinds, 8), np.arange(0, 45, 8))
+    np.testing.assert_array_equal(every_nth_view(kinds, 3.236), np.arange(0, 45, 3.236).astype(int))
+    np.testing.assert_array_equal(evenly_spread_views(kinds, 12), np.linspace(0, 45, 12, endpoint=False).astype(int))
+    np.testing.assert_array_equal(interleaved_subsets(kinds, 5)[2], np.arange(2, 45, 5))
 
 
 @pytest.mark.parametrize("count", [2, 3])
@@ -55,7 +66,7 @@ def test_scans_with_switched_voltages_are_fitted(tmp_path, count):
         rays = rays_away_from_edges(dataset)
         measured = read_measurements(dataset, dataset.splits["train"], 2)
     assert (rays.gains > 0).any(axis=0).all()
-    some = every(kinds_of(measured.exposure), 8)
+    some = every_nth_view(view_groups(measured.exposure), 8)
     np.testing.assert_array_equal(measured.completed(some).counts, measured.completed().counts[some])
 
 
@@ -64,3 +75,13 @@ def test_a_channel_that_no_view_has_stays_unmeasured(tmp_path):
     with open_dataset(path) as dataset:
         measured = read_measurements(dataset, dataset.splits["train"][::2], 2)
     np.testing.assert_array_equal(measured.completed().exposure.any(axis=0), [True, True, False, False])
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7, 10, 25, 90])
+def test_subsequent_subsets_are_about_the_golden_section_apart(count):
+    order = golden_section_order(count)
+    assert sorted(order) == list(range(count))
+    if count > 20:
+        steps = np.diff(order) % count
+        assert len(set(steps)) == 1
+        assert 0.35 * count <= steps[0] <= 0.45 * count

@@ -57,7 +57,7 @@ def equation(parts, objective, metric):
     expected = expected * torch.from_numpy(data.gains * data.exposure[:, :, None, None])
     y, k = torch.from_numpy(data.counts).double(), ETA**-2
     deviance = 2 * (torch.xlogy(y, y / expected) - (y + k) * torch.log((y + k) / (expected + k)))
-    data_term = 0.5 * (torch.from_numpy(data.shares).double() * deviance).sum()
+    data_term = 0.5 * (torch.from_numpy(data.statistical_weights).double() * deviance).sum()
     axes = tuple(torch.from_numpy(GRID.axis(name)) for name in "zyx")
     difference = voxelize(*parts, axes, GRID.spacing) - torch.from_numpy(prior.volumes)
     weighted = torch.einsum("mzyx,mn,nzyx->zyx", difference, metric.double(), difference)

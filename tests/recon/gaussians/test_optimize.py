@@ -7,7 +7,7 @@ import torch
 from scipy.optimize import nnls
 from support.gaussian_scenes import PIXEL, circular, small_model, small_scan, spectral_model
 
-from recon.data.view_subsets import rounds_of
+from recon.data.view_subsets import count_complete_sets
 from recon.gaussians.adam import Adam
 from recon.gaussians.likelihood import likelihood
 from recon.gaussians.optimize import _nearest_non_negative, _shorten_after_rise, _subsets, fit
@@ -105,7 +105,7 @@ def test_a_sweep_uses_every_view_once(views, per_sweep):
 def test_every_step_sees_every_kind_of_view(views, kinds):
     """One of two voltages alone cannot tell two bases apart, and a step that follows it leads astray."""
     kind = np.arange(views) % kinds
-    for step in _subsets(kind, rounds_of(kind), 2 * rounds_of(kind)):
+    for step in _subsets(kind, count_complete_sets(kind), 2 * count_complete_sets(kind)):
         assert set(kind[step]) == set(range(kinds))
 
 

@@ -9,7 +9,7 @@ from support.gaussian_scenes import PIXEL, circular, small_model, small_scan, sp
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.pixel_blocks import touched
 from recon.gaussians.likelihood import likelihood_and_gradients
-from recon.gaussians.unseen_rays import DEFAULT, UnseenRays, certainly_larger, with_rays_apart
+from recon.gaussians.unseen_rays import DEFAULT, UnseenRays, certainly_larger, with_unseen_rays
 from recon.voxel.iterative.likelihood import deviance_and_gradient
 from recon.voxel.model import Voxels
 
@@ -22,21 +22,21 @@ def scan():
     """A model and a scan of it, with rays apart."""
     truth = small_model(1)
     measured = small_scan(truth, circular(16, 16, views=12), spectral_model(3), seed=3)
-    return truth, with_rays_apart(measured, VOXEL, seed=0)
+    return truth, with_unseen_rays(measured, VOXEL, seed=0)
 
 
 def test_one_ray_of_64_is_apart_in_eight_views(scan):
-    apart = scan[1].apart
+    apart = scan[1].unseen_blocks
     assert apart.shape == (12, 8, 8)
     assert apart.any(axis=(1, 2)).sum() == 8
     assert apart.mean() == pytest.approx(DEFAULT.part, rel=0.4)
 
 
 def test_the_seed_decides_which(scan):
-    again, other = (with_rays_apart(scan[1], VOXEL, seed).apart for seed in (0, 1))
+    again, other = (with_unseen_rays(scan[1], VOXEL, seed).unseen_blocks for seed in (0, 1))
     assert again is not None
     assert other is not None
-    assert (again == scan[1].apart).all()
+    assert (again == scan[1].unseen_blocks).all()
     assert (again != other).any()
 
 
@@ -52,18 +52,18 @@ def test_a_pixel_is_touched_where_a_part_of_it_lies_in_a_block(pixels):
 def test_no_fit_sees_counts_that_are_apart(scan):
     truth, measured = scan
     spoilt = measured.counts.copy()
-    views, rows, columns = np.nonzero(measured.apart.repeat(2, axis=1).repeat(2, axis=2))
+    views, rows, columns = np.nonzero(measured.unseen_blocks.repeat(2, axis=1).repeat(2, axis=2))
     spoilt[views, :, rows, columns] *= 1.5
     volumes = truth.volume(GRID)
     found = []
     for counts in (measured.counts, spoilt):
         data = replace(measured, counts=counts).weighted(0.02)
-        shares = replace(data, shares=np.where(data.shares > 0, np.float32(1), np.float32(0)))
+        some = replace(data, statistical_weights=np.where(data.statistical_weights > 0, np.float32(1), np.float32(0)))
         model = truth.detached()
         for part in model.tensors().values():
             part.requires_grad_()
-        deviance = likelihood_and_gradients(model, shares, np.arange(12), 0.02).deviance
-        found.append((deviance, deviance_and_gradient(volumes, shares, GRID, 0.02)[0]))
+        deviance = likelihood_and_gradients(model, some, np.arange(12), 0.02).deviance
+        found.append((deviance, deviance_and_gradient(volumes, some, GRID, 0.02)[0]))
     assert found[0] == pytest.approx(found[1], rel=1e-6)
 
 

@@ -10,13 +10,12 @@ from support.gaussian_scenes import small_model
 import recon.gaussians.voxel_prior
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.volume_edges import METAL, relative_density
-from recon.gaussians.state import GEOMETRY
+from recon.gaussians.model import PARTS
 from recon.gaussians.voxel_prior import DEFAULT, VoxelPrior
 from recon.ops.voxelize import mass_within, voxelize
 
 CUTOFF, SLABS = DEFAULT.cutoff, DEFAULT.slabs
 GRID = Grid((10, 9, 8), (2.0, 2.0, 2.0), (-9.0, -8.0, -7.0))
-PARTS = (*GEOMETRY, "coefficients")
 WEIGHT = torch.tensor([[2.0, 0.3, 0.1], [0.3, 1.0, 0.2], [0.1, 0.2, 3.0]])
 
 

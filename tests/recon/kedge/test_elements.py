@@ -9,11 +9,11 @@ import pytest
 from phantomgen.dataset.spectral_model import Spectra
 from recon.kedge.edge_likelihood import EdgeLikelihood
 from recon.kedge.elements import elements_within, plain_alternatives, scan_elements, settle_elements
-from recon.kedge.expected_noise import null_law
+from recon.kedge.expected_noise import null_distribution
 from recon.kedge.judgement import LEAST_SCORE, judge, judge_by_neighbours
-from recon.kedge.neighbour_agreement import agreement, between_channels
 from recon.kedge.rays import Rays
 from recon.kedge.search import likeliest_edge, refine_together
+from recon.kedge.spatial_correlation import between_channels, correlation_score
 from spectra.basis.basis import Basis, BasisFunction
 from spectra.elements.attenuation import edge_energy
 
@@ -103,10 +103,10 @@ def test_other_plain_functions_are_left_as_they_are():
 
 @pytest.mark.parametrize("dispersion", [0.0, 0.02])
 def test_of_noise_alone_neighbours_agree_by_one_standard_deviation(monkeypatch, dispersion):
-    monkeypatch.setattr("recon.kedge.neighbour_agreement.pairs_without_edge", lambda functions: (functions,))
+    monkeypatch.setattr("recon.kedge.spatial_correlation.pairs_without_edge", lambda functions: (functions,))
     monkeypatch.setattr("recon.kedge.expected_noise.MISFIT", 0.0)
     models = [likelihood(TISSUE, {}, seed, side=20, dispersion=dispersion) for seed in range(24)]
-    scores = [agreement(model, TISSUE, STEP) for model in models]
+    scores = [correlation_score(model, TISSUE, STEP) for model in models]
     assert np.std(scores) == pytest.approx(1.0, abs=0.45)
     assert abs(np.mean(scores)) < 0.8
     assert max(scores) < LEAST_SCORE
@@ -118,7 +118,7 @@ def test_neighbours_show_a_weak_edge_and_no_better_than_the_bound(monkeypatch):
     before = replace(judge(model, PLAIN, STEP), warranted=False)
     after = judge_by_neighbours(model, PLAIN, STEP, before)
     information = model.last_length((*PLAIN, STEP))[1]
-    information /= null_law(model, PLAIN, STEP, model.deviances(PLAIN)[1]).variance
+    information /= null_distribution(model, PLAIN, STEP, model.deviances(PLAIN)[1]).variance
     visible = 0.0046 * np.sqrt(information.sum())  # root mean square of uniform(0.5, 1) * 0.006
     assert after.warranted
     assert LEAST_SCORE < after.score < visible + 2
@@ -131,10 +131,10 @@ def test_what_tissues_are_is_no_edge(monkeypatch):
         likelihood(TISSUE, {}, side=32, photons=4e6),
         [BasisFunction("step", edge_energy=e) for e in (50, 57)],
     )
-    assert max(agreement(model, PLAIN, edge) for edge in edges) < LEAST_SCORE
-    monkeypatch.setattr("recon.kedge.neighbour_agreement.pairs_without_edge", lambda functions: (functions,))
+    assert max(correlation_score(model, PLAIN, edge) for edge in edges) < LEAST_SCORE
+    monkeypatch.setattr("recon.kedge.spatial_correlation.pairs_without_edge", lambda functions: (functions,))
     monkeypatch.setattr("recon.kedge.expected_noise.MISFIT", 0.0)
-    assert min(agreement(model, PLAIN, edge) for edge in edges) > LEAST_SCORE
+    assert min(correlation_score(model, PLAIN, edge) for edge in edges) > LEAST_SCORE
 
 
 @pytest.mark.parametrize(("edge", "shown"), [(31.0, False), (33.17, True), (63.0, True), (80.7, True), (85.0, False)])

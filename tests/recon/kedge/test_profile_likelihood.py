@@ -9,7 +9,7 @@ import pytest
 
 from phantomgen.dataset.spectral_model import Spectra
 from recon.kedge.edge_likelihood import EdgeLikelihood, moved_edge
-from recon.kedge.expected_noise import MISFIT, _direction, excess_score, null_law
+from recon.kedge.expected_noise import MISFIT, _direction, excess_score, null_distribution
 from recon.kedge.judgement import LEAST_SCORE, judge
 from recon.kedge.profile_likelihood import scan_edge, scanned_energies
 from recon.kedge.rays import Rays
@@ -94,8 +94,8 @@ def test_noise_alone_gives_scores_of_a_normal_distribution(dispersion):
     for seed in range(40):
         model = likelihood({}, seed, side=16, dispersion=dispersion)
         saved, lengths = model.saving(PLAIN)(edge)
-        law = null_law(model, PLAIN, edge, model.deviances(PLAIN)[1], misfit=0.0)
-        scores.append(excess_score(np.where(lengths > 0, saved, 0.0), law))
+        null = null_distribution(model, PLAIN, edge, model.deviances(PLAIN)[1], misfit=0.0)
+        scores.append(excess_score(np.where(lengths > 0, saved, 0.0), null))
     assert abs(np.mean(scores)) < 0.7
     assert np.std(scores) == pytest.approx(1.0, abs=0.4)
     assert max(scores) < LEAST_SCORE
@@ -111,10 +111,10 @@ def test_a_conceded_misfit_is_no_edge_and_one_step_more_is(content):
     wrong = model.with_rays(Rays(counts, model.rays.gains, None, model.rays.places))
     saved, lengths = wrong.saving(PLAIN)(edge)
     one_sided = np.where(lengths > 0, saved, 0.0)
-    law = null_law(wrong, PLAIN, edge, wrong.deviances(PLAIN)[1])
-    bare = null_law(wrong, PLAIN, edge, wrong.deviances(PLAIN)[1], misfit=0.0)
+    null = null_distribution(wrong, PLAIN, edge, wrong.deviances(PLAIN)[1])
+    bare = null_distribution(wrong, PLAIN, edge, wrong.deviances(PLAIN)[1], misfit=0.0)
     assert excess_score(one_sided, bare) > LEAST_SCORE
-    assert (excess_score(one_sided, law) > LEAST_SCORE) == (content > 0)
+    assert (excess_score(one_sided, null) > LEAST_SCORE) == (content > 0)
 
 
 @pytest.mark.parametrize("seed", range(3))

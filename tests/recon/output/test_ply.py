@@ -182,7 +182,7 @@ def test_a_model_of_another_version_or_another_run_is_refused(run, model, monkey
     with pytest.raises(DatasetError, match="they are not of one run"):
         read_run(run)
     with monkeypatch.context() as patch:
-        patch.setattr("recon.gaussians.model._SCHEMA", "spectral-ct gaussians 9.0")
+        patch.setattr(Gaussians, "SCHEMA", "spectral-ct gaussians 9.0")
         model.save(run / "model.safetensors")
     with pytest.raises(DatasetError, match=r"written as 'spectral-ct gaussians 9.0', this version reads"):
         read_run(run)

@@ -14,7 +14,7 @@ import pytest
 import torch
 from support.gaussian_scenes import PIXEL, circular, small_model, small_scan, spectral_model
 
-from recon.data.array_store import ArrayStore, release, taken
+from recon.data.array_store import ArrayStore, read_part, release
 from recon.gaussians.likelihood import likelihood
 from recon.gaussians.optimize import SNAPSHOTS, fit
 from recon.gaussians.processes import joined
@@ -200,7 +200,7 @@ def test_arrays_on_disk_hold_what_arrays_in_memory_do(problem, uninterrupted, tm
     counts[:] = measured.counts
     release(counts)
     assert isinstance(counts, np.memmap)
-    assert not isinstance(taken(counts, slice(0, 2)), np.memmap)
+    assert not isinstance(read_part(counts, slice(0, 2)), np.memmap)
     assert same(fit(problem[0], replace(measured, counts=counts), PIXEL, RECIPE), uninterrupted)
 
 

@@ -58,7 +58,7 @@ def test_the_truth_is_read_when_the_result_is_written_and_scores_come_before_fig
     assert dataset.noted == [[3], [7]]
     assert json.loads((tmp_path / "metrics.json").read_text()) == metrics
     assert list(metrics["seconds"]) == ["check", "write", "score", "figures"]
-    watcher.say.assert_called_once_with("Not fitted, though the file has it: kedge_I")
+    watcher.note.assert_called_once_with("Not fitted, though the file has it: kedge_I")
 
 
 def test_a_failure_after_the_result_is_written_is_named_in_the_metrics(dataset, tmp_path, monkeypatch):

@@ -55,7 +55,7 @@ def test_a_fit_gets_better_than_its_start_and_predicts_what_it_measured(name):
     measured = small_scan(truth, geometry[:: max(len(geometry) // 24, 1)], spectral_model(2, 3), seed=1)
     lengths, fisher = decompose_views(measured, 0.01)
     method = starting_method(geometry, GRID)
-    volumes = initial_volumes(lengths, measured.unseen, measured.geometry, GRID, method)
+    volumes = initial_volumes(lengths, measured.blind_pixels, measured.geometry, GRID, method)
     recipe = Recipe(stages=(Stage(1.0, 10.0),), centre_rate=0.06, shape_rate=0.015)  # the start is far off
     deviances = []
     start = initialize(volumes, GRID, fisher, recipe.spacing, truth.basis_names, 0)

@@ -5,7 +5,7 @@ import pytest
 from support.sensor_monte_carlo import pulses_of
 
 from spectra.detector.detector import Detector, channels_between
-from spectra.detector.pulse_height import PulseHeightDetector, Sharing
+from spectra.detector.pulse_height import ChargeSharing, PulseHeightDetector
 from spectra.detector.semiconductor import charge_fractions, escape
 from spectra.energy.grid import Energies
 from spectra.errors import InputError
@@ -17,9 +17,11 @@ FWHM = 2.0 * 2.3548  # of a standard deviation of 2 keV
 PHOTONS = 40_000
 
 
-def detector(resolution=FWHM, fluorescence=True, sharing=None, material=CDTE, thickness=1.6, thresholds=THRESHOLDS):
+def detector(
+    resolution=FWHM, fluorescence=True, charge_sharing=None, material=CDTE, thickness=1.6, thresholds=THRESHOLDS
+):
     return PulseHeightDetector(
-        channels_between(thresholds, 140), material, thickness, resolution, fluorescence, sharing
+        channels_between(thresholds, 140), material, thickness, resolution, fluorescence, charge_sharing
     )
 
 
@@ -30,7 +32,7 @@ def above(counts):
 
 @pytest.fixture(scope="module", params=[0.11, 0.225, 0.5])
 def pixels(request):
-    return detector(sharing=Sharing(request.param, 0.018))
+    return detector(charge_sharing=ChargeSharing(request.param, 0.018))
 
 
 # Counts above 20 keV per absorbed photon, from another Monte-Carlo of 1.6 mm of CdTe with clouds of 18 um.
@@ -39,12 +41,12 @@ PUBLISHED = {0.11: (1.20, 1.56), 0.225: (1.18, 1.34), 0.5: (1.10, 1.17)}
 
 def test_counts_above_a_low_threshold_are_those_of_another_monte_carlo(pixels):
     counts = pixels.pulses(np.array([60.0, 100.0])).sum(axis=0)
-    np.testing.assert_allclose(counts, PUBLISHED[pixels.sharing.pitch], atol=0.012)
+    np.testing.assert_allclose(counts, PUBLISHED[pixels.charge_sharing.pitch], atol=0.012)
 
 
 @pytest.mark.parametrize("energy", [30.0, 60.0, 100.0])
 def test_counts_are_those_of_photons_followed_one_by_one(pixels, energy):
-    heights = pulses_of(energy, CDTE, 1.6, pixels.sharing.pitch, 0.018, 2.0, PHOTONS, seed=1)
+    heights = pulses_of(energy, CDTE, 1.6, pixels.charge_sharing.pitch, 0.018, 2.0, PHOTONS, seed=1)
     per_photon = np.stack([(heights >= t).sum(axis=(1, 2)) for t in THRESHOLDS])
     scatter = per_photon.std(axis=1) / np.sqrt(PHOTONS)
     model = above(pixels.pulses(np.array([energy])))[:, 0]
@@ -52,7 +54,9 @@ def test_counts_are_those_of_photons_followed_one_by_one(pixels, energy):
 
 
 def test_counts_of_gallium_arsenide_are_those_of_photons_followed_one_by_one():
-    thin = detector(3.0, sharing=Sharing(0.1, 0.01), material=GAAS, thickness=0.5, thresholds=(8.0, 20.0, 35.0))
+    thin = detector(
+        3.0, charge_sharing=ChargeSharing(0.1, 0.01), material=GAAS, thickness=0.5, thresholds=(8.0, 20.0, 35.0)
+    )
     heights = pulses_of(40.0, GAAS, 0.5, 0.1, 0.01, 3.0 / 2.3548, PHOTONS, seed=2)
     model = above(thin.pulses(np.array([40.0])))[:, 0]
     found = [(heights >= t).sum() / PHOTONS for t in (8.0, 20.0, 35.0)]
@@ -108,15 +112,15 @@ def test_half_of_the_charge_on_an_edge_goes_to_each_side():
 
 def test_a_photon_may_count_more_than_once():
     energies = Energies.snapped(60, 140, 40, THRESHOLDS)
-    response = detector(sharing=Sharing(0.11, 0.018)).response(energies)
+    response = detector(charge_sharing=ChargeSharing(0.11, 0.018)).response(energies)
     assert response.sum(axis=0).max() > 1.2
     assert response.min() >= 0
 
 
 def test_silicon_is_called_poor_and_cadmium_telluride_is_not():
     silicon = detector(2.0, material=Material("Si", composition="Si"), thickness=60.0)
-    assert "leaves out Compton scattering in the sensor, 8" in silicon.poor[0]
-    assert detector().poor == ()
+    assert "leaves out Compton scattering in the sensor, 8" in silicon.model_warnings[0]
+    assert detector().model_warnings == ()
 
 
 @pytest.mark.parametrize(
@@ -124,7 +128,10 @@ def test_silicon_is_called_poor_and_cadmium_telluride_is_not():
     [
         ({"resolution": -1.0}, "the resolution must be finite and not negative, got -1 keV"),
         ({"resolution": 20.0}, "a threshold of 20 keV counts electronic noise at a resolution of 20 keV"),
-        ({"resolution": 0.0, "sharing": Sharing(0.2, 0.01)}, "shared charge needs a resolution of at least 1 keV"),
+        (
+            {"resolution": 0.0, "charge_sharing": ChargeSharing(0.2, 0.01)},
+            "shared charge needs a resolution of at least 1 keV",
+        ),
         ({"thickness": 0.0}, "sensor thickness"),
     ],
 )
@@ -136,4 +143,4 @@ def test_impossible_sensors_are_refused(options, words):
 @pytest.mark.parametrize(("pitch", "cloud"), [(0.0, 0.01), (0.1, 0.1), (0.1, -0.01), (np.nan, 0.01)])
 def test_impossible_pixels_are_refused(pitch, cloud):
     with pytest.raises(InputError):
-        Sharing(pitch, cloud)
+        ChargeSharing(pitch, cloud)

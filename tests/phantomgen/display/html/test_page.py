@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from phantomgen.display.figures.style import figure_file, write_csv
-from phantomgen.display.html import Code, Page, Section, Table, Words, check_page, picture, render, write_page
+from phantomgen.display.html import Code, Page, Paragraph, Section, Table, check_page, picture, render, write_page
 from phantomgen.display.html.svg import adapted
 from spectra.errors import InputError
 
@@ -60,7 +60,7 @@ def test_numbers_of_figures_and_tables_are_in_the_page(drawn):
 
 
 def test_a_page_loads_nothing_and_takes_words_as_words(drawn):
-    text = render(page_of(picture(drawn, "one"), Words("x < y & <script>"), Code("code", "<i>")))
+    text = render(page_of(picture(drawn, "one"), Paragraph("x < y & <script>"), Code("code", "<i>")))
     assert "<script" not in text
     assert "A &lt;b&gt;" in text
     outside = re.findall(r'(?:src|href)="(?!data:|#)([^"]+)"', text)

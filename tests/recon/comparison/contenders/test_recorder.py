@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recon.comparison.contenders import clock as clocks
-from recon.comparison.contenders.clock import Clock, Spent
+from recon.comparison.contenders.clock import BudgetSpent, Clock
 from recon.comparison.contenders.recorder import Recorder
 
 
@@ -61,7 +61,7 @@ def test_the_last_model_within_each_budget_is_kept_and_few_others(tmp_path_facto
         now["seconds"] = end
         try:
             recorder.add(i + 1, len(ends), lambda path, text=str(end): path.write_text(text))
-        except Spent:
+        except BudgetSpent:
             assert end > max(budgets)
             break
     for budget in budgets:
@@ -69,7 +69,7 @@ def test_the_last_model_within_each_budget_is_kept_and_few_others(tmp_path_facto
         found = recorder.result(budget)
         assert (None if found is None else found.seconds) == expected
         assert found is None or found.path.read_text() == str(expected)
-    assert {moment.path for moment in recorder.moments} == set(folder.iterdir())
+    assert {model.path for model in recorder.recorded} == set(folder.iterdir())
 
 
 def test_a_method_that_passes_its_budget_is_stopped(tmp_path, hand):
@@ -79,7 +79,7 @@ def test_a_method_that_passes_its_budget_is_stopped(tmp_path, hand):
     hand["seconds"] += 1
     recorder.add(1, 9, lambda path: path.write_text(""))
     hand["seconds"] += 1.5
-    with pytest.raises(Spent):
+    with pytest.raises(BudgetSpent):
         recorder.add(2, 9, lambda path: path.write_text(""))
     assert recorder.result(2.0).done == 1
     assert not recorder.is_final(recorder.result(2.0))

@@ -57,8 +57,11 @@ def test_a_recipe_refuses_what_is_not_positive(name):
 def test_schedules_shrink_with_the_steps_and_the_recipe_says_so():
     recipe = PaperRecipe(steps=3000, without=("tv",))
     assert [recipe.scaled(n) for n in (2000, 100, 1)] == [200, 10, 1]
-    assert recipe.says == "recipe of the paper: 3000 steps in place of 30000, all schedules scaled to match; without tv"
-    assert PaperRecipe().says == "recipe of the paper: 30000 steps"
+    assert (
+        recipe.description
+        == "recipe of the paper: 3000 steps in place of 30000, all schedules scaled to match; without tv"
+    )
+    assert PaperRecipe().description == "recipe of the paper: 30000 steps"
 
 
 @given(st.integers(2, 3), st.integers(0, 2**31))

@@ -1,7 +1,7 @@
 """Calls between the source files of a fit or a simulation: files that run, pairs of files, and climbs.
 
-    python -m benchmarks.call_trips fit --list
-    python -m benchmarks.call_trips simulate
+    python -m benchmarks.call_counts fit --list
+    python -m benchmarks.call_counts simulate
 
 A call is followed from the file of the calling function to that of the called one; functions of other libraries
 between them are skipped, and what runs while a module is imported does not count. Every pair of files counts once,

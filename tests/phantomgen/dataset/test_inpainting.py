@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recon.data.inpainting import inpainted
+from phantomgen.dataset.inpainting import inpainted
 
 ROW, COLUMN = np.mgrid[:9, :12].astype(float)
 PLANES = np.stack([3 + 0.5 * ROW - 0.2 * COLUMN, ROW * COLUMN])

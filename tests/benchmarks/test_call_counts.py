@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks.call_trips import is_climb, layers, report, trace
+from benchmarks.call_counts import is_climb, layers, report, trace
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.stopwatch import Stopwatch
 from recon.cli.common import ProgressBar

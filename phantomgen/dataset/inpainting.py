@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float, Int
 
 
 def inpainted(
@@ -59,18 +59,3 @@ def _between(seen: Bool[np.ndarray, "row column"]) -> _Neighbours:
     gap = np.where(first & last, np.inf, np.where(first | last, 2.0 * count, 0.0) + after - before)
     before, after = np.where(first, after, before), np.where(last, before, after)
     return _Neighbours(before, after, gap)
-
-
-def ray_weights(unseen: Bool[np.ndarray, "row column"], views: int) -> Float32[np.ndarray, "view row column"] | None:
-    """Return statistical weights that leave out unseen pixels.
-
-    Parameters
-    ----------
-    unseen : pixels in which too few channels measure
-    views : number of views
-
-    Returns
-    -------
-    1 for rays that were measured and 0 for others; None where all were measured
-    """
-    return np.broadcast_to(~unseen, (views, *unseen.shape)).astype(np.float32) if unseen.any() else None

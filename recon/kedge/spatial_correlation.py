@@ -1,4 +1,4 @@
-"""Agreement of neighbouring rays on a weak K edge that no single ray shows.
+"""Spatial correlation of neighbouring rays, which shows a weak K edge that no single ray shows.
 
 The drop in deviance of single rays shows nothing below their noise. Rays through the same material, however, have line
 integrals of the same sign and size, and their noise is independent. So the line integrals of the function of the edge
@@ -20,7 +20,7 @@ from scipy.ndimage import uniform_filter
 from phantomgen.dataset.spectral_model import Spectra
 from recon.kedge.alternatives import pairs_without_edge
 from recon.kedge.edge_likelihood import EdgeLikelihood, Functions
-from recon.kedge.expected_noise import null_law
+from recon.kedge.expected_noise import null_distribution
 from spectra.basis.basis import BasisFunction
 
 SHARE = 0.1  # of a channel; part that may lie on the other side of an edge which the channel still shows; by hand
@@ -31,8 +31,8 @@ OUTER = 9  # pixels along each side of the square of neighbours; chosen by hand,
 INNER = 3
 
 
-def agreement(likelihood: EdgeLikelihood, functions: Functions, further: BasisFunction) -> float:
-    """Compute by how many standard deviations of noise neighbouring rays agree on a function.
+def correlation_score(likelihood: EdgeLikelihood, functions: Functions, further: BasisFunction) -> float:
+    """Compute how many standard deviations of noise the correlation of neighbouring rays for a function exceeds 0.
 
     Parameters
     ----------
@@ -76,12 +76,12 @@ def between_channels(spectra: Spectra, edge: float) -> bool:
 
 
 def _score(likelihood: EdgeLikelihood, functions: Functions, further: BasisFunction) -> float:
-    """Score of `agreement` for one choice of the other functions."""
+    """Score of `correlation_score` for one choice of the other functions."""
     lengths, information = likelihood.last_length((*functions, further))
     template = np.maximum(_neighbours(likelihood.rays.places, lengths, information), 0.0)
-    law = null_law(likelihood, functions, further, likelihood.deviances(functions)[1])
-    power = float((law.variance * information * template**2).sum())
-    sure = information * lengths - np.sqrt(information) * law.shift
+    null = null_distribution(likelihood, functions, further, likelihood.deviances(functions)[1])
+    power = float((null.variance * information * template**2).sum())
+    sure = information * lengths - np.sqrt(information) * null.shift
     return float((template * sure).sum() / np.sqrt(2 * power)) if power > 0 else 0.0
 
 

@@ -1,0 +1,1 @@
+"""Gaussians divided by a plane: their model, placement along surfaces, and fit to voxel volumes."""

@@ -1,0 +1,1 @@
+"""Gaussians that a plane divides into two sides with coefficients of their own, seen along rays."""
