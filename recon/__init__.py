@@ -4,7 +4,8 @@
 >>> recon.Recipe().stages
 (Stage(pixel=0.5, sweeps=1.0),)
 
-`recon.fit(dataset)` gives a fit that renders, scores and saves itself, `recon.segment(fit)` finds its materials, and
+`recon.fit(dataset)` gives a fit that renders, scores and saves itself, `recon.segment(fit)` finds its materials,
+`recon.score(volume, dataset, ...)` scores a volume of any program, and
 `recon.reconstruct(dataset, recipe)` is the computation alone. Names are imported when they are first used, so that
 importing the package takes no time.
 """
@@ -13,14 +14,26 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from recon.api import Fit, fit, segment
+    from recon.api import Fit, fit, score, segment
     from recon.gaussians.model import Gaussians
     from recon.gaussians.processes import Resources
     from recon.gaussians.recipe import Recipe, Stage
     from recon.gaussians.reconstruct import Reconstruction, reconstruct
     from recon.voxel.filtered.fdk import fdk
 
-__all__ = ["Fit", "Gaussians", "Recipe", "Reconstruction", "Resources", "Stage", "fdk", "fit", "reconstruct", "segment"]
+__all__ = [
+    "Fit",
+    "Gaussians",
+    "Recipe",
+    "Reconstruction",
+    "Resources",
+    "Stage",
+    "fdk",
+    "fit",
+    "reconstruct",
+    "score",
+    "segment",
+]
 
 _HOMES = {
     "Fit": "api",
@@ -32,6 +45,7 @@ _HOMES = {
     "fdk": "voxel.filtered.fdk",
     "fit": "api",
     "reconstruct": "gaussians.reconstruct",
+    "score": "api",
     "segment": "api",
 }
 

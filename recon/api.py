@@ -18,6 +18,7 @@ from phantomgen.runtime.guarded import Guard, WarnOnFailure, unguarded
 from phantomgen.runtime.plain_json import to_json, write_json
 from phantomgen.runtime.stopwatch import peak_memory_mib
 from phantomgen.runtime.thumbnails import thumbnails
+from recon.evaluation.stated_volume import Statement
 from recon.evaluation.verdict import Verdict
 from recon.gaussians.model import GaussianModel
 from recon.gaussians.optimize import Progress
@@ -28,6 +29,7 @@ from recon.kedge.choose_basis import BasisChoice, choose_basis
 from recon.output.render_file import rendered, views_of_geometry
 from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.paper.reconstruct import reconstruct_paper
+from recon.runs.outcomes.score_volume import score_volume
 from recon.runs.outcomes.volume_outcome import VolumeOutcome
 from recon.runs.run_folder import Run
 from recon.runs.run_gaussians import outcome_of_fit
@@ -278,6 +280,83 @@ def segment(run: Fit | Path | str, **options: Any) -> Segmentation:
     transmission, name = run.result.transmission, run.path.name
     subject = Subject.of(run.volume(), run.grid, basis, transmission, run.gaussians, name)
     return segment_subject(subject, chosen)
+
+
+def score(
+    volume: Any,
+    dataset: Dataset | str | Path,
+    quantity: str | Sequence[str] = (),
+    *,
+    units: str | None = None,
+    axes: str | None = None,
+    voxel_mm: float | Sequence[float] | None = None,
+    origin_mm: Sequence[float] | str | None = None,
+    same_grid: bool = False,
+    coordinates: str = "header",
+    out: Path | str | None = None,
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Score a volume of any program against the truth of a dataset, as runs are scored.
+
+    Parameters
+    ----------
+    volume : array or tensor, file or run folder, or several of them; an array needs `axes`, and where its voxels are
+    dataset : open dataset with a truth, or its file
+    quantity : what each part holds, such as ``basis:photoelectric``, ``mono:60``, ``channel:bin1``, ``hu:60`` or
+        ``density:iodine``; nothing for files that name their basis volumes
+    units : of the values, such as ``1/cm``; None where the file says, and for Hounsfield units
+    axes : axis of the scan along each axis of the array, such as ``zyx`` or ``x-yz``; None where the file says
+    voxel_mm : size of a voxel, or sizes along (z, y, x); None where the file says
+    origin_mm : centre of the first voxel (z, y, x), or ``center`` for a volume around the isocentre; None where the
+        file says
+    same_grid : whether the voxels are those of the dataset, in place of the two
+    coordinates : ``header``, or ``scan`` for images whose coordinates are those of the scan and not of a patient
+    out : folder to write, with figures; None for no files
+    overwrite : replace a folder that exists
+
+    Returns
+    -------
+    what ``metrics.json`` holds
+
+    Raises
+    ------
+    InputError
+        When a volume cannot be read, or what it holds or where it lies is not known.
+    DatasetError
+        When the dataset holds no truth.
+    """
+    if not isinstance(dataset, Dataset):
+        with open_dataset(dataset) as opened:
+            stated = {"units": units, "axes": axes, "voxel_mm": voxel_mm, "origin_mm": origin_mm}
+            rest = {"same_grid": same_grid, "coordinates": coordinates, "out": out, "overwrite": overwrite}
+            return score(volume, opened, quantity, **stated, **rest)
+    options = {
+        "as": quantity,
+        "units": units,
+        "axes": axes,
+        "voxel-mm": _numbers_text(voxel_mm),
+        "origin-mm": _numbers_text(origin_mm),
+        "same-grid": same_grid,
+        "coordinates": coordinates,
+    }
+    sources = [volume] if isinstance(volume, (str, Path)) or hasattr(volume, "__array__") else list(volume)
+    folder = None if out is None else RunFolder(Path(out), overwrite)
+    return score_volume(
+        [str(source) if isinstance(source, (str, Path)) else np.asarray(source) for source in sources],
+        dataset,
+        Statement.of(options, dataset.grid),
+        folder,
+        figures=True,
+        on_stage=lambda name: None,
+        warn=lambda sentence, error: warnings.warn(sentence, RuntimeWarning, stacklevel=4),
+    )
+
+
+def _numbers_text(value: float | Sequence[float] | str | None) -> str | None:
+    """Numbers as the options of the command take them."""
+    if value is None or isinstance(value, str):
+        return value
+    return ",".join(repr(float(number)) for number in np.atleast_1d(np.asarray(value, dtype=np.float64)))
 
 
 def _recipe(recipe: Recipe | PaperRecipe | str) -> Recipe | PaperRecipe:

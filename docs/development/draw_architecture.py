@@ -39,6 +39,7 @@ TEXTS = {
     "phantomgen.shapes": "solids and meshes",
     "phantomgen.effects": "beam and detector",
     "phantomgen.exporters": "NIfTI, VTI",
+    "phantomgen.volume_files": "volumes that come in",
     "phantomgen.ops": "trace, project, expected counts, ...",
     "phantomgen.geometry": "poses, orbits, grids",
     "phantomgen.runtime": "time, memory, versions",

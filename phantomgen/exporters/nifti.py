@@ -2,7 +2,7 @@
 
 NIfTI calls its axes right, anterior and superior (RAS+). Our x, y and z are written as these, so that nibabel shows the
 coordinates of the scan. ITK and DICOM count to the left and to the back (LPS): they show x and y of the same points
-with the opposite sign. `phantomgen.scene.input_files.voxel_volume` reads files as these are written.
+with the opposite sign. `phantomgen.volume_files.read` reads files as these are written.
 
 References
 ----------

@@ -101,3 +101,33 @@ class Grid:
         matrix = np.diag([*self.spacing[::-1], 1.0])
         matrix[:3, 3] = self.origin[::-1]
         return matrix
+
+
+def parse_triple(option: str, text: str, several: bool = False) -> tuple[float, float, float]:
+    """Read numbers along (z, y, x) from the text of an option.
+
+    Parameters
+    ----------
+    option : its name, for the message
+    text : three numbers with commas between, or one for all axes
+    several : whether one number is refused
+
+    Returns
+    -------
+    the numbers
+
+    Raises
+    ------
+    InputError
+        When the text is something else.
+    """
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) == 1 and not several:
+        numbers *= 3
+    if len(numbers) != 3 or not np.isfinite(numbers).all():
+        wanted = "three numbers z,y,x" if several else "one number, or three: z,y,x"
+        raise InputError(f"{option} needs {wanted}, got {text!r}")
+    return numbers[0], numbers[1], numbers[2]

@@ -15,7 +15,9 @@ _METHODS = "fdk,cgls,pdhg-tv,one-step,gaussian"
 
 @click.command(
     epilog="\b\nExamples:\n  recon compare kedge.h5 --budget 60s,240s\n"
-    "  recon compare kedge-small.h5 --methods fdk,sart+image,gaussian+2,gaussian --budget 20s --clock cpu --threads 1"
+    "  recon compare kedge-small.h5 --methods fdk,sart+image,gaussian+2,gaussian --budget 20s --clock cpu --threads 1\n"
+    "  recon compare kedge.h5 --with 'tigre=fdk.npy as=mono:60 units=1/mm axes=zyx same-grid'\n"
+    "  recon compare kedge.h5 --run 'mine as=mono:60 units=1/mm axes=zyx same-grid: python mine.py {dataset} {out}'"
 )
 @click.argument("dataset", type=click.Path(dir_okay=False, path_type=Path))
 @click.option(
@@ -30,6 +32,20 @@ _METHODS = "fdk,cgls,pdhg-tv,one-step,gaussian"
     default="wall",
     show_default=True,
     help="Time that counts: that of the wall clock or of the processor.",
+)
+@click.option(
+    "--with",
+    "finished",
+    metavar="'NAME=PATH ...'",
+    multiple=True,
+    help="A finished volume, and what it holds as options of recon score without dashes; repeatable.",
+)
+@click.option(
+    "--run",
+    "commands",
+    metavar="'NAME ...: COMMAND'",
+    multiple=True,
+    help="A command of your own with {dataset} and {out}, in the same budgets; repeatable.",
 )
 @click.option("--require", metavar="NAME", multiple=True, help="Exit with 3 unless gaussian is above it; repeatable.")
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder to write [default: <dataset>-compare].")
@@ -46,6 +62,8 @@ def compare(
     budget: str,
     protocol: str,
     clock: str,
+    finished: tuple[str, ...],
+    commands: tuple[str, ...],
     require: tuple[str, ...],
     out: Path | None,
     resume: bool,
@@ -57,13 +75,15 @@ def compare(
     """Run methods on DATASET at equal time budgets, and score them.
 
     Every method runs in a process of its own, on the same training views and with the same projector. Its result at the
-    end of a budget is scored; the time of scoring does not count. Writes compare.json, compare.csv, compare.md and a
-    figure of error against time.
+    end of a budget is scored; the time of scoring does not count. Volumes and commands of other programs stand in the
+    same tables by --with and --run. Writes compare.json, compare.csv, compare.md and a figure of error against time.
     """
     from recon.comparison.campaign import Campaign
     from recon.comparison.contenders.contender import contenders
+    from recon.comparison.contenders.other_program import check_names, command_program, finished_volume
     from recon.comparison.outcome import parse_budgets, requirements, write_outcome
     from recon.comparison.scoring.protocols import protocol_named
+    from recon.comparison.scoring.stated import check_programs
     from recon.comparison.studies import study_named
 
     if methods is not None and study is not None:
@@ -72,11 +92,18 @@ def compare(
         check_run_name(out)
     protocol_named(protocol)
     chosen = None if study is None else study_named(study, dataset)
-    who = contenders((methods or _METHODS).split(",")) if chosen is None else chosen.contenders
+    ours = contenders((methods or _METHODS).split(",")) if chosen is None else chosen.contenders
+    others = (*map(finished_volume, finished), *map(command_program, commands))
+    check_names(others)
+    who = (*ours, *others)
     budgets = parse_budgets(budget)
-    required = contenders(require) if require else ()
+    named = {other.name: other for other in others}
+    required = tuple(named.get(name) or contenders([name])[0] for name in require)
     folder = out or Path(f"{dataset.stem}-{study or 'compare'}")
-    campaign = Campaign(dataset, folder, clock, threads, resume, overwrite)
+    if others:
+        check_programs(others, dataset)
+    stated = tuple(dict.fromkeys(other.statement["as"] for other in others if "as" in other.statement))
+    campaign = Campaign(dataset, folder, clock, threads, resume, overwrite, stated)
     campaign.run(who, budgets, stderr_printer(quiet or as_json))
     results = campaign.results(who, budgets)
     text = write_outcome(campaign, results, protocol, chosen)

@@ -19,6 +19,7 @@ import numpy as np
 from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.runtime.outputs import check_output_folder
 from recon.comparison.contenders.contender import Contender
+from recon.comparison.contenders.other_program import OtherProgram
 from recon.comparison.job import Job, read_result, result_file, write_result
 from recon.data.measurements import matching_bin, read_measurements
 from recon.voxel.filtered.fdk import Fdk
@@ -61,6 +62,7 @@ class Campaign:
     clock, threads : see `Settings`
     resume : compute missing results in a folder that exists
     overwrite : replace a folder that exists
+    stated : quantities that volumes of other programs hold, at whose energies all results are scored
 
     Raises
     ------
@@ -69,11 +71,18 @@ class Campaign:
     """
 
     def __init__(
-        self, dataset: Path, folder: Path, clock: str, threads: int | None, resume: bool, overwrite: bool
+        self,
+        dataset: Path,
+        folder: Path,
+        clock: str,
+        threads: int | None,
+        resume: bool,
+        overwrite: bool,
+        stated: tuple[str, ...] = (),
     ) -> None:
         with open_dataset(dataset) as opened:
             opened.splits  # noqa: B018 - a damaged file is refused now
-        self.dataset, self.folder = dataset, folder
+        self.dataset, self.folder, self.stated = dataset, folder, stated
         self.settings = Settings(dataset.name, fingerprint(dataset), clock, threads)
         check_output_folder(folder, overwrite or resume, "recon compare", _is_comparison, "run what is missing")
         if folder.exists() and overwrite:
@@ -83,18 +92,24 @@ class Campaign:
         (folder / RESULTS).mkdir(parents=True, exist_ok=True)
         (folder / SETTINGS).write_text(json.dumps(asdict(self.settings), indent=1) + "\n", encoding="utf-8")
 
-    def run(self, who: Sequence[Contender], budgets: Sequence[float], tell: Tell = lambda sentence: None) -> None:
+    def run(
+        self, who: Sequence[Contender | OtherProgram], budgets: Sequence[float], tell: Tell = lambda sentence: None
+    ) -> None:
         """Compute missing results; failed ones are repeated, but not those for which a budget was too short.
 
         Parameters
         ----------
-        who : contenders
+        who : contenders, and other programs; finished volumes are scored anew
         budgets : times that each contender gets [s]
         tell : gets the progress, one sentence at a time
         """
         for contender in who:
             place = self.folder / RESULTS / str(contender)
-            missing = tuple(b for b in budgets if not _is_known(read_result(place, b)))
+            if isinstance(contender, OtherProgram) and contender.path is not None:
+                tell(f"{contender}: {contender.path}")
+                self._work(contender, place, ())
+                continue
+            missing = tuple(b for b in budgets if not self._is_known(contender, read_result(place, b)))
             if not missing:
                 tell(f"{contender}: done before")
                 continue
@@ -103,7 +118,7 @@ class Campaign:
             for budget in missing:
                 tell(_outcome(read_result(place, budget) or {}))
 
-    def results(self, who: Sequence[Contender], budgets: Sequence[float]) -> list[Result]:
+    def results(self, who: Sequence[Contender | OtherProgram], budgets: Sequence[float]) -> list[Result]:
         """Read the results in the order of contenders and budgets.
 
         Parameters
@@ -115,24 +130,35 @@ class Campaign:
         -------
         those that exist
         """
-        pairs = ((self.folder / RESULTS / str(contender), budget) for contender in who for budget in budgets)
+        each = [(one, _budgets_of(one, budgets)) for one in who]
+        pairs = ((self.folder / RESULTS / str(one), budget) for one, own in each for budget in own)
         found = (read_result(place, budget) for place, budget in pairs)
         return [result for result in found if result is not None]
 
-    def _work(self, contender: Contender, place: Path, budgets: tuple[float, ...]) -> None:
+    def _is_known(self, contender: Contender | OtherProgram, result: Result | None) -> bool:
+        """Whether a repetition would give the same."""
+        if result is None or not ("seconds" in result or result.get("too_short")):
+            return False
+        if isinstance(contender, OtherProgram):
+            return result.get("command") == list(contender.command)
+        return "seconds" not in result or set(self.stated) <= set(result.get("stated_as", ()))
+
+    def _work(self, contender: Contender | OtherProgram, place: Path, budgets: tuple[float, ...]) -> None:
         """Run a process that writes results; where it ends without one, the last line of its messages is the result."""
         place.mkdir(parents=True, exist_ok=True)
-        for budget in budgets:
+        own = _budgets_of(contender, budgets)
+        for budget in own:
             result_file(place, budget).unlink(missing_ok=True)
         pseudo = self._pseudo_truth()
         job = Job(
             str(self.dataset), str(place), str(contender), budgets, self.settings.clock, self.settings.threads,
-            None if pseudo is None else str(pseudo),
+            None if pseudo is None else str(pseudo), self.stated,
+            contender if isinstance(contender, OtherProgram) else None,
         )  # fmt: skip
         command = [sys.executable, "-m", "recon.comparison.worker"]
         ended = subprocess.run(command, input=job.to_json(), capture_output=True, text=True, check=False)
         (place / "log.txt").write_text(ended.stdout + ended.stderr, encoding="utf-8")
-        for budget in budgets:
+        for budget in own:
             if read_result(place, budget) is None:
                 last = (ended.stderr.strip().splitlines() or ["no message"])[-1]
                 error = f"the process ended with status {ended.returncode}: {last}"
@@ -165,9 +191,10 @@ def _is_comparison(folder: Path) -> bool:
     return (folder / SETTINGS).is_file()
 
 
-def _is_known(result: Result | None) -> bool:
-    """Whether a repetition would give the same."""
-    return result is not None and ("seconds" in result or bool(result.get("too_short")))
+def _budgets_of(contender: Contender | OtherProgram, budgets: Sequence[float]) -> Sequence[float | None]:
+    """Budgets of a contender; None for a finished volume, which has one result."""
+    finished = isinstance(contender, OtherProgram) and contender.path is not None
+    return (None,) if finished else budgets
 
 
 @without_other_pools()

@@ -6,6 +6,7 @@ from typing import Any
 from phantomgen.runtime.plain_json import write_json
 from recon.comparison.campaign import Campaign
 from recon.comparison.contenders.contender import GAUSSIAN, Contender
+from recon.comparison.contenders.other_program import OtherProgram
 from recon.comparison.scoring.lpips import missing
 from recon.comparison.studies import Study
 from recon.comparison.tables.figure import error_against_time
@@ -75,7 +76,9 @@ def write_outcome(campaign: Campaign, results: Sequence[Result], protocol: str, 
     return page
 
 
-def requirements(results: Sequence[Result], required: Sequence[Contender], budget: float, protocol: str) -> list[str]:
+def requirements(
+    results: Sequence[Result], required: Sequence[Contender | OtherProgram], budget: float, protocol: str
+) -> list[str]:
     """List the contenders that the fit of Gaussians does not exceed at a budget.
 
     The fit exceeds a contender when its mean PSNR of the basis volumes is larger; without a truth, that of the test
@@ -106,6 +109,6 @@ def requirements(results: Sequence[Result], required: Sequence[Contender], budge
 
 def _psnr_at(results: Sequence[Result], who: str, budget: float, protocol: str) -> float | None:
     """Mean PSNR of basis volumes, or of test views; None where there is neither."""
-    own = next((r for r in results if (r["contender"], r["budget"]) == (who, budget)), {})
+    own = next((r for r in results if r["contender"] == who and r["budget"] in (budget, None)), {})
     bases = mean_psnr(own, "basis", protocol)
     return bases if bases is not None else mean_psnr(own, "views", protocol)

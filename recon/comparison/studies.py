@@ -79,7 +79,7 @@ class Study:
             f"# {self.title}",
             f"`{self.name}`, metric protocol `{protocol}`; the paper's numbers are of other scans.",
         ]
-        for budget in sorted({result["budget"] for result in results}):
+        for budget in sorted({result["budget"] for result in results if result["budget"] is not None}):
             own = {r["contender"]: r for r in results if r["budget"] == budget and "seconds" in r}
             header, *lines = self.rows(own, protocol)
             parts += [f"## {budget:g} s", markdown_table(header, lines)]

@@ -1,6 +1,7 @@
 """One contender in a process of its own: warm-up, timed runs, memory, and scores at the end.
 
-The reconstruction reads only ``/entry`` of the dataset; the truth is opened after all runs.
+The reconstruction reads only ``/entry`` of the dataset; the truth is opened after all runs. A command of a user gets
+the whole file, and is a process of its own below this one.
 """
 
 import os
@@ -8,6 +9,7 @@ import shutil
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -21,12 +23,15 @@ from phantomgen.runtime.stopwatch import peak_memory_mib
 from recon.comparison.contenders.clock import Clock
 from recon.comparison.contenders.contender import GAUSSIAN, PAPER, Contender, contender
 from recon.comparison.contenders.model import Runs
+from recon.comparison.contenders.other_program import Ended, OtherProgram, end_commands, run_command
 from recon.comparison.contenders.recorder import RecordedModel, Recorder
 from recon.comparison.contenders.timed_gaussians import run_gaussian, run_paper
 from recon.comparison.contenders.timed_voxels import run_voxels
 from recon.comparison.job import Job, write_result
 from recon.comparison.scoring.scores import score
+from recon.comparison.scoring.stated import psnr_of_attenuation, psnr_of_stated, score_attenuation, score_stated
 from recon.evaluation.scoring import psnr_of_bases
+from recon.evaluation.stated_volume import Statement, stated_volume
 from recon.voxel.iterative.multigrid import coarser
 from spectra.errors import Error
 from spectra.threads import set_threads, without_other_pools
@@ -42,6 +47,9 @@ def work(job: Job) -> None:
     job : contender and budgets
     """
     set_threads(job.threads)
+    if job.program is not None:
+        _work_other(job, job.program)
+        return
     folder, who = Path(job.folder), contender(job.contender)
     room = folder / "models"
     with open_dataset(Path(job.dataset)) as dataset:
@@ -129,7 +137,11 @@ def _write_scores(job: Job, dataset: Dataset, runs: Runs, memory: float | None) 
             write_result(Path(job.folder), budget, content | {"error": lacking, "too_short": True})
             continue
         if recorded_model.path not in scored:
-            scored[recorded_model.path] = score(runs.load(recorded_model.path), dataset, truth, pseudo)
+            model = runs.load(recorded_model.path)
+            scored[recorded_model.path] = score(model, dataset, truth, pseudo)
+            if job.stated and truth is not None and model.bases is not None:
+                scored[recorded_model.path]["stated"] = score_attenuation(model.bases, job.stated, dataset, truth)
+            scored[recorded_model.path]["stated_as"] = list(job.stated)
         count, kind = runs.load(recorded_model.path).primitives
         content |= {
             "seconds": recorded_model.seconds,
@@ -139,22 +151,69 @@ def _write_scores(job: Job, dataset: Dataset, runs: Runs, memory: float | None) 
             "primitives": count,
             "kind": kind,
             "peak_memory_mib": memory,
-            "curve": _curve(recorder.recorded, runs, truth),
+            "curve": _curve(recorder.recorded, runs, truth, dataset, job.stated),
         }
         write_result(Path(job.folder), budget, content | scored[recorded_model.path])
 
 
-def _curve(recorded: list[RecordedModel], runs: Runs, truth: Truth | None) -> list[dict[str, float]]:
-    """PSNR of each basis over time, as ``seconds``, ``done`` and ``psnr_<basis>`` [dB]; empty without a truth."""
+def _work_other(job: Job, program: OtherProgram) -> None:
+    """Run a command of a user for each budget, or take a finished volume, and score what it gives."""
+    folder = Path(job.folder)
+    if program.path is not None:
+        write_result(folder, None, {"contender": job.contender, "budget": None} | _scored(job, program.path, None))
+        return
+    ended: Ended | None = None
+    out = folder / f"volume{program.suffix}"
+    for budget in sorted(job.budgets, reverse=not program.each_budget):
+        content: dict[str, Any] = {"contender": job.contender, "budget": budget, "command": list(program.command)}
+        if ended is None or program.each_budget:
+            ended = run_command(program, Path(job.dataset), out, budget, job.clock, job.threads)
+            found = {"error": ended.error} if ended.error else _scored(job, str(out), ended)
+        if ended.too_short or ended.seconds > budget:
+            found = {"error": f"nothing is ready within {budget:g} s: the command did not end", "too_short": True}
+        write_result(folder, budget, content | found)
+
+
+def _scored(job: Job, path: str, ended: Ended | None) -> dict[str, Any]:
+    """Scores of a volume of another program, or the sentence that says why there are none."""
+    assert job.program is not None
+    with open_dataset(Path(job.dataset)) as dataset:
+        truth = read_truth(dataset.path)
+        try:
+            found = stated_volume([path], Statement.of(job.program.statement, dataset.grid), dataset, truth)
+            assert truth is not None
+            pseudo = None if job.pseudo is None else np.load(job.pseudo)
+            scores = score_stated(found, dataset, truth, pseudo)
+            if found.complete:
+                scores["stated"] = score_attenuation(found.model, job.stated, dataset, truth)
+        except Error as error:
+            return {"error": str(error)}
+        level = psnr_of_stated(found)
+        if found.complete:
+            level |= psnr_of_attenuation(found.model, job.stated, dataset, truth)
+    seconds = None if ended is None else ended.seconds
+    curve = [] if ended is None or not level else [{"seconds": seconds, "done": 1.0} | level]
+    about = {"seconds": seconds, "done": 1, "total": 1, "finished": True, "curve": curve, "level": level}
+    size = {"primitives": int(np.prod(found.model.grid.shape)), "kind": "voxels"}
+    memory = {"peak_memory_mib": None if ended is None else ended.memory, "statement": found.record}
+    return about | size | memory | {"remarks": found.remarks()} | scores
+
+
+def _curve(
+    recorded: list[RecordedModel], runs: Runs, truth: Truth | None, dataset: Dataset, stated: Sequence[str]
+) -> list[dict[str, float]]:
+    """PSNR over time of each basis, and of attenuation that other programs state; empty without a truth.
+
+    Entries are ``seconds``, ``done`` and ``psnr_<basis>`` [dB].
+    """
     points = []
     if truth is None:
         return points
     for recorded_model in recorded:
         bases = runs.load(recorded_model.path).bases
         if bases is not None:
-            points.append(
-                {"seconds": recorded_model.seconds, "done": float(recorded_model.done)} | psnr_of_bases(truth, bases)
-            )
+            scores = psnr_of_bases(truth, bases) | psnr_of_attenuation(bases, stated, dataset, truth)
+            points.append({"seconds": recorded_model.seconds, "done": float(recorded_model.done)} | scores)
     return points
 
 
@@ -165,6 +224,7 @@ def end_with_parent() -> None:
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(0.5)
+        end_commands()
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()

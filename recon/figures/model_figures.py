@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import Truth
+from phantomgen.display.figures.style import UNIT
 from phantomgen.runtime.guarded import Guard, unguarded
 from recon.evaluation.scoring import held_out_views
 from recon.figures import run_figures as figures
@@ -34,18 +35,38 @@ def draw_model(
     left_out : bases of the file that the model lacks, which the titles name
     guard : context of each figure, so that one that fails does not prevent the others
     """
+    draw_volumes(dataset, truth, model, folder, left_out, guard)
+    with guard("drawing residuals.png"):
+        _draw_residuals(dataset, model, folder / "residuals.png")
+
+
+def draw_volumes(
+    dataset: Dataset,
+    truth: Truth | None,
+    model: GaussianModel | Voxels,
+    folder: Path,
+    left_out: Sequence[str] = (),
+    guard: Guard = unguarded,
+    unit: str = UNIT,
+) -> None:
+    """Draw slices and profiles of the volumes, and the spectrum of the scan.
+
+    Parameters
+    ----------
+    dataset, truth, model, folder, left_out, guard : see `draw_model`
+    unit : thousandth of the unit of the volumes
+    """
     grid = dataset.grid if truth is None else truth.grid
     names, volumes = model.basis_names, model.volume(grid)
     true = None if truth is None else truth_of(truth, names)
     for plane in ("axial", "coronal"):
         with guard(f"drawing {plane}.png"):
-            figures.basis_slices(volumes, true, names, grid, folder / f"{plane}.png", plane, left_out=left_out)
+            path = folder / f"{plane}.png"
+            figures.basis_slices(volumes, true, names, grid, path, plane, left_out=left_out, unit=unit)
     with guard("drawing profiles.png"):
-        figures.profiles({"result": volumes}, true, names, grid, folder / "profiles.png")
+        figures.profiles({"result": volumes}, true, names, grid, folder / "profiles.png", unit=unit)
     with guard("drawing spectrum.png"):
         figures.spectrum(dataset.spectra, folder / "spectrum.png")
-    with guard("drawing residuals.png"):
-        _draw_residuals(dataset, model, folder / "residuals.png")
 
 
 def truth_of(truth: Truth, names: Sequence[str]) -> Float[np.ndarray, "basis z y x"] | None:

@@ -47,6 +47,7 @@ def basis_slices(
     plane: str = "axial",
     width: float = WIDTH,
     left_out: Sequence[str] = (),
+    unit: str = UNIT,
 ) -> Path:
     """Draw the middle slice of every basis: truth, result and their difference, or the result alone.
 
@@ -59,6 +60,7 @@ def basis_slices(
     plane : ``axial`` (x, y), ``coronal`` (x, z) or ``sagittal`` (y, z)
     width : width of the figure where there is a truth [inch]
     left_out : bases that were not fitted, which the title names
+    unit : thousandth of the unit of the volumes
 
     Returns
     -------
@@ -78,7 +80,7 @@ def basis_slices(
         axes = figure.subplots(len(names), len(ratios), width_ratios=ratios, squeeze=False)
         pictures = axes[:, [0]] if true is None else axes[:, [0, 1, 3]]
         for row, name in enumerate(names):
-            _draw_row(figure, axes[row], result[row], None if true is None else true[row], extent)
+            _draw_row(figure, axes[row], result[row], None if true is None else true[row], extent, unit)
             pictures[row, 0].set_ylabel(f"{pretty(name)}\n{up} [mm]")
         for ax in pictures.flat:
             ax.spines[:].set_visible(True)
@@ -91,7 +93,9 @@ def basis_slices(
     return path
 
 
-def _draw_row(figure: "Figure", axes: Any, result: np.ndarray, true: np.ndarray | None, extent: list[float]) -> None:
+def _draw_row(
+    figure: "Figure", axes: Any, result: np.ndarray, true: np.ndarray | None, extent: list[float], unit: str
+) -> None:
     """Draw one basis: images with one grey scale, and the difference with another scale."""
     known = true is not None and bool(np.isfinite(true).all())
     pictures = [result] if true is None else [true, result]
@@ -111,7 +115,7 @@ def _draw_row(figure: "Figure", axes: Any, result: np.ndarray, true: np.ndarray 
         )
         bars.append(figure.colorbar(error, cax=axes[4], extend="both"))
     for bar in bars:
-        bar.set_label(UNIT)
+        bar.set_label(unit)
         bar.outline.set_linewidth(0.6)
         bar.locator = few_ticks()
 
@@ -124,6 +128,7 @@ def profiles(
     path: Path,
     line: Float[np.ndarray, "2 3"] | None = None,
     width: float = WIDTH,
+    unit: str = UNIT,
 ) -> Path:
     """Draw every basis along one line, with a CSV.
 
@@ -136,6 +141,7 @@ def profiles(
     path : figure to write
     line : two points (x, y, z) [mm] that the line joins; None for `profile_line` of the last basis of the first result
     width : width of the figure [inch]
+    unit : thousandth of the unit of the volumes
 
     Returns
     -------
@@ -166,7 +172,7 @@ def profiles(
                 true = MILLI * columns[f"{name}_truth"]
                 ax.step(position, true, where="mid", color=TRUTH, linewidth=0.7, label="truth")
             ax.text(0.01, 0.97, pretty(name), transform=ax.transAxes, va="top", fontsize=9)
-            ax.set_ylabel(UNIT)
+            ax.set_ylabel(unit)
             ax.margins(x=0)
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
         axes[0].set_title(f"from (x, y, z) = {ends} mm", loc="left")

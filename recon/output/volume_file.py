@@ -10,7 +10,7 @@ import numpy as np
 from phantomgen.dataset.layout import new_group, put
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.dataset.truth import write_grid
-from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.geometry.voxel_grid import Grid, parse_triple
 from phantomgen.runtime.disk import complete_file
 from recon.runs.run_folder import Run
 from spectra.errors import InputError
@@ -53,13 +53,13 @@ def chosen_grid(
         raise InputError("--grid counts voxels and --size measures them in mm: leave one of them out")
     spacing = np.full(3, voxel) if voxel is not None else np.array(scan.spacing)
     if counts is not None:
-        shape = np.array(_triple("--grid", counts))
+        shape = np.array(parse_triple("--grid", counts))
         if (shape % 1 != 0).any():
             raise InputError(f"--grid needs whole numbers of voxels, got {counts!r}")
     else:
-        extent = np.array(scan.shape) * scan.spacing if size is None else np.array(_triple("--size", size))
+        extent = np.array(scan.shape) * scan.spacing if size is None else np.array(parse_triple("--size", size))
         shape = np.maximum(np.ceil(extent / spacing - 1e-6), 1)
-    middle = np.zeros(3) if center is None else np.array(_triple("--center", center, several=True))
+    middle = np.zeros(3) if center is None else np.array(parse_triple("--center", center, several=True))
     if (shape < 1).any():
         raise InputError(f"a volume needs positive sizes, got {counts or size!r}")
     first = middle - (shape - 1) / 2 * spacing
@@ -127,17 +127,3 @@ def whole_file(path: Path) -> Iterator[h5py.File]:
     """
     with complete_file(path, ".h5") as beside, h5py.File(beside, "w") as file:
         yield file
-
-
-def _triple(option: str, text: str, several: bool = False) -> tuple[float, float, float]:
-    """Numbers along (z, y, x) from one number for all axes, or from three."""
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) == 1 and not several:
-        numbers *= 3
-    if len(numbers) != 3 or not np.isfinite(numbers).all():
-        wanted = "three numbers z,y,x" if several else "one number, or three: z,y,x"
-        raise InputError(f"{option} needs {wanted}, got {text!r}")
-    return numbers[0], numbers[1], numbers[2]

@@ -98,6 +98,7 @@ def write_volumes(
     grid: Grid,
     others: dict[str, Float[np.ndarray, "basis z y x"]],
     unreliable: Unreliable | None = None,
+    unit: str = "1/mm",
 ) -> None:
     """Write volumes as NeXus plots with axes in mm.
 
@@ -110,6 +111,7 @@ def write_volumes(
     others : further volumes [1/mm], by the name of their group
     unreliable : voxels whose bases the counts do not determine, written as flags ``/unreliable/data``; None for no such
         group
+    unit : of the volumes
     """
     import h5py  # noqa: PLC0415
 
@@ -117,7 +119,7 @@ def write_volumes(
         file.attrs.update({"NX_class": "NXroot", "default": "basis", "creator": "recon"})
         for name, values in (("basis", volumes), *others.items()):
             group = _plot(file, name, values.astype(np.float32), ("basis_name", "z", "y", "x"), grid)
-            array_at(group, "data").attrs["units"] = "1/mm"
+            array_at(group, "data").attrs["units"] = unit
             put(group, "basis_name", np.array(names, dtype=object))
         if unreliable is not None:
             _plot(file, "unreliable", unreliable.flags, ("z", "y", "x"), grid)
@@ -143,26 +145,29 @@ def score_table(metrics: dict[str, Any]) -> str:
 
     Returns
     -------
-    tables with a row per basis and a row per channel; empty without scores
+    tables with a row per basis, or per volume of attenuation or density, and a row per channel; empty without scores
     """
-    return "\n\n".join(part for part in (_basis_table(metrics), _channel_table(metrics)) if part)
+    volumes = (_basis_table(metrics, group) for group in ("basis", "attenuation", "density"))
+    return "\n\n".join(part for part in (*volumes, _channel_table(metrics)) if part)
 
 
-def _basis_table(metrics: dict[str, Any]) -> str:
+def _basis_table(metrics: dict[str, Any], group: str) -> str:
     """Scores against the truth, of the start of the fit and of a volume of zeros beside them."""
-    if "basis" not in metrics:
+    if group not in metrics:
         return ""
+    wide = max(16, *(len(name) + 2 for name in metrics[group]))
     method = metrics.get("start", "")
     start = metrics.get(method, {})
     shown = f"{method:>10}" if method else ""
-    rest = any("psnr_elsewhere" in s for s in metrics["basis"].values())
-    header = f"{'basis':<16}{'PSNR':>8}{'elsewhere' if rest else '':>{11 * rest}}{'SSIM':>8}{shown}"
+    rest = any("psnr_elsewhere" in s for s in metrics[group].values())
+    unit = "g/cm^3" if group == "density" else "1/mm"
+    header = f"{group:<{wide}}{'PSNR':>8}{'elsewhere' if rest else '':>{11 * rest}}{'SSIM':>8}{shown}"
     header += f"{'zero volume':>13}{'bias':>12}{'RMSE':>11}"
-    units = f"{'dB, ' * rest}dB, -, {'dB, ' if method else ''}dB, 1/mm, 1/mm"
+    units = f"{'dB, ' * rest}dB, -, {'dB, ' if method else ''}dB, {unit}, {unit}"
     lines = [f"{header}   [{units}]"]
-    for name, s in metrics["basis"].items():
+    for name, s in metrics[group].items():
         lines.append(
-            f"{name:<16}{_number(s['psnr'], '8.2f')}{_number(s.get('psnr_elsewhere'), '11.2f') if rest else ''}"
+            f"{name:<{wide}}{_number(s['psnr'], '8.2f')}{_number(s.get('psnr_elsewhere'), '11.2f') if rest else ''}"
             f"{_number(s['ssim'], '8.3f')}"
             f"{_number(start.get(name, {}).get('psnr'), '10.2f') if method else ''}{_number(s['psnr_zero'], '13.1f')}"
             f"{_number(s['bias'], '12.1e')}{_number(s['rmse'], '11.1e')}"

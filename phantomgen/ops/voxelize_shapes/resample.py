@@ -2,17 +2,15 @@
 
 import numpy as np
 from jaxtyping import Float, Float32, Int32
-from scipy.sparse import csr_array
 
 from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.ops.box_average import PARALLEL, along_each_axis, overlaps
 from phantomgen.ops.solids import Solids
 from phantomgen.ops.voxel_maps import VoxelMaps
 from spectra.threads import run_parallel
 
 # Points per voxel and axis where the axes of a map and of the grid are not parallel: 64 points in all.
 POINTS = 4
-# No unit; axes are parallel where other components are below this part of the largest: rounding of rotations.
-_PARALLEL = 1e-9
 
 
 def mean_mixture(grid: Grid, solids: Solids, maps: VoxelMaps, row: int) -> Float32[np.ndarray, "material z y x"]:
@@ -38,7 +36,7 @@ def mean_mixture(grid: Grid, solids: Solids, maps: VoxelMaps, row: int) -> Float
     offset = (solids.locals_[row, ::-1, 3] + 1) / 2 * shape
     sources = np.abs(linear).argmax(axis=1)
     others = np.abs(linear).sum(axis=1) - np.abs(linear).max(axis=1)
-    if len(set(sources.tolist())) == 3 and (others < _PARALLEL * np.abs(linear).max(axis=1)).all():
+    if len(set(sources.tolist())) == 3 and (others < PARALLEL * np.abs(linear).max(axis=1)).all():
         order = np.argsort(sources)  # axis of the map that runs along each axis of the grid
         scale = linear[order, np.arange(3)]
         return _by_overlap(grid, cells.transpose(order), scale, offset[order], maps.mixtures)
@@ -53,32 +51,11 @@ def _by_overlap(
     mixtures: Float[np.ndarray, "mixture material"],
 ) -> Float32[np.ndarray, "material z y x"]:
     """Exact mean mixtures, one axis after the other."""
-    weights = [_overlaps(grid, axis, cells.shape[axis], scale[axis], offset[axis]) for axis in range(3)]
+    weights = [overlaps(grid, axis, cells.shape[axis], scale[axis], offset[axis]).means for axis in range(3)]
     out = np.zeros((mixtures.shape[1], *grid.shape), dtype=np.float32)
     for material in np.flatnonzero(mixtures.any(axis=0)):
-        volume = mixtures[:, material][cells]
-        for axis in range(3):
-            moved = np.moveaxis(volume, axis, 0)
-            mixed = weights[axis] @ moved.reshape(len(moved), -1)
-            volume = np.moveaxis(mixed.reshape(-1, *moved.shape[1:]), 0, axis)
-        out[material] = volume
+        out[material] = along_each_axis(weights, mixtures[:, material][cells])
     return out
-
-
-def _overlaps(grid: Grid, axis: int, count: int, scale: float, offset: float) -> csr_array:
-    """Matrix (voxel of the grid, voxel of the map) of overlaps along an axis; rows sum to 1 where there are any."""
-    centre = grid.origin[axis] + grid.spacing[axis] * np.arange(grid.shape[axis])
-    one = scale * (centre - grid.spacing[axis] / 2) + offset
-    other = scale * (centre + grid.spacing[axis] / 2) + offset
-    low, high = np.minimum(one, other).clip(0, count), np.maximum(one, other).clip(0, count)
-    first, last = np.floor(low).astype(int), np.ceil(high).astype(int)
-    rows = np.repeat(np.arange(len(low)), last - first)
-    columns = np.concatenate([np.arange(a, b) for a, b in zip(first, last, strict=True)]).astype(int)
-    shares = np.minimum(columns + 1, high[rows]) - np.maximum(columns, low[rows])
-    # A sliver that rounding leaves would be worth a whole voxel where nothing else is there.
-    shares[shares < _PARALLEL * abs(scale) * grid.spacing[axis]] = 0
-    sums = np.bincount(rows, shares, minlength=len(low))
-    return csr_array((shares / np.where(sums == 0, 1, sums)[rows], (rows, columns)), shape=(len(low), count))
 
 
 def _by_points(

@@ -10,9 +10,10 @@ import numpy as np
 from phantomgen.ops.voxel_maps import VoxelMap
 from phantomgen.scene import schema
 from phantomgen.scene.file.scene_file import Location, SceneFile
-from phantomgen.scene.input_files.voxel_volume import Volume, read_volume
 from phantomgen.scene.materials import check_material
 from phantomgen.shapes import Voxels, rotation_matrix
+from phantomgen.volume_files.read import read_volume
+from phantomgen.volume_files.volume import Volume
 from spectra.errors import InputError
 
 # Hounsfield units of tissues, the bins of Schneider, Bortfeld & Schlegel 2000 (doi:10.1088/0031-9155/45/2/314, Table 6)

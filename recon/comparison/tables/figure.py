@@ -12,11 +12,12 @@ from spectra.basis.basis import pretty
 Result = dict[str, Any]
 _COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B2", "#CC79A7", "#8C6D31")  # Okabe and Ito
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+_ACROSS = 4  # panels in a row
 _DASHES = ("-", (0, (4, 1.5)), (0, (1, 1)))
 
 
 def error_against_time(results: Sequence[Result], path: Path, clock: str) -> Path | None:
-    """Draw PSNR of each basis volume against time.
+    """Draw PSNR of each basis volume against time; finished volumes, whose time is not known, are dashed levels.
 
     Parameters
     ----------
@@ -29,26 +30,44 @@ def error_against_time(results: Sequence[Result], path: Path, clock: str) -> Pat
     the picture; None where there is no truth
     """
     lines, ends = _lines(results), _ends(results)
-    names = list(dict.fromkeys(key for points in lines.values() for point in points for key in point if _is_psnr(key)))
+    points_of_all = [point for points in lines.values() for point in points]
+    levels = [r["level"] for r in results if r.get("level")]
+    names = list(dict.fromkeys(key for point in (*points_of_all, *levels) for key in point if _is_psnr(key)))
     if not names:
         return None
-    budgets = sorted({result["budget"] for result in results})
-    with figure_file(path, (WIDTH, 3.1 + 0.16 * ((len(lines) - 1) // 4))) as figure:
-        axes = figure.subplots(1, len(names), sharex=True, squeeze=False)[0]
+    budgets = sorted({result["budget"] for result in results if result["budget"] is not None})
+    finished = {r["contender"]: r["level"] for r in results if r["budget"] is None and r.get("level")}
+    across = min(len(names), _ACROSS)
+    down = -(-len(names) // across)
+    high = 3.1 + 2.4 * (down - 1) + 0.16 * ((len(lines) + len(finished) - 1) // 4)
+    with figure_file(path, (WIDTH, high)) as figure:
+        axes = figure.subplots(down, across, sharex=True, squeeze=False).ravel()
+        for ax in axes[len(names) :]:
+            ax.set_axis_off()
+        axes = axes[: len(names)]
         for ax, name in zip(axes, names, strict=True):
             for budget in budgets:
                 ax.axvline(budget, color=GRAY, linewidth=0.8, linestyle=(0, (1, 2)), zorder=0)
             for i, (who, points) in enumerate(lines.items()):
                 _draw(ax, i, who, _pairs(points, name), _pairs(ends[who], name))
+            for i, (who, level) in enumerate(finished.items(), len(lines)):
+                options = {"color": _COLOURS[i % len(_COLOURS)], "linestyle": (0, (6, 2)), "linewidth": 1.2}
+                if name in level:
+                    ax.axhline(level[name], **options)
+                ax.plot([], [], label=who, **options)
             ax.set_xscale("log")
             ax.xaxis.set_major_formatter("{x:g}")
             ax.set_title(pretty(name.removeprefix("psnr_")))
+            ax.tick_params(labelbottom=True)
             ax.set_xlabel("processor time [s]" if clock == "cpu" else "time [s]")
-            ax.set_ylim(*_limits(lines, name))
-        axes[0].set_ylabel("PSNR of the volume [dB]")
+            ax.set_ylim(*_limits(lines, name, [level[name] for level in finished.values() if name in level]))
+        for ax in axes[::across]:
+            ax.set_ylabel("PSNR of the volume [dB]")
+        if not points_of_all:
+            axes[0].set_xlim(0.1, 10 * max(budgets, default=1.0))
         handles, labels = axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    _write_numbers(path, lines, names)
+    _write_numbers(path, lines | {who: [{"seconds": np.nan} | level] for who, level in finished.items()}, names)
     return path
 
 
@@ -89,10 +108,10 @@ def _pairs(points: list[dict[str, float]], name: str) -> np.ndarray:
     return np.array([(p["seconds"], p[name]) for p in points if name in p]).reshape(-1, 2)
 
 
-def _limits(lines: dict[str, list[dict[str, float]]], name: str) -> tuple[float, float]:
+def _limits(lines: dict[str, list[dict[str, float]]], name: str, levels: list[float]) -> tuple[float, float]:
     """From a little below the worst end, or the tenth part of all points, to a little above the best."""
-    ends = [points[-1][name] for points in lines.values() if name in points[-1]]
-    values = [p[name] for points in lines.values() for p in points if name in p]
+    ends = [points[-1][name] for points in lines.values() if name in points[-1]] + levels
+    values = [p[name] for points in lines.values() for p in points if name in p] + levels
     low = min([*ends, float(np.quantile(values, 0.1))])
     return low - 1.0, max(values) + 1.0
 

@@ -61,7 +61,7 @@ def name_of(result: Result) -> str:
     -------
     first cell of its row
     """
-    return f"{result['contender']}, {result['budget']:g} s"
+    return result["contender"] if result["budget"] is None else f"{result['contender']}, {result['budget']:g} s"
 
 
 def report(results: Sequence[Result], protocol: str, title: str) -> str:
@@ -84,15 +84,31 @@ def report(results: Sequence[Result], protocol: str, title: str) -> str:
         _section("Runs", run_table(results)),
         _section("Basis volumes", basis_table(good, protocol)),
         _section("Volumes at the mean energy of each channel", channel_table(good, "energies", protocol)),
+        _section("Attenuation at other energies, and densities", channel_table(good, "stated", protocol)),
         _section("Views that no method has seen", channel_table(good, "views", protocol)),
         _section("Chi-square of the counts of those views", chi_square_table(good)),
         _section("Bias and noise inside materials [1e-3/mm]", material_table(good)),
         _section("Material maps: Dice, and colours beside the true ones", map_table(good)),
+        _section("Remarks on volumes of other programs", "\n".join(remarks(good))),
         "\n".join(["## Gaussians beside the others", "", *methods_ahead(good, protocol)])
         if methods_ahead(good, protocol)
         else "",
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def remarks(results: Sequence[Result]) -> list[str]:
+    """List what looks wrong about volumes of other programs.
+
+    Parameters
+    ----------
+    results : of `recon.comparison.campaign.Campaign.results`
+
+    Returns
+    -------
+    a line per remark, each once
+    """
+    return list(dict.fromkeys(f"- {r['contender']}: {text}." for r in results for text in r.get("remarks", ())))
 
 
 def _section(title: str, table: str) -> str:
@@ -119,8 +135,8 @@ def run_table(results: Sequence[Result]) -> str:
             rows.append((name_of(r), ABSENT, ABSENT, ABSENT, r["error"]))
             continue
         size = f"{r['primitives']} {r['kind']}"
-        steps = f"{r['done']} of {r['total']}{ending(r)}"
-        rows.append((name_of(r), f"{r['seconds']:.1f}", steps, number(r["peak_memory_mib"], ".0f"), size))
+        steps = f"{r['done']} of {r['total']}{ending(r)}" if "level" not in r else ABSENT
+        rows.append((name_of(r), number(r["seconds"], ".1f"), steps, number(r["peak_memory_mib"], ".0f"), size))
     return markdown_table(header, rows)
 
 
@@ -137,7 +153,7 @@ def ending(result: Result) -> str:
     """
     if not result["finished"]:
         return " (stopped by the budget)"
-    if result["seconds"] < EARLY * result["budget"]:
+    if result["budget"] is not None and result["seconds"] < EARLY * result["budget"]:
         return f" (stopped by itself after {result['seconds']:.0f} of {result['budget']:g} s)"
     return ""
 
@@ -178,14 +194,14 @@ def channel_table(results: Sequence[Result], section: str, protocol: str) -> str
     Parameters
     ----------
     results : of `recon.comparison.campaign.Campaign.results`
-    section : ``views`` or ``energies``
+    section : ``views``, ``energies`` or ``stated``
     protocol : whose scores are shown
 
     Returns
     -------
     the table; empty where no result has such scores
     """
-    names = _items(results, section, protocol)
+    names = list(dict.fromkeys(name for r in results for name in r.get(section, {}).get(protocol, {})))
     if not names:
         return ""
     keys = [("psnr", "PSNR", ".2f"), ("ssim", "SSIM", ".3f")]
@@ -194,7 +210,7 @@ def channel_table(results: Sequence[Result], section: str, protocol: str) -> str
     header = ["method, budget", *(f"{n} {label}" for n in [*names, "mean"] for _, label, _ in keys)]
     rows = []
     for r in results:
-        scores = r[section].get(protocol, {})
+        scores = r.get(section, {}).get(protocol, {})
         cells = [number(scores.get(n, {}).get(key), layout) for n in names for key, _, layout in keys]
         means = [number(_mean([scores.get(n, {}).get(key) for n in names]), layout) for key, _, layout in keys]
         rows.append([name_of(r), *cells, *means])
@@ -288,7 +304,7 @@ def methods_ahead(results: Sequence[Result], protocol: str) -> list[str]:
     """
     lines = []
     for ours in (r for r in results if r["contender"] == GAUSSIAN and r.get("basis", {}).get(protocol)):
-        others = [r for r in results if r["budget"] == ours["budget"] and r is not ours]
+        others = [r for r in results if r["budget"] in (ours["budget"], None) and r is not ours]
         for name, scores in ours["basis"][protocol].items():
             ahead = [
                 f"{r['contender']} by {gain:.2f} dB"
@@ -352,7 +368,7 @@ def write_csv(path: Path, results: Sequence[Result]) -> None:
 
 def _lines(result: Result) -> Iterator[tuple[str, str, str, str, float | str]]:
     """Every number of a result."""
-    for section in ("views", "energies", "basis"):
+    for section in ("views", "energies", "stated", "basis"):
         for protocol, items in result.get(section, {}).items():
             for item, scores in items.items():
                 yield from ((section, protocol, item, metric, _plain(v)) for metric, v in scores.items())

@@ -14,11 +14,11 @@ from phantomgen.exporters.nifti import write_nifti
 from phantomgen.exporters.volumes import Volumes
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.scene.file.scene_file import SceneFile
-from phantomgen.scene.input_files.voxel_volume import read_volume
 from phantomgen.scene.scan import load_scene
 from phantomgen.simulation.checks.field_of_view import coverage_warnings
 from phantomgen.simulation.forward_model.truth import scan_truth
 from phantomgen.simulation.run import simulate
+from phantomgen.volume_files.read import read_volume
 from spectra.errors import InputError, NotInstalledError, SceneError
 
 HEAD = """\

@@ -7,7 +7,15 @@ import pytest
 from recon.comparison.contenders.contender import contenders
 from recon.comparison.outcome import requirements
 from recon.comparison.tables.figure import _ends, _lines, error_against_time
-from recon.comparison.tables.table import markdown_table, mean_psnr, methods_ahead, report, run_table, write_csv
+from recon.comparison.tables.table import (
+    markdown_table,
+    mean_psnr,
+    methods_ahead,
+    remarks,
+    report,
+    run_table,
+    write_csv,
+)
 
 
 def result(who, budget, psnrs, seconds=1.0, **more):
@@ -133,3 +141,8 @@ def test_the_figure_needs_a_truth(tmp_path):
     header, *rows = path.with_suffix(".csv").read_text().splitlines()
     assert header == "line,seconds,psnr_photoelectric,psnr_compton"
     assert len(rows) == 6
+
+
+def test_remarks_on_volumes_of_other_programs_stand_once():
+    found = [{"contender": "theirs", "remarks": ["check --axes"]}] * 2 + [{"contender": "fdk"}]
+    assert remarks(found) == ["- theirs: check --axes."]
