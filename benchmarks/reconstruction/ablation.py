@@ -29,7 +29,7 @@ from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import read_truth
 from recon.evaluation.scoring import psnr_of_bases
 from recon.gaussians.fisher import coefficient_curvature
-from recon.gaussians.recipe import BEST, FAST, Recipe, Stage
+from recon.gaussians.recipe import PLAIN_BEST, PLAIN_FAST, Recipe, Stage
 from recon.gaussians.reconstruct import reconstruct
 from spectra.threads import thread_count
 
@@ -61,11 +61,11 @@ class Change:
 
 
 def fast(name: str, *patches: tuple[str, Any], **changes: Any) -> Change:
-    return Change(f"fast, {name}", replace(FAST, **changes), patches)
+    return Change(f"fast, {name}", replace(PLAIN_FAST, **changes), patches)
 
 
 def best(name: str, *patches: tuple[str, Any], **changes: Any) -> Change:
-    return Change(f"best, {name}", replace(BEST, **changes), patches)
+    return Change(f"best, {name}", replace(PLAIN_BEST, **changes), patches)
 
 
 FIXED_GEOMETRY = {"centre_rate": 1e-9, "shape_rate": 1e-9}
@@ -91,7 +91,7 @@ DIAGONAL_CURVATURE = (
 UNSHARPENED = ("recon.voxel.iterative.one_step.sharpened", lambda volumes: volumes)
 
 CHANGES = (
-    Change("fast", FAST),
+    Change("fast", PLAIN_FAST),
     fast("from decomposed rays and FDK, no prior, 3 sweeps", **FROM_RAYS, stages=(Stage(0.5, 3.0),)),
     fast("coarse voxels not sharpened", UNSHARPENED),
     fast("pixels binned by sums, not by geometric means", BINNED_BY_SUMS),
@@ -118,7 +118,7 @@ CHANGES = (
     fast("half as many evaluations of the fit to voxels", approximation=30),
     fast("2 views per step", views_per_step=2),
     fast("fewer Gaussians, spacing 1.2", spacing=1.2),
-    Change("best", BEST),
+    Change("best", PLAIN_BEST),
     best("fit to voxels weighted by the Fisher information of the rays", FISHER_METRIC),
     best("no warm-up of the geometry steps", warm_up=0.0),
     best("2 views per step", views_per_step=2),

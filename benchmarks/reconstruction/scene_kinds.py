@@ -8,7 +8,7 @@ fit starts from, the Gaussians fitted to these volumes, and the end of the fit. 
 chi-square of the test views in the worst channel, away from edges and of all rays; the number of Gaussians; stored
 numbers over occupied voxels times bases; processor time of the fit.
 
-With `--kernel interface`, planes divide the Gaussians. With `--halfway`, plain Gaussians are fitted to the start
+With `--kernel gaussian`, no planes divide the Gaussians. With `--halfway`, plain Gaussians are fitted to the start
 on a second grid, too, half a voxel further along every axis, with that weight and a cutoff of 3.5.
 
 Rows take the place of those in `results/scene_kinds.txt`.
@@ -34,7 +34,7 @@ from recon.evaluation.metrics import psnr
 from recon.evaluation.scoring import score_test_views
 from recon.gaussians.model import GaussianModel
 from recon.gaussians.optimize import Progress
-from recon.gaussians.recipe import FAST, FAST_INTERFACE, KERNELS, Recipe
+from recon.gaussians.recipe import FAST, KERNELS, PLAIN_FAST, Recipe
 from recon.gaussians.reconstruct import reconstruct
 from spectra.threads import set_threads, thread_count, without_other_pools
 
@@ -64,9 +64,9 @@ def scores(volumes: Float[np.ndarray, "basis z y x"], truth: Truth) -> Float[np.
 def recipe_with(kernel: str, halfway: float) -> Recipe:
     """Default recipe with a kernel, and with a second grid where its weight is not 0."""
     if kernel == "interface":
-        return FAST_INTERFACE
-    fit = FAST.volume_fit
-    return replace(FAST, volume_fit=replace(fit, halfway=halfway, cutoff=3.5) if halfway else fit)
+        return FAST
+    fit = PLAIN_FAST.volume_fit
+    return replace(PLAIN_FAST, volume_fit=replace(fit, halfway=halfway, cutoff=3.5) if halfway else fit)
 
 
 def row_of(label: str, dataset: Dataset, recipe: Recipe) -> str:
@@ -105,7 +105,7 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", default=list(scenes), metavar="SCENE", help=", ".join(scenes))
     parser.add_argument("--threads", type=int, help="default: all")
     parser.add_argument("--seed", type=int, default=0, help="of the noise")
-    parser.add_argument("--kernel", choices=KERNELS, default="gaussian", help="default: gaussian")
+    parser.add_argument("--kernel", choices=KERNELS, default="interface", help="default: interface")
     parser.add_argument("--halfway", type=float, default=0.0, help="weight of the second grid")
     parser.add_argument("--out", type=Path, help="folder to keep the scans in")
     parser.add_argument("--table", type=Path, default=TABLE, help="file that the rows go to")

@@ -53,10 +53,10 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--kernel",
-    type=click.Choice(["gaussian", "interface"]),
-    default="gaussian",
+    type=click.Choice(["auto", "interface", "gaussian"]),
+    default="auto",
     show_default=True,
-    help="Plain Gaussians, or Gaussians that planes divide at interfaces: fewer, and sharper edges.",
+    help="Gaussians that planes divide at interfaces, or plain ones, which are more; auto: planes, plain with --device cuda.",
 )
 @click.option(
     "--detail",
@@ -157,7 +157,7 @@ def fit(
     if out:
         check_run_name(Path(out))
     special = {"resume": resume, "dry-run": dry_run, "memory": memory, "held-out": held_out, "edge": edge}
-    special |= {"kernel": None if kernel == "gaussian" else kernel, "detail": detail}
+    special |= {"kernel": None if kernel == "auto" else kernel, "detail": detail}
     special |= {"device": None if device == "cpu" else device_named(device).type}
     if method != "gaussian":
         refuse_options(f"--method {method}", special | {"steps": steps, "without": without, "recipe": recipe != "fast"})
@@ -166,7 +166,8 @@ def fit(
         how = PaperRecipe(steps=steps or PAPER_STEPS, without=without, seed=seed)
     else:
         refuse_options(f"--recipe {recipe}, whose length is --sweeps", {"steps": steps, "without": without})
-        how = chosen_recipe(recipe, sweeps, seed, held_out, kernel, detail or 1.0)
+        chosen = ("interface" if device == "cpu" else "gaussian") if kernel == "auto" else kernel
+        how = chosen_recipe(recipe, sweeps, seed, held_out, chosen, detail or 1.0)
     source, edges, asked = Path(dataset), parse_edges(edge), parse_bases(bases)
     set_threads(threads)
     if dry_run and not isinstance(how, PaperRecipe):

@@ -200,18 +200,19 @@ class Recipe:
         return min(self.steps_along_edges / sum(self.steps(views)), 1.0)
 
 
-FAST = Recipe(name="fast", most_turns=4.0)
-BEST = Recipe(name="best", most_turns=4.0, stages=(Stage(0.5, 4.0),), spacing=0.9)
-FAST_INTERFACE = Recipe(name="fast", kernel="interface", most_turns=4.0, stages=(Stage(0.5, 3.0),))
-BEST_INTERFACE = Recipe(
+FAST = Recipe(name="fast", kernel="interface", most_turns=4.0, stages=(Stage(0.5, 3.0),), approximation=100)
+BEST = Recipe(
     name="best",
     kernel="interface",
     most_turns=4.0,
     stages=(Stage(0.5, 12.0),),
-    surfaces=SurfaceSettings(spacing=0.5, finest=1.0, evaluations=150),
+    approximation=150,
+    surfaces=SurfaceSettings(spacing=0.5, finest=1.0),
 )
+PLAIN_FAST = Recipe(name="fast", most_turns=4.0)
+PLAIN_BEST = Recipe(name="best", most_turns=4.0, stages=(Stage(0.5, 4.0),), spacing=0.9)
 RECIPES = {recipe.name: recipe for recipe in (FAST, BEST)}
-INTERFACE_RECIPES = {recipe.name: recipe for recipe in (FAST_INTERFACE, BEST_INTERFACE)}
+PLAIN_RECIPES = {recipe.name: recipe for recipe in (PLAIN_FAST, PLAIN_BEST)}
 
 
 def with_detail(recipe: Recipe, detail: float) -> Recipe:

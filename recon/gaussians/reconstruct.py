@@ -20,7 +20,7 @@ from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import count_complete_sets, every_nth_view, view_groups
 from recon.gaussians.divided.first_gaussians import divided_gaussians
 from recon.gaussians.fitted_grid import read_with_coverage
-from recon.gaussians.initial.first_guess import Scan, first_guess, occupied_part, plain_gaussians, start_method
+from recon.gaussians.initial.first_guess import Scan, first_guess, part_with_gaussians, plain_gaussians, start_method
 from recon.gaussians.model import GaussianModel
 from recon.gaussians.optimize import OnStep, fit
 from recon.gaussians.processes import LOCAL, Processes, Resources
@@ -203,8 +203,8 @@ def _prior_of(
 ) -> VoxelPrior:
     """Make the voxel prior of the volumes that the fit started from."""
     trust = recipe.prior_along_edges(count_complete_sets(view_groups(fitted.exposure)))
-    occupied = occupied_part(volumes, scan.coverage.grid, scan.air)
-    prior = VoxelPrior.of_volumes(*occupied, scan.fisher, recipe.prior, trust, recipe.voxel_prior)
+    part = part_with_gaussians(volumes, scan, recipe)
+    prior = VoxelPrior.of_volumes(*part, scan.fisher, recipe.prior, trust, recipe.voxel_prior)
     return prior.holding_kedges(scan.measured.basis_names)
 
 

@@ -89,7 +89,6 @@ class SurfaceSettings:
     width : width of the transition while they are fitted to the counts [voxels]; measured against 0.12, 0.15 and 0.2
     solves : iterations of conjugate gradients for the first coefficients, on voxels of twice the size; chosen by hand,
         not measured
-    evaluations : evaluations of the fit to the voxel volumes; chosen by hand, not measured
     """
 
     spacing: float = 0.6
@@ -108,7 +107,6 @@ class SurfaceSettings:
     first_width: float = 0.15
     width: float = 0.1
     solves: int = 12
-    evaluations: int = 100
 
     def __post_init__(self) -> None:
         check_positive(self, "recipe surfaces")

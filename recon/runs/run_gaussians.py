@@ -16,7 +16,7 @@ from recon.figures.run_figures import convergence
 from recon.gaussians.fitted_grid import fitted_grid
 from recon.gaussians.optimize import Progress
 from recon.gaussians.processes import ALONE, Processes, Resources
-from recon.gaussians.recipe import INTERFACE_RECIPES, RECIPES, Recipe, with_detail
+from recon.gaussians.recipe import PLAIN_RECIPES, RECIPES, Recipe, with_detail
 from recon.gaussians.reconstruct import Reconstruction, reconstruct
 from recon.kedge.basis_names import Asked, left_out, with_named
 from recon.kedge.choose_basis import BasisChoice, choose_basis
@@ -169,7 +169,7 @@ class GaussianRun:
 
 
 def chosen_recipe(
-    name: str, sweeps: float | None, seed: int, held_out: int, kernel: str = "gaussian", detail: float = 1.0
+    name: str, sweeps: float | None, seed: int, held_out: int, kernel: str = "interface", detail: float = 1.0
 ) -> Recipe:
     """Return a recipe of this project with what a user chose.
 
@@ -187,7 +187,7 @@ def chosen_recipe(
     -------
     the recipe
     """
-    recipes = INTERFACE_RECIPES if kernel == "interface" else RECIPES
+    recipes = RECIPES if kernel == "interface" else PLAIN_RECIPES
     recipe = with_detail(replace(recipes[name], seed=seed, held_out=held_out), detail)
     if sweeps is None:
         return recipe

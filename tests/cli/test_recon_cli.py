@@ -95,26 +95,20 @@ def test_a_run_folder_is_complete(complete):
     assert names(folder.parent) == {"run"}
 
 
-def test_the_model_holds_physical_gaussians(complete):
-    model = load_file(complete[0] / "model.safetensors")
+def test_the_model_without_planes_holds_physical_gaussians(dataset, tmp_path):
+    run = tmp_path / "run"
+    assert fit(dataset, "-o", run, "--kernel", "gaussian", *FAST).exit_code == 0
+    model = load_file(run / "model.safetensors")
     assert {name: values.shape[1] for name, values in model.items()} == {
         "centres": 3, "log_scales": 3, "quaternions": 4, "coefficients": 3,
     }  # fmt: skip
-    assert {len(values) for values in model.values()} == {metrics_of(complete[0])["gaussians"]}
+    assert {len(values) for values in model.values()} == {metrics_of(run)["gaussians"]}
     assert (model["coefficients"] >= 0).all()
     assert all(np.isfinite(values).all() for values in model.values())
 
 
-@pytest.fixture(scope="module")
-def with_planes(dataset, tmp_path_factory):
-    run = tmp_path_factory.mktemp("planes") / "run"
-    result = fit(dataset, "-o", run, "--kernel", "interface", "--sweeps", "2", "--no-figures", "--quiet")
-    assert result.exit_code == 0, result.output
-    return run, result
-
-
-def test_planes_divide_the_gaussians_of_the_interface_kernel(with_planes):
-    run, result = with_planes
+def test_planes_divide_the_gaussians_of_the_default(complete):
+    run, result = complete
     model = load_file(run / "model.safetensors")
     assert {name: values.shape[1:] for name, values in model.items()} == {
         "centres": (3,), "log_scales": (3,), "quaternions": (4,), "offsets": (), "coefficients": (2, 3),
@@ -126,15 +120,8 @@ def test_planes_divide_the_gaussians_of_the_interface_kernel(with_planes):
     assert read_run(run).volumes.min() >= 0
 
 
-def test_the_interface_kernel_gives_the_same_bytes_again(dataset, with_planes, tmp_path):
-    options = ("--kernel", "interface", "--sweeps", "2", "--no-figures", "--quiet", "--threads", "1")
-    assert fit(dataset, "-o", tmp_path / "run", *options).exit_code == 0
-    one, other = ((run / "model.safetensors").read_bytes() for run in (with_planes[0], tmp_path / "run"))
-    assert one == other
-
-
-def test_a_run_with_planes_is_exported_segmented_and_reported(with_planes, tmp_path):
-    run, _ = with_planes
+def test_a_run_with_planes_is_exported_and_segmented(complete, tmp_path):
+    run, _ = complete
     for command in (["export", run, "-o", tmp_path / "a.ply"], ["export", run, "-o", tmp_path / "a.vti"]):
         assert CliRunner().invoke(recon, [str(word) for word in command]).exit_code == 0
     assert (tmp_path / "a.ply").stat().st_size > 0

@@ -6,7 +6,7 @@ from phantomgen.runtime.stopwatch import Stopwatch
 from recon.gaussians.divided.fit_to_volume import fit_divided_to_volume, solve_coefficients
 from recon.gaussians.divided.model import DividedGaussians
 from recon.gaussians.divided.placement import place_on_surfaces
-from recon.gaussians.initial.first_guess import OccupiedPart, Scan, in_air
+from recon.gaussians.initial.first_guess import OccupiedPart, Scan
 from recon.gaussians.initial.fit_to_volume import metric_of
 from recon.gaussians.processes import Resources
 from recon.gaussians.recipe import Recipe
@@ -27,7 +27,7 @@ def divided_gaussians(
 
     Parameters
     ----------
-    occupied : volumes
+    occupied : volumes, and the air around them
     scan : what is known of the scan
     recipe : settings
     stage : stopwatch of the stages
@@ -39,13 +39,12 @@ def divided_gaussians(
     Gaussians with the width of the transition for the fit to the counts
     """
     del resources
-    occupied = in_air(occupied, recipe.surfaces.air)
     settings, metric = recipe.surfaces, metric_of(occupied.volumes, scan.fisher, recipe.volume_fit)
     with stage("initialize"):
         gaussians = place_on_surfaces(*occupied, metric, scan.measured.basis_names, recipe.seed, settings)
         gaussians = solve_coefficients(gaussians, *occupied, metric, settings.solves)
     with stage("approximate"):
         gaussians = fit_divided_to_volume(
-            gaussians, *occupied, metric, settings.evaluations, on_iteration, recipe.volume_fit
+            gaussians, *occupied, metric, recipe.approximation, on_iteration, recipe.volume_fit
         )
     return replace(gaussians, width=settings.width * min(occupied.grid.spacing))

@@ -114,8 +114,25 @@ def first_guess(
                 image[:] = inpainted(image, coarse.blind_pixels)
         with stage(method.name):
             volumes = initial_volumes(line_integrals, coarse.blind_pixels, coarse.geometry, grid, method)
-    occupied = occupied_part(volumes, grid, scan.air)
-    return volumes, place(occupied, scan, recipe, stage, on_iteration, resources)
+    part = part_with_gaussians(volumes, scan, recipe)
+    return volumes, place(part, scan, recipe, stage, on_iteration, resources)
+
+
+def part_with_gaussians(volumes: Float[np.ndarray, "basis z y x"], scan: Scan, recipe: Recipe) -> OccupiedPart:
+    """Cut off the part of volumes where Gaussians are placed, and to which the voxel prior keeps them close.
+
+    Parameters
+    ----------
+    volumes : on the grid that is fitted, (M, Z, Y, X) [1/mm]
+    scan : the grid that is fitted, and the air around it
+    recipe : whether planes divide the Gaussians, which then have air around them
+
+    Returns
+    -------
+    the part that is not empty, and the air around it
+    """
+    part = occupied_part(volumes, scan.coverage.grid, scan.air)
+    return in_air(part, recipe.surfaces.air) if recipe.kernel == "interface" else part
 
 
 def plain_gaussians(

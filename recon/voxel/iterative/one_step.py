@@ -42,6 +42,9 @@ from spectra.threads import without_other_pools
 # views of a kind; distance of two views whose curvature is computed, as that of the others is similar; no whole number,
 # so that it follows no period of the orbit; chosen by hand, not measured
 CURVATURE_STEP = 3.236
+# views whose curvature is computed at least, where there are as many: a voxel that none of them sees takes steps of any
+# length; with 3 of 9 views, voxels at a corner of the grid ended at 30 per mm; chosen by hand
+LEAST_CURVATURE_VIEWS = 13
 # no unit, over the least deviance of a pass; where a pass exceeds it, the subsets have diverged, and half as many go on
 # from the best volumes; chosen by hand, not measured
 DIVERGED = 1.5
@@ -276,7 +279,8 @@ def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep)
     Metal holds no contrast agent, but no combination of bases attenuates as metal does, and the difference resembles a
     K edge. So K edges have a prior at 0 in metal, the stronger the denser the metal.
     """
-    some = data[every_nth_view(view_groups(data.exposure), CURVATURE_STEP)]
+    step = min(CURVATURE_STEP, max(len(data) / LEAST_CURVATURE_VIEWS, 1.0))
+    some = data[every_nth_view(view_groups(data.exposure), step)]
     share = len(data) / len(some)
     blocks, covariance = curvature(volumes, some, grid, settings.dispersion)
     upper = np.triu_indices(len(volumes))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from recon.gaussians.recipe import BEST, FAST, FAST_INTERFACE, Recipe, Stage
+from recon.gaussians.recipe import FAST, PLAIN_BEST, PLAIN_FAST, Recipe, Stage
 from recon.gaussians.settings import PriorSettings
 from spectra.errors import InputError
 
@@ -20,12 +20,12 @@ def is_group(field):
 @pytest.mark.parametrize(
     ("recipe", "views", "voxels"),
     [
-        (FAST, 10, 1.0),
-        (FAST, 75, 1.0),
-        (FAST, 120, 0.925),
-        (FAST, 10_000, 0.9),
-        (BEST, 75, 0.9),
-        (BEST, 180, 0.9),
+        (PLAIN_FAST, 10, 1.0),
+        (PLAIN_FAST, 75, 1.0),
+        (PLAIN_FAST, 120, 0.925),
+        (PLAIN_FAST, 10_000, 0.9),
+        (PLAIN_BEST, 75, 0.9),
+        (PLAIN_BEST, 180, 0.9),
     ],
 )
 def test_gaussians_are_closer_with_many_views(recipe, views, voxels):
@@ -40,8 +40,8 @@ def test_the_prior_lets_go_of_edges_as_steps_grow():
 
 @pytest.mark.parametrize(("views", "steps"), [(200, 200), (75, 75), (30, 75), (10, 40), (1, 4)])
 def test_few_views_are_used_more_often(views, steps):
-    assert FAST.steps(views) == [steps]
-    assert FAST_INTERFACE.steps(views) == [3 * steps]  # Gaussians with planes are few, and their steps short
+    assert PLAIN_FAST.steps(views) == [steps]
+    assert FAST.steps(views) == [3 * steps]  # Gaussians with planes are few, and their steps short
 
 
 def test_every_stage_has_its_sweeps_and_at_least_one_step():

@@ -9,6 +9,7 @@ from support.voxel_scenes import balls, voxel_scan
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.evaluation.metrics import score_volume
+from recon.gaussians.unseen_rays import with_unseen_rays
 from recon.voxel.iterative.multigrid import MARGIN, coarser, occupied, resampled, sharpened
 from recon.voxel.iterative.one_step import OneStep, means_in_metal
 from spectra.errors import InputError
@@ -53,6 +54,14 @@ def test_few_views_are_passed_over_more_often(noisy):
     replace(PLAIN, levels=((1, 3),)).reconstruct_counts(scan, grid, heard.append)
     assert [i.total for i in heard] == [ceil(3 * sqrt(75 / len(scan)))] * len(heard)
     assert len(heard) == heard[0].total > 3
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_no_voxel_grows_beyond_what_few_views_with_gaps_measure(seed):
+    truth, grid = balls()
+    scan = with_unseen_rays(voxel_scan(truth, grid, views=6, seed=seed), 1.0, seed)
+    found = OneStep().reconstruct_counts(scan, grid)
+    assert (found.max(axis=(1, 2, 3)) < 1.3 * truth.max(axis=(1, 2, 3))).all()
 
 
 def test_of_many_views_a_few_passes_come_as_far():
