@@ -1,6 +1,6 @@
 """Accuracy and time of `recon fit` on several presets, each with several seeds of the noise and of the fit.
 
-    python -m benchmarks.reconstruction.fits [--out FOLDER] [PRESET[=RECIPE] ...]
+    python -m benchmarks.reconstruction.fits [--out FOLDER] [--kernel NAME] [--seeds N] [PRESET[=RECIPE] ...]
 
 PSNR [dB] and worst SSIM of the basis volumes; chi-square of test views in the worst channel, away from edges and of all
 rays; seconds up to the last step; processor time of the whole command, scores included, which does not depend on what
@@ -25,34 +25,35 @@ import phantomgen
 from benchmarks.result_rows import store
 from phantomgen.dataset.truth import read_truth
 from recon.evaluation.scoring import score_test_views
-from recon.gaussians.recipe import RECIPES
+from recon.gaussians.recipe import KERNELS, RECIPES
 from recon.voxel.model import Voxels
 from spectra.threads import thread_count
 
 PRESETS = ("kedge", "multi-energy", "bird-chest", "metal-hip")
 SEEDS = (0, 1, 2)
 TABLE = Path(__file__).parents[1] / "results" / "fits.txt"
-NAMES = f"{'preset':<14}{'recipe':<8}{'seed':<6}"
+NAMES = f"{'preset':<14}{'recipe':<8}{'kernel':<11}{'seed':<6}"
 HEADER = f"{NAMES}{'PSNR':<24}{'SSIM':>5}{'off edges':>11}{'all':>8}{'s':>6}{'CPU s':>7}{'MiB':>6}{'Gaussians':>11}"
 AFTER = ("score", "write", "figures")  # stages that do not count
 
 
-def datasets(preset: str, folder: Path) -> Iterator[tuple[int, Path]]:
-    """Scans that differ in their noise alone; only the first is traced."""
+def datasets(preset: str, folder: Path, seeds: int) -> Iterator[tuple[int, Path]]:
+    """Scans that differ in their noise alone; only the first is traced, unless it is in the folder."""
     scan, first = phantomgen.load(preset), folder / f"{preset}.h5"
-    phantomgen.make(scan, first, seed=SEEDS[0], keep_paths=True, overwrite=True).close()
+    if not first.exists():
+        phantomgen.make(scan, first, seed=SEEDS[0], keep_paths=seeds > 1).close()
     yield SEEDS[0], first
-    for seed in SEEDS[1:]:
+    for seed in SEEDS[1:seeds]:
         other = folder / f"{preset}-{seed}.h5"
         phantomgen.make(scan, other, seed=seed, paths=first, overwrite=True).close()
         yield seed, other
         other.unlink()
 
 
-def fitted(dataset: Path, recipe: str, seed: int, run: Path) -> tuple[dict[str, Any], float]:
+def fitted(dataset: Path, recipe: str, kernel: str, seed: int, run: Path) -> tuple[dict[str, Any], float]:
     """Scores of a fit by the command line, and its processor time."""
     began = resource.getrusage(resource.RUSAGE_CHILDREN)
-    options = ["--recipe", recipe, "--seed", str(seed), "--out", str(run), "--overwrite", "--quiet"]
+    options = ["--recipe", recipe, "--kernel", kernel, "--seed", str(seed), "--out", str(run), "--overwrite", "--quiet"]
     subprocess.run(
         [sys.executable, "-m", "recon", "fit", str(dataset), *options], check=True, stdout=subprocess.DEVNULL
     )
@@ -94,19 +95,21 @@ def keep(row: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("presets", nargs="*", default=PRESETS, metavar="PRESET[=RECIPE]")
+    parser.add_argument("--kernel", choices=KERNELS, default="interface", help="default: interface")
+    parser.add_argument("--seeds", type=int, default=len(SEEDS), help="how many of the seeds, default: all")
     parser.add_argument("--out", type=Path, help="folder to keep datasets and runs of the first seed in")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         folder = asked.out or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         for preset, _, recipe in (word.partition("=") for word in asked.presets):
-            for seed, dataset in datasets(preset, folder):
+            for seed, dataset in datasets(preset, folder, asked.seeds):
                 if seed == SEEDS[0]:
-                    keep(row_of_truth(f"{preset:<14}{'truth':<8}{seed:<6d}", dataset))
+                    keep(row_of_truth(f"{preset:<14}{'truth':<19}{seed:<6d}", dataset))
                 for chosen in [recipe] if recipe else RECIPES:
-                    run = folder / f"{preset}-{chosen}" if seed == SEEDS[0] else Path(scratch) / "run"
-                    scores, processor = fitted(dataset, chosen, seed, run)
-                    row = row_of(f"{preset:<14}{chosen:<8}{seed:<6d}", scores, processor)
+                    run = folder / f"{preset}-{chosen}-{asked.kernel}" if seed == SEEDS[0] else Path(scratch) / "run"
+                    scores, processor = fitted(dataset, chosen, asked.kernel, seed, run)
+                    row = row_of(f"{preset:<14}{chosen:<8}{asked.kernel:<11}{seed:<6d}", scores, processor)
                     keep(row)
                     print(f"{row}  ({os.getloadavg()[0]:.1f} busy)", flush=True)
 

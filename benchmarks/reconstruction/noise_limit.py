@@ -27,7 +27,7 @@ from phantomgen.dataset.truth import Truth, read_truth
 from recon.data.measurements import Measurements, read_measurements
 from recon.evaluation.scoring import FULL_FRACTION
 from recon.evaluation.voxel_cramer_rao import VoxelInformation, least_variances
-from recon.gaussians.recipe import BEST, Recipe, Stage
+from recon.gaussians.recipe import PLAIN_BEST, Recipe, Stage
 from recon.gaussians.reconstruct import reconstruct
 from recon.voxel.iterative.one_step import OneStep
 from spectra.threads import thread_count, without_other_pools
@@ -59,7 +59,7 @@ def gaussians(recipe: Recipe) -> Callable[[Dataset], np.ndarray]:
 METHODS = {
     "Gaussians without prior, 5 sweeps": gaussians(without_prior(5)),
     "Gaussians without prior, 20 sweeps": gaussians(without_prior(20)),
-    "Gaussians": gaussians(BEST),
+    "Gaussians": gaussians(PLAIN_BEST),
     "one-step voxels without prior": voxels(0.0, 16),
     "one-step voxels": voxels(OneStep().strength, 16),
 }

@@ -14,7 +14,7 @@ from recon.runs.methods import METHODS
 from spectra.errors import InputError
 
 GAUSSIAN, PAPER = "gaussian", "paper"
-_CHANGES = "best, image, 2, 3, views-N, blind-CHANNEL, without-COMPONENT"
+_CHANGES = "best, plain, image, 2, 3, views-N, blind-CHANNEL, without-COMPONENT"
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,7 @@ class Contender:
     ----------
     method : ``gaussian``, ``paper``, or a name in `recon.runs.methods.METHODS`
     best : whether the fit takes its longer recipe
+    plain : whether the fit has plain Gaussians, without planes
     image : whether channels are reconstructed one by one, and decomposed in the voxels afterwards
     bases : number of basis functions; None for all, and for ``gaussian`` for those that the counts warrant
     views : number of training views to use, evenly spread; None for all
@@ -34,6 +35,7 @@ class Contender:
 
     method: str
     best: bool = False
+    plain: bool = False
     image: bool = False
     bases: int | None = None
     views: int | None = None
@@ -48,6 +50,7 @@ class Contender:
     def __str__(self) -> str:
         parts = [
             self.method,
+            "plain" if self.plain else "",
             "best" if self.best else "",
             "image" if self.image else "",
             str(self.bases or ""),
@@ -91,8 +94,8 @@ def contender(word: str) -> Contender:
     for change in changes:
         if change == "image" and method not in (GAUSSIAN, PAPER):
             found["image"] = True
-        elif change == "best" and method == GAUSSIAN:
-            found["best"] = True
+        elif change in ("best", "plain") and method == GAUSSIAN:
+            found[change] = True
         elif change in ("2", "3"):
             found["bases"] = int(change)
         elif re.fullmatch(r"views-[1-9]\d*", change):

@@ -24,7 +24,7 @@ from recon.comparison.contenders.recorder import Recorder
 from recon.data.measurements import Measurements
 from recon.gaussians.divided.model_file import load_model
 from recon.gaussians.optimize import Progress
-from recon.gaussians.recipe import BEST, FAST
+from recon.gaussians.recipe import BEST, FAST, PLAIN_BEST, PLAIN_FAST
 from recon.gaussians.reconstruct import reconstruct
 from recon.gaussians.state import FitState, InterruptedFit
 from recon.kedge.choose_basis import choose_basis
@@ -91,7 +91,8 @@ def run_gaussian(dataset: Dataset, contender: Contender, clock: Clock, new: NewR
     """
     clock.start()
     dataset = dataset.with_basis(choose_basis(dataset, contender.bases).basis)
-    recipe, beginning = BEST if contender.best else FAST, _Beginning(clock)
+    recipes = (PLAIN_FAST, PLAIN_BEST) if contender.plain else (FAST, BEST)
+    recipe, beginning = recipes[contender.best], _Beginning(clock)
     timed = _Timed(beginning)
     reconstruct(dataset, recipe, on_stage=beginning.stage, on_step=timed, checkpoints=beginning)
     clock.stop()

@@ -48,6 +48,7 @@ from spectra.ops.min_max import larger, smaller
 
 f4 = np.float32
 FAR = 25.0  # square of z beyond which the normal distribution function is taken at 5, 3e-7 from 0 or 1
+CLEAR = 5.5  # standard deviations; a row of pixels whose ends are this far on one side of a plane lies there as a whole
 
 
 @njit(inline="always")
@@ -77,6 +78,34 @@ def normal(z):
     tail = p * t * bell
     part = (splat(f4(1)) - tail) + where_less(z, f4(0), tail + tail - splat(f4(1)))
     return part, bell * f4(0.3989422804014327)
+
+
+@njit(inline="always")
+@no_type_check
+def side_of(first, last):
+    """Tell on which side of a plane a row lies, from z at its ends.
+
+    Parameters
+    ----------
+    first, last : z at the ends [standard deviations]
+
+    Returns
+    -------
+    1 above the plane, -1 below it, 0 where the plane crosses the row or comes close
+    """
+    if first > f4(CLEAR) and last > f4(CLEAR):
+        return 1
+    return -1 if first < f4(-CLEAR) and last < f4(-CLEAR) else 0
+
+
+@njit(inline="always", fastmath=True, error_model="numpy")
+@no_type_check
+def _z(p, x, flat, tilt, level, rise, lean):
+    """Compute z at one place of a row; along a row it is monotonic but for the divergence of rays within a footprint."""
+    e = (x * p[E3] + tilt) * x + flat
+    b = x * p[B1] + lean
+    above = ((x * p[Q3] + rise) * x + level) - e * p[OFFSET]
+    return above / np.sqrt(e * (e * p[WIDTH] + b * b))
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
@@ -111,6 +140,10 @@ def forward(bases, table, spans, below, step, lengths, cutoff, columns, row_firs
             flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
             level, rise = dy * (p[Q2] + dy * p[Q5]), p[Q1] + p[Q4] * dy
             lean = p[B0] + p[B2] * dy
+            from_x, to_x = f4(low) - p[XC], f4(high - 1) - p[XC]
+            side = side_of(
+                _z(p, from_x, flat, tilt, level, rise, lean), _z(p, to_x, flat, tilt, level, rise, lean)
+            )  # fmt: skip
             for base in range(low, high, LANES):
                 x = ramp(f4(base) - p[XC])
                 e = (x * p[E3] + tilt) * x + flat
@@ -119,6 +152,12 @@ def forward(bases, table, spans, below, step, lengths, cutoff, columns, row_firs
                 q = (along * along + across * across) * inverse
                 value = square_root(inverse) * exp_negative(minimum(q, k2) * f4(-0.5)) * p[AMPLITUDE]
                 value = where_less(q, k2, value)
+                if side != 0:
+                    for m in range(len(bases)):
+                        at = (m * rows + r) * stride + base
+                        one_side = below[g, m] + step[g, m] if side > 0 else below[g, m]
+                        store(image, at, load(image, at) + value * one_side)
+                    continue
                 b = x * p[B1] + lean
                 above = ((x * p[Q3] + rise) * x + level) - e * p[OFFSET]
                 z = above * (f4(1) / square_root(e * (e * p[WIDTH] + b * b)))
@@ -152,6 +191,8 @@ def _gather(bases, p, span, below, step, cotangent, k2, columns, sums, to_below,
         flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
         level, rise = dy * (p[Q2] + dy * p[Q5]), p[Q1] + p[Q4] * dy
         lean = p[B0] + p[B2] * dy
+        from_x, to_x = f4(low) - p[XC], f4(high - 1) - p[XC]
+        side = side_of(_z(p, from_x, flat, tilt, level, rise, lean), _z(p, to_x, flat, tilt, level, rise, lean))
         for base in range(low, high, LANES):
             x = ramp(f4(base) - p[XC])
             e = (x * p[E3] + tilt) * x + flat
@@ -160,6 +201,26 @@ def _gather(bases, p, span, below, step, cotangent, k2, columns, sums, to_below,
             q = (along * along + across * across) * inverse
             value = square_root(inverse) * exp_negative(minimum(q, k2) * f4(-0.5)) * p[AMPLITUDE]
             value = where_less(q, k2, value)
+            if side != 0:
+                to_value = zero
+                for m in range(len(bases)):
+                    incoming = load(cotangent, (m * rows + r) * stride + base)
+                    one_side = below[m] + step[m] if side > 0 else below[m]
+                    to_value = to_value + incoming * one_side
+                    store(to_below, m * LANES, load(to_below, m * LANES) + incoming * value)
+                    if side > 0:
+                        store(to_step, m * LANES, load(to_step, m * LANES) + incoming * value)
+                to_value = to_value * value
+                alpha = to_value * inverse * f4(-0.5)
+                to_e = alpha - alpha * q
+                w0 = w0 + to_value
+                across_x, across_y = alpha * x, alpha * dy
+                ax, ay, axx, axy = ax + across_x, ay + across_y, axx + across_x * x, axy + across_x * dy
+                ayy = ayy + across_y * dy
+                across_x, across_y = to_e * x, to_e * dy
+                e0, ex, ey, exx, exy = e0 + to_e, ex + across_x, ey + across_y, exx + across_x * x, exy + across_x * dy
+                eyy = eyy + across_y * dy
+                continue
             b = x * p[B1] + lean
             above = ((x * p[Q3] + rise) * x + level) - e * p[OFFSET]
             under = f4(1) / (e * p[WIDTH] + b * b)

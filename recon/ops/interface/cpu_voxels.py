@@ -18,7 +18,7 @@ from phantomgen.ops.simd import (
     total,
     where_less,
 )
-from recon.ops.interface.cpu import FAR, normal
+from recon.ops.interface.cpu import FAR, normal, side_of
 from recon.ops.interface.voxel_table import (
     AMPLITUDE,
     PART,
@@ -80,11 +80,19 @@ def fill(bases, table, voxels, halves, below, step, cutoff, columns, first, last
                 half = math.sqrt(rest) / p[U11]
                 low, high = span(p[X] - shear / p[U11], half, nx, 0, columns)
                 level = p[PART] + p[PART_Y] * dy + p[PART_Z] * dz
+                from_x, to_x = f4(low - nx) - p[X], f4(high - 1 - nx) - p[X]
+                side = side_of(from_x * p[PART_X] + level, to_x * p[PART_X] + level)
                 for base in range(low, high, WIDTH):
                     x = count_from(base - nx) - splat(p[X])
                     along = x * p[U11] + shear
                     q = along * along + (k2 - rest)
                     value = where_less(q, k2, exp_negative(minimum(q, k2) * f4(-0.5)) * p[AMPLITUDE])
+                    if side != 0:
+                        for m in range(len(bases)):
+                            at = ((m * slices + z) * rows + y) * stride + base
+                            one_side = below[g, m] + step[g, m] if side > 0 else below[g, m]
+                            store(volume, at, load(volume, at) + value * one_side)
+                        continue
                     part = normal(x * p[PART_X] + level)[0] * value
                     for m in range(len(bases)):
                         at = ((m * slices + z) * rows + y) * stride + base
@@ -116,12 +124,27 @@ def _gather(bases, p, voxel, halves, below, step, cotangent, k2, columns, sums, 
             half = math.sqrt(rest) / p[U11]
             low, high = span(p[X] - shear / p[U11], half, nx, 0, columns)
             level = p[PART] + p[PART_Y] * dy + p[PART_Z] * dz
+            from_x, to_x = f4(low - nx) - p[X], f4(high - 1 - nx) - p[X]
+            side = side_of(from_x * p[PART_X] + level, to_x * p[PART_X] + level)
             r0, rx, rxx, s0, sx = zero, zero, zero, zero, zero
             for base in range(low, high, WIDTH):
                 x = count_from(base - nx) - splat(p[X])
                 along = x * p[U11] + shear
                 q = along * along + (k2 - rest)
                 value = where_less(q, k2, exp_negative(minimum(q, k2) * f4(-0.5)) * p[AMPLITUDE])
+                if side != 0:
+                    to_value = zero
+                    for m in range(len(bases)):
+                        incoming = load(cotangent, ((m * slices + z) * rows + y) * stride + base)
+                        one_side = below[m] + step[m] if side > 0 else below[m]
+                        to_value = to_value + incoming * one_side
+                        store(to_below, m * WIDTH, load(to_below, m * WIDTH) + incoming * value)
+                        if side > 0:
+                            store(to_step, m * WIDTH, load(to_step, m * WIDTH) + incoming * value)
+                    to_value = to_value * value
+                    across = to_value * x
+                    r0, rx, rxx = r0 + to_value, rx + across, rxx + across * x
+                    continue
                 at = x * p[PART_X] + level
                 part, density = normal(at)
                 shared = part * value
