@@ -56,13 +56,13 @@ if TYPE_CHECKING:
     type=click.Choice(["auto", "interface", "gaussian"]),
     default="auto",
     show_default=True,
-    help="Gaussians that planes divide at interfaces, or plain ones, which are more; auto: planes, plain with --device cuda.",
+    help="Gaussians that planes divide at interfaces, or plain ones; auto: planes, but plain ones with --device cuda.",
 )
 @click.option(
     "--detail",
     type=click.FloatRange(min=0.25, max=4),
     callback=finite_number,
-    help="Factor by which Gaussians are closer to each other; 2 gives four to eight times as many [default: 1].",
+    help="Factor by which Gaussians are closer to each other; 2 gives three to eight times as many [default: 1].",
 )
 @click.option("--steps", type=click.IntRange(min=1), help="Steps of --recipe paper; schedules scale [default: 30000].")
 @click.option("--without", metavar="NAME", multiple=True, help="Leave out a component of --recipe paper; repeatable.")

@@ -101,7 +101,7 @@ def side_of(first, last):
 @njit(inline="always", fastmath=True, error_model="numpy")
 @no_type_check
 def _z(p, x, flat, tilt, level, rise, lean):
-    """Compute z at one place of a row; along a row it is monotonic but for the divergence of rays within a footprint."""
+    """Compute z at one place of a row, along which it is monotonic but for the divergence of rays in a footprint."""
     e = (x * p[E3] + tilt) * x + flat
     b = x * p[B1] + lean
     above = ((x * p[Q3] + rise) * x + level) - e * p[OFFSET]

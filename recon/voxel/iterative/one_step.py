@@ -42,9 +42,9 @@ from spectra.threads import without_other_pools
 # views of a kind; distance of two views whose curvature is computed, as that of the others is similar; no whole number,
 # so that it follows no period of the orbit; chosen by hand, not measured
 CURVATURE_STEP = 3.236
-# views whose curvature is computed at least, where there are as many: a voxel that few of them see takes too long steps;
-# with 3 of 9 views, voxels at a corner of the grid ended at 30 per mm; of 40 views on an arc of 120 degrees, all have
-# 37.4 / 29.8 / 38.2 dB, every second one 37.3 / 29.8 / 36.0 and every fourth one 14 / 12 / 11 dB
+# views whose curvature is computed at least, where there are as many: a voxel that few of them see takes too long
+# steps; with 3 of 9 views, voxels at a corner of the grid ended at 30 per mm; of 40 views on an arc of 120 degrees, all
+# have 37.4 / 29.8 / 38.2 dB, every second one 37.3 / 29.8 / 36.0 and every fourth one 14 / 12 / 11 dB
 LEAST_CURVATURE_VIEWS = 40
 # no unit, over the least deviance of a pass; where a pass exceeds it, the subsets have diverged, and half as many go on
 # from the best volumes; chosen by hand, not measured
