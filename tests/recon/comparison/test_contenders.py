@@ -30,6 +30,12 @@ def test_a_contender_is_its_word(who):
     assert contender(str(who)) == who
 
 
+@given(st.booleans(), st.booleans())
+def test_a_fit_with_its_recipe_and_kernel_is_its_word(best, plain):
+    who = Contender(GAUSSIAN, best=best, plain=plain)
+    assert contender(str(who)) == who
+
+
 @given(st.lists(st.sampled_from(list(COMPONENTS)), unique=True))
 def test_the_paper_without_components_is_its_word(names):
     who = Contender(PAPER, without=tuple(names))
@@ -44,7 +50,7 @@ def test_contenders_come_once_each_in_their_order():
     ("word", "sentence"),
     [
         ("tv", "there is no method 'tv' to compare: choose from gaussian, paper, fdk"),
-        ("fdk+4", "fdk+4: '4' is no change of the method fdk: choose from best, image, 2, 3, views-N"),
+        ("fdk+4", "fdk+4: '4' is no change of the method fdk: choose from best, plain, image, 2, 3, views-N"),
         ("gaussian+image", "'image' is no change of the method gaussian"),
         ("gaussian+without-tv", "'without-tv' is no change of the method gaussian"),
         ("paper+without-colour", "--without colour: there is no such component"),
