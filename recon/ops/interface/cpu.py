@@ -108,6 +108,17 @@ def _z(p, x, flat, tilt, level, rise, lean):
     return above / np.sqrt(e * (e * p[WIDTH] + b * b))
 
 
+@njit(inline="always", fastmath=True, error_model="numpy")
+@no_type_check
+def _side_of_row(p, low, high, flat, tilt, level, rise, lean):
+    """Tell on which side of its plane a row of a footprint lies, from its ends and its middle; see `side_of`."""
+    first = _z(p, f4(low) - p[XC], flat, tilt, level, rise, lean)
+    middle = _z(p, f4(0.5) * f4(low + high - 1) - p[XC], flat, tilt, level, rise, lean)
+    last = _z(p, f4(high - 1) - p[XC], flat, tilt, level, rise, lean)
+    side = side_of(first, last)
+    return side if side == side_of(middle, middle) else 0
+
+
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 @no_type_check
 def forward(bases, table, spans, below, step, lengths, cutoff, columns, row_first, row_last, image):
@@ -140,10 +151,7 @@ def forward(bases, table, spans, below, step, lengths, cutoff, columns, row_firs
             flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
             level, rise = dy * (p[Q2] + dy * p[Q5]), p[Q1] + p[Q4] * dy
             lean = p[B0] + p[B2] * dy
-            from_x, to_x = f4(low) - p[XC], f4(high - 1) - p[XC]
-            side = side_of(
-                _z(p, from_x, flat, tilt, level, rise, lean), _z(p, to_x, flat, tilt, level, rise, lean)
-            )  # fmt: skip
+            side = _side_of_row(p, low, high, flat, tilt, level, rise, lean)
             for base in range(low, high, LANES):
                 x = ramp(f4(base) - p[XC])
                 e = (x * p[E3] + tilt) * x + flat
@@ -191,8 +199,7 @@ def _gather(bases, p, span, below, step, cotangent, k2, columns, sums, to_below,
         flat, tilt = f4(1) + dy * (p[E2] + dy * p[E5]), p[E1] + p[E4] * dy
         level, rise = dy * (p[Q2] + dy * p[Q5]), p[Q1] + p[Q4] * dy
         lean = p[B0] + p[B2] * dy
-        from_x, to_x = f4(low) - p[XC], f4(high - 1) - p[XC]
-        side = side_of(_z(p, from_x, flat, tilt, level, rise, lean), _z(p, to_x, flat, tilt, level, rise, lean))
+        side = _side_of_row(p, low, high, flat, tilt, level, rise, lean)
         for base in range(low, high, LANES):
             x = ramp(f4(base) - p[XC])
             e = (x * p[E3] + tilt) * x + flat

@@ -77,6 +77,18 @@ def test_rays_through_pixel_centres_are_those_of_the_reference(width):
     assert float((found - wanted).abs().max()) < 3e-5 * float(wanted.max())
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_rows_of_pixels_far_from_a_plane_lie_on_its_right_side(seed):
+    centres, _, turns, planes, below, above = gaussians(40, seed)
+    random = np.random.default_rng(seed)
+    scales = torch.from_numpy(np.log(random.uniform(0.4, 8.0, centres.shape)))  # flat and long ones
+    planes[:, 0] = torch.from_numpy(random.uniform(-8, 8, len(planes)))
+    parts, of = (centres, scales, turns, planes, below, above), frames()
+    found = rasterize_divided(DividedTensors(*parts), of, PANEL, Projector(0.0, 5.0))
+    wanted = reference_images(parts, of)
+    assert float((found - wanted).abs().max()) < 3e-5 * float(wanted.max())
+
+
 def test_sides_that_agree_make_a_plain_gaussian():
     parts, of = gaussians(), frames()
     same = (*parts[:5], parts[4])
