@@ -22,7 +22,7 @@ WATER = Material("water", composition="Water, Liquid")
 _MILLIGRAM = 1e-3  # g/cm^3; 1 mg/ml
 _LEAST_MATTER = 0.02  # electron density of water; voxels below it get no atomic number; our choice
 
-Volume = Float[np.ndarray, "..."]
+Volume = Float[np.ndarray, "..."]  # without axes for the coefficients of one place
 Coefficients = Float[np.ndarray, "basis ..."]
 
 
@@ -91,7 +91,7 @@ class Readouts:
         concentration [mg/ml]
         """
         index = next(i for i, f in enumerate(self.basis.functions) if f.element == element)
-        return values[index] / self.agents[element][index]
+        return np.asarray(values[index] / self.agents[element][index])
 
     def without_contrast(self, values: Coefficients) -> Coefficients:
         """Subtract contrast agents from coefficients.
@@ -139,7 +139,7 @@ class Readouts:
         CT number [HU]; that of water, as the basis describes it, is 0 at every energy
         """
         water = float(self.attenuation(self.water, energy))
-        return 1000.0 * (self.attenuation(values, energy) / water - 1.0)
+        return np.asarray(1000.0 * (self.attenuation(values, energy) / water - 1.0))
 
     def electrons(self, values: Coefficients) -> tuple[Volume, Volume]:
         """Compute effective atomic number and electron density, both without contrast agents.
@@ -159,7 +159,7 @@ class Readouts:
         angle = np.arctan2(np.maximum(photo, 0.0), np.maximum(compton, 1e-12))
         numbers = np.arange(1, HEAVIEST + 1, dtype=np.float64)
         number = np.interp(angle, self.angles, numbers, right=np.nan)
-        density = np.hypot(photo, compton) / np.interp(angle, self.angles, self.per_electron)
+        density = np.asarray(np.hypot(photo, compton) / np.interp(angle, self.angles, self.per_electron))
         return np.where(density > _LEAST_MATTER, number, np.nan), density
 
 
