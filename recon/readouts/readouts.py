@@ -45,7 +45,7 @@ class Readouts:
     nameless : indices of K-edge functions without an element
     angles : arc tangent of photoelectric over Compton for each atomic number from 1 on, ascending [rad]
     per_electron : norm of the photoelectric and Compton coefficients at the electron density of water [1/mm]
-    span : lowest and highest energy of the detected spectrum [keV]
+    span : lowest and highest energy among the nodes of the detected spectrum [keV]
     """
 
     basis: Basis
@@ -218,8 +218,8 @@ class Readouts:
         if low <= energy <= high:
             return None
         return (
-            f"{energy:g} keV is outside of the detected spectrum ({low:.0f} to {high:.0f} keV): the image is an "
-            "extrapolation of the basis functions, which no count has tested"
+            f"{energy:g} keV is outside of the detected spectrum (nodes at {low:.0f} to {high:.0f} keV): the image "
+            "is an extrapolation of the basis functions, which no count has tested"
         )
 
     def electrons(self, values: Coefficients) -> tuple[Volume, Volume]:

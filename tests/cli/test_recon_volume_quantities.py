@@ -128,7 +128,7 @@ def test_basis_volumes_go_to_nifti_too(voxels, tmp_path):
 def test_an_extrapolation_is_said_on_the_command_line_in_the_file_and_in_python(voxels, tmp_path):
     result = command(voxels, "--energy", "140", "-o", tmp_path / "v.h5", "--json")
     assert result.exit_code == 0
-    words = "140 keV is outside of the detected spectrum (30 to 100 keV)"
+    words = "140 keV is outside of the detected spectrum (nodes at 30 to 100 keV)"
     assert f"Warning: {words}" in result.stderr
     assert words in json.loads(result.stdout)["caution"]
     with h5py.File(tmp_path / "v.h5") as file:
