@@ -42,11 +42,15 @@ def features_of(mechanisms: Mechanisms, parts: Float[np.ndarray, "mechanism ..."
 
 
 def air_density(mechanisms: Mechanisms) -> float:
-    """Return the density below which a voxel is air [1/mm].
+    """Return the density below which a voxel is air.
 
     Parameters
     ----------
     mechanisms : conversion of coefficients, which knows water
+
+    Returns
+    -------
+    density [1/mm]
     """
     return AIR * float(mechanisms.water.sum())
 
