@@ -12,8 +12,8 @@ electronics, which no dose changes), becomes
     d S + sqrt(d (1 - d) q S + (1 - d^2) sigma^2) N(0, 1),
 
 with mean d S and variance d q S + sigma^2, as a scan of the dose d has. This is the noise insertion of the literature
-on simulated low-dose CT (Benson & De Man 2010, Synthetic CT noise emulation in the raw data domain, IEEE Nuclear Science
-Symposium; Zabic et al. 2013, Med. Phys. 40, 031102), and for -log of signals the formula of Yu et al. 2012,
+on simulated low-dose CT (Benson & De Man 2010, Synthetic CT noise emulation in the raw data domain, IEEE Nuclear
+Science Symposium; Zabic et al. 2013, Med. Phys. 40, 031102), and for -log of signals the formula of Yu et al. 2012,
 doi:10.1097/RCT.0b013e318258e891.
 """
 

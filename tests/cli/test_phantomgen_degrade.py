@@ -82,3 +82,11 @@ def test_wrong_usage_ends_with_2(scan, tmp_path, arguments, words):
 
 def test_the_name_of_the_output_is_that_of_a_dataset(scan, tmp_path):
     assert "is an HDF5 file" in one_sentence(run(scan, "-o", tmp_path / "low", "--dose", "0.5"))
+
+
+def test_a_report_tells_what_was_done(scan, tmp_path):
+    assert run(scan, "-o", tmp_path / "low.h5", "--dose", "0.25", "--bin", "2").exit_code == 0
+    result = CliRunner().invoke(main, ["report", str(tmp_path / "low.h5"), "-o", str(tmp_path / "low.html")])
+    assert result.exit_code == 0, result.output
+    page = (tmp_path / "low.html").read_text()
+    assert "exposure scaled; panel: 2 x 2 pixels summed" in page
