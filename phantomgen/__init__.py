@@ -12,10 +12,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from phantomgen.api import make, plan
+    from phantomgen.api import degrade, make, plan
     from phantomgen.dataset.reader import Dataset, open_dataset
     from phantomgen.dataset.reader import open_dataset as open  # noqa: A004
     from phantomgen.dataset.truth import Truth, read_truth
+    from phantomgen.degradation.settings import Degradation
     from phantomgen.geometry.panel import Panel
     from phantomgen.geometry.poses import Geometry
     from phantomgen.geometry.voxel_grid import Grid
@@ -24,12 +25,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Dataset",
+    "Degradation",
     "Geometry",
     "Grid",
     "Panel",
     "Scan",
     "Scene",
     "Truth",
+    "degrade",
     "load",
     "make",
     "open",
@@ -40,12 +43,14 @@ __all__ = [
 
 _HOMES = {
     "Dataset": ("dataset.reader", "Dataset"),
+    "Degradation": ("degradation.settings", "Degradation"),
     "Geometry": ("geometry.poses", "Geometry"),
     "Grid": ("geometry.voxel_grid", "Grid"),
     "Panel": ("geometry.panel", "Panel"),
     "Scan": ("scene.scan", "Scan"),
     "Scene": ("scene.scan", "Scene"),
     "Truth": ("dataset.truth", "Truth"),
+    "degrade": ("api", "degrade"),
     "load": ("scene.scan", "load_scene"),
     "make": ("api", "make"),
     "open": ("dataset.reader", "open_dataset"),

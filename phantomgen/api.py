@@ -1,4 +1,4 @@
-"""Short interface for Python: from a scene to its plan, or to an open dataset."""
+"""Short interface for Python: from a scene to its plan, or to an open dataset; from a dataset to a worse one."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,6 +6,8 @@ from typing import Any
 
 from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.writing.writer import check_dataset_name
+from phantomgen.degradation.run import degrade_file
+from phantomgen.degradation.settings import Degradation
 from phantomgen.scene.scan import Scan, load_scene
 from phantomgen.simulation.planning.make_plan import make_plan
 from phantomgen.simulation.planning.plan import TOLERANCE, Plan
@@ -55,6 +57,34 @@ def make(
     path = Path(out or f"{scan.name}.h5")
     check_dataset_name(path)
     return open_dataset(simulate(scan, path, **options).path)
+
+
+def degrade(
+    dataset: Dataset | str | Path,
+    out: Path | str,
+    settings: Degradation | None = None,
+    *,
+    overwrite: bool = False,
+    **options: Any,
+) -> Dataset:
+    """Write a scan made worse, with less dose, fewer views or a wrong statement, and open it.
+
+    Parameters
+    ----------
+    dataset : the scan, or its name
+    out : name of the new dataset
+    settings : what is made worse; `options` where left out
+    overwrite : replace a file that exists
+    **options : fields of `phantomgen.degradation.settings.Degradation`, such as ``dose=0.25``; they replace those of
+        `settings`
+
+    Returns
+    -------
+    the new dataset, to be closed or used in a ``with`` statement
+    """
+    path = dataset.path if isinstance(dataset, Dataset) else Path(dataset)
+    wanted = replace(settings or Degradation(), **options)
+    return open_dataset(degrade_file(path, out, wanted, overwrite=overwrite).path)
 
 
 def _scan(scan: Scan | str | Path) -> Scan:

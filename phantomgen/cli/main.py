@@ -9,6 +9,7 @@ import click
 from phantomgen.cli.batch import batch
 from phantomgen.cli.common import Commands, version_option
 from phantomgen.cli.dataset import info, schema, validate
+from phantomgen.cli.degrade import degrade
 from phantomgen.cli.export import export
 from phantomgen.cli.importers import import_
 from phantomgen.cli.make import make
@@ -37,6 +38,7 @@ for command in (
     make,
     plan,
     batch,
+    degrade,
     info,
     validate,
     view,

@@ -56,6 +56,7 @@ def describe(path: Path) -> dict[str, Any]:
             "materials": _materials(dataset),
             "nxtomo": sorted(name for name in map(str, dataset.file) if name.startswith("nxtomo_")),
             "made_by": _made_by(dataset),
+            "history": _history(dataset),
             "warnings": [newer] if newer else [],
         }
 
@@ -93,6 +94,7 @@ def describe_text(info: dict[str, Any]) -> str:
         *_material_lines(info["materials"]),
         f"NXtomo     {', '.join(info['nxtomo']) or _why_no_nxtomo(info)}",
         f"made by    {info['made_by']}",
+        *(f"{step['step'] + 'd':<10} {phrase}" for step in info["history"] for phrase in step["done"]),
     ]
     return "\n".join(lines)
 
@@ -175,3 +177,15 @@ def _made_by(dataset: Dataset) -> str:
         return "unknown"
     program, version, date = (text_of(array_at(process, name)[()]) for name in ("program", "version", "date"))
     return f"{program} {version} on {date}, seed {int(array_at(process, 'seed')[()])}"
+
+
+def _history(dataset: Dataset) -> list[dict[str, Any]]:
+    """What was done to the file after it was simulated, in order."""
+    steps = []
+    for name, group in group_at(dataset.file, "entry").items():
+        if str(name).startswith("process_") and isinstance(group, h5py.Group) and "done" in group:
+            number = int(array_at(group, "sequence_index")[()])
+            done = [text_of(phrase) for phrase in array_at(group, "done")[()]]
+            what = str(name).split("_", 2)[2]
+            steps.append({"number": number, "step": what, "seed": int(array_at(group, "seed")[()]), "done": done})
+    return sorted(steps, key=lambda step: step["number"])

@@ -46,7 +46,8 @@ SCHEMA_TABLE = """\
 /entry/exposure/scale                    (V) or (V,C) tube output per view [and channel]
 /entry/splits/<scheme>                   train, test, val: indices of views; @default names the scheme
 /entry/reconstruction_grid               shape, spacing, origin (z,y,x) [mm]; origin is the centre of voxel 0
-/entry/process_<n>_<what>                program, version, date, sequence_index, command, seed, environment
+/entry/process_<n>_<what>                program, version, date, sequence_index, command, seed, environment; of a later
+                                         step than the first also done (phrases) and settings (JSON)
 /truth/basis/data                        (M,z,y,x) float32 [1/mm]
 /truth/fractions                         (material,z,y,x) uint16, 65535 = the whole voxel
 /truth/labels                            (z,y,x) uint8 or uint16, 0 = background, i + 1 = material i

@@ -25,6 +25,8 @@ class Stream(IntEnum):
     PROJECTION_READING = 12
     FLAT_READING = 13
     DARK = 14
+    DOSE = 15
+    FLAT_DOSE = 16
 
 
 def philox_key(seed: int, stream: Stream, frame: int, channel: int) -> int:

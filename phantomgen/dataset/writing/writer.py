@@ -6,6 +6,7 @@ What takes long is computed before, and kept by `phantomgen.dataset.writing.fram
 import json
 import os
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -241,14 +242,34 @@ class DatasetWriter:
         command : the command
         seed : of the noise
         """
-        process = new_group(group_at(self.file, "entry"), "process_1_simulate", "NXprocess")
+        self._write_program("process_1_simulate", 1, command, seed)
+
+    def write_step(self, what: str, number: int, seed: int, done: Sequence[str], settings: str) -> None:
+        """Write one more step of the history of the file.
+
+        Parameters
+        ----------
+        what : command of `phantomgen`, which becomes a part of the name
+        number : place in the history, counted from 1
+        seed : of the random numbers
+        done : what was done, one phrase each
+        settings : all settings as JSON
+        """
+        process = self._write_program(f"process_{number}_{what}", number, f"phantomgen {what}", seed)
+        put(process, "done", np.array(done, dtype=object))
+        put_note(process, "settings", settings, "application/json")
+
+    def _write_program(self, name: str, number: int, command: str, seed: int) -> h5py.Group:
+        """Write program, version, date and environment of a step."""
+        process = new_group(group_at(self.file, "entry"), name, "NXprocess")
         put(process, "program", "phantomgen")
         put(process, "version", program_version())
         put(process, "date", _date())
-        put(process, "sequence_index", 1)
+        put(process, "sequence_index", number)
         put(process, "command", command)
         put(process, "seed", np.uint64(seed))
         put_note(process, "environment", json.dumps(environment(), indent=1), "application/json")
+        return process
 
     def finish(self, spectra: Spectra) -> None:
         """Add the default plot and the aliases that other programs read.

@@ -88,8 +88,13 @@ def provenance_parts(dataset: Dataset) -> list[Part]:
 def _process(name: str, group: h5py.Group) -> list[Part]:
     """One program."""
     fields = {key: item for key, item in group.items() if isinstance(item, h5py.Dataset)}
-    rows = tuple((key, text_of(item[()])) for key, item in fields.items() if key != "sequence_index")
+    rows = tuple((key, _text(item)) for key, item in fields.items() if key != "sequence_index")
     parts: list[Part] = [Table(("what", "value"), rows, f"Where it comes from: {name}.", name)]
     if "environment/data" in group:
         parts.append(Code(f"Environment of {name}", text_of(array_at(group, "environment/data")[()])))
     return parts
+
+
+def _text(item: h5py.Dataset) -> str:
+    """Text of a field; phrases of a list one after the other."""
+    return "; ".join(map(text_of, item[()])) if item.shape else text_of(item[()])

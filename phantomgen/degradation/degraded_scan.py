@@ -1,0 +1,374 @@
+"""One dataset with settings applied: what is stated in the new file, and its images one by one."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import h5py
+import numpy as np
+from jaxtyping import Float, Int64, Shaped, UInt32
+
+from phantomgen.dataset.beam_profile import StoredProfile
+from phantomgen.dataset.file import DARK, FLAT, damaged_file
+from phantomgen.dataset.geometry import read_geometry
+from phantomgen.dataset.layout import array_at, group_at, text_of
+from phantomgen.dataset.pixel_mask import mask_of
+from phantomgen.dataset.reader import Dataset, check_counts
+from phantomgen.dataset.spectral_model import Spectra
+from phantomgen.degradation.dose import counts_at_dose, dose_seed, signal_at_dose
+from phantomgen.degradation.misstatements import with_voltage
+from phantomgen.degradation.panel import (
+    binned_mask,
+    binned_mean,
+    binned_sum,
+    check_bin,
+    columns_left,
+    moved_panel,
+    smaller_panel,
+)
+from phantomgen.degradation.settings import Degradation
+from phantomgen.degradation.views import Splits, evenly_spread, renumbered, within_arc
+from phantomgen.effects.defects import DEAD, Defects, stuck
+from phantomgen.effects.random_streams import Stream, generator
+from phantomgen.geometry.poses import Geometry
+from spectra.errors import InputError
+
+Images = Shaped[np.ndarray, "channel row column"]
+_LARGEST = np.iinfo(np.int32).max
+_SOURCE = "/entry/instrument/source"
+
+
+@dataclass(frozen=True, eq=False)
+class DegradedScan:
+    """A dataset made worse; parts are computed when they are asked for, images one frame at a time.
+
+    Parameters
+    ----------
+    dataset : open dataset
+    settings : what is made worse
+    step : number of this step in the history of the file
+    """
+
+    dataset: Dataset
+    settings: Degradation
+    step: int = 2
+
+    def check(self) -> None:
+        """Refuse settings that do not go with the dataset, before anything is written.
+
+        Raises
+        ------
+        InputError
+            When they do not.
+        """
+        wish, dataset = self.settings, self.dataset
+        check_bin(dataset.counts.shape[2], self.columns.stop - self.columns.start, wish.bin)
+        if wish.dose < 1 and dataset.spectra.dead_time is not None:
+            raise InputError(
+                f"{dataset.path} lost counts to dead time, of which fewer are lost at a lower dose: "
+                "simulate it with fewer photons instead, as thinning would be wrong"
+            )
+        if wish.complement and not self.has_counts:
+            raise InputError(f"{dataset.path} does not hold counts of photons, so that no complement of them exists")
+        if wish.noise and (self.has_counts or self.is_signal):
+            raise InputError(
+                f"{dataset.path} has noise already, or no counts: noise is drawn for scans made by --no-noise"
+            )
+        _ = self.kept, self.geometry, self.stated, self.masks
+
+    @property
+    def is_signal(self) -> bool:
+        """True where the detector integrates energy."""
+        return self.dataset.signed
+
+    @property
+    def has_counts(self) -> bool:
+        """True where values are counts of single photons, with their noise."""
+        return self.dataset.counts.dtype.kind in "iu"
+
+    @cached_property
+    def is_noise_free(self) -> bool:
+        """True where values are means: float counts, or signals whose flats are all the same."""
+        flats = self.dataset.file.get(FLAT)
+        if self.has_counts or not self.is_signal:
+            return not self.has_counts
+        return isinstance(flats, h5py.Dataset) and flats.shape[0] > 1 and bool((flats[0] == flats[1]).all())
+
+    @cached_property
+    def columns(self) -> slice:
+        """Columns that are left, before binning."""
+        return columns_left(self.dataset.counts.shape[3], self.settings.truncate)
+
+    @cached_property
+    def kept(self) -> tuple[Int64[np.ndarray, " left"], Splits]:
+        """Numbers of the views that are left, and the splits in terms of their places."""
+        wish, dataset = self.settings, self.dataset
+        if wish.views is None and wish.arc is None:
+            return np.arange(dataset.counts.shape[0]), dataset.splits
+        train = dataset.splits["train"]
+        if wish.arc is not None:
+            train = within_arc(train, dataset.geometry.angles, wish.arc, dataset.geometry.kind == "helical")
+        if wish.views is not None:
+            train = evenly_spread(train, wish.views)
+        return renumbered(dataset.splits, train)
+
+    @cached_property
+    def true_geometry(self) -> Geometry:
+        """Poses that were used, of the views and pixels that are left."""
+        nominal, file = self.dataset.geometry, self.dataset.file
+        if "truth/geometry" in file:
+            nominal = read_geometry(group_at(file, "truth/geometry"), nominal.panel, nominal.angles)
+        return smaller_panel(nominal[self.kept[0]], self.columns, self.settings.bin)
+
+    @cached_property
+    def geometry(self) -> Geometry:
+        """Poses that the file states."""
+        nominal = smaller_panel(self.dataset.geometry[self.kept[0]], self.columns, self.settings.bin)
+        return moved_panel(nominal, self.settings.shift) if self.settings.shift else nominal
+
+    @property
+    def has_true_geometry(self) -> bool:
+        """True where poses that were used are not those that are stated, and the file has a truth."""
+        return "truth" in self.dataset.file and ("truth/geometry" in self.dataset.file or self.settings.shift != 0)
+
+    @cached_property
+    def exposure(self) -> np.ndarray:
+        """Tube output of each view that is left, relative to the flats."""
+        scale = np.asarray(array_at(self.dataset.file, "/entry/exposure/scale")[()], np.float64)[self.kept[0]]
+        return scale if self.settings.flats == "thin" else scale * self.settings.written_dose
+
+    @cached_property
+    def source_fields(self) -> dict[str, tuple[object, str | None]]:
+        """What the file states about the source, (value, unit) by name."""
+        found = {}
+        for name, item in group_at(self.dataset.file, _SOURCE).items():
+            value, units = item[()], item.attrs.get("units")
+            if name == "voltage" and self.settings.kv_error:
+                value = float(value) + self.settings.kv_error
+            if name == "charge":
+                value = float(value) * self.settings.written_dose
+            found[name] = (
+                text_of(value) if isinstance(value, bytes) else value,
+                None if units is None else text_of(units),
+            )
+        return found
+
+    @cached_property
+    def stated(self) -> tuple[Spectra, float]:
+        """Spectral model of the file, and the part of the stated photons that lie above its energies."""
+        spectra, wish, left_out = self.dataset.spectra, self.settings, 0.0
+        if wish.kv_error:
+            spectra, left_out = with_voltage(spectra, self.voltage, wish.kv_error, self._anode)
+        dose = wish.written_dose if wish.flats == "thin" else 1.0
+        profile, dead_time = spectra.profile, spectra.dead_time
+        if profile is not None:
+            lengths = binned_mean(profile.lengths[..., self.columns], wish.bin)
+            profile = StoredProfile(profile.names, lengths, profile.attenuation)
+        if dead_time is not None:  # n pixels, each of a load of its own, are one that is dead for a n-th of the time
+            dead_time = replace(dead_time, tau_ns=dead_time.tau_ns / wish.bin**2)
+        source = spectra.source * (dose * wish.bin**2)
+        return replace(spectra, source=source, profile=profile, dead_time=dead_time), left_out
+
+    @cached_property
+    def voltage(self) -> float:
+        """Voltage of the tube [kV]."""
+        found = self.dataset.file.get(f"{_SOURCE}/voltage")
+        if not isinstance(found, h5py.Dataset):
+            raise InputError(
+                f"{self.dataset.path} states no tube voltage in {_SOURCE}, of which an error could be made"
+            )
+        return float(found[()])
+
+    @property
+    def _anode(self) -> str:
+        """Material of the target."""
+        found = self.dataset.file.get(f"{_SOURCE}/target_material")
+        return text_of(found[()]) if isinstance(found, h5py.Dataset) else "tungsten"
+
+    @cached_property
+    def new_dead(self) -> UInt32[np.ndarray, "row column"]:
+        """Bits of the pixels that are made dead."""
+        panel, wish = self.geometry.panel, self.settings
+        return Defects(dead=wish.dead).mask(dose_seed(wish.seed, wish.dead, self.step), panel.rows, panel.columns)
+
+    @cached_property
+    def masks(self) -> tuple[UInt32[np.ndarray, "row column"] | None, ...]:
+        """Bits of the pixels of each channel; None where a channel has no mask."""
+        return tuple(self._mask(name) for name in self.dataset.spectra.channels)
+
+    def _mask(self, channel: str) -> UInt32[np.ndarray, "row column"] | None:
+        """Old and new faults of one channel."""
+        stored = mask_of(self.dataset.file, channel)
+        if stored is None:
+            return self.new_dead if self.settings.dead else None
+        old = stored[()].astype(np.uint32)[:, self.columns]
+        return binned_mask(old, self.settings.bin) | self.new_dead
+
+    def frames(self, kind: str) -> Int64[np.ndarray, " frame"]:
+        """Return the numbers of the frames of the new file, as they are counted in the old one.
+
+        Parameters
+        ----------
+        kind : ``data``, ``flat`` or ``dark``
+
+        Returns
+        -------
+        numbers
+        """
+        if kind == "data":
+            return self.kept[0]
+        found = self.dataset.file.get(FLAT if kind == "flat" else DARK)
+        return np.arange(found.shape[0] if isinstance(found, h5py.Dataset) else 0)
+
+    def images(self, kind: str, frame: int) -> list[Shaped[np.ndarray, "row column"]]:
+        """Compute one frame of the new file.
+
+        Parameters
+        ----------
+        kind : ``data``, ``flat`` or ``dark``
+        frame : its number in the old file
+
+        Returns
+        -------
+        values of each channel, of the type that is stored
+        """
+        dataset = self.dataset
+        frames = {"data": lambda: dataset.counts}.get(
+            kind, lambda: array_at(dataset.file, FLAT if kind == "flat" else DARK)
+        )()
+        with damaged_file(dataset.path):
+            images = frames[frame]
+        check_counts(images, f"{frames.name}[{frame}] of {dataset.path}", dataset.signed)
+        changed = kind == "data" or (kind == "flat" and self.settings.flats == "thin")
+        stream = Stream.DOSE if kind == "data" else Stream.FLAT_DOSE
+        at_dose = (
+            [self._at_dose(image, stream, frame, c) for c, image in enumerate(images)] if changed else list(images)
+        )
+        return [self._on_panel(image) for image in at_dose]
+
+    def expected(self, frame: int) -> list[Float[np.ndarray, "row column"]]:
+        """Compute the counts without noise of one view.
+
+        Parameters
+        ----------
+        frame : number of the view in the old file
+
+        Returns
+        -------
+        means of each channel, float32
+        """
+        with damaged_file(self.dataset.path):
+            images = array_at(self.dataset.file, "/truth/expected")[frame].astype(np.float64)
+        dose = self.settings.written_dose
+        scaled = dose * images + (1 - dose) * self.dataset.dark
+        return [self._on_panel(image).astype(np.float32) for image in scaled]
+
+    def _at_dose(self, image: np.ndarray, stream: Stream, frame: int, channel: int) -> np.ndarray:
+        """One image at the dose asked for, before it is cut and binned."""
+        wish, dark = self.settings, self.dataset.dark[channel]
+        if wish.dose == 1 and not wish.noise:
+            return image
+        random = generator(dose_seed(wish.seed, wish.dose, self.step), stream, frame, channel)
+        if self.has_counts:
+            changed = counts_at_dose(image, dark, wish.dose, wish.complement, random)
+            return np.where(self.dataset.mask[channel], image, changed)
+        if self.is_noise_free:
+            means = wish.dose * (image.astype(np.float64) - dark) + dark
+            return random.poisson(np.maximum(means, 0.0)) if wish.noise else means
+        quantum, variance = float(self.dataset.spectra.quantum[channel]), float(self.dataset.dark_variance[channel])
+        changed = signal_at_dose(image.astype(np.float64), dark, wish.dose, quantum, variance, random)
+        return np.where(self.dataset.mask[channel], image, changed)
+
+    def _on_panel(self, image: np.ndarray) -> np.ndarray:
+        """An image of the smaller panel, with new dead pixels, of the type that is stored."""
+        wide = image.astype(np.int64 if image.dtype.kind in "iu" else np.float64)
+        summed = binned_sum(wide[:, self.columns], self.settings.bin)
+        if self.settings.dead:
+            summed = stuck(summed, self.new_dead & np.uint32(DEAD), 0.0)
+        if self.writes_counts and summed.max(initial=0) > _LARGEST:
+            raise InputError(f"{self.dataset.path}: the sum of binned counts exceeds {_LARGEST}: bin fewer pixels")
+        return summed.astype(np.int32 if self.writes_counts else np.float32)
+
+    @property
+    def writes_counts(self) -> bool:
+        """True where the new file holds integer counts."""
+        return self.has_counts or self.settings.noise
+
+
+def history(scan: DegradedScan) -> list[str]:
+    """Say what was done to a scan.
+
+    Parameters
+    ----------
+    scan : the scan
+
+    Returns
+    -------
+    one phrase for each thing that was done
+    """
+    found = [phrase(scan) for phrase in _PHRASES]
+    return [text for text in found if text] or ["nothing changed"]
+
+
+def _dose_phrase(scan: DegradedScan) -> str:
+    """What was done to the dose."""
+    wish = scan.settings
+    if wish.dose == 1 and not wish.noise:
+        return ""
+    if scan.has_counts:
+        how = "binomial thinning of counts" + (", the complement" if wish.complement else "")
+    elif scan.is_noise_free:
+        how = "Poisson counts of scaled means" if wish.noise else "scaled means, without noise"
+    else:
+        frames = len(scan.frames("dark"))
+        how = "scaled signals with added noise, that of the electronics " + (
+            f"from {frames} darks" if frames > 1 else "taken as 0 for lack of two darks"
+        )
+    flats = "flats thinned as well" if wish.flats == "thin" else "flats as measured, exposure scaled"
+    return f"dose {wish.written_dose:g}: {how}; {flats}"
+
+
+def _views_phrase(scan: DegradedScan) -> str:
+    """Which views are left."""
+    wish, old, new = scan.settings, scan.dataset.splits, scan.kept[1]
+    if wish.views is None and wish.arc is None:
+        return ""
+    arc = "" if wish.arc is None else f" from {wish.arc[0]:g} to {wish.arc[1]:g} degrees"
+    others = ", ".join(f"{len(new[name])} {name}" for name in new if name != "train" and len(new[name]))
+    return f"views: {len(new['train'])} of {len(old['train'])} training views{arc}" + (
+        f"; {others} kept" if others else ""
+    )
+
+
+def _panel_phrase(scan: DegradedScan) -> str:
+    """What was done to the panel."""
+    wish, phrases = scan.settings, []
+    if scan.columns.start:
+        phrases.append(f"{scan.columns.start} of {scan.dataset.counts.shape[3]} columns cut off on each side")
+    if wish.bin > 1:
+        phrases.append(f"{wish.bin} x {wish.bin} pixels summed")
+    if wish.dead:
+        phrases.append(f"{np.count_nonzero(scan.new_dead)} pixels made dead and marked")
+    return f"panel: {', '.join(phrases)}" if phrases else ""
+
+
+def _statement_phrase(scan: DegradedScan) -> str:
+    """What the file misstates."""
+    wish, phrases = scan.settings, []
+    if wish.shift:
+        moved = wish.shift * scan.geometry.panel.column_pitch
+        phrases.append(f"stated panel {wish.shift:+g} pixel ({moved:+g} mm) along its columns from the true one")
+    if wish.kv_error:
+        left_out = scan.stated[1]
+        phrases.append(
+            f"stated spectrum of {scan.voltage + wish.kv_error:g} kV, true one of {scan.voltage:g} kV"
+            + (
+                f" (photons above {scan.dataset.spectra.edges[-1]:g} keV left out, {left_out:.1e} of all)"
+                if left_out
+                else ""
+            )
+        )
+    return "; ".join(phrases)
+
+
+_PHRASES: tuple[Callable[[DegradedScan], str], ...] = (_dose_phrase, _views_phrase, _panel_phrase, _statement_phrase)
