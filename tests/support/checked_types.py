@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from types import CodeType
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_type_hints
 
 from beartype import BeartypeConf, beartype
 from jaxtyping import config, jaxtyped
@@ -20,19 +20,34 @@ SETTINGS = BeartypeConf(is_pep484_tower=True)  # an int may stand for a float
 DECORATOR = f"__import__({__name__!r}, fromlist=['']).{{}}"
 
 
+TYPING_ONLY: dict[str, CodeType] = {}  # by module: what it imports for type checkers only
+
+
 def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     """Check arguments and result of every call, unless `jaxtyping.config` turns checks off."""
-    checking = beartype(conf=SETTINGS)(function)
+    checking = None
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         __tracebackhide__ = True
+        nonlocal checking
         if config.jaxtyping_disable:
             return function(*args, **kwargs)
+        if checking is None:  # in the first call, as annotations may name what is defined further below
+            checking = beartype(conf=SETTINGS)(_resolved(function))
         with jaxtyped("context"):  # an axis of the same name has the same length within one call
             return checking(*args, **kwargs)
 
     return call
+
+
+def _resolved(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Replace names in annotations that the module imports for type checkers only."""
+    if function.__module__ in TYPING_ONLY:
+        names = dict(function.__globals__)
+        exec(TYPING_ONLY[function.__module__], names)
+        function.__annotations__ = get_type_hints(function, names, include_extras=True)
+    return function
 
 
 def checked_fields(kind: Kind) -> Kind:
@@ -69,8 +84,16 @@ class _Loader(SourceFileLoader):
         """Compile the source with decorators."""
         path = self.get_filename(fullname)
         tree = ast.parse(self.get_data(path), path)
+        imports = [line for node in tree.body if _is_typing_only(node) for line in node.body]
+        if imports:
+            TYPING_ONLY[fullname] = compile(ast.Module(imports, []), path, "exec", dont_inherit=True)
         _decorate(tree.body)
         return compile(ast.fix_missing_locations(tree), path, "exec", dont_inherit=True)
+
+
+def _is_typing_only(node: ast.stmt) -> bool:
+    """Whether a statement is `if TYPE_CHECKING:`."""
+    return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
 
 
 def _decorate(body: list[ast.stmt]) -> None:
