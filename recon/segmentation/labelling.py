@@ -118,7 +118,7 @@ def label_at(
     places: Float[np.ndarray, "3 point"],
     values: Float[np.ndarray, "point mechanism"],
     centres: Float[np.ndarray, "cluster mechanism"],
-) -> Int[np.ndarray, " point"]:
+) -> Integer[np.ndarray, " point"]:
     """Label points by their voxels, or by their coefficients where the voxel is air or far less dense than the point.
 
     Parameters
