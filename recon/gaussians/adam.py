@@ -28,7 +28,9 @@ class Adam:
         self.squares = [torch.zeros_like(tensor) for tensor in tensors]
 
     @torch.no_grad()
-    def step(self, lengths: Sequence[float] | Float[np.ndarray, " tensor"], number: int, decays: tuple[float, float]) -> None:
+    def step(
+        self, lengths: Sequence[float] | Float[np.ndarray, " tensor"], number: int, decays: tuple[float, float]
+    ) -> None:
         """Make one step.
 
         Parameters
