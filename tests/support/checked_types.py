@@ -20,7 +20,7 @@ SETTINGS = BeartypeConf(is_pep484_tower=True)  # an int may stand for a float
 DECORATOR = f"__import__({__name__!r}, fromlist=['']).{{}}"
 
 
-TYPING_ONLY: dict[str, CodeType] = {}  # by module: what it imports for type checkers only
+TYPING_ONLY: dict[str, list[ast.stmt]] = {}  # by module: what stands under `if TYPE_CHECKING`
 
 
 def checked(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -44,10 +44,21 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
 def _resolved(function: Callable[..., Any]) -> Callable[..., Any]:
     """Replace names in annotations that the module imports for type checkers only."""
     if function.__module__ in TYPING_ONLY:
-        names = dict(function.__globals__)
-        exec(TYPING_ONLY[function.__module__], names)
+        names = _all_names(function.__module__)
         function.__annotations__ = get_type_hints(function, names, include_extras=True)
     return function
+
+
+def _all_names(module: str) -> dict[str, Any]:
+    """Names of a module, with those that it has for type checkers only."""
+    names = dict(vars(sys.modules[module]))
+    for line in TYPING_ONLY.get(module, []):
+        if isinstance(line, ast.ImportFrom) and line.module in TYPING_ONLY:
+            hidden = _all_names(line.module)
+            names |= {each.asname or each.name: hidden[each.name] for each in line.names}
+        else:
+            exec(compile(ast.Module([line], []), module, "exec", dont_inherit=True), names)
+    return names
 
 
 def checked_fields(kind: Kind) -> Kind:
@@ -84,9 +95,9 @@ class _Loader(SourceFileLoader):
         """Compile the source with decorators."""
         path = self.get_filename(fullname)
         tree = ast.parse(self.get_data(path), path)
-        imports = [line for node in tree.body if _is_typing_only(node) for line in node.body]
-        if imports:
-            TYPING_ONLY[fullname] = compile(ast.Module(imports, []), path, "exec", dont_inherit=True)
+        hidden = [line for node in tree.body if _is_typing_only(node) for line in node.body]
+        if hidden:
+            TYPING_ONLY[fullname] = hidden
         _decorate(tree.body)
         return compile(ast.fix_missing_locations(tree), path, "exec", dont_inherit=True)
 
