@@ -87,6 +87,8 @@ class SurfaceSettings:
     first_width : width of the transition while Gaussians are fitted to the voxel volumes [voxels]; measured against 0.1
         and 0.3
     width : width of the transition while they are fitted to the counts [voxels]; measured against 0.12, 0.15 and 0.2
+    cutoff : distance at which a Gaussian ends while they are fitted to the voxel volumes [standard deviations]; 0.9 %
+        of its mass lies beyond, which the volumes are scaled by; measured against 3 and 4
     solves : iterations of conjugate gradients for the first coefficients, on voxels of twice the size; chosen by hand,
         not measured
     """
@@ -106,6 +108,7 @@ class SurfaceSettings:
     least_sum: float = 0.5
     first_width: float = 0.15
     width: float = 0.1
+    cutoff: float = 3.4
     solves: int = 12
 
     def __post_init__(self) -> None:

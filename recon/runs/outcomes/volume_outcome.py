@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -12,6 +13,7 @@ from jaxtyping import Float
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import Truth
+from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.guarded import Guard
 from phantomgen.runtime.versions import environment
 from recon.data.coverage import Coverage
@@ -93,6 +95,11 @@ class VolumeOutcome:
         """The result on the grid of the dataset [1/mm]."""
         return self.model.volume(self.dataset.grid)
 
+    def _volumes_on(self, grid: Grid) -> GaussianModel | Voxels:
+        """The volumes, where they are on this grid; else the model, whose volumes take seconds."""
+        known = grid == self.dataset.grid
+        return Voxels(self.volumes, grid, self.model.basis_names) if known else self.model
+
     @property
     def _occupied(self) -> int:
         """Number of voxels that hold more than `OCCUPIED` of the largest value of a basis."""
@@ -141,7 +148,7 @@ class VolumeOutcome:
             metrics["numbers_over_voxels"] = self.model.numbers / max(self._occupied * len(names), 1)
         if truth is not None:
             with guard("scoring against the truth"):
-                metrics.update(score_truth(truth, self.model, self.unreliable))
+                metrics.update(score_truth(truth, self._volumes_on(truth.grid), self.unreliable))
                 for method, volumes in self.start.items():
                     metrics.update(score_start(method, truth, volumes, names, self.dataset.grid))
         metrics["channels"] = {}
@@ -154,7 +161,7 @@ class VolumeOutcome:
             metrics["verdict"] = verdict.record(self.verdict(metrics["channels"]))
         if self.log is not None:
             with guard("scoring the models between the steps"):
-                models = () if truth is None else self.log.models()
+                models = () if truth is None else islice(self.log.models(), 1, None, 2)  # the last of ten among them
                 self.log.add_scores({step: psnr_of_bases(truth, model) for step, model in models})  # type: ignore[arg-type]
         about = {"node_error": self.node_error, "bases_left_out": list(self.left_out), "versions": environment()}
         return metrics | about
@@ -205,7 +212,8 @@ class VolumeOutcome:
         folder : of the figures
         guard : of each figure; what it catches is left out
         """
-        draw_model(self.dataset, truth, self.model, folder, self.left_out, guard)
+        grid = self.dataset.grid if truth is None else truth.grid
+        draw_model(self.dataset, truth, self.model, folder, self.left_out, guard, self._volumes_on(grid))
         for name, draw in self.figures.items():
             with guard(f"drawing {name}"):
                 draw(folder / name)
