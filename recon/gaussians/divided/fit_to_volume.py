@@ -23,11 +23,11 @@ from recon.gaussians.divided.steps import (
     moved,
 )
 from recon.gaussians.initial.descent import descend
-from recon.gaussians.settings import VolumeFitSettings
+from recon.gaussians.settings import SurfaceSettings, VolumeFitSettings
 from recon.ops.voxelize import mass_within
 from recon.voxel.method import OnIteration, Report, no_callback
 
-DEFAULT = VolumeFitSettings()
+DEFAULT = replace(VolumeFitSettings(), cutoff=SurfaceSettings().cutoff)
 LEAST_CURVATURE = 1e-12  # no unit; added to the diagonal, so that a Gaussian without coefficients is not divided by 0
 SOLVE_DAMPING = 1e-3  # no unit; added to the diagonal in the first solution, so that empty sides stay small
 LEAST_OVERLAP = 1e-3  # voxels; sum of squares of one side of a Gaussian, at least, for the same purpose
