@@ -64,6 +64,12 @@ if TYPE_CHECKING:
     callback=finite_number,
     help="Factor by which Gaussians are closer to each other; 2 gives three to eight times as many [default: 1].",
 )
+@click.option(
+    "--gaussians",
+    type=click.IntRange(min=1),
+    metavar="NUMBER",
+    help="Number of Gaussians, about [default: as many as the surfaces need].",
+)
 @click.option("--steps", type=click.IntRange(min=1), help="Steps of --recipe paper; schedules scale [default: 30000].")
 @click.option("--without", metavar="NAME", multiple=True, help="Leave out a component of --recipe paper; repeatable.")
 @click.option(
@@ -111,6 +117,7 @@ def fit(
     recipe: str,
     kernel: str,
     detail: float | None,
+    gaussians: int | None,
     steps: int | None,
     without: tuple[str, ...],
     method: str,
@@ -157,7 +164,7 @@ def fit(
     if out:
         check_run_name(Path(out))
     special = {"resume": resume, "dry-run": dry_run, "memory": memory, "held-out": held_out, "edge": edge}
-    special |= {"kernel": None if kernel == "auto" else kernel, "detail": detail}
+    special |= {"kernel": None if kernel == "auto" else kernel, "detail": detail, "gaussians": gaussians}
     special |= {"device": None if device == "cpu" else device_named(device).type}
     if method != "gaussian":
         refuse_options(f"--method {method}", special | {"steps": steps, "without": without, "recipe": recipe != "fast"})
@@ -167,7 +174,8 @@ def fit(
     else:
         refuse_options(f"--recipe {recipe}, whose length is --sweeps", {"steps": steps, "without": without})
         chosen = ("interface" if device == "cpu" else "gaussian") if kernel == "auto" else kernel
-        how = chosen_recipe(recipe, sweeps, seed, held_out, chosen, detail or 1.0)
+        refuse_options("--gaussians", {"detail": gaussians and detail})
+        how = chosen_recipe(recipe, sweeps, seed, held_out, chosen, detail or 1.0, gaussians or 0)
     source, edges, asked = Path(dataset), parse_edges(edge), parse_bases(bases)
     set_threads(threads)
     if dry_run and not isinstance(how, PaperRecipe):

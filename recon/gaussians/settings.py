@@ -47,6 +47,7 @@ class PlacementSettings:
     flatness : thickness over width of a Gaussian on a full edge [no unit]; measured against 0.5
     least_sum : smallest sum of all Gaussians at a centre that a coefficient is divided by [no unit]; chosen by hand,
         not measured
+    count : number of Gaussians, about, for which all distances get one factor; 0 for as many as the distances give
     """
 
     coarsest: float = 3.5
@@ -55,9 +56,10 @@ class PlacementSettings:
     neighbours: int = 6
     flatness: float = 0.25
     least_sum: float = 0.5
+    count: int = 0
 
     def __post_init__(self) -> None:
-        check_positive(self, "recipe placement")
+        check_positive(self, "recipe placement", ("count",))
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,7 @@ class SurfaceSettings:
         of its mass lies beyond, which the volumes are scaled by; measured against 3 and 4
     solves : iterations of conjugate gradients for the first coefficients, on voxels of twice the size; chosen by hand,
         not measured
+    count : number of Gaussians, about, for which all distances get one factor; 0 for as many as the distances give
     """
 
     spacing: float = 0.6
@@ -110,9 +113,10 @@ class SurfaceSettings:
     width: float = 0.1
     cutoff: float = 3.4
     solves: int = 12
+    count: int = 0
 
     def __post_init__(self) -> None:
-        check_positive(self, "recipe surfaces")
+        check_positive(self, "recipe surfaces", ("count",))
 
 
 @dataclass(frozen=True)

@@ -133,6 +133,17 @@ def test_more_detail_places_more_gaussians(dataset, tmp_path, complete):
     assert metrics_of(tmp_path / "run")["gaussians"] > 1.5 * metrics_of(complete[0])["gaussians"]
 
 
+def test_a_stated_number_of_gaussians_is_placed(dataset, tmp_path):
+    assert fit(dataset, "-o", tmp_path / "run", "--gaussians", "150", *FAST).exit_code == 0
+    assert metrics_of(tmp_path / "run")["gaussians"] == pytest.approx(150, abs=5)
+
+
+def test_number_and_distance_of_gaussians_exclude_each_other(dataset, tmp_path):
+    result = fit(dataset, "-o", tmp_path / "run", "--gaussians", "150", "--detail", "2", *FAST)
+    assert result.exit_code == 2
+    assert "--detail cannot be used with --gaussians" in result.output
+
+
 def test_volumes_state_shape_axes_and_units(complete):
     with h5py.File(complete[0] / "volumes.h5") as file:
         for group in ("basis", "one-step"):
