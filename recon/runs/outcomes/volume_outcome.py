@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import islice
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -161,7 +160,7 @@ class VolumeOutcome:
             metrics["verdict"] = verdict.record(self.verdict(metrics["channels"]))
         if self.log is not None:
             with guard("scoring the models between the steps"):
-                models = () if truth is None else islice(self.log.models(), 1, None, 2)  # the last of ten among them
+                models = () if truth is None else self.log.models()
                 self.log.add_scores({step: psnr_of_bases(truth, model) for step, model in models})  # type: ignore[arg-type]
         about = {"node_error": self.node_error, "bases_left_out": list(self.left_out), "versions": environment()}
         return metrics | about
