@@ -85,6 +85,41 @@ def project_transpose(
     return _implementation(images).backward(images, views, bool(parallel), spacing, grid.shape)
 
 
+def pose_gradient(
+    volume: Float[np.ndarray, "component z y x"],
+    images: Float[np.ndarray, "component view row column"],
+    grid: Grid,
+    frames: Float[np.ndarray, "view 4 3"],
+    parallel: bool = False,
+) -> Float[np.ndarray, "view 4 3"]:
+    """Compute the derivatives of ``(images * project(volume, ...)).sum()`` in the frames, in float64 on the CPU.
+
+    Parameters
+    ----------
+    volume : values of the voxels, as in `project`
+    images : weights of the pixels
+    grid, frames, parallel : as in `project`
+
+    Returns
+    -------
+    derivatives in each vector of each frame [1/mm]; jumps of the projector where rays change their main axis are left
+    out
+
+    Raises
+    ------
+    InputError
+        When arrays do not fit each other, or frames are not four finite vectors per view.
+    """
+    expected = len(volume), len(frames)
+    if volume.shape[1:] != grid.shape or images.ndim != 4 or images.shape[:2] != expected:
+        shapes = f"{volume.shape} and {images.shape}"
+        raise InputError(f"needs a volume on the grid {grid.shape} and images of {expected[1]} views, got {shapes}")
+    from phantomgen.ops.project import numpy_pair as home  # noqa: PLC0415
+
+    views, spacing = _in_voxels(frames, grid, parallel)
+    return home.pose_gradient(volume, images, views, bool(parallel), spacing)[:, :, ::-1] / spacing[::-1]
+
+
 def values_of_averages(volume: Float[np.ndarray, "... z y x"]) -> Float[np.ndarray, "... z y x"]:
     """Compute values at the centres of voxels between which linear interpolation has given averages over voxels.
 
