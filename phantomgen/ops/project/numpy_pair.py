@@ -123,7 +123,7 @@ def pose_gradient(
     derivatives [1/voxel]
     """
     components, *shape = volume.shape
-    flat = np.ascontiguousarray(volume, dtype=np.float32).reshape(components, -1)
+    flat = np.ascontiguousarray(volume.reshape(components, -1).T, dtype=np.float32)
     weights = np.ascontiguousarray(np.moveaxis(images, 0, -1), dtype=np.float64)
     strides, out = _strides(shape), np.zeros((len(views), 4, 3))
 

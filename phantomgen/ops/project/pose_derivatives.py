@@ -48,14 +48,42 @@ class PoseScratch(NamedTuple):
 
 @inlined
 @no_type_check
-def _line(volume, cotangents, begin, stride, weights, count):
-    """Sum of a line of voxels, each times its weight, and of components, each times its cotangent."""
+def _voxel(volume, cotangents, place, inside):
+    """Sum of the components of a voxel, each times its cotangent; 0 outside of the grid."""
     total = 0.0
-    for c in range(cotangents.size):
-        part = 0.0
-        for i in range(count):
-            part += weights[i] * volume[c, begin + i * stride]
-        total += cotangents[c] * part
+    if inside:
+        for c in range(cotangents.size):
+            total += cotangents[c] * volume[place, c]
+    return total
+
+
+@inlined
+@no_type_check
+def _narrow(volume, cotangents, layer, middles, axes):
+    """Value of a beam that is a voxel wide in both directions, and the values at its edges; see `_broad`."""
+    (middle_a, middle_b), (count_a, count_b, step_a, step_b) = middles, axes
+    if not (-1.0 < middle_a < count_a and -1.0 < middle_b < count_b):
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    i, j = int(floor(middle_a)), int(floor(middle_b))
+    past_a, past_b = middle_a - i, middle_b - j
+    in_a, in_b, beyond_a, beyond_b = i >= 0, j >= 0, i + 1 < count_a, j + 1 < count_b
+    place = layer + i * step_a + j * step_b
+    v00 = _voxel(volume, cotangents, place, in_a and in_b)
+    v01 = _voxel(volume, cotangents, place + step_b, in_a and beyond_b)
+    v10 = _voxel(volume, cotangents, place + step_a, beyond_a and in_b)
+    v11 = _voxel(volume, cotangents, place + step_a + step_b, beyond_a and beyond_b)
+    low_a, high_a = v00 + past_b * (v01 - v00), v10 + past_b * (v11 - v10)
+    low_b, high_b = v00 + past_a * (v10 - v00), v01 + past_a * (v11 - v01)
+    return low_a + past_a * (high_a - low_a), low_a, high_a, low_b, high_b
+
+
+@inlined
+@no_type_check
+def _line(volume, cotangents, begin, stride, weights, count):
+    """Sum of a line of voxels, each times its weight."""
+    total = 0.0
+    for i in range(count):
+        total += weights[i] * _voxel(volume, cotangents, begin + i * stride, True)
     return total
 
 
@@ -72,6 +100,29 @@ def _at_edge(volume, cotangents, place, ends, line):
     if i < 0.0 or i >= count:
         return 0.0
     return _line(volume, cotangents, begin + int(i) * step, stride, weights, voxels)
+
+
+@inlined
+@no_type_check
+def _broad(volume, cotangents, layer, beam, axes, weights):
+    """Value of a beam, and the values at its edges: at the lower and the higher one along a, then along b.
+
+    `layer` is where the voxels of the layer begin, `beam` the middle and the width along a, then along b; `axes` are
+    the number of voxels along a and b, and how far apart they are.
+    """
+    (middle_a, width_a, middle_b, width_b), (count_a, count_b, step_a, step_b) = beam, axes
+    ja, na = _spread(middle_a, width_a, 0, count_a - 1, weights[0])
+    jb, nb = _spread(middle_b, width_b, 0, count_b - 1, weights[1])
+    along_a = (layer + ja * step_a, step_a, weights[0], na)
+    along_b = (layer + jb * step_b, step_b, weights[1], nb)
+    value = 0.0
+    for i in range(na):
+        value += weights[0, i] * _line(volume, cotangents, along_b[0] + (ja + i) * step_a, step_b, weights[1], nb)
+    low_a = _at_edge(volume, cotangents, middle_a - 0.5 * width_a, (count_a, step_a), along_b)
+    high_a = _at_edge(volume, cotangents, middle_a + 0.5 * width_a, (count_a, step_a), along_b)
+    low_b = _at_edge(volume, cotangents, middle_b - 0.5 * width_b, (count_b, step_b), along_a)
+    high_b = _at_edge(volume, cotangents, middle_b + 0.5 * width_b, (count_b, step_b), along_a)
+    return value, low_a, high_a, low_b, high_b
 
 
 @inlined
@@ -101,7 +152,7 @@ def pose_derivatives(volume, cotangents, view, scratch, out):
 
     Parameters
     ----------
-    volume : values (component, voxel)
+    volume : values (voxel, component)
     cotangents : weights of the pixels (row, column, component)
     view : `phantomgen.ops.project.cpu.VoxelView`
     scratch : `PoseScratch`
@@ -115,8 +166,8 @@ def pose_derivatives(volume, cotangents, view, scratch, out):
             axis = _aim(frame, parallel, spacing, float(column), float(row), ray)
             a, b = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
             wide_a, wide_b = _width(frame, ray, axis, a), _width(frame, ray, axis, b)
-            last_layer = strides[0, axis] - 1
-            first, last = _range(ray, axis, last_layer, 0, strides[0, 0] - 1, 0.5 * max(wide_a, 1.0) + 1.0)
+            axes = (strides[0, a], strides[0, b], strides[1, a], strides[1, b])
+            first, last = _range(ray, axis, strides[0, axis] - 1, 0, strides[0, 0] - 1, 0.5 * max(wide_a, 1.0) + 1.0)
             thick, sign = 1.0 / ray[3 + axis], (1.0 if ray[3 + axis] > 0 else -1.0)
             slopes[:] = 0.0
             total = by_wide_a = by_wide_b = 0.0
@@ -129,29 +180,21 @@ def pose_derivatives(volume, cotangents, view, scratch, out):
                 size = 1.0 if parallel else t
                 middle_a, middle_b = ray[a] + t * ray[3 + a], ray[b] + t * ray[3 + b]
                 width_a, width_b = max(1.0, size * wide_a), max(1.0, size * wide_b)
-                ja, na = _spread(middle_a, width_a, 0, strides[0, a] - 1, weights[0])
-                jb, nb = _spread(middle_b, width_b, 0, strides[0, b] - 1, weights[1])
-                layer = k * strides[1, axis]
-                along_a = (layer + ja * strides[1, a], strides[1, a], weights[0], na)
-                along_b = (layer + jb * strides[1, b], strides[1, b], weights[1], nb)
-                ends_a, ends_b = (strides[0, a], strides[1, a]), (strides[0, b], strides[1, b])
-                value = 0.0
-                for i in range(na):
-                    begin = along_b[0] + (ja + i) * strides[1, a]
-                    value += weights[0, i] * _line(volume, here, begin, strides[1, b], weights[1], nb)
-                low_a = _at_edge(volume, here, middle_a - 0.5 * width_a, ends_a, along_b) / width_a
-                high_a = _at_edge(volume, here, middle_a + 0.5 * width_a, ends_a, along_b) / width_a
-                low_b = _at_edge(volume, here, middle_b - 0.5 * width_b, ends_b, along_a) / width_b
-                high_b = _at_edge(volume, here, middle_b + 0.5 * width_b, ends_b, along_a) / width_b
+                layer, middles = k * strides[1, axis], (middle_a, middle_b)
+                if width_a == 1.0 and width_b == 1.0:
+                    value, low_a, high_a, low_b, high_b = _narrow(volume, here, layer, middles, axes)
+                else:
+                    beam = (middle_a, width_a, middle_b, width_b)
+                    value, low_a, high_a, low_b, high_b = _broad(volume, here, layer, beam, axes, weights)
                 total += depth * value
-                by_a, by_b = depth * (high_a - low_a), depth * (high_b - low_b)
+                by_a, by_b = depth * (high_a - low_a) / width_a, depth * (high_b - low_b) / width_b
                 by_t = by_a * ray[3 + a] + by_b * ray[3 + b]
                 if size * wide_a > 1.0:
-                    slope = depth * (0.5 * (high_a + low_a) - value / width_a)
+                    slope = depth * (0.5 * (high_a + low_a) - value) / width_a
                     by_wide_a += slope * size
                     by_t += 0.0 if parallel else slope * wide_a
                 if size * wide_b > 1.0:
-                    slope = depth * (0.5 * (high_b + low_b) - value / width_b)
+                    slope = depth * (0.5 * (high_b + low_b) - value) / width_b
                     by_wide_b += slope * size
                     by_t += 0.0 if parallel else slope * wide_b
                 slopes[0, a] += by_a
