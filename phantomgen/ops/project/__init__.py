@@ -160,15 +160,14 @@ def _implementation(values: object) -> Any:
 def _in_voxels(frames: Any, grid: Grid, parallel: bool) -> tuple[Any, np.ndarray]:
     """Frames in voxels and in the order (z, y, x), and sizes of voxels [mm]; of tensors with their gradients."""
     tensor = _is_tensor(frames)
-    known = frames.detach().cpu().numpy() if tensor else np.asarray(frames)
-    if known.ndim != 3 or known.shape[1:] != (4, 3) or not np.isfinite(known).all():
-        raise InputError(f"frames must be four finite vectors per view, (view, 4, 3), got {known.shape}")
+    frames = frames.double() if tensor else np.asarray(frames, dtype=np.float64)
+    if frames.ndim != 3 or tuple(frames.shape[1:]) != (4, 3) or not bool((abs(frames) < np.inf).all()):
+        raise InputError(f"frames must be four finite vectors per view, (view, 4, 3), got {tuple(frames.shape)}")
     spacing, shift = np.array(grid.spacing, dtype=np.float64), np.zeros((4, 3))
     shift[int(parallel)] = grid.origin[::-1]
     if tensor:
-        frames = frames.double()
         return (frames - frames.new_tensor(shift)).flip(-1) / frames.new_tensor(spacing), spacing
-    return np.ascontiguousarray((known.astype(np.float64) - shift)[:, :, ::-1] / spacing), spacing
+    return np.ascontiguousarray((frames - shift)[:, :, ::-1] / spacing), spacing
 
 
 def _is_tensor(values: object) -> bool:
