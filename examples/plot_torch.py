@@ -101,7 +101,7 @@ with figure_file(FOLDER / "torch.png", (7.0, 3.9)) as figure:
         axes.set_title(name if name == "truth" else f"{name}\n{scores[name][1]:.1f} dB")
         axes.set_axis_off()
     axes = below.subplots()
-    axes.axhline(-0.5, color=GRAY, linewidth=0.8)
+    axes.axhline(-0.5, color=GRAY, linewidth=0.8, label="truth")
     for (name, (_, offsets)), colour in zip(list(fits.items())[1:], (RED, BLUE), strict=True):
         axes.plot(offsets, color=colour, label=name)
     axes.set(xlabel="epoch", ylabel="offset [pixel]")
