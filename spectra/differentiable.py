@@ -220,7 +220,9 @@ def _together(columns: Tensor) -> int:
 
 
 def transmit_spectrum(
-    lengths: Float[Tensor, "... basis"], columns: Float[Tensor, "basis energy"], weights: Float[Tensor, "channel energy"]
+    lengths: Float[Tensor, "... basis"],
+    columns: Float[Tensor, "basis energy"],
+    weights: Float[Tensor, "channel energy"],
 ) -> Float[Tensor, "... channel"]:
     """Compute expected counts sum_k w_ck exp(-sum_m B_m(E_k) L_m), differentiable in all three arguments.
 

@@ -39,7 +39,9 @@ class ProjectorPhysics(LinearPhysics):
         super().__init__(**options)
         self.grid, self.geometry = grid, TensorGeometry.of(geometry)
 
-    def A(self, x: Float[Tensor, "batch component z y x"], **_: Any) -> Float[Tensor, "batch component view row column"]:
+    def A(
+        self, x: Float[Tensor, "batch component z y x"], **_: Any
+    ) -> Float[Tensor, "batch component view row column"]:
         """Compute line integrals.
 
         Parameters

@@ -88,7 +88,7 @@ def back_project(
     flat = images.reshape(-1, *expected)
     if images.dtype == torch.float64:
         nothing = flat.new_zeros(len(flat), *grid.shape)
-        _, transpose = torch.func.vjp(lambda volume: _project_float64(volume, grid, poses), nothing)
+        transpose = torch.func.vjp(lambda volume: _project_float64(volume, grid, poses), nothing)[1]
         (volume,) = transpose(flat)
     else:
         volume = project_transpose(flat, grid, poses.frames(), poses.is_parallel)
@@ -120,8 +120,8 @@ def transmit(
     if line_integrals.ndim < 4 or line_integrals.shape[-4] != columns:
         shape = tuple(line_integrals.shape)
         raise InputError(
-            f"line integrals must be (..., basis, view, row, column) with {columns} columns of the spectral model, which "
-            f"are its basis functions and the parts of its beam profile, got {shape}"
+            f"line integrals must be (..., basis, view, row, column) with {columns} columns of the spectral model, "
+            f"which are its basis functions and the parts of its beam profile, got {shape}"
         )
     counts = transmit_spectrum(line_integrals.movedim(-4, -1), tensors.columns, tensors.weights)
     return counts.movedim(-1, -3)

@@ -37,8 +37,8 @@ def project(
     grid : the voxels
     frames : per view, as `Geometry.ray_frames` gives them, of rays ``frame[0] + t (frame[1] + u frame[2] + v
         frame[3])`` through column u and row v [mm]; if `parallel`, of rays ``frame[1] + u frame[2] + v frame[3] + t
-        frame[0]``. Rays begin at t = 0, the source, and end at t = 1, the panel. With a tensor for the volume they may be
-        a tensor too, which then has gradients, of first order
+        frame[0]``. Rays begin at t = 0, the source, and end at t = 1, the panel. With a tensor for the volume they may
+        be a tensor too, which then has gradients, of first order
     rows, columns : size of the panel
     parallel : whether rays are parallel
 

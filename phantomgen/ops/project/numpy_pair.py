@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from phantomgen.ops.project import cpu, pose_derivatives, z_aligned
-
 from spectra.threads import run_parallel
 
 # Layers of z per piece of work of the transpose; changes time, not results.

@@ -1,4 +1,4 @@
-"""Gradient of the voxel projector in the poses, in numba: how a weighted sum of pixels follows the four vectors of a view.
+"""Gradient of the voxel projector in the poses, in numba: how a sum of pixels follows the four vectors of a view.
 
 A ray's sum depends on where its beam crosses each layer, on how wide it is there, and on its lengths; within a voxel
 all of these are smooth. What a beam gains when its edge moves is the value of the voxels at this edge. Where a ray

@@ -75,7 +75,9 @@ def test_counts_are_physics_with_the_gradient_of_torch(adapters, model):
 def test_noise_of_deepinv_is_that_of_photons(adapters, model):
     import deepinv
 
-    physics = adapters.ScanPhysics(model, noise_model=deepinv.physics.PoissonNoise(rng=torch.Generator().manual_seed(1)))
+    physics = adapters.ScanPhysics(
+        model, noise_model=deepinv.physics.PoissonNoise(rng=torch.Generator().manual_seed(1))
+    )
     volume = torch.zeros(1, 3, *model.grid.shape)
     mean = physics.A(volume)
     score = (physics(volume) - mean) / mean.sqrt()

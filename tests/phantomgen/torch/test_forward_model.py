@@ -37,8 +37,7 @@ def test_true_volumes_have_the_counts_of_the_scan_but_for_their_voxels(flooded):
         measured, open_beam = dataset.load(), dataset.flat * dataset.exposure[:, :, None, None]
         found = model(torch.from_numpy(truth.volumes)).numpy()
     error = np.abs(np.log(found / measured)).mean() / np.abs(np.log(open_beam / measured)).mean()
-    print(f"mean error of log projections over their mean: {error:.3f}")
-    assert error < 0.03
+    assert error < 0.03  # measured 0.016
 
 
 def test_views_are_those_asked_for_and_batches_are_several_volumes(scan_paths):

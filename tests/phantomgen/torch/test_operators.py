@@ -144,7 +144,7 @@ def smooth_scene(voxels: int = 24) -> tuple[torch.Tensor, Grid]:
 
 @pytest.mark.parametrize(("name", "step"), [("source", 0.2), ("panel_center", 0.1), ("column_step", 2e-3)])
 def test_pose_gradients_agree_with_differences_of_the_fast_projector(name: str, step: float) -> None:
-    """Of a half sum of squares, the loss of a fit; steps of a tenth of a pixel, rays that cross the diagonals included."""
+    """Of a half sum of squares, the loss of a fit, over a tenth of a pixel; rays along diagonals are among them."""
     volume, grid = smooth_scene()
     geometry = Geometry.circular(60.0, 120.0, np.linspace(0, 2 * np.pi, 8, endpoint=False) + 0.1, Panel(40, 40, 1.2))
     measured = pt.project(volume, grid, pt.TensorGeometry.of(geometry).shifted(0.5, 0.3)).double()
@@ -164,7 +164,7 @@ def test_pose_gradients_agree_with_differences_of_the_fast_projector(name: str, 
             ends.append(loss(with_vectors(geometry, *moved)))
         found[view, axis] = (ends[0] - ends[1]) / (2 * step)
     error = (found - gradient).norm() / gradient.norm()
-    print(f"{name}: gradient against central differences, relative error {error:.1e}")
+    print(f"{name}: gradient against central differences, relative error {error:.1e}")  # noqa: T201 - the page says how to see it
     assert error < 0.02
 
 

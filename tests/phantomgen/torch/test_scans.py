@@ -41,7 +41,13 @@ def batches(views, workers: int, context: str | None = None) -> list[dict]:
     """One epoch in shuffled order, from a seed."""
     order = torch.Generator().manual_seed(5)
     loader = DataLoader(
-        views, 2, shuffle=True, num_workers=workers, generator=order, multiprocessing_context=context, timeout=120 * (workers > 0)
+        views,
+        2,
+        shuffle=True,
+        num_workers=workers,
+        generator=order,
+        multiprocessing_context=context,
+        timeout=120 * (workers > 0),
     )
     return list(loader)
 
