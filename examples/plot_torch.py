@@ -97,7 +97,7 @@ with figure_file(FOLDER / "torch.png", (7.0, 3.9)) as figure:
     above, below = figure.subfigures(2, 1, height_ratios=(1.35, 1))
     images = {"truth": truth, **{name: volumes for name, (volumes, _) in fits.items()}}
     for axes, (name, volumes) in zip(above.subplots(1, 4), images.items(), strict=True):
-        axes.imshow(volumes[1, volumes.shape[1] // 2], cmap="gray", vmin=0, vmax=float(truth[1].max()))
+        axes.imshow(volumes[1, volumes.shape[1] // 2].numpy(), cmap="gray", vmin=0, vmax=float(truth[1].max()))
         axes.set_title(name if name == "truth" else f"{name}\n{scores[name][1]:.1f} dB")
         axes.set_axis_off()
     axes = below.subplots()
