@@ -139,7 +139,7 @@ def pose_gradient_on_device(
     volume : values of the voxels
     images : weights of the pixels
     views, parallel, spacing : as in `forward`
-    most : pixels x layers at once; a few hundred bytes of memory for each
+    most : pixels x layers at once
 
     Returns
     -------
