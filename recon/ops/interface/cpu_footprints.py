@@ -202,8 +202,9 @@ def backward(centres, matrices, planes, view, box, spans, sums, first, last, to_
 
     Parameters
     ----------
-    centres, matrices, planes, view, spans : as in `footprints`
+    centres, matrices, planes, view : as in `footprints`
     box : variance that the pixel adds [pixel^2]
+    spans : rows of each footprint, of `footprints`
     sums : of `recon.ops.interface.cpu.backward`
     first, last : first Gaussian, and one past the last
     to_centres, to_matrices, to_planes : added to
