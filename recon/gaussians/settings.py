@@ -47,7 +47,8 @@ class PlacementSettings:
     flatness : thickness over width of a Gaussian on a full edge [no unit]; measured against 0.5
     least_sum : smallest sum of all Gaussians at a centre that a coefficient is divided by [no unit]; chosen by hand,
         not measured
-    count : number of Gaussians, about, for which all distances get one factor; 0 for as many as the distances give
+    count : number of Gaussians, about, for which all distances get one factor; 0, the value of both recipes, for as
+        many as the distances give
     """
 
     coarsest: float = 3.5
@@ -93,7 +94,8 @@ class SurfaceSettings:
         of its mass lies beyond, which the volumes are scaled by; measured against 3 and 4
     solves : iterations of conjugate gradients for the first coefficients, on voxels of twice the size; chosen by hand,
         not measured
-    count : number of Gaussians, about, for which all distances get one factor; 0 for as many as the distances give
+    count : number of Gaussians, about, for which all distances get one factor; 0, the value of both recipes, for as
+        many as the distances give
     """
 
     spacing: float = 0.6
