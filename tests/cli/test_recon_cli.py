@@ -366,6 +366,7 @@ def test_fewer_bases_than_the_dataset_has_are_fitted_and_named(dataset, tmp_path
     assert read_run(tmp_path / "run").basis_names == tuple(name for name in BASES if name != missing)
     assert {name for name, s in metrics["basis"].items() if s["psnr"] == s["psnr_zero"]} == {missing}
     page = CliRunner().invoke(recon, ["report", str(tmp_path / "run"), "--dataset", str(dataset), "--json"])
+    assert page.exit_code == 0, page.output
     assert any("not fitted" in why for why in json.loads(page.stdout)["left_out"].values())
 
 
