@@ -222,6 +222,18 @@ def test_the_version_is_the_same_everywhere():
     assert f"version: {version}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
+def test_nothing_but_kernels_for_gpus_needs_triton():
+    # PyTorch's builds for the CPU, for macOS and for Windows bring none.
+    modules = [
+        ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        for path in files(*PACKAGES, suffix=".py")
+        if path.name not in {"gpu.py", "gpu_calls.py", "deepinv.py"}
+    ]
+    assert len(modules) > 300
+    code = f"import sys, importlib; sys.modules['triton'] = None; [importlib.import_module(m) for m in {modules}]"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
 def kernels():
     for path in files(*PACKAGES, suffix=".py"):
         if path.name in {"gpu.py", "deepinv.py"}:  # no numba, and Triton and DeepInverse are not everywhere
