@@ -7,6 +7,7 @@ from torch import Tensor
 
 from phantomgen.ops.simd import WIDTH as LANES
 from recon.ops.arguments import RayFrame, inverse_frames
+from recon.ops.cpu_function import apply_on_cpu
 from recon.ops.interface import cpu, cpu_footprints
 from recon.ops.interface.arrays import DividedTensors
 from recon.ops.interface.sides import side_moments
@@ -39,15 +40,15 @@ def rasterize_divided(
 
     Returns
     -------
-    line integrals, dimensionless, float32, differentiable in all arrays of the Gaussians. Near the source and the
-    panel, each side of a plane counts as a Gaussian of the same mass, centre and covariance.
+    line integrals, dimensionless, in the type of the coefficients, differentiable in all arrays of the Gaussians. Near
+    the source and the panel, each side of a plane counts as a Gaussian of the same mass, centre and covariance.
 
     References
     ----------
     `recon.ops.interface.reference` has the formula and its source.
     """
     call = _Call(gaussians, frames, panel, projector)
-    images: Tensor = _Images.apply(call, *gaussians)  # type: ignore[assignment]
+    images = apply_on_cpu(lambda _: call, gaussians)
     if not call.near.any():
         return images
     near = tuple(torch.from_numpy(np.flatnonzero(some)) for some in call.near)
@@ -110,8 +111,8 @@ class _Call:
         """Return the rays of each view."""
         return [RayFrame(*pair) for pair in zip(self.frames, self.inverses, strict=True)]
 
-    def images(self) -> Float32[np.ndarray, "view basis row padded"]:
-        """Compute line integrals, with columns of padding."""
+    def values(self) -> Float32[np.ndarray, "view basis row column"]:
+        """Compute line integrals."""
         rows, columns = self.panel
         image = np.zeros((len(self.frames), len(self.bases), rows, columns + LANES), np.float32)
 
@@ -124,11 +125,11 @@ class _Call:
             )  # fmt: skip
 
         run_all(splat, [(view, band) for view in range(len(self.frames)) for band in range(BANDS)])
-        return image
+        return image[..., :columns]
 
-    def gradients(self, images: Float32[np.ndarray, "view basis row column"]) -> list[np.ndarray]:
-        """Compute the gradients in the six arrays of the Gaussians from those in the images."""
-        (rows, columns), n = self.panel, len(self.centres)
+    def gradients(self, cotangent: Float[Tensor, "view basis row column"]) -> list[np.ndarray]:
+        """Compute the gradients in the six arrays of the Gaussians from those in the line integrals."""
+        (rows, columns), n, images = self.panel, len(self.centres), cotangent.detach().numpy()
         padded = np.zeros((*images.shape[:2], rows, columns + LANES), np.float32)
         np.multiply(images, self.lengths[:, None], out=padded[..., :columns])
         to_below, to_step = np.zeros(self.below.shape), np.zeros(self.below.shape)
@@ -152,19 +153,6 @@ class _Call:
 
         run_in_pieces(gather, n, CHUNK)
         return [to_centres, to_log_scales, to_quaternions, to_planes, to_below - to_step, to_step]
-
-
-class _Images(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx, call, *parts):
-        ctx.call, ctx.dtypes = call, [part.dtype for part in parts]
-        return torch.from_numpy(call.images()[..., : call.panel[1]])
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx, *cotangents):
-        found = ctx.call.gradients(cotangents[0].detach().numpy())
-        return None, *(torch.from_numpy(part).to(kind) for part, kind in zip(found, ctx.dtypes, strict=True))
 
 
 def _ray_lengths(frames: Tensor, panel: tuple[int, int]) -> Float[np.ndarray, "view row column"]:

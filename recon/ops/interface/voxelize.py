@@ -1,12 +1,12 @@
 """Volumes of divided Gaussians, each voxel holding its mean, differentiable."""
 
 import numpy as np
-import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
 
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.simd import WIDTH
+from recon.ops.cpu_function import apply_on_cpu
 from recon.ops.interface import cpu_voxel_table, cpu_voxels
 from recon.ops.interface.arrays import DividedTensors
 from recon.ops.interface.voxel_table import NUMBERS, SUMS
@@ -32,14 +32,14 @@ def voxelize_divided(
 
     Returns
     -------
-    means, float32, differentiable once in all arrays of the Gaussians [1/mm]
+    means, in the type of the coefficients, differentiable once in all arrays of the Gaussians [1/mm]
 
     Notes
     -----
     `recon.ops.interface.cpu_voxel_table.fill_table` has the approximation. Errors are below 0.01 of the difference
     between the sides in voxels that the plane crosses.
     """
-    return _Volume.apply(_Call(gaussians, grid, cutoff), *gaussians)  # type: ignore[return-value]
+    return apply_on_cpu(lambda parts: _Call(parts, grid, cutoff), gaussians)
 
 
 class _Call:
@@ -65,8 +65,8 @@ class _Call:
             self.table, self.voxels, self.halves,
         )  # fmt: skip
 
-    def volume(self) -> Float32[np.ndarray, "basis z y padded"]:
-        """Compute the means, with voxels of padding along x."""
+    def values(self) -> Float32[np.ndarray, "basis z y x"]:
+        """Compute the means."""
         slices, rows, columns = self.shape
         volume = np.zeros((len(self.bases), slices, rows, columns + WIDTH), np.float32)
 
@@ -77,10 +77,11 @@ class _Call:
             )  # fmt: skip
 
         run_in_pieces(fill, slices, SLAB)
-        return volume
+        return volume[..., :columns]
 
-    def gradients(self, volume: Float32[np.ndarray, "basis z y x"]) -> list[np.ndarray]:
+    def gradients(self, cotangent: Float[Tensor, "basis z y x"]) -> list[np.ndarray]:
         """Compute the gradients in the six arrays of the Gaussians from those in the means."""
+        volume = cotangent.detach().numpy()
         n, columns = len(self.centres), volume.shape[3]
         padded = np.zeros((*volume.shape[:3], columns + WIDTH), np.float32)
         padded[..., :columns] = volume
@@ -104,16 +105,3 @@ class _Call:
 
         run_in_pieces(gather, n, CHUNK)
         return [to_centres, to_log_scales, to_quaternions, to_planes, to_below - to_step, to_step]
-
-
-class _Volume(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx, call, *parts):
-        ctx.call, ctx.dtypes = call, [part.dtype for part in parts]
-        return torch.from_numpy(call.volume()[..., : call.shape[2]])
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx, *cotangents):
-        found = ctx.call.gradients(cotangents[0].detach().numpy())
-        return None, *(torch.from_numpy(part).to(kind) for part, kind in zip(found, ctx.dtypes, strict=True))
