@@ -6,14 +6,14 @@ from typing import TypeVar
 
 Places = TypeVar("Places", bound=Sized)
 
-TRIES = 8  # placements, at most; three or four come close
+TRIES = 12  # placements, at most; three or four come close where the number falls evenly
 CLOSE = 0.01  # part of the wanted number; a placement this close is taken
 POWER = 2.5  # by which the number falls with the distance: 2 on surfaces, 3 inside; for the first step
 LEAST_POWER = 0.5  # bounds the steps where voxels are too few for more Gaussians
 
 
 def places_for(count: int, place: Callable[[float], Places]) -> tuple[float, Places]:
-    """Place about as many Gaussians as are wanted, by the secant method in logarithms.
+    """Place about as many Gaussians as are wanted, by secants and bisection in logarithms.
 
     Parameters
     ----------
@@ -24,18 +24,18 @@ def places_for(count: int, place: Callable[[float], Places]) -> tuple[float, Pla
     -------
     the factor, and the places whose number is closest to the wanted one
     """
-    factor, power = 1.0, POWER
-    best = factor, place(factor)
-    if not count:
-        return best
-    found = max(len(best[1]), 1)
-    for _ in range(TRIES - 1):
-        if abs(len(best[1]) - count) <= CLOSE * count:
+    best = 1.0, place(1.0)
+    factor, found, power = 1.0, max(len(best[1]), 1), POWER
+    low, high = 0.0, math.inf  # factors with too many, and with too few places
+    for _ in range(TRIES - 1 if count else 0):
+        if abs(found - count) <= CLOSE * count:
             break
-        step = (found / count) ** (1 / power)
-        places = place(factor * step)
+        low, high = (factor, high) if found > count else (low, factor)
+        step = factor * (found / count) ** (1 / power)
+        following = step if low < step < high else math.sqrt(low * high)
+        places = place(following)
         if abs(len(places) - count) < abs(len(best[1]) - count):
-            best = factor * step, places
-        power = max(math.log(found / max(len(places), 1)) / math.log(step), LEAST_POWER)
-        factor, found = factor * step, max(len(places), 1)
+            best = following, places
+        power = max(math.log(found / max(len(places), 1)) / math.log(following / factor), LEAST_POWER)
+        factor, found = following, max(len(places), 1)
     return best
