@@ -67,8 +67,8 @@ def test_an_existing_level_is_refused_before_any_work(scan, tmp_path):
     [
         ([], "nothing is to be changed"),
         (["--levels", "0.5", "--dose", "0.5"], "--levels names the doses"),
-        (["--levels", "0.5,0.5"], "names a dose twice"),
-        (["--levels", "half"], "no list of doses"),
+        (["--levels", "0.5,0.5"], "no list of different doses"),
+        (["--levels", "half"], "no list of different doses"),
         (["--arc", "a:b"], "neither an angle"),
         (["--truncate", "much"], "neither a percentage"),
         (["--shift", "1mm"], "no number of pixels"),
