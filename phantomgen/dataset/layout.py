@@ -11,11 +11,11 @@ import h5py
 import numpy as np
 from jaxtyping import Shaped
 
+from phantomgen.dataset.checks.fletcher import fletcher32
 from phantomgen.dataset.compression import Compression, filters, pack
-from spectra.errors import DatasetError
 
 SCHEMA = "spectral-ct"
-SCHEMA_VERSION = (1, 0)
+SCHEMA_VERSION = (1, 1)
 FRAME = "right-handed, z = rotation axis, origin = isocentre"
 FRACTION_SCALE = 65535
 # Most bytes of a chunk, uncompressed; rows of larger images are split.
@@ -64,52 +64,6 @@ SCHEMA_TABLE = """\
                                          error, depends_on
 /nxtomo_<channel>                        the channel as NXtomo, virtual: flats, projections, darks
 """
-
-
-def array_at(parent: h5py.Group, name: str) -> h5py.Dataset:
-    """Return an array that must exist.
-
-    Parameters
-    ----------
-    parent : group
-    name : path of the array
-
-    Returns
-    -------
-    the array
-
-    Raises
-    ------
-    DatasetError
-        When it is missing.
-    """
-    found = parent.get(name)
-    if not isinstance(found, h5py.Dataset):
-        raise DatasetError(f"{parent.file.filename} lacks {_full_name(parent, name)}")
-    return found
-
-
-def group_at(parent: h5py.Group, name: str) -> h5py.Group:
-    """Return a group that must exist.
-
-    Parameters
-    ----------
-    parent : group
-    name : path of the group
-
-    Returns
-    -------
-    the group
-
-    Raises
-    ------
-    DatasetError
-        When it is missing.
-    """
-    found = parent.get(name)
-    if not isinstance(found, h5py.Group):
-        raise DatasetError(f"{parent.file.filename} lacks {_full_name(parent, name)}")
-    return found
 
 
 def text_of(value: Any) -> str:
@@ -238,7 +192,7 @@ def pack_image(image: Shaped[np.ndarray, "row column"], compression: Compression
 
 
 def write_image(dataset: h5py.Dataset, frame: int, channel: int, packed: list[bytes]) -> None:
-    """Write an image from `pack_image` at its place.
+    """Write an image from `pack_image` at its place, each chunk with its checksum.
 
     Parameters
     ----------
@@ -248,12 +202,7 @@ def write_image(dataset: h5py.Dataset, frame: int, channel: int, packed: list[by
     """
     step = _rows_per_chunk(dataset.shape[-2], dataset.shape[-1] * dataset.dtype.itemsize)
     for i, chunk in enumerate(packed):
-        dataset.id.write_direct_chunk((frame, channel, i * step, 0), chunk)
-
-
-def _full_name(parent: h5py.Group, name: str) -> str:
-    """Path from the root."""
-    return name if name.startswith("/") else f"{str(parent.name).rstrip('/')}/{name}"
+        dataset.id.write_direct_chunk((frame, channel, i * step, 0), chunk + fletcher32(chunk))
 
 
 def _rows_per_chunk(rows: int, row_bytes: int) -> int:

@@ -4,10 +4,11 @@ from collections.abc import Callable, Iterator
 from itertools import combinations
 from pathlib import Path
 
-import h5py
 import numpy as np
 
-from phantomgen.dataset.file import DARK, DETECTOR, FLAT, damaged_file
+from phantomgen.dataset.checks.digest import chunk_problems, seal_problems
+from phantomgen.dataset.checks.door import find_array, frame_at
+from phantomgen.dataset.file import DARK, DETECTOR, FLAT
 from phantomgen.dataset.geometry import KINDS
 from phantomgen.dataset.layout import SCHEMA_VERSION
 from phantomgen.dataset.reader import Dataset, check_counts, open_dataset
@@ -51,6 +52,7 @@ def validate(path: Path | str, air: str | None = None) -> list[str]:
     """
     with open_dataset(path, air) as dataset:
         problems = [sentence for check in _CHECKS for sentence in check(dataset)]
+        problems += _checked(lambda: [*seal_problems(dataset.file), *chunk_problems(dataset.file)])
         names = dataset.spectra.basis.names
     problems += _checked(lambda: list(_step_problems("/truth/geometry", read_true_geometry(path))))
     return problems + _checked(lambda: list(_truth_problems(read_truth(path), names)))
@@ -85,13 +87,12 @@ def _checked(check: Callable[[], list[str]]) -> list[str]:
 def _count_problems(dataset: Dataset) -> Iterator[str]:
     """Counts that are negative, not numbers or unreadable."""
     for name in (f"{DETECTOR}/data", FLAT, DARK):
-        frames = dataset.file.get(name)
-        if not isinstance(frames, h5py.Dataset):
+        frames = find_array(dataset.file, name)
+        if frames is None:
             continue
         for frame in range(frames.shape[0]):
             try:
-                with damaged_file(dataset.path):
-                    check_counts(frames[frame], f"{name}[{frame}]", dataset.signed)
+                check_counts(frame_at(frames, frame), f"{name}[{frame}]", dataset.signed)
             except DatasetError as error:
                 yield str(error)
                 break

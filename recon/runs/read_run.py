@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 from jaxtyping import Float32
 
-from phantomgen.dataset.layout import array_at, group_at
+from phantomgen.dataset.checks.door import group_at, value_at
 from phantomgen.geometry.voxel_grid import Grid
 from recon.gaussians.divided.model_file import load_model
 from recon.gaussians.model import GaussianModel
@@ -201,10 +201,10 @@ def read_volumes(path: Path) -> StoredVolumes:
     try:
         with h5py.File(path, "r") as file:
             group, place = group_at(file, "basis"), group_at(file, "grid")
-            shape, spacing, origin = (array_at(place, name)[()] for name in ("shape", "spacing", "origin"))
+            shape, spacing, origin = (value_at(place, name) for name in ("shape", "spacing", "origin"))
             grid = Grid(tuple(map(int, shape)), tuple(map(float, spacing)), tuple(map(float, origin)))  # type: ignore[arg-type]
-            names = tuple(array_at(group, "basis_name").asstr()[()])
-            values = array_at(group, "data")[()].astype(np.float32)
+            names = tuple(value_at(group, "basis_name"))
+            values = value_at(group, "data").astype(np.float32)
     except (OSError, TypeError) as error:
         raise DatasetError(f"{path} cannot be read as what recon fit writes there ({error})") from None
     if values.shape != (len(names), *grid.shape):

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.dataset.layout import array_at, new_group, put
+from phantomgen.dataset.checks.door import array_at
+from phantomgen.dataset.layout import new_group, put
 from phantomgen.dataset.truth import write_grid
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.outputs import check_output_folder, refuse_interrupted

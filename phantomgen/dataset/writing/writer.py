@@ -16,9 +16,11 @@ import numpy as np
 from jaxtyping import Float, Int, UInt32
 
 from phantomgen.dataset.beam_profile import write_profile
+from phantomgen.dataset.checks.digest import seal
+from phantomgen.dataset.checks.door import array_at, group_at
 from phantomgen.dataset.compression import Compression
 from phantomgen.dataset.geometry import write_geometry
-from phantomgen.dataset.layout import SCHEMA, SCHEMA_VERSION, array_at, group_at, new_frames, new_group, put, put_note
+from phantomgen.dataset.layout import SCHEMA, SCHEMA_VERSION, new_frames, new_group, put, put_note
 from phantomgen.dataset.pixel_mask import write_mask
 from phantomgen.dataset.spectral_model import Spectra
 from phantomgen.dataset.true_poses import write_true_geometry
@@ -272,7 +274,7 @@ class DatasetWriter:
         return process
 
     def finish(self, spectra: Spectra) -> None:
-        """Add the default plot and the aliases that other programs read.
+        """Add the default plot, the aliases that other programs read, and the digests of all that was written.
 
         Parameters
         ----------
@@ -286,6 +288,7 @@ class DatasetWriter:
         put(data, "view", np.arange(array_at(self.file, "entry/instrument/detector/data").shape[0], dtype=np.int32))
         put(data, "channel", np.array(spectra.channels, dtype=object))
         write_aliases(self.file, spectra)
+        seal(self.file)
 
 
 def check_dataset_name(path: Path) -> None:

@@ -3,9 +3,9 @@
 import shutil
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
+from support.edited_datasets import edited_dataset
 
 from phantomgen.dataset.describe import describe, describe_text
 from phantomgen.dataset.reader import open_dataset
@@ -101,7 +101,7 @@ def test_the_file_says_that_it_holds_energies(path):
 @pytest.mark.wrong_types
 def test_a_damaged_variance_is_found(path, tmp_path, name, value, words):
     copied = Path(shutil.copy(path, tmp_path))
-    with h5py.File(copied, "r+") as file:
+    with edited_dataset(copied) as file:
         shape = file[name].shape
         del file[name]
         if value is not None:
