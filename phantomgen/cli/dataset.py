@@ -59,6 +59,6 @@ def schema(scene: bool) -> None:
 
         click.echo(json.dumps(json_schema(), indent=1))
         return
-    from phantomgen.dataset.layout import SCHEMA_TABLE
+    from phantomgen.dataset.checks.fields import schema_text
 
-    click.echo(SCHEMA_TABLE, nl=False)
+    click.echo(schema_text(), nl=False)

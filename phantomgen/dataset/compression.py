@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 from jaxtyping import Shaped
 
+from phantomgen.dataset.checks.door import find_array
 from spectra.errors import InputError, NotInstalledError
 
 Compression = Literal["gzip", "bitshuffle", "none"]
@@ -85,8 +86,8 @@ def check_readable(file: h5py.File, name: str) -> None:
     file : open dataset
     name : path of the array
     """
-    dataset = file.get(name)
-    if not isinstance(dataset, h5py.Dataset):
+    dataset = find_array(file, name)
+    if dataset is None:
         return
     settings = dataset.id.get_create_plist()
     used = {settings.get_filter(i)[0] for i in range(settings.get_nfilters())}

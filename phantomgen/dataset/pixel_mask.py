@@ -60,18 +60,13 @@ def read_mask(
     Raises
     ------
     DatasetError
-        When a mask does not fit the panel, or leaves nothing of a channel.
+        When a mask leaves nothing of a channel.
     """
     masks = np.zeros((len(channels), *pixels), bool)
     for mask, name in zip(masks, channels, strict=True):
         stored = mask_of(file, name)
         if stored is None:
             continue
-        if stored.shape != pixels or stored.dtype.kind not in "iu":
-            raise DatasetError(
-                f"{file.filename}: {stored.name} holds {stored.dtype} of shape {stored.shape}, expected integers of "
-                f"shape {pixels}"
-            )
         mask[:] = stored[()].astype(np.int64) & _REJECTING != 0
         if mask.all():
             raise DatasetError(f"{file.filename}: {stored.name} leaves no pixel that measures")

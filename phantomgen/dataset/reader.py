@@ -7,6 +7,7 @@ of its own, so that a reconstructor which imports this one cannot see it by acci
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from jaxtyping import Bool, Float, Float32, Int, Shaped
 from phantomgen.dataset.beam_profile import read_profile
 from phantomgen.dataset.checks.digest import missing_chunks
 from phantomgen.dataset.checks.door import array_at, find_array, frame_at, group_at, has, value_at
+from phantomgen.dataset.checks.fields import ENTRY, form_problems, value_problems
 from phantomgen.dataset.file import DARK, DETECTOR, FLAT, damaged_file, open_file
 from phantomgen.dataset.geometry import read_geometry
 from phantomgen.dataset.layout import text_of
@@ -322,10 +324,6 @@ class Dataset:
         """Tube output per view and channel, relative to the flats; 0 where a view was not taken in a channel."""
         scale = np.asarray(self._value("/entry/exposure/scale"), dtype=np.float64)
         views, channels = self.counts.shape[:2]
-        if scale.shape not in {(views,), (views, channels)}:
-            raise DatasetError(
-                f"{self.path}: /entry/exposure/scale has shape {scale.shape} for {views} views x {channels} channels"
-            )
         return np.broadcast_to(scale.reshape(views, -1), (views, channels))
 
     @cached_property
@@ -427,7 +425,7 @@ def open_dataset(path: Path | str, air: Region | str | None = None) -> Dataset:
     Raises
     ------
     DatasetError
-        When the file is missing, cut off, of another kind or a newer schema, inconsistent, or without flats.
+        When the file is missing, damaged, of another kind or a newer schema, inconsistent, or without flats.
     """
     path = Path(path)
     file = open_file(path)
@@ -488,16 +486,14 @@ def check_counts(counts: Shaped[np.ndarray, "..."], where: str, signed: bool = F
 
 def _check_consistent(dataset: Dataset) -> None:
     """Refuse arrays that do not belong together, before any long work."""
+    for problem in chain(form_problems(dataset.file, ENTRY), value_problems(dataset.file, ENTRY)):
+        raise DatasetError(problem)
     shape = dataset.counts.shape
-    if len(shape) != 4 or 0 in shape[1:]:
-        raise DatasetError(f"{dataset.path}: counts have shape {shape}, expected (view, channel, row, column)")
+    if 0 in shape:
+        raise DatasetError(f"{dataset.path}: counts have shape {shape}, which is empty")
     for name in (f"{DETECTOR}/data", FLAT):
         _check_whole(dataset, name)
-    spectra, views = dataset.spectra, shape[0]
-    if len(dataset.geometry.source) != views:
-        raise DatasetError(f"{dataset.path}: there are {views} views but {len(dataset.geometry.source)} source points")
-    if spectra.response.shape != (shape[1], len(spectra.energy)) or len(spectra.channels) != shape[1]:
-        raise DatasetError(f"{dataset.path}: the response has shape {spectra.response.shape} for {shape[1]} channels")
+    _, spectra = dataset.geometry, dataset.spectra
     if spectra.profile is not None:
         spectra.profile.check(dataset.path, shape[2:], len(spectra.energy))
     exposed = dataset.exposure > 0
@@ -519,7 +515,7 @@ def _check_whole(dataset: Dataset, name: str) -> None:
 
 def _check_open_beam(dataset: Dataset) -> None:
     """Refuse a file without flats, unless a region of air on the panel was named."""
-    _, channels, rows, columns = dataset.counts.shape
+    rows, columns = dataset.counts.shape[2:]
     if dataset.air is not None:
         if dataset.air[0].stop > rows or dataset.air[1].stop > columns:
             raise InputError(f"the region of air reaches beyond the panel of {rows} x {columns} pixels")
@@ -529,8 +525,4 @@ def _check_open_beam(dataset: Dataset) -> None:
         raise DatasetError(
             f"{dataset.path} has no flat field in {FLAT}: name a part of the panel that sees only air by "
             "--air rows,columns, such as --air 0:16,0:256"
-        )
-    if flats.shape[1:] != (channels, rows, columns):
-        raise DatasetError(
-            f"{dataset.path}: flats have shape {flats.shape}, expected (F, {channels}, {rows}, {columns})"
         )

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import h5py
@@ -10,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Integer, UInt16
 
 from phantomgen.dataset.checks.door import group_at, has, value_at
+from phantomgen.dataset.checks.fields import TRUTH, form_problems, value_problems
 from phantomgen.dataset.compression import Compression, filters
 from phantomgen.dataset.file import damaged_file, open_file
 from phantomgen.dataset.layout import (
@@ -273,6 +275,8 @@ def read_truth(path: Path | str) -> Truth | None:
     with open_file(path, "truth") as file, damaged_file(path):
         if not has(file, "truth"):
             return None
+        for problem in chain(form_problems(file, TRUTH), value_problems(file, TRUTH)):
+            raise DatasetError(problem)
         group = group_at(file, "truth")
         shape, spacing, origin = (value_at(group, f"grid/{name}") for name in ("shape", "spacing", "origin"))
         return Truth(

@@ -15,13 +15,12 @@ from typing import Any
 import h5py
 import numpy as np
 
-from phantomgen.dataset.checks.door import DAMAGE, check_stored, find_group, names_in, readable
+from phantomgen.dataset.checks.door import DAMAGE, DEEPEST, check_stored, find_group, names_in, readable, shows_own
 from phantomgen.dataset.checks.fletcher import fletcher32
 from spectra.errors import DatasetError
 
 DIGESTS = "digests"  # attribute of the root, of /entry, of /truth and of each /nxtomo_<channel>
 _OWN = "."  # key of the attributes of the group itself
-_DEEPEST = 32  # groups inside each other
 
 
 def seal(file: h5py.File) -> None:
@@ -106,7 +105,7 @@ def _own_arrays(group: h5py.Group, depth: int) -> Iterator[h5py.Dataset]:
     for name in names_in(group):
         with readable(group, name):
             item = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
-        if isinstance(item, h5py.Group) and depth < _DEEPEST:
+        if isinstance(item, h5py.Group) and depth < DEEPEST:
             yield from _own_arrays(item, depth + 1)
         elif isinstance(item, h5py.Dataset) and item.chunks is not None:
             yield item
@@ -191,7 +190,7 @@ def _add(digest: Any, group: h5py.Group, name: str, depth: int) -> None:
     item = group[name]
     _add_attributes(digest, item)
     if isinstance(item, h5py.Group):
-        if depth > _DEEPEST:
+        if depth > DEEPEST:
             raise ValueError("groups lie too deep in each other")
         for below in sorted(map(str, item)):
             _add(digest, item, below, depth + 1)
@@ -206,6 +205,8 @@ def _add_array(digest: Any, array: h5py.Dataset) -> None:
     """Add type and shape of an array, and either its values or the list of its chunks."""
     _add_text(digest, str(array.dtype), repr(array.shape), repr(array.chunks), repr(array.external))
     if array.is_virtual:
+        if not shows_own(array):
+            raise ValueError("the door refuses these values")
         for source in array.virtual_sources():
             spaces = [(space.shape, space.get_select_bounds()) for space in (source.vspace, source.src_space)]
             _add_text(digest, source.file_name, source.dset_name, repr(spaces))

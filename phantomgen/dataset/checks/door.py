@@ -16,6 +16,7 @@ import numpy as np
 from spectra.errors import DatasetError, Error
 
 _MOST_LINKS = 16  # soft links one after the other, as many as HDF5 follows
+DEEPEST = 32  # groups inside each other that are looked into
 # What h5py raises on bytes that are not HDF5, and on sizes that no memory holds.
 DAMAGE = (
     OSError,
@@ -236,6 +237,50 @@ def has(parent: h5py.Group, name: str) -> bool:
         When it is not in this file.
     """
     return _found(parent, name) is not None
+
+
+def outside_problems(group: h5py.Group, depth: int = 0) -> Iterator[str]:
+    """Yield a sentence for each thing below a group that is not in its file, also where no reader goes.
+
+    Parameters
+    ----------
+    group : where to begin
+    depth : groups above it
+
+    Yields
+    ------
+    sentences
+    """
+    for name in names_in(group):
+        with readable(group, name):
+            link = group.get(name, getlink=True)
+            item = group[name] if isinstance(link, h5py.HardLink) else None
+            outside = _outside(item) if isinstance(item, h5py.Dataset) else ""
+        if isinstance(link, h5py.ExternalLink):
+            yield f"{_place(group, name)} is a link into another file, {link.filename}: copy what it links to"
+        if isinstance(item, h5py.Dataset) and outside and not shows_own(item):
+            yield f"{_place(group, name)} {outside}: copy its values into the file"
+        if isinstance(item, h5py.Group) and depth < DEEPEST:
+            yield from outside_problems(item, depth + 1)
+
+
+def shows_own(array: h5py.Dataset) -> bool:
+    """Return whether an array of an NXtomo entry shows arrays of the same file.
+
+    Parameters
+    ----------
+    array : any array
+
+    Returns
+    -------
+    True for a virtual dataset of ``/nxtomo_<channel>`` with sources in this file only
+    """
+    with readable(array.parent, str(array.name)):
+        return (
+            str(array.name).startswith("/nxtomo_")
+            and array.is_virtual
+            and all(source.file_name == "." for source in array.virtual_sources())
+        )
 
 
 def check_stored(array: h5py.Dataset) -> None:

@@ -262,7 +262,7 @@ def test_a_region_of_air_beyond_the_panel_is_refused(path):
 @pytest.mark.parametrize(
     ("edit", "expected"),
     [
-        (lambda f: f["entry/spectra/response"].__setitem__((0, 0), -1.0), "response holds a value that is negative"),
+        (lambda f: f["entry/spectra/response"].__setitem__((0, 0), -1.0), "response holds -1, expected numbers from 0"),
         (lambda f: f["entry/spectra/energy_edges"].__setitem__(3, 5.0), "energy_edges must ascend"),
         (lambda f: f["entry/spectra/basis"].__setitem__((0, 0), 9.0), "basis is not what"),
         (lambda f: f["entry/geometry/row_step"].__setitem__((1, 2), 9.0), "row_step has length"),
