@@ -167,7 +167,7 @@ def _write_hdf5(
         file.attrs.update({"NX_class": "NXroot", "default": "basis", "creator": "recon"})
         group = new_group(file, "basis", "NXdata", signal="data", axes=("basis_name", "z", "y", "x"))
         shape, chunks = (len(names), *grid.shape), (1, 1, rows, columns)
-        packing = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+        packing = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
         data = group.create_dataset("data", shape, np.float32, chunks=chunks, **packing)
         data.attrs["units"] = unit
         if chosen is not None:

@@ -131,7 +131,9 @@ def _plot(file: "h5py.File", name: str, values: np.ndarray, axes: tuple[str, ...
     """Write an array of voxels as a NeXus plot, compressed slice by slice."""
     group = new_group(file, name, "NXdata", signal="data", axes=axes)
     chunks = (*[1] * (values.ndim - 2), *values.shape[-2:])
-    group.create_dataset("data", data=values, chunks=chunks, compression="gzip", compression_opts=1, shuffle=True)
+    group.create_dataset(
+        "data", data=values, chunks=chunks, compression="gzip", compression_opts=1, shuffle=True, fletcher32=True
+    )
     for axis in "zyx":
         put(group, axis, grid.axis(axis), "mm")
     return group

@@ -59,7 +59,9 @@ class ViewOutcome:
         with h5py.File(folder / VIEWS, "w") as file:
             file.attrs.update({"NX_class": "NXroot", "default": "views", "creator": "recon"})
             group = new_group(file, "views", "NXdata", signal="data", axes=("view", "channel", "row", "column"))
-            group.create_dataset("data", data=images, compression="gzip", compression_opts=1, shuffle=True)
+            group.create_dataset(
+                "data", data=images, compression="gzip", compression_opts=1, shuffle=True, fletcher32=True
+            )
             group.create_dataset("view", data=np.asarray(test))
 
     def scores(self, truth: Truth | None, guard: Guard) -> dict[str, Any]:

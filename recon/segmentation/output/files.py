@@ -19,7 +19,7 @@ from spectra.errors import InputError
 
 VOLUMES, TABLE, POINTS = "segment.h5", "materials.json", "gaussians.ply"
 _DC = 0.28209479177387814  # 1 / sqrt(4 pi), the spherical harmonic of degree 0, by which viewers multiply colours
-_PACKING: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+_PACKING: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
 
 
 class SegmentFolder:
