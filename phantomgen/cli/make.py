@@ -116,6 +116,7 @@ def _make(
     shown = sys.stderr.isatty() and not quiet
     with compiling_ahead(lambda text: click.echo(text, err=True) if shown else None) as wait_for_kernels:
         from phantomgen.dataset.compression import check_compression
+        from phantomgen.dataset.file import DATASET
         from phantomgen.dataset.writing.frame_journal import check_journal
         from phantomgen.dataset.writing.writer import check_dataset_name
         from phantomgen.runtime.outputs import check_output
@@ -131,7 +132,7 @@ def _make(
             file = SceneFile.preset(preset, overrides) if preset else find_scene(scene or "", overrides)
         path = Path(out or f"{file.model.name}.h5")
         check_dataset_name(path)
-        check_output(path, options["overwrite"])
+        check_output(path, options["overwrite"], kind=DATASET)
         check_journal(path, options["resume"], options["overwrite"])
         check_compression(options["compression"])
         set_threads(threads)

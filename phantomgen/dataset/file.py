@@ -8,7 +8,7 @@ from typing import Literal
 import h5py
 
 from phantomgen.dataset.checks.digest import check_seal, seal
-from phantomgen.dataset.checks.door import readable
+from phantomgen.dataset.checks.door import DAMAGE, readable
 from phantomgen.dataset.compression import check_readable
 from phantomgen.dataset.layout import SCHEMA, SCHEMA_VERSION, text_of
 from phantomgen.runtime.disk import one_sentence
@@ -72,6 +72,27 @@ def check_is_dataset(path: Path) -> None:
         raise DatasetError(f"there is no dataset {path}{hint}")
     if scene:
         raise DatasetError(f"{path} is no dataset: `phantomgen make {path}` makes one of a scene file")
+
+
+def is_dataset(path: Path) -> bool:
+    """Return whether a file is a dataset, or a damaged HDF5 file, which may have been one.
+
+    Parameters
+    ----------
+    path : an HDF5 file by its first bytes
+
+    Returns
+    -------
+    False for HDF5 files of other programs
+    """
+    try:
+        with h5py.File(path, "r") as file:
+            return text_of(file.attrs.get("schema", "")) == SCHEMA
+    except DAMAGE:
+        return True
+
+
+DATASET = ("a dataset", is_dataset)  # what may be replaced by one
 
 
 def seal_file(path: Path) -> None:

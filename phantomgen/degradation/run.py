@@ -8,7 +8,7 @@ from pathlib import Path
 
 from phantomgen.dataset.checks.door import find_array, group_at, has, value_at
 from phantomgen.dataset.compression import Compression, check_compression
-from phantomgen.dataset.file import FLAT
+from phantomgen.dataset.file import DATASET, FLAT
 from phantomgen.dataset.layout import pack_image, text_of, write_image
 from phantomgen.dataset.pixel_mask import write_mask
 from phantomgen.dataset.reader import Dataset, open_dataset
@@ -103,7 +103,7 @@ def check_writable(path: Path, out: Path, overwrite: bool) -> None:
     check_dataset_name(out)
     if out.exists() and path.exists() and out.samefile(path):
         raise InputError(f"the output {out} is the scan itself: choose another name by --out")
-    check_output(out, overwrite)
+    check_output(out, overwrite, kind=DATASET)
 
 
 def level_path(out: Path, level: float) -> Path:

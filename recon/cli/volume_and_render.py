@@ -167,6 +167,7 @@ def render(
 
 def _check_free(path: Path, overwrite: bool) -> None:
     from phantomgen.runtime.outputs import check_output
+    from recon.output.volume_file import RESULT
     from spectra.errors import InputError
 
     if path.suffix.lower() not in _SUFFIXES:
@@ -174,7 +175,7 @@ def _check_free(path: Path, overwrite: bool) -> None:
             f"the output {path} is an HDF5 file, whose name ends in {' or '.join(_SUFFIXES)}; "
             "`recon export` writes other formats"
         )
-    check_output(path, overwrite)
+    check_output(path, overwrite, kind=RESULT)
 
 
 def _report(as_json: bool, found: dict[str, Any], text: str) -> None:

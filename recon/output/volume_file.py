@@ -8,14 +8,15 @@ from typing import NamedTuple
 import h5py
 import numpy as np
 
-from phantomgen.dataset.layout import new_group, put
+from phantomgen.dataset.checks.door import DAMAGE
+from phantomgen.dataset.layout import new_group, put, text_of
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.dataset.truth import write_grid
 from phantomgen.exporters import dicom
 from phantomgen.exporters.volumes import FORMATS, Volumes, basis_volumes, suffix_of, write_volumes, writer_of
 from phantomgen.geometry.voxel_grid import Grid, parse_triple
 from phantomgen.runtime.disk import complete_file
-from phantomgen.runtime.outputs import check_output
+from phantomgen.runtime.outputs import check_name, check_output
 from recon.readouts.quantity import Quantity, in_pieces
 from recon.runs.read_run import StoredModel
 from spectra.errors import InputError
@@ -74,6 +75,27 @@ def chosen_grid(
     return Grid(whole, tuple(spacing.tolist()), tuple(first.tolist()))  # type: ignore[arg-type]
 
 
+def is_result(path: Path) -> bool:
+    """Return whether a file was written by `recon`, or is a damaged HDF5 file, which may have been.
+
+    Parameters
+    ----------
+    path : an HDF5 file by its first bytes
+
+    Returns
+    -------
+    False for HDF5 files of other programs, and for datasets
+    """
+    try:
+        with h5py.File(path, "r") as file:
+            return text_of(file.attrs.get("creator", "")) == "recon"
+    except DAMAGE:
+        return True
+
+
+RESULT = ("an HDF5 file that recon wrote", is_result)  # what may be replaced by one
+
+
 class Target(NamedTuple):
     """Output of a volume.
 
@@ -107,6 +129,7 @@ def checked_target(path: Path, overwrite: bool, ct_numbers: bool) -> Target:
     NotInstalledError
         When the format needs a package that is not there.
     """
+    check_name(path)
     if not path.suffix:
         if not ct_numbers:
             raise InputError(
@@ -118,7 +141,7 @@ def checked_target(path: Path, overwrite: bool, ct_numbers: bool) -> Target:
     suffix = suffix_of(path, dict.fromkeys(SUFFIXES, ""))
     if suffix not in HDF5:
         writer_of(path)
-    check_output(path, overwrite)
+    check_output(path, overwrite, kind=RESULT if suffix in HDF5 else None)
     return Target(path, "hdf5" if suffix in HDF5 else "other")
 
 

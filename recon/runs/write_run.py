@@ -12,7 +12,7 @@ from phantomgen.dataset.checks.door import array_at
 from phantomgen.dataset.layout import new_group, put
 from phantomgen.dataset.truth import write_grid
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.runtime.outputs import check_output_folder, refuse_interrupted
+from phantomgen.runtime.outputs import check_name, check_output_folder, refuse_interrupted
 from recon.runs.run_folder import MODEL, VIEWS, VOLUMES
 from recon.runs.unfinished_run import clear, is_partial
 from recon.voxel.unreliable import Unreliable
@@ -42,6 +42,7 @@ class RunFolder:
     """
 
     def __init__(self, path: Path, overwrite: bool, resume: bool = False) -> None:
+        check_name(path)
         self.path, self.resume = path, resume
         self.part = path.absolute().with_name(path.absolute().name + ".part")
         interrupted = is_partial(path) and not path.is_symlink()

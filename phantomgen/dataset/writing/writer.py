@@ -19,6 +19,7 @@ from phantomgen.dataset.beam_profile import write_profile
 from phantomgen.dataset.checks.digest import seal
 from phantomgen.dataset.checks.door import array_at, group_at
 from phantomgen.dataset.compression import Compression
+from phantomgen.dataset.file import DATASET
 from phantomgen.dataset.geometry import write_geometry
 from phantomgen.dataset.layout import SCHEMA, SCHEMA_VERSION, new_frames, new_group, put, put_note
 from phantomgen.dataset.pixel_mask import write_mask
@@ -52,7 +53,7 @@ class DatasetWriter:
         self.path = Path(path)
         self.compression: Compression = compression
         self.part = self.path.with_name(self.path.name + ".part")
-        check_output(self.path, overwrite)
+        check_output(self.path, overwrite, kind=DATASET)
 
     @property
     def reserved(self) -> Path:

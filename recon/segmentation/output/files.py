@@ -11,7 +11,7 @@ from phantomgen.dataset.layout import new_group, put
 from phantomgen.dataset.truth import write_grid
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.disk import one_sentence
-from phantomgen.runtime.outputs import check_output_folder
+from phantomgen.runtime.outputs import check_name, check_output_folder
 from phantomgen.runtime.plain_json import write_json
 from recon.gaussians.model import Gaussians
 from recon.segmentation.result import Segmentation
@@ -37,6 +37,7 @@ class SegmentFolder:
     """
 
     def __init__(self, path: Path, overwrite: bool) -> None:
+        check_name(path)
         self.path = path
         self.part = path.absolute().with_name(path.absolute().name + ".part")
         check_output_folder(path, overwrite, "recon segment", lambda folder: (folder / VOLUMES).is_file())

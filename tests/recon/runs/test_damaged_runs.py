@@ -11,6 +11,7 @@ from click.testing import CliRunner
 from safetensors.torch import load_file, save_file
 from support.tiny_scans import make, one_sentence
 
+from phantomgen.cli.main import main as phantomgen
 from recon.cli.main import main
 
 COMMANDS = {
@@ -96,3 +97,16 @@ def test_a_record_of_the_scan_with_values_that_are_no_numbers_is_refused(key, ru
     content["transmission"][key] = np.full(np.shape(content["transmission"][key]), np.nan).tolist()
     (run / "scan.json").write_text(json.dumps(content))
     assert "scan.json cannot be read" in one_sentence(call("render", run, whole, tmp_path))
+
+
+def test_a_volume_replaces_no_dataset_and_a_dataset_no_volume(run, whole, tmp_path):
+    scan = shutil.copy(whole / "scan.h5", tmp_path / "scan.h5")
+    before = scan.read_bytes()
+    result = CliRunner().invoke(main, ["volume", str(run), "-o", str(scan), "--overwrite"])
+    assert "scan.h5 is not an HDF5 file that recon wrote; it will not be replaced" in one_sentence(result)
+    assert scan.read_bytes() == before
+    volumes = run / "volumes.h5"
+    result = CliRunner().invoke(phantomgen, ["make", "kedge-small", "-o", str(volumes), "--overwrite"])
+    assert "volumes.h5 is not a dataset; it will not be replaced" in one_sentence(result)
+    result = CliRunner().invoke(main, ["volume", str(run), "-o", str(volumes), "--overwrite", "--grid", "4", "-q"])
+    assert result.exit_code == 0
