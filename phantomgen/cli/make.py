@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option, print_stages
+from phantomgen.cli.common import FiniteRange, debug_option, json_option, print_stages
 
 
 @click.command(
@@ -23,7 +23,7 @@ from phantomgen.cli.common import debug_option, json_option, print_stages
 @click.option("--test-views", type=click.IntRange(min=0), help="Number of test views.")
 @click.option("--voxels", type=click.IntRange(min=1), help="Voxels along each edge of the volume.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the noise, and of a scene's random values.")
-@click.option("--tol", type=float, help="Worst error of log projections that is wanted [default: 1e-3].")
+@click.option("--tol", type=FiniteRange(), help="Worst error of log projections that is wanted [default: 1e-3].")
 @click.option("--noise/--no-noise", default=None, help="Poisson counts, or their means.")
 @click.option("--set", "settings", metavar="PATH=VALUE", multiple=True, help="Override any value of the scene.")
 @click.option(

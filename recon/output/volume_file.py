@@ -23,6 +23,7 @@ from spectra.errors import InputError
 
 HDF5 = (".h5", ".hdf5")
 SUFFIXES = (*HDF5, *FORMATS)
+MOST_VOXELS = 1e11  # of a volume: 400 GB for each basis
 SLAB_VALUES = 1 << 24  # values; voxels times bases that are in memory at once, 64 MiB in float32
 
 
@@ -59,6 +60,8 @@ def chosen_grid(
         return scan
     if counts is not None and size is not None:
         raise InputError("--grid counts voxels and --size measures them in mm: leave one of them out")
+    if voxel is not None and not np.isfinite(voxel):
+        raise InputError(f"--voxel must be a finite size in mm, got {voxel:g}")
     spacing = np.full(3, voxel) if voxel is not None else np.array(scan.spacing)
     if counts is not None:
         shape = np.array(parse_triple("--grid", counts))
@@ -66,10 +69,17 @@ def chosen_grid(
             raise InputError(f"--grid needs whole numbers of voxels, got {counts!r}")
     else:
         extent = np.array(scan.shape) * scan.spacing if size is None else np.array(parse_triple("--size", size))
+        if (np.array(extent) <= 0).any():
+            raise InputError(f"--size needs positive sizes in mm, got {size!r}")
         shape = np.maximum(np.ceil(extent / spacing - 1e-6), 1)
     middle = np.zeros(3) if center is None else np.array(parse_triple("--center", center, several=True))
     if (shape < 1).any():
         raise InputError(f"a volume needs positive sizes, got {counts or size!r}")
+    if np.prod(shape) > MOST_VOXELS:
+        raise InputError(
+            f"a volume of {' x '.join(f'{n:g}' for n in shape)} voxels is more than the {MOST_VOXELS:g} that are "
+            "written: choose larger voxels by --voxel, or a smaller part by --size"
+        )
     first = middle - (shape - 1) / 2 * spacing
     whole = tuple(int(n) for n in shape)
     return Grid(whole, tuple(spacing.tolist()), tuple(first.tolist()))  # type: ignore[arg-type]
