@@ -110,12 +110,19 @@ def one_sentence(path: Path, needed: float | None = None) -> Iterator[None]:
         if is_full(error):
             more = "" if needed is None else f" and about {readable(needed)} more are needed"
             free = readable(free_bytes(path))
-            text = f"the disk is full, {free} are free{more}: make room and start again, `make` with --resume"
+            full = f"the disk is full, {free} are free{more}"
+            full = "files may not grow further here" if _beyond_limit(error) else full
+            text = f"{full}: make room and start again, with --resume where there is one"
         elif isinstance(error, OSError):
             text = os.strerror(error.errno) if error.errno else "the file system refuses"
         else:
             raise
         raise StorageError(f"{path} cannot be written: {text}") from None
+
+
+def _beyond_limit(error: BaseException) -> bool:
+    """Whether a limit on the size of files was met, and not the end of the disk."""
+    return getattr(error, "errno", None) == errno.EFBIG or os.strerror(errno.EFBIG) in str(error)
 
 
 def is_full(error: BaseException) -> bool:
@@ -131,7 +138,7 @@ def is_full(error: BaseException) -> bool:
     -------
     True where it does
     """
-    return getattr(error, "errno", None) in _FULL or os.strerror(errno.ENOSPC) in str(error)
+    return getattr(error, "errno", None) in _FULL or any(os.strerror(number) in str(error) for number in _FULL)
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.runtime.disk import one_sentence
 from recon.ops.rasterize import rasterize
 from recon.ops.voxelize import CUTOFF, voxelize, voxelize_tensor
 from spectra.errors import DatasetError
@@ -186,8 +187,13 @@ class GaussianModel(ABC):
         Parameters
         ----------
         path : file to write
+
+        Raises
+        ------
+        StorageError
+            When the disk is full or refuses.
         """
-        from safetensors.torch import save_file  # noqa: PLC0415
+        from safetensors.torch import save  # noqa: PLC0415
 
         header = {
             "schema": self.SCHEMA,
@@ -197,7 +203,9 @@ class GaussianModel(ABC):
         }
         tensors = {name: value.contiguous() for name, value in self.tensors().items()}
         # One entry: safetensors writes several in random order, and the same model must give the same bytes.
-        save_file(tensors, path, metadata={HEADER: json.dumps(header | self.header())})
+        packed = save(tensors, metadata={HEADER: json.dumps(header | self.header())})
+        with one_sentence(path):
+            path.write_bytes(packed)  # with the rights of other files; safetensors writes files for the owner alone
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from phantomgen.exporters import dicom
 from phantomgen.exporters.volumes import FORMATS, Volumes, basis_volumes, suffix_of, write_volumes, writer_of
 from phantomgen.geometry.voxel_grid import Grid, parse_triple
 from phantomgen.runtime.disk import complete_file
+from phantomgen.runtime.hdf5_output import hdf5_output
 from phantomgen.runtime.outputs import check_name, check_output
 from recon.readouts.quantity import Quantity, in_pieces
 from recon.runs.read_run import StoredModel
@@ -245,5 +246,5 @@ def whole_file(path: Path) -> Iterator[h5py.File]:
     StorageError
         When the file cannot be written; then no file is left.
     """
-    with complete_file(path, ".h5") as beside, h5py.File(beside, "w") as file:
+    with complete_file(path, ".h5") as beside, hdf5_output(beside) as file:
         yield file

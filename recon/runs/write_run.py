@@ -16,7 +16,7 @@ from phantomgen.runtime.outputs import check_name, check_output_folder, refuse_i
 from recon.runs.run_folder import MODEL, VIEWS, VOLUMES
 from recon.runs.unfinished_run import clear, is_partial
 from recon.voxel.unreliable import Unreliable
-from spectra.errors import InputError
+from spectra.errors import InputError, StorageError
 
 if TYPE_CHECKING:
     import h5py
@@ -80,6 +80,8 @@ class RunFolder:
             raise KeyboardInterrupt(f"{place} holds the model {error}, not yet scored{onward}")
         elif not is_partial(self.part):
             shutil.rmtree(self.part, ignore_errors=True)
+        elif kind is not None and issubclass(kind, StorageError):
+            raise StorageError(f"{error}; what was fitted is kept in {self.part}: go on by --resume") from None
         elif kind is KeyboardInterrupt:
             raise KeyboardInterrupt(f"what was fitted is kept in {self.part}: go on by --resume")
 
@@ -115,9 +117,9 @@ def write_volumes(
         group
     unit : of the volumes
     """
-    import h5py  # noqa: PLC0415
+    from phantomgen.runtime.hdf5_output import hdf5_output  # noqa: PLC0415 - h5py
 
-    with h5py.File(path, "w") as file:
+    with hdf5_output(path) as file:
         file.attrs.update({"NX_class": "NXroot", "default": "basis", "creator": "recon"})
         for name, values in (("basis", volumes), *others.items()):
             group = _plot(file, name, values.astype(np.float32), ("basis_name", "z", "y", "x"), grid)

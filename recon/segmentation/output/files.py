@@ -11,6 +11,7 @@ from phantomgen.dataset.layout import new_group, put
 from phantomgen.dataset.truth import write_grid
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.disk import one_sentence
+from phantomgen.runtime.hdf5_output import hdf5_output
 from phantomgen.runtime.outputs import check_name, check_output_folder
 from phantomgen.runtime.plain_json import write_json
 from recon.gaussians.model import Gaussians
@@ -66,7 +67,7 @@ def write_segmentation(path: Path, segmentation: Segmentation) -> None:
     """
     s, grid = segmentation, segmentation.subject.grid
     names = np.array([c.name for c in s.clusters], dtype=object)
-    with one_sentence(path), h5py.File(path, "w") as file:
+    with hdf5_output(path) as file:
         file.attrs.update({"NX_class": "NXroot", "default": "labels", "creator": "recon"})
         labels = _volume(file, "labels", s.labels.astype(np.uint16), grid, ())
         labels.attrs["meaning"] = "0 air, then the materials in order"
