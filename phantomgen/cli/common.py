@@ -2,6 +2,8 @@
 
 import errno
 import os
+import signal
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,6 +21,9 @@ _OF_FILES = {
 }  # fmt: skip
 
 
+_NOTHING_LEFT = "nothing was left half-written"
+
+
 class Commands(click.Group):
     """Group of commands that reports intended errors as one sentence with an exit code."""
 
@@ -34,7 +39,7 @@ class Commands(click.Group):
         result of the command
         """
         try:
-            with _warnings_as_sentences():
+            with _warnings_as_sentences(), _terminable():
                 return super().invoke(ctx)
         except Error as error:
             if ctx.meta.get("debug"):
@@ -48,8 +53,31 @@ class Commands(click.Group):
             click.echo(f"Error: {name} cannot be opened or written: {os.strerror(error.errno)}", err=True)
             ctx.exit(1)
         except KeyboardInterrupt as interrupt:
-            click.echo(f"Interrupted; {str(interrupt) or 'nothing was left half-written'}.", err=True)
-            ctx.exit(130)
+            ended = isinstance(interrupt, Terminated)
+            how = "Ended by SIGTERM" if ended else "Interrupted"
+            click.echo(f"{how}; {str(interrupt) or _NOTHING_LEFT}.", err=True)
+            ctx.exit(143 if ended else 130)
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM, which a batch system sends before it kills a process; handled as Ctrl-C."""
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Turn SIGTERM into an exception, so that what is half-written is removed; a fit has a handler of its own."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+        yield
+        return
+
+    def end(*_: object) -> None:
+        raise Terminated
+
+    signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 @contextmanager

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from phantomgen.runtime.output_lock import output_lock
 from spectra.errors import InputError, StorageError
 
 # Least and most room that is reserved for closing a file [byte].
@@ -155,9 +156,9 @@ def complete_file(path: Path, suffix: str) -> Iterator[Path]:
     the name to write
     """
     beside = path.with_name(f"{path.name}.part{suffix}")
-    try:
-        with one_sentence(path):
+    with one_sentence(path), output_lock(path):
+        try:
             yield beside
             beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
+        finally:
+            beside.unlink(missing_ok=True)

@@ -12,6 +12,8 @@ from phantomgen.dataset.checks.door import array_at
 from phantomgen.dataset.layout import new_group, put
 from phantomgen.dataset.truth import write_grid
 from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.runtime.disk import one_sentence
+from phantomgen.runtime.output_lock import acquire
 from phantomgen.runtime.outputs import check_name, check_output_folder, refuse_interrupted
 from recon.runs.run_folder import MODEL, VIEWS, VOLUMES
 from recon.runs.unfinished_run import clear, is_partial
@@ -55,6 +57,8 @@ class RunFolder:
             refuse_interrupted(self.part, resume, overwrite)
 
     def __enter__(self) -> Path:
+        with one_sentence(self.path):
+            self._lock = acquire(self.path)
         try:
             if self.resume and is_partial(self.path) and not is_partial(self.part):
                 shutil.rmtree(self.part, ignore_errors=True)
@@ -63,10 +67,18 @@ class RunFolder:
                 shutil.rmtree(self.part, ignore_errors=True)
             (self.part / "figures").mkdir(parents=True, exist_ok=True)
         except OSError as error:
+            self._lock.unlink(missing_ok=True)
             raise InputError(f"{self.part} cannot be written: {error.strerror}") from None
         return self.part
 
     def __exit__(self, kind: type | None, error: object, traceback: object) -> None:
+        try:
+            self._finish(kind, error)
+        finally:
+            self._lock.unlink(missing_ok=True)
+
+    def _finish(self, kind: type | None, error: object) -> None:
+        """Name the folder, or keep what can be resumed."""
         if kind is None:
             if self.path.exists():
                 shutil.rmtree(self.path)
@@ -82,8 +94,8 @@ class RunFolder:
             shutil.rmtree(self.part, ignore_errors=True)
         elif kind is not None and issubclass(kind, StorageError):
             raise StorageError(f"{error}; what was fitted is kept in {self.part}: go on by --resume") from None
-        elif kind is KeyboardInterrupt:
-            raise KeyboardInterrupt(f"what was fitted is kept in {self.part}: go on by --resume")
+        elif kind is not None and issubclass(kind, KeyboardInterrupt):
+            raise kind(f"what was fitted is kept in {self.part}: go on by --resume")
 
 
 def _is_run(path: Path) -> bool:

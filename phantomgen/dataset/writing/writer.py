@@ -30,6 +30,7 @@ from phantomgen.dataset.writing.nxtomo import write_aliases
 from phantomgen.geometry.poses import Geometry, distances
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.disk import is_full, one_sentence, reserve
+from phantomgen.runtime.output_lock import acquire
 from phantomgen.runtime.outputs import check_output
 from phantomgen.runtime.versions import environment, program_version
 from spectra.errors import InputError
@@ -62,6 +63,7 @@ class DatasetWriter:
 
     def __enter__(self) -> "DatasetWriter":
         with one_sentence(self.part):
+            self._lock = acquire(self.path)
             try:
                 reserve(self.reserved)
                 self.file = h5py.File(self.part, "w")
@@ -69,6 +71,7 @@ class DatasetWriter:
             except (OSError, RuntimeError) as error:
                 if is_full(error):
                     self._discard()
+                self._lock.unlink(missing_ok=True)
                 raise
         return self
 
@@ -83,6 +86,7 @@ class DatasetWriter:
                     os.replace(self.part, self.path)
             finally:
                 self._discard()
+                self._lock.unlink(missing_ok=True)
 
     def _discard(self) -> None:
         """Close and remove what is not complete.

@@ -12,6 +12,7 @@ from phantomgen.dataset.truth import write_grid
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.disk import one_sentence
 from phantomgen.runtime.hdf5_output import hdf5_output
+from phantomgen.runtime.output_lock import acquire
 from phantomgen.runtime.outputs import check_name, check_output_folder
 from phantomgen.runtime.plain_json import write_json
 from recon.gaussians.model import Gaussians
@@ -45,11 +46,13 @@ class SegmentFolder:
 
     def __enter__(self) -> Path:
         with one_sentence(self.part):
+            self._lock = acquire(self.path)
             shutil.rmtree(self.part, ignore_errors=True)
             self.part.mkdir()
         return self.part
 
     def __exit__(self, kind: type | None, *exception: object) -> None:
+        self._lock.unlink(missing_ok=True)
         if kind is None:
             shutil.rmtree(self.path, ignore_errors=True)
             self.part.replace(self.path)
