@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import FiniteRange, debug_option, json_option
 
 
 class Parsed(click.ParamType):
@@ -82,7 +82,7 @@ LEVELS = Parsed("levels", _levels, "is no list of different doses such as 1,0.5,
 )
 @click.argument("scan", type=click.Path(dir_okay=False, path_type=Path))
 @click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="The new dataset.")
-@click.option("--dose", type=float, default=1.0, help="Part of the dose that is left, such as 0.25.")
+@click.option("--dose", type=FiniteRange(), default=1.0, help="Part of the dose that is left, such as 0.25.")
 @click.option("--levels", type=LEVELS, metavar="D,D,...", help="One file per dose, named OUT-D.h5.")
 @click.option("--complement", is_flag=True, help="Write the counts that --dose leaves out, in place of the others.")
 @click.option("--flats", type=click.Choice(["keep", "thin"]), default="keep", help="Flats at low dose [default: keep].")
@@ -94,7 +94,7 @@ LEVELS = Parsed("levels", _levels, "is no list of different doses such as 1,0.5,
 @click.option("--dead", type=PART, default=0.0, metavar="PART", help="Pixels that die and are marked: 0.1%.")
 @click.option("--shift", type=PIXELS, default=0.0, metavar="PIXELS", help="State the panel so far from the true one.")
 @click.option(
-    "--kv-error", type=float, default=0.0, metavar="KV", help="State a tube voltage so far from the true one."
+    "--kv-error", type=FiniteRange(), default=0.0, metavar="KV", help="State a tube voltage so far from the true one."
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of photons and dead pixels.")
 @click.option("--compression", default="gzip", metavar="gzip|bitshuffle|none", help="Of large arrays [default: gzip].")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import FiniteRange, debug_option, json_option
 from recon.cli.common import (
     ProgressBar,
     exit_where_failed,
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--sweeps",
-    type=click.FloatRange(min=0, min_open=True),
+    type=FiniteRange(min=0, min_open=True),
     callback=finite_number,
     help="Number of times that every training view is used.",
 )
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--detail",
-    type=click.FloatRange(min=0.25, max=4),
+    type=FiniteRange(min=0.25, max=4),
     callback=finite_number,
     help="Factor by which Gaussians are closer to each other; 2 gives three to eight times as many [default: 1].",
 )
@@ -92,7 +92,7 @@ if TYPE_CHECKING:
 @click.option(
     "--held-out", type=click.IntRange(min=0), default=0, help="Number of training views that only tell when to stop."
 )
-@click.option("--memory", type=click.FloatRange(min=0, min_open=True), metavar="GIB", help="Largest memory to take.")
+@click.option("--memory", type=FiniteRange(min=0, min_open=True), metavar="GIB", help="Largest memory to take.")
 @click.option(
     "--device",
     type=click.Choice(["cpu", "cuda"]),

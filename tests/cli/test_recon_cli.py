@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from safetensors.numpy import load_file
+from support.edited_datasets import edited_dataset
 from support.tiny_scans import make, one_sentence
 
 from phantomgen.dataset.reader import open_dataset
@@ -75,7 +76,7 @@ def copy(dataset, tmp_path):
 
 
 def edited(path: Path, edit) -> Path:
-    with h5py.File(path, "r+") as file:
+    with edited_dataset(path) as file:
         edit(file)
     return path
 
@@ -294,7 +295,7 @@ def _without(name):
         (_set(DATA, (4, 2, 0, 0), -7), "view 4 of {path} holds negative counts, down to -7"),
         (_set(DATA, (VIEWS, 0, 0, 0), -1), "view 9 of {path} holds negative counts"),
         (_set("entry/instrument/flat/data", (3, 0, 0, 0), -1), "flat 3 of {path} holds negative counts"),
-        (_of_version("2.0"), "{path} has schema version 2.0, this program knows 1.0: update it"),
+        (_of_version("2.0"), "{path} has schema version 2.0, this program knows 1.1: update it"),
         (_without("entry/instrument/flat"), "{path} has no flat field"),
         (_without("entry/spectra"), "{path} lacks /entry/spectra/energy"),
         (lambda file: file.attrs.__delitem__("schema"), "{path} is not a spectral-ct dataset"),
