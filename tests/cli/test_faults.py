@@ -7,7 +7,10 @@ from click.testing import CliRunner
 from support.tiny_scans import make, one_sentence
 
 from phantomgen.cli.main import main as phantomgen
+from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.volume_files.arrays import read_npy
 from recon.cli.main import main as recon
+from spectra.errors import InputError
 
 LONG = "q" * 20_000
 
@@ -152,3 +155,26 @@ def test_commands_that_cannot_be_are_one_short_sentence(tmp_path, program, argum
     assert "Error: " in result.stderr
     assert len(result.stderr) < 4500
     assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_numpy_file_whose_header_does_not_end_is_one_sentence(tmp_path):
+    path = tmp_path / "map.npy"
+    np.save(path, np.zeros((4, 4, 4), np.uint8))
+    path.write_bytes(path.read_bytes().replace(b"an_order", b"        ").replace(b"}", b" "))
+    with pytest.raises(InputError, match="header is damaged"):
+        read_npy(path)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (((4, 4), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)), "three numbers"),
+        (((4, 4, 4), (1.0, 1.0), (0.0, 0.0, 0.0)), "three numbers"),
+        (((4, 4, 2.5), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)), "whole numbers"),
+        (((4, 4, float("inf")), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)), "whole numbers"),
+    ],
+)
+@pytest.mark.wrong_types
+def test_a_grid_of_a_damaged_run_is_refused(values, words):
+    with pytest.raises(InputError, match=words):
+        Grid(*values)
