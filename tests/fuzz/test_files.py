@@ -142,7 +142,7 @@ def test_pose_tables(place, content):
     scanned(place, {"type": "sphere", "radius": 20}, geometry={"type": "poses", "file": "poses.csv"})
 
 
-@tries(12)
+@tries(6)
 @given(data=st.data())
 def test_datasets_with_spoiled_arrays(samples, data):
     place, names = samples

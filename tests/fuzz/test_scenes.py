@@ -45,7 +45,7 @@ def test_presets_with_spoiled_bytes(place, content):
     load(lambda: SceneFile.read(place / "scene.yaml"))
 
 
-@tries(12)
+@tries(6)
 @given(document=spoiled_documents((SCENE,)), seed=st.integers(-1, 3))
 def test_spoiled_scenes_are_simulated_without_nan_or_refused(place, document, seed):
     (place / "tiny.yaml").write_text(yaml.safe_dump(document, allow_unicode=True))
