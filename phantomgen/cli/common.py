@@ -47,7 +47,7 @@ class Commands(click.Group):
             click.echo(f"Error: {concise(str(error))}", err=True)
             ctx.exit(1)
         except click.ClickException as error:
-            error.message = concise(error.message)
+            error.__dict__["message"] = concise(error.message)  # annotated as final
             raise
         except OSError as error:
             if error.errno not in _OF_FILES or ctx.meta.get("debug"):

@@ -80,9 +80,8 @@ def flat_voxels() -> Iterator[Point]:
     """
     expected = 4 / 3 * pi * 10**3
     for ratio in (1, 2, 5, 20, 100):
-        spacing = (12.0 / ratio, 2.0, 12.0)
-        shape = tuple(round(24 / step) for step in spacing)
-        grid = Grid(shape, spacing, tuple(-(n - 1) / 2 * step for n, step in zip(shape, spacing, strict=True)))
+        shape, spacing = (2 * ratio, 12, 2), (12.0 / ratio, 2.0, 12.0)
+        grid = Grid(shape, spacing, (-12.0 + spacing[0] / 2, -11.0, -6.0))
         filled = fractions(grid, solids_of([(Sphere((0, 0, 0), 10.0), 0)]), 1)
         found = float(filled.sum(dtype=np.float64) * np.prod(spacing))
         yield Point(ratio, found, expected, abs(found / expected - 1))

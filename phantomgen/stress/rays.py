@@ -75,7 +75,7 @@ def corners() -> Iterator[Point]:
     cube = Mesh(_CUBE, _FACES, name="cube")
     for distance in (*(10.0**-exponent for exponent in range(1, 14)), 0.0):
         step = np.array([1, -1, 0]) * distance / sqrt(2)
-        (found,) = _path([cube], np.full(3, -200.0) + step, np.full(3, 100.0) + step)
+        (found,) = _path([cube], (step - 200.0).tolist(), (step + 100.0).tolist())
         yield _point(distance, found, sqrt(3) * (2 * _RADIUS - sqrt(2) * distance))
 
 
