@@ -14,6 +14,9 @@ from phantomgen.dataset.truth import read_fit
 from phantomgen.dataset.validate import newer_minor
 from phantomgen.geometry.poses import distances
 
+# What a step of the history is called when it is done; others are shown by their name.
+_DONE = {"degrade": "degraded", "import": "imported"}
+
 
 def describe(path: Path) -> dict[str, Any]:
     """Describe the content of a dataset with values that JSON knows; ``warnings`` contains sentences.
@@ -94,7 +97,7 @@ def describe_text(info: dict[str, Any]) -> str:
         *_material_lines(info["materials"]),
         f"NXtomo     {', '.join(info['nxtomo']) or _why_no_nxtomo(info)}",
         f"made by    {info['made_by']}",
-        *(f"{step['step'] + 'd':<10} {phrase}" for step in info["history"] for phrase in step["done"]),
+        *(f"{_DONE.get(step['step'], step['step']):<10} {phrase}" for step in info["history"] for phrase in step["done"]),
     ]
     return "\n".join(lines)
 
@@ -172,7 +175,8 @@ def _frames(dataset: Dataset, name: str) -> int:
 
 def _made_by(dataset: Dataset) -> str:
     """Program, version, date and seed of the first process."""
-    process = dataset.file.get("entry/process_1_simulate")
+    entry = group_at(dataset.file, "entry")
+    process = next((entry[name] for name in entry if str(name).startswith("process_1_")), None)
     if not isinstance(process, h5py.Group):
         return "unknown"
     program, version, date = (text_of(array_at(process, name)[()]) for name in ("program", "version", "date"))
