@@ -204,3 +204,93 @@ _scan_command(
     spectrum, thresholds, scintillator and photons.
     """,
 )
+_scan_command(
+    "nxtomo",
+    "FILE...",
+    (
+        "low.nx high.nx -o scan.h5 --kvp 120 --filter '2 mm Al' --thresholds 20,60",
+        "scan.nx -o scan.h5 --energy 25 --scintillator '0.1 mm CdWO4' --photons 20000",
+    ),
+    """Write a dataset from NXtomo FILEs: flats, projections and darks by image_key, angles, distances, z_translation.
+
+    Channels are files, entries of a file, or the second axis of a stack. Values are counts unless --photons or --scintillator
+    says that they are readings. Without distances, the beam is parallel.
+    """,
+    several=True,
+)
+_scan_command(
+    "dxchange",
+    "FILE...",
+    (
+        "scan.h5 -o set.h5 --pitch 0.00065 --energy 25 --scintillator '0.1 mm CdWO4' --photons 20000",
+        "low.h5 high.h5 -o set.h5 --pitch 0.1 --kvp 100 --filter '2 mm Al' --thresholds 20,50",
+    ),
+    """Write a dataset from Data Exchange FILEs of a parallel beam, as TomoPy's dxchange reads them.
+
+    Channels are files, or groups exchange, exchange1, ... of a file. Values are counts unless --photons or --scintillator says
+    that they are readings.
+    """,
+    several=True,
+)
+_scan_command(
+    "nikon",
+    "FILE.xtekct",
+    (
+        "walnut.xtekct -o walnut.h5 --kvp 90 --filter '0.5 mm Cu' --photons 20000",
+        "walnut.xtekct -o walnut.h5 --filter none --photons 20000 --bin 4 --every 4",
+    ),
+    """Write a dataset from FILE.xtekct of a Nikon scanner and the TIFF or raw files beside it.
+
+    Distances, pixels, axis, angles, voltage and filter are those of the file. Readings are divided by WhiteLevel (--white) and scaled
+    to --photons. A single radiogram stands for all views of a body of revolution.
+    """,
+)
+_scan_command(
+    "fips",
+    "FILE.txt",
+    ("20200805_pine_cone.txt -o cone.h5 --filter '0.5 mm Cu' --photons 20000 --white 60000 --bin 4",),
+    """Write a dataset from FILE.txt of a set of FIPS or Helsinki and the TIFF files beside it.
+
+    The format has no flats: --white or --air state the reading in the open beam. It does not say which way the sample turns:
+    add --reverse if the volume is blurred.
+    """,
+)
+_scan_command(
+    "bruker",
+    "FILE.log",
+    ("bone.log -o bone.h5 --photons 10000 --bin 4", "bone.log -o bone.h5 --photons 10000 --axis-column 511.3"),
+    """Write a dataset from FILE.log of a Bruker or SkyScan scanner and the TIFF files beside it.
+
+    The white level is 2^depth - 1 unless --white states another.
+    """,
+)
+_scan_command(
+    "dicom-ct-pd",
+    "FOLDER...",
+    ("L067 -o L067.h5 --kvp 120 --filter '6 mm Al'", "low high -o scan.h5 --kvp 120 --filter '6 mm Al' --thresholds 25,65"),
+    """Write a dataset from FOLDERs of DICOM-CT-PD files, one per view, of a helical or circular scan.
+
+    Views of a curved detector are resampled to a flat panel. Log projections become counts of --photons, or of PhotonStatistics
+    where the files have it. Needs pydicom: pip install 'spectral-ct[dicom]'.
+    """,
+    several=True,
+)
+_LOGS = """
+    Log projections become counts of --photons incident photons per pixel. Voxels and test views are those of the format.
+    """
+_scan_command(
+    "r2",
+    "FOLDER...",
+    ("0_chest_cone -o chest.h5 --kvp 120 --filter '6 mm Al' --scintillator CsI --photons 1e5",),
+    f"""Write a dataset from FOLDERs of R2-Gaussian, one per channel.
+    {_LOGS}""",
+    several=True,
+)
+_scan_command(
+    "naf",
+    "FILE...",
+    ("chest_50.pickle -o chest.h5 --kvp 120 --filter '6 mm Al' --scintillator CsI --photons 1e5",),
+    f"""Write a dataset from pickles of NAF or SAX-NeRF, one per channel; nothing in them is run.
+    {_LOGS}""",
+    several=True,
+)
