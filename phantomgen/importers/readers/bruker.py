@@ -11,7 +11,7 @@ import numpy as np
 from phantomgen.geometry.panel import Panel
 from phantomgen.importers.readers.images import numbered_tiffs, tiff_stack
 from phantomgen.importers.readers.key_values import Keys, read_keys
-from phantomgen.importers.readers.turntable import Turntable, as_stored, turning
+from phantomgen.importers.readers.turntable import Turntable, as_stored, stated_axis, turning
 from phantomgen.importers.scans.raw_scan import Image, RawScan
 from phantomgen.importers.scans.stated import Stated
 from spectra.errors import InputError
@@ -112,4 +112,4 @@ def _table(keys: Keys, stated: Stated, shape: tuple[int, int]) -> Turntable:
     line = keys.number("Optical Axis (line)", (rows - 1) / 2)
     table = Turntable(float(stated.sod or 0.0), float(stated.sdd or 0.0), panel)
     shifted = Turntable(table.sod, table.sdd, panel, panel_z=((rows - 1) / 2 - line) * panel.row_pitch)
-    return shifted.with_axis_at(stated.axis_column)
+    return shifted.with_axis_at(stated_axis(stated, columns))

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from phantomgen.geometry.panel import Panel
 from phantomgen.importers.readers.channel_names import channel_names
 from phantomgen.importers.readers.hdf5 import frame, frames_at, numbers_of, opened, readable, text_at, value_at
-from phantomgen.importers.readers.turntable import Turntable, as_stored, in_order, turning
+from phantomgen.importers.readers.turntable import Turntable, as_stored, in_order, stated_axis, turning
 from phantomgen.importers.scans.raw_scan import Frames, Image, RawScan
 from phantomgen.importers.scans.stated import Stated
 from spectra.errors import InputError
@@ -62,7 +62,7 @@ def read(paths: Sequence[Path], stated: Stated) -> RawScan:
         raise InputError(f"{paths[0]}: Data Exchange is of parallel beams: leave --sod and --sdd out")
     angles = _angles(first, views)
     panel = Panel(rows, columns, stated.pitch or 0.0)
-    table = Turntable(0.0, _ANYWHERE, panel).with_axis_at(stated.axis_column)
+    table = Turntable(0.0, _ANYWHERE, panel).with_axis_at(stated_axis(stated, columns))
 
     def image(view: int) -> Image:
         return np.stack([frame(stack, view) for stack in stacks])

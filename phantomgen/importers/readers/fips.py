@@ -15,7 +15,7 @@ import numpy as np
 from phantomgen.geometry.panel import Panel
 from phantomgen.importers.readers.images import numbered_tiffs, tiff_stack
 from phantomgen.importers.readers.key_values import Keys, read_keys
-from phantomgen.importers.readers.turntable import Turntable, as_stored, turning
+from phantomgen.importers.readers.turntable import Turntable, as_stored, stated_axis, turning
 from phantomgen.importers.scans.raw_scan import Image, RawScan
 from phantomgen.importers.scans.stated import Stated
 from spectra.errors import InputError
@@ -55,7 +55,7 @@ def read(paths: Sequence[Path], stated: Stated) -> RawScan:
             f"{path}: {views} images from AngleFirst {first:g} in steps of {step:g} do not end at AngleLast {last:g}"
         )
     panel = Panel(*stack.shape, stated.pitch or 0.0)
-    table = Turntable(float(stated.sod or 0.0), float(stated.sdd or 0.0), panel).with_axis_at(stated.axis_column)
+    table = Turntable(float(stated.sod or 0.0), float(stated.sdd or 0.0), panel).with_axis_at(stated_axis(stated, panel.columns))
 
     def image(view: int) -> Image:
         return stack[view][None]

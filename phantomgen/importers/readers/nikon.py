@@ -16,7 +16,7 @@ import numpy as np
 from phantomgen.geometry.panel import Panel
 from phantomgen.importers.readers.images import Stack, numbered_tiffs, raw_stack, tiff_stack
 from phantomgen.importers.readers.key_values import Keys, read_keys
-from phantomgen.importers.readers.turntable import Turntable, as_stored, turning
+from phantomgen.importers.readers.turntable import Turntable, as_stored, stated_axis, turning
 from phantomgen.importers.scans.raw_scan import Image, RawScan
 from phantomgen.importers.scans.stated import Stated
 from spectra.errors import InputError
@@ -59,7 +59,7 @@ def read(paths: Sequence[Path], stated: Stated) -> RawScan:
         raise InputError(f"{path}: Projections is {views}, and there are {len(stack)} images")
     stated = stated.completed(found)
     angles = keys.number("InitialAngle", 0.0) + keys.number("AngularStep") * np.arange(views) + _FIRST
-    table = _table(keys, stated, panel).with_axis_at(stated.axis_column)
+    table = _table(keys, stated, panel).with_axis_at(stated_axis(stated, panel.columns, reverse=True))
 
     def image(view: int) -> Image:
         return stack[0 if alone else view][None, :, ::-1]

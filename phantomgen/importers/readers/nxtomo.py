@@ -19,7 +19,7 @@ from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
 from phantomgen.importers.readers.channel_names import channel_names, clean
 from phantomgen.importers.readers.hdf5 import frame, frames_at, numbers_of, opened, readable, text_at, value_at
-from phantomgen.importers.readers.turntable import Turntable, as_stored, in_order, turning
+from phantomgen.importers.readers.turntable import Turntable, as_stored, in_order, stated_axis, turning
 from phantomgen.importers.scans.raw_scan import Frames, Image, RawScan
 from phantomgen.importers.scans.stated import Stated
 from spectra.errors import InputError
@@ -180,7 +180,7 @@ def _geometry(entry: _Entry, stated: Stated) -> tuple[Geometry, list[str]]:
     elif stated.sdd is None:
         stated.require(entry.path, ["sdd"])
     axis = value_at(entry.group, f"{_DETECTOR}/x_rotation_axis_pixel_position")
-    column = stated.axis_column
+    column = stated_axis(stated, columns)
     if column is None and axis is not None:
         column = (columns - 1) / 2 + float(numbers_of(axis, "number", "")[0])
     for name in ("x_translation", "y_translation"):

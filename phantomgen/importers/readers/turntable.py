@@ -72,8 +72,7 @@ class Turntable:
         if self.sod == 0:
             return Geometry.parallel(turned((-1.0, 0.0, 0.0)), center, *steps, self.panel, radians)
         source = turned((self.sod, self.source_y, 0)) + rise
-        plain = (self.source_y, self.panel_y, self.panel_z) == (0, 0, 0) and self.axis == (0, 0, 1)
-        kind = "helical" if np.ptp(rise[:, 2]) > 0 else "circular" if plain or self.axis == (0, 0, 1) else "free"
+        kind = "helical" if np.ptp(rise[:, 2]) > 0 else "circular" if self.axis == (0, 0, 1) else "free"
         return Geometry(source, center, *steps, self.panel, radians, kind)
 
     def with_axis_at(self, column: float | None) -> "Turntable":
@@ -81,7 +80,8 @@ class Turntable:
 
         Parameters
         ----------
-        column : the column, counted from 0, pixel centres are integers; None leaves the panel where it is
+        column : the column in the order of the panel, counted from 0, pixel centres are integers; None leaves the panel
+            where it is
 
         Returns
         -------
@@ -90,7 +90,24 @@ class Turntable:
         if column is None:
             return self
         middle = (self.panel.columns - 1) / 2
-        return replace(self, panel_y=(middle - column) * self.panel.column_pitch)
+        return replace(self, source_y=0.0, panel_y=(middle - column) * self.panel.column_pitch)
+
+
+def stated_axis(stated: Stated, columns: int, reverse: bool = False) -> float | None:
+    """Return the column of the axis, which a user states as it is stored, in the order of the panel.
+
+    Parameters
+    ----------
+    stated : facts that the user states
+    columns : of the panel
+    reverse : whether the format stores columns in the opposite order
+
+    Returns
+    -------
+    the column; None where it is not stated
+    """
+    column = stated.axis_column
+    return column if column is None or stated.mirror == reverse else columns - 1 - column
 
 
 def turning(angles: Float[np.ndarray, " view"], stated: Stated) -> Float[np.ndarray, " view"]:
