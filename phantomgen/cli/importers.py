@@ -157,8 +157,11 @@ def _import_scan(name: str, paths: tuple[Path, ...], out: Path, overwrite: bool,
     from phantomgen.importers.scans.finish import Wanted, write_raw_scan
     from phantomgen.importers.scans.stated import Stated
     from phantomgen.runtime.outputs import check_output
+    from spectra.errors import InputError
 
     check_dataset_name(out)
+    if out.is_file() and any(path.exists() and path.samefile(out) for path in paths):
+        raise InputError(f"the output {out} is the scan itself: choose another name by --out")
     check_output(out, overwrite)
     pitch = options["pitch"]
     if pitch is not None and (len(pitch) > 2 or min(pitch) <= 0):

@@ -43,9 +43,8 @@ def read(paths: Sequence[Path], stated: Stated) -> RawScan:
         raise InputError(f"{path}: there are no images {prefix}0000.tif beside it")
     stack = tiff_stack(files, shape)
     views = keys.count("Number of Files")
-    if len(stack) not in (views, views + 1, views - 1):  # one more is taken at the end, to see whether the sample moved
+    if len(stack) not in (views, views + 1):  # one more may be taken at the end, to see whether the sample moved
         raise InputError(f"{path}: Number of Files is {views}, and there are {len(stack)} images")
-    views = min(views, len(stack))
     stated = stated.completed(_found(keys))
     step = keys.number("Rotation Step (deg)")
     # The sample turns by an angle as the source turns by its opposite.

@@ -28,7 +28,7 @@ from phantomgen.importers.scans.raw_scan import Image, RawScan
 from phantomgen.importers.scans.stated import Stated
 from spectra.errors import InputError, NotInstalledError
 
-_KINDS = {"FL": "<f4", "FD": "<f8", "US": "<u2", "SS": "<i2"}
+_KINDS = {"FL": "<f4", "US": "<u2"}
 _TAGS = {  # name: tag, kind of number
     "rows": ((0x7029, 0x1010), "US"),
     "columns": ((0x7029, 0x1011), "US"),
@@ -42,6 +42,7 @@ _TAGS = {  # name: tag, kind of number
 }
 _SHIFTS = {"dphi": (0x7033, 0x100B), "dz": (0x7033, 0x100C), "drho": (0x7033, 0x100D)}
 _SHAPE, _PHOTONS, _SPECTRUM = (0x7029, 0x100B), (0x7033, 0x1065), (0x7033, 0x1063)
+_PUBLIC = {"kvp": (0x0018, 0x0060), "instance": (0x0020, 0x0013)}
 _SHAPES = ("CYLINDRICAL", "FLAT")
 _MOST = 4096  # rows or columns of a detector that are believed
 
@@ -214,9 +215,18 @@ def _opened(path: Path, pixels: bool) -> Any:
         raise InputError(f"{path} cannot be read: it is no DICOM file, or cut off") from None
 
 
+def _values(path: Path, data: Any) -> dict[Any, Any]:
+    """Values of the tags that are read; pydicom decodes them when they are asked for."""
+    wanted = [*(tag for tag, _ in _TAGS.values()), *_SHIFTS.values(), _SHAPE, _PHOTONS, _SPECTRUM, *_PUBLIC.values()]
+    try:
+        return {tag: data[tag].value for tag in wanted if tag in data}
+    except Exception:
+        raise InputError(f"{path} cannot be read: a tag is damaged or cut off") from None
+
+
 def _view(path: Path) -> _View:
     """Read what a file says but for its image."""
-    data = _opened(path, pixels=False)
+    data = _values(path, _opened(path, pixels=False))
     numbers = {name: _numbers(path, data, tag, kind, name) for name, (tag, kind) in _TAGS.items()}
     numbers |= {
         name: _numbers(path, data, tag, "FL", name) if tag in data else np.zeros(1) for name, tag in _SHIFTS.items()
@@ -233,19 +243,19 @@ def _view(path: Path) -> _View:
         raise InputError(f"{path}: DetectorShape is {shape}, and only {' and '.join(_SHAPES)} are read")
     photons = _numbers(path, data, _PHOTONS, "FL", "PhotonStatistics").mean() if _PHOTONS in data else None
     spectrum = int(_numbers(path, data, _SPECTRUM, "US", "SpectrumIndex")[0]) if _SPECTRUM in data else 1
-    kvp = data.get("KVP")
-    order = int(data.get("InstanceNumber") or 0)
-    return _View(path, numbers, shape, None if photons is None else float(photons), spectrum, order, float(kvp) if kvp else None)
+    kvp, order = (_numbers(path, data, tag, "DS", name)[0] if data.get(tag) else None for name, tag in _PUBLIC.items())
+    mean = None if photons is None else float(photons)
+    return _View(path, numbers, shape, mean, spectrum, int(order or 0), None if kvp is None else float(kvp))
 
 
-def _numbers(path: Path, data: Any, tag: tuple[int, int], kind: str, name: str) -> Float[np.ndarray, " n"]:
+def _numbers(path: Path, data: dict[Any, Any], tag: tuple[int, int], kind: str, name: str) -> Float[np.ndarray, " n"]:
     """Numbers of a private tag, which pydicom gives as bytes where it does not know their kind."""
     if tag not in data:
         raise InputError(f"{path}: the tag ({tag[0]:04X},{tag[1]:04X}), {name}, is missing")
-    value = data[tag].value
+    value = data[tag]
     try:
         if isinstance(value, bytes):
-            value = np.frombuffer(value, _KINDS[kind])
+            value = np.frombuffer(value, _KINDS.get(kind, "<f4"))
         numbers = np.ravel(np.asarray(value, dtype=np.float64))
     except (ValueError, TypeError, struct.error):
         numbers = np.empty(0)
@@ -254,8 +264,8 @@ def _numbers(path: Path, data: Any, tag: tuple[int, int], kind: str, name: str) 
     return numbers
 
 
-def _text(data: Any, tag: tuple[int, int]) -> str:
-    value = data[tag].value if tag in data else ""
+def _text(data: dict[Any, Any], tag: tuple[int, int]) -> str:
+    value = data.get(tag, "")
     return (value.decode(errors="replace") if isinstance(value, bytes) else str(value)).strip("\0 ")
 
 

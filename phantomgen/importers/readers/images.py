@@ -65,23 +65,24 @@ def tiff_stack(paths: Sequence[Path], shape: tuple[int, int] | None = None) -> S
         When a file is missing, no TIFF, cut off, or holds images of another shape.
     """
     images: list[Callable[[], Image]] = []
+    like = "" if shape is not None or not paths else f" like {paths[0].name}"
     for path in paths:
         pages, found = _pages(path)
         shape = shape or found
         if found != shape:
-            raise InputError(f"{path} has {_size(found)} pixels, expected {_size(shape)}")
+            raise InputError(f"{path} has {_size(found)} pixels, expected {_size(shape)}{like}")
         images += [partial(_read, path, page, shape) for page in range(pages)]
     if shape is None:
         raise InputError("there are no images")
     return Stack(shape, tuple(images))
 
 
-def tiffs_like(folder: Path, pattern: str) -> list[Path]:
+def tiffs_like(settings: Path, pattern: str) -> list[Path]:
     """Return the TIFF files of a pattern in the order of their names.
 
     Parameters
     ----------
-    folder : where the pattern starts
+    settings : file that names the pattern, which starts in its folder
     pattern : such as ``low/view_*.tif``
 
     Returns
@@ -93,9 +94,12 @@ def tiffs_like(folder: Path, pattern: str) -> list[Path]:
     InputError
         When there are none.
     """
-    found = sorted(path for path in folder.glob(pattern) if path.suffix.lower() in _SUFFIXES)
+    try:
+        found = sorted(path for path in settings.parent.glob(pattern) if path.suffix.lower() in _SUFFIXES)
+    except (ValueError, NotImplementedError):
+        raise InputError(f"{settings}: {pattern!r} is no pattern of files in the folder") from None
     if not found:
-        raise InputError(f"{folder} has no TIFF file {pattern}")
+        raise InputError(f"{settings}: there is no TIFF file {pattern}")
     return found
 
 
@@ -110,12 +114,20 @@ def numbered_tiffs(folder: Path, name: str) -> list[Path]:
     Returns
     -------
     the files; an empty list where there are none
+
+    Raises
+    ------
+    InputError
+        When a number between the first and the last is missing.
     """
     found = {}
     for path in folder.iterdir() if folder.is_dir() else ():
         number = path.stem[len(name) :]
         if path.stem.startswith(name) and number.isdigit() and path.suffix.lower() in _SUFFIXES:
             found[int(number)] = path
+    missing = sorted(set(range(min(found, default=0), max(found, default=0))) - set(found))
+    if missing:
+        raise InputError(f"{folder}: of the images {name}*, number {missing[0]} is missing")
     return [found[number] for number in sorted(found)]
 
 

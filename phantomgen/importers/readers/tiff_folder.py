@@ -118,7 +118,7 @@ def _checked(path: Path) -> _File:
 
 def _stacks(path: Path, pattern: str, channels: Sequence[str], shape: tuple[int, int]) -> list[Stack]:
     """Images of each channel."""
-    return [tiff_stack(tiffs_like(path.parent, pattern.replace(_CHANNEL, name)), shape) for name in channels]
+    return [tiff_stack(tiffs_like(path, pattern.replace(_CHANNEL, name)), shape) for name in channels]
 
 
 def _frames(stacks: list[Stack] | None) -> Frames | None:

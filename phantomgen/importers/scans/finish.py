@@ -134,6 +134,7 @@ class _Finished:
     def check(self) -> None:
         """Refuse what does not fit, before anything is written."""
         raw, wanted, panel = self.raw, self.wanted, self.raw.geometry.panel
+        self._raw_image(0)  # sizes that a file states are believed when an image has them
         check_bin(panel.rows, panel.columns, wanted.bin)
         if not 1 <= wanted.every <= self._train:
             raise InputError(f"--every {wanted.every} leaves no view: {raw.path} has {self._train}")
