@@ -3,8 +3,8 @@
     pip install axitom
     python docs/development/draw_import.py
 
-The package axitom (PyPI, MIT licence) brings one radiogram of a notched tensile specimen, a body of revolution, with its .xtekct
-file, and what the software of the scanner made of all 3142 views.
+The package axitom (PyPI, MIT licence) brings one radiogram of a notched tensile specimen, a body of revolution, with its
+.xtekct file, and what other software made of all 3142 views.
 """
 
 import subprocess
@@ -49,7 +49,9 @@ def main() -> None:
         edges = (x[0], x[-1], z[0], z[-1])
         axes[1].imshow(volume[:, middle], cmap="gray", vmin=0, vmax=0.045, extent=edges, origin="lower")
         high = OTHER_VOXEL * other.shape[0] / 2
-        axes[2].imshow(other, cmap="gray", vmin=0, vmax=0.045 / 1.46e-6, extent=(-reach, reach, -high, high), origin="lower")
+        axes[2].imshow(
+            other, cmap="gray", vmin=0, vmax=0.045 / 1.46e-6, extent=(-reach, reach, -high, high), origin="lower"
+        )
         titles = "radiogram, -log", "this program, FDK, one radiogram", "other software, 3142 views"
         for axis, title in zip(axes, titles, strict=True):
             axis.set_title(title, fontsize=8)

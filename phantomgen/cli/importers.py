@@ -97,7 +97,7 @@ _STATED = (
     click.option("--energy", type=float, metavar="KEV", help="Energy of a monochromatic beam."),
     click.option("--spectrum", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE",
                  help="Spectrum: a table of energy [keV] and photons per bin."),
-    click.option("--thresholds", type=Numbers(), metavar="KEV,...", help="Lower limit of each photon-counting channel."),
+    click.option("--thresholds", type=Numbers(), metavar="KEV,...", help="Lower limits of photon-counting channels."),
     click.option("--sensor", default="1.6 mm CdTe", help="Sensor of the counters [default: 1.6 mm CdTe]."),
     click.option("--scintillator", metavar="NAME", help="Scintillator that adds energies: CsI, GOS, '0.6 mm CsI'."),
     click.option("--photons", type=float, metavar="N", help="Photons per pixel and view in the open beam."),
@@ -112,7 +112,7 @@ _STATED = (
 )  # fmt: skip
 _WANTED = (
     click.option("--basis", type=Names(), default=(), metavar="NAME,...",
-                 help="photoelectric, compton, K-edge elements such as I, materials; one channel: one [default: water]."),
+                 help="photoelectric, compton, K-edge elements such as I, or materials [default: the first two, or water]."),
     click.option("--air", metavar="ROWS,COLUMNS", help="Part of the panel that sees air in every view: 0:16,0:256."),
     click.option("--cumulative", is_flag=True, help="A channel counts all photons above its threshold."),
     click.option("--bin", type=click.IntRange(min=1), default=1, metavar="N", help="Sum N x N pixels."),
@@ -126,12 +126,14 @@ _WANTED = (
 def _scan_command(name: str, argument: str, examples: tuple[str, ...], text: str, several: bool = False) -> None:
     """Add the command of a format."""
 
-    def command(paths: Any, out: Path, overwrite: bool, as_json: bool, quiet: bool, **options: Any) -> None:
-        _import_scan(name, paths if several else (paths,), out, overwrite, as_json=as_json, quiet=quiet, **options)
+    def command(paths: Any, **options: Any) -> None:
+        _import_scan(name, paths if several else (paths,), **options)
 
     command.__doc__ = text
     decorators: list[Callable] = [
-        click.argument("paths", metavar=argument, nargs=-1 if several else 1, required=True, type=click.Path(path_type=Path)),
+        click.argument(
+            "paths", metavar=argument, nargs=-1 if several else 1, required=True, type=click.Path(path_type=Path)
+        ),
         click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="The dataset to write."),
         *_STATED,
         *_WANTED,
@@ -147,46 +149,25 @@ def _scan_command(name: str, argument: str, examples: tuple[str, ...], text: str
     import_.command(name, epilog=f"\b\nExamples:\n{lines}")(command)
 
 
-def _import_scan(name: str, paths: tuple[Path, ...], out: Path, overwrite: bool, **options: Any) -> None:
+def _import_scan(name: str, paths: tuple[Path, ...], out: Path, as_json: bool, quiet: bool, **options: Any) -> None:
     """Read a scan, write its dataset, and say what was done."""
-    from dataclasses import fields, replace
+    from tqdm import tqdm
 
     from phantomgen.dataset.reader import parse_region
-    from phantomgen.dataset.writing.writer import check_dataset_name
-    from phantomgen.importers.formats import read_scan
-    from phantomgen.importers.scans.finish import Wanted, write_raw_scan
-    from phantomgen.importers.scans.stated import Stated
-    from phantomgen.runtime.outputs import check_output
-    from spectra.errors import InputError
+    from phantomgen.importers.formats import import_scan
 
-    check_dataset_name(out)
-    if out.is_file() and any(path.exists() and path.samefile(out) for path in paths):
-        raise InputError(f"the output {out} is the scan itself: choose another name by --out")
-    check_output(out, overwrite)
     pitch = options["pitch"]
     if pitch is not None and (len(pitch) > 2 or min(pitch) <= 0):
         raise click.UsageError("--pitch needs one positive number, or two: between rows, between columns")
     options["pitch"] = None if pitch is None else (pitch[0], pitch[-1])
     options["air"] = None if options["air"] is None else parse_region(options["air"])
-    stated = Stated(**{field.name: options[field.name] for field in fields(Stated)})
-    wanted = Wanted(**{field.name: options[field.name] for field in fields(Wanted)})
-    raw = read_scan(name, paths, stated)
-    if options["title"]:
-        raw = replace(raw, title=options["title"])
-    from tqdm import tqdm
-
-    shown = not (options["quiet"] or options["as_json"]) and sys.stderr.isatty()
-    with tqdm(total=len(raw.geometry), desc="views", unit="", leave=False, disable=not shown, delay=2.0) as bar:
-        done = write_raw_scan(raw, out, wanted, overwrite, bar.update)
-    found = {
-        "file": str(out),
-        "shape": list(done.shape),
-        "channels": list(raw.channels),
-        "grid": {"shape": list(done.grid.shape), "spacing": list(done.grid.spacing), "origin": list(done.grid.origin)},
-        "notes": list(done.notes),
-    }
-    if options["as_json"]:
-        click.echo(json.dumps(found))
+    shown = not (quiet or as_json) and sys.stderr.isatty()
+    with tqdm(desc="views", unit="", leave=False, disable=not shown, delay=2.0) as bar:
+        done = import_scan(name, paths, out, on_view=bar.update, **options)
+    grid = {"shape": list(done.grid.shape), "spacing": list(done.grid.spacing), "origin": list(done.grid.origin)}
+    if as_json:
+        found = {"file": str(out), "shape": list(done.shape), "channels": list(done.channels), "grid": grid}
+        click.echo(json.dumps({**found, "notes": list(done.notes)}))
         return
     views, channels, rows, columns = done.shape
     voxels = f"{' x '.join(map(str, done.grid.shape))} voxels of {done.grid.spacing[0]:.4g} mm"
@@ -202,9 +183,9 @@ _scan_command(
     ("scan.yaml -o scan.h5", "scan.yaml -o scan.h5 --kvp 120 --filter '2.5 mm Al' --thresholds 20,50"),
     """Write a dataset from TIFF files and FILE.yaml, which says where the views are and what the images hold.
 
-    The file has the keys `geometry` and `panel` of scene files, `values` (counts, readings or line-integrals), `views`, `flats` and
-    `darks` (patterns such as {channel}/view_*.tif), `channels`, `exposure`, and `beam` with kvp, filter, energy,
-    spectrum, thresholds, scintillator and photons.
+    The file has the keys `geometry` and `panel` of scene files, `values` (counts, readings or line-integrals),
+    `views`, `flats` and `darks` (patterns such as {channel}/view_*.tif), `channels`, `exposure`, and `beam` with kvp,
+    filter, energy, spectrum, thresholds, scintillator and photons.
     """,
 )
 _scan_command(
@@ -216,8 +197,8 @@ _scan_command(
     ),
     """Write a dataset from NXtomo FILEs: flats, projections and darks by image_key, angles, distances, z_translation.
 
-    Channels are files, entries of a file, or the second axis of a stack. Values are counts unless --photons or --scintillator
-    says that they are readings. Without distances, the beam is parallel.
+    Channels are files, entries of a file, or the second axis of a stack. Values are counts unless --photons or
+    --scintillator says that they are readings. Without distances, the beam is parallel.
     """,
     several=True,
 )
@@ -230,8 +211,8 @@ _scan_command(
     ),
     """Write a dataset from Data Exchange FILEs of a parallel beam, as TomoPy's dxchange reads them.
 
-    Channels are files, or groups exchange, exchange1, ... of a file. Values are counts unless --photons or --scintillator says
-    that they are readings.
+    Channels are files, or groups exchange, exchange1, ... of a file. Values are counts unless --photons or
+    --scintillator says that they are readings.
     """,
     several=True,
 )
@@ -244,8 +225,8 @@ _scan_command(
     ),
     """Write a dataset from FILE.xtekct of a Nikon scanner and the TIFF or raw files beside it.
 
-    Distances, pixels, axis, angles, voltage and filter are those of the file. Readings are divided by WhiteLevel (--white) and scaled
-    to --photons. A single radiogram stands for all views of a body of revolution.
+    Distances, pixels, axis, angles, voltage and filter are those of the file. Readings are divided by WhiteLevel
+    (--white) and scaled to --photons. A single radiogram stands for all views of a body of revolution.
     """,
 )
 _scan_command(
@@ -254,8 +235,8 @@ _scan_command(
     ("20200805_pine_cone.txt -o cone.h5 --filter '0.5 mm Cu' --photons 20000 --white 60000 --bin 4",),
     """Write a dataset from FILE.txt of a set of FIPS or Helsinki and the TIFF files beside it.
 
-    The format has no flats: --white or --air state the reading in the open beam. It does not say which way the sample turns:
-    add --reverse if the volume is blurred.
+    The format has no flats: --white or --air state the reading in the open beam. It does not say which way the sample
+    turns: add --reverse if the volume is blurred.
     """,
 )
 _scan_command(
@@ -270,16 +251,20 @@ _scan_command(
 _scan_command(
     "dicom-ct-pd",
     "FOLDER...",
-    ("L067 -o L067.h5 --kvp 120 --filter '6 mm Al'", "low high -o scan.h5 --kvp 120 --filter '6 mm Al' --thresholds 25,65"),
+    (
+        "L067 -o L067.h5 --kvp 120 --filter '6 mm Al'",
+        "low high -o scan.h5 --kvp 120 --filter '6 mm Al' --thresholds 25,65",
+    ),
     """Write a dataset from FOLDERs of DICOM-CT-PD files, one per view, of a helical or circular scan.
 
-    Views of a curved detector are resampled to a flat panel. Log projections become counts of --photons, or of PhotonStatistics
-    where the files have it. Needs pydicom: pip install 'spectral-ct[dicom]'.
+    Views of a curved detector are resampled to a flat panel. Log projections become counts of --photons, or of
+    PhotonStatistics where the files have it. Needs pydicom: pip install 'spectral-ct[dicom]'.
     """,
     several=True,
 )
 _LOGS = """
-    Log projections become counts of --photons incident photons per pixel. Voxels and test views are those of the format.
+    Log projections become counts of --photons incident photons per pixel. Voxels and test views are those of the
+    format.
     """
 _scan_command(
     "r2",

@@ -97,7 +97,11 @@ def describe_text(info: dict[str, Any]) -> str:
         *_material_lines(info["materials"]),
         f"NXtomo     {', '.join(info['nxtomo']) or _why_no_nxtomo(info)}",
         f"made by    {info['made_by']}",
-        *(f"{_DONE.get(step['step'], step['step']):<10} {phrase}" for step in info["history"] for phrase in step["done"]),
+        *(
+            f"{_DONE.get(step['step'], step['step']):<10} {phrase}"
+            for step in info["history"]
+            for phrase in step["done"]
+        ),
     ]
     return "\n".join(lines)
 

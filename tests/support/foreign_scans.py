@@ -26,7 +26,9 @@ def chord(origin: np.ndarray, direction: np.ndarray, center: np.ndarray = CENTER
     return 2 * MU * np.sqrt(np.maximum(RADIUS**2 - square, 0.0))
 
 
-def view(angle: float, panel_u: float = 0.0, source_u: float = 0.0, parallel: bool = False, z: float = 0.0) -> np.ndarray:
+def view(
+    angle: float, panel_u: float = 0.0, source_u: float = 0.0, parallel: bool = False, z: float = 0.0
+) -> np.ndarray:
     """Line integrals (row, column) with the source at an angle [degree], columns counting that way, rows downwards."""
     a = np.deg2rad(angle)
     radial, tangent = np.array([np.cos(a), np.sin(a), 0.0]), np.array([-np.sin(a), np.cos(a), 0.0])

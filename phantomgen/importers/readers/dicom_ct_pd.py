@@ -149,7 +149,9 @@ class _Detector(NamedTuple):
             return cls(Panel(rows, columns, pitch), (float(middle[0]), float(middle[1])), sdd, None)
         fan = (np.array([0, columns - 1]) - column0) * pitch[1] / sdd
         if np.abs(fan).max() > 1.4:
-            raise InputError(f"{view.path}: the fan of {np.rad2deg(np.abs(fan).max()):.0f} degrees is no fan of a scanner")
+            raise InputError(
+                f"{view.path}: the fan of {np.rad2deg(np.abs(fan).max()):.0f} degrees is no fan of a scanner"
+            )
         ends = sdd * np.tan(fan)
         count = int((ends[1] - ends[0]) // pitch[1]) + 1
         x = (ends[0] + ends[1]) / 2 + (np.arange(count) - (count - 1) / 2) * pitch[1]
@@ -175,9 +177,7 @@ def _geometry(views: Sequence[_View], detector: _Detector, stated: Stated) -> Ge
     if stated.reverse:
         phi, dphi = -phi, -dphi
     zero, one = np.zeros_like(phi), np.ones_like(phi)
-    source = np.stack(
-        [-(rho + drho) * np.sin(phi + dphi), (rho + drho) * np.cos(phi + dphi), z + dz], axis=1
-    )
+    source = np.stack([-(rho + drho) * np.sin(phi + dphi), (rho + drho) * np.cos(phi + dphi), z + dz], axis=1)
     focus = np.stack([-rho * np.sin(phi), rho * np.cos(phi), z], axis=1)
     ray = np.stack([np.sin(phi), -np.cos(phi), zero], axis=1)
     along, down = np.stack([-np.cos(phi), -np.sin(phi), zero], axis=1), np.stack([zero, zero, -one], axis=1)
@@ -234,7 +234,9 @@ def _view(path: Path) -> _View:
     if len(numbers["central"]) != 2:
         raise InputError(f"{path}: DetectorCentralElement must be two numbers")
     if max(numbers["rows"][0], numbers["columns"][0]) > _MOST or min(numbers["rows"][0], numbers["columns"][0]) < 1:
-        raise InputError(f"{path}: a detector of {numbers['rows'][0]:g} x {numbers['columns'][0]:g} is not to be believed")
+        raise InputError(
+            f"{path}: a detector of {numbers['rows'][0]:g} x {numbers['columns'][0]:g} is not to be believed"
+        )
     for name in ("column_pitch", "row_pitch", "sdd", "rho"):
         if not numbers[name][0] > 0:
             raise InputError(f"{path}: {name} must be positive, got {numbers[name][0]:g}")
@@ -282,5 +284,3 @@ def _pixels(path: Path, rows: int, columns: int) -> Float[np.ndarray, "row colum
     if image.shape != (rows, columns):
         raise InputError(f"{path} has {image.shape} pixels, its tags say ({rows}, {columns})")
     return image
-
-

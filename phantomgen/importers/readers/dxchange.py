@@ -80,7 +80,9 @@ def read(paths: Sequence[Path], stated: Stated) -> RawScan:
         flats=None if white is None else in_order(white, stated),
         darks=None if dark is None else in_order(dark, stated),
         notes=("the beam is parallel, as this format says",)
-        + (() if not counted or stacks[0].dtype.kind in "iu" else ("values that are no integers were taken as counts",)),
+        + (
+            () if not counted or stacks[0].dtype.kind in "iu" else ("values that are no integers were taken as counts",)
+        ),
     )
 
 

@@ -55,7 +55,9 @@ def read(paths: Sequence[Path], stated: Stated) -> RawScan:
             f"{path}: {views} images from AngleFirst {first:g} in steps of {step:g} do not end at AngleLast {last:g}"
         )
     panel = Panel(*stack.shape, stated.pitch or 0.0)
-    table = Turntable(float(stated.sod or 0.0), float(stated.sdd or 0.0), panel).with_axis_at(stated_axis(stated, panel.columns))
+    table = Turntable(float(stated.sod or 0.0), float(stated.sdd or 0.0), panel).with_axis_at(
+        stated_axis(stated, panel.columns)
+    )
 
     def image(view: int) -> Image:
         return stack[view][None]

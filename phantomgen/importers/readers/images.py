@@ -1,6 +1,7 @@
 """Images in TIFF files and raw files, read one by one; what a header says is checked against the size of its file."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -173,7 +174,9 @@ def _pages(path: Path) -> tuple[int, tuple[int, int]]:
         need, size = int(np.prod(shape, dtype=np.int64)) * series.dtype.itemsize, path.stat().st_size
         compressed = int(file.pages[0].compression) != 1  # type: ignore[union-attr]
         if need > size * (_MOST_COMPRESSED if compressed else 1):
-            raise InputError(f"{path} is cut off: it declares {_size(shape)} pixels, {need} bytes, and has {size} bytes")
+            raise InputError(
+                f"{path} is cut off: it declares {_size(shape)} pixels, {need} bytes, and has {size} bytes"
+            )
         return (1 if len(shape) == 2 else shape[0]), (shape[-2], shape[-1])
 
 
@@ -186,26 +189,18 @@ def _read(path: Path, page: int, shape: tuple[int, int]) -> Image:
     return np.asarray(image)
 
 
-class _opened:
-    """An open TIFF file; whatever tifffile makes of a damaged one becomes a sentence."""
-
-    def __init__(self, path: Path) -> None:
-        self.path, self.file = path, None
-
-    def __enter__(self) -> tifffile.TiffFile:
-        if not self.path.is_file():
-            raise InputError(f"there is no file {self.path}")
-        try:
-            self.file = tifffile.TiffFile(self.path)
-        except Exception:
-            raise InputError(f"{self.path} cannot be read: it is no TIFF file, or cut off") from None
-        return self.file
-
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
-        if self.file is not None:
-            self.file.close()
-        if isinstance(error, Exception) and not isinstance(error, InputError):
-            raise InputError(f"{self.path} cannot be read: it is damaged or cut off") from None
+@contextmanager
+def _opened(path: Path) -> Iterator[tifffile.TiffFile]:
+    """Open a TIFF file; whatever tifffile makes of a damaged one becomes a sentence."""
+    if not path.is_file():
+        raise InputError(f"there is no file {path}")
+    try:
+        with tifffile.TiffFile(path) as file:
+            yield file
+    except InputError:
+        raise
+    except Exception:
+        raise InputError(f"{path} cannot be read: it is no TIFF file, damaged or cut off") from None
 
 
 def _size(shape: Any) -> str:

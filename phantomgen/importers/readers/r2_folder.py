@@ -95,5 +95,7 @@ def _image(path: Path, shape: tuple[int, int]) -> Shaped[np.ndarray, "row column
     except (OSError, ValueError, EOFError):
         raise InputError(f"{path} cannot be read: it is no array of numpy, or cut off") from None
     if not isinstance(image, np.ndarray) or image.shape != shape or image.dtype.kind not in "uif":
-        raise InputError(f"{path} holds {getattr(image, 'dtype', 'nothing')} of shape {np.shape(image)}, expected {shape}")
+        raise InputError(
+            f"{path} holds {getattr(image, 'dtype', 'nothing')} of shape {np.shape(image)}, expected {shape}"
+        )
     return np.array(image)

@@ -37,9 +37,7 @@ class Turntable:
     panel_z: float = 0.0
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
-    def views(
-        self, angles: Float[np.ndarray, " view"], z: Float[np.ndarray, " view"] | float = 0.0
-    ) -> Geometry:
+    def views(self, angles: Float[np.ndarray, " view"], z: Float[np.ndarray, " view"] | float = 0.0) -> Geometry:
         """Create the poses of all views.
 
         Parameters

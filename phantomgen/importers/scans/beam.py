@@ -29,8 +29,8 @@ def spectra_of(stated: Stated, channels: Sequence[str], basis: Sequence[str] = (
     ----------
     stated : spectrum, filters and detector
     channels : names of the channels of the scan
-    basis : names of basis functions: ``photoelectric``, ``compton``, an element with a K edge, or a material; where left
-        out, the first two, or water where there is one channel
+    basis : names of basis functions: ``photoelectric``, ``compton``, an element with a K edge, or a material; where
+        left out, the first two, or water where there is one channel
 
     Returns
     -------

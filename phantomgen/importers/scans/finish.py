@@ -61,12 +61,14 @@ class Imported:
     ----------
     path : the dataset
     shape : views, channels, rows, columns
+    channels : names of the channels
     grid : voxels to reconstruct
     notes : sentences on what was taken to be so
     """
 
     path: Path
     shape: tuple[int, int, int, int]
+    channels: tuple[str, ...]
     grid: Grid
     notes: tuple[str, ...]
 
@@ -115,7 +117,7 @@ def write_raw_scan(
             _store(writer, arrays["data"], place, scan.image(int(view)))
             on_view()
         writer.finish(spectra)
-    return Imported(out, shape, scan.grid, (*scan.notes, *scan.clipped_notes))
+    return Imported(out, shape, raw.channels, scan.grid, (*scan.notes, *scan.clipped_notes))
 
 
 def _store(writer: DatasetWriter, array: Any, frame: int, image: Shaped[np.ndarray, "channel row column"]) -> None:
@@ -305,8 +307,13 @@ class _Finished:
     @property
     def is_integer(self) -> bool:
         """True where integer counts are written."""
-        kinds = [self._raw_image(0).dtype.kind, *(f.dtype.kind for f in (self.raw.flats, self.raw.darks) if f is not None)]
-        return not self._scales and set(kinds) <= {"i", "u"} and self.raw.stated.white is None and self.wanted.air is None
+        kinds = [
+            self._raw_image(0).dtype.kind,
+            *(f.dtype.kind for f in (self.raw.flats, self.raw.darks) if f is not None),
+        ]
+        return (
+            not self._scales and set(kinds) <= {"i", "u"} and self.raw.stated.white is None and self.wanted.air is None
+        )
 
     @cached_property
     def flats(self) -> Frames | None:
@@ -365,7 +372,9 @@ class _Finished:
         raw, blind, found = self.raw, int(np.count_nonzero(self.mask)), list(self.raw.notes)
         stated = raw.stated
         if raw.values == "line-integrals":
-            found.append(f"line integrals became mean counts of {stated.photons:g} photons per pixel, without noise of their own")
+            found.append(
+                f"line integrals became mean counts of {stated.photons:g} photons per pixel, without noise of their own"
+            )
         elif self._scales:
             found.append(f"readings were scaled so that the open beam is that of {stated.photons:g} photons per pixel")
         elif self.flats is None:

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from jaxtyping import Float, Shaped
-
 import numpy as np
+from jaxtyping import Float, Shaped
 
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid

@@ -1,4 +1,4 @@
-"""Facts about a scan that a user states, and those that a file states; what neither does is asked for in one sentence."""
+"""Facts about a scan that a user or a file states; what neither does is asked for in one sentence."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -38,7 +38,6 @@ def seen_grid(geometry: Geometry, voxels: int | None = None, size: float | None 
 
 def _field(geometry: Geometry) -> tuple[float, float, float, float]:
     """Radius that is seen, lowest and highest z that is seen at the axis, and a pixel's size there [mm]."""
-    panel = geometry.panel
     sides = [_at_axis(geometry, row, column) for row in (-0.5, 0.5) for column in (-0.5, 0.5)]
     radius = np.median(np.max([distance for distance, _ in sides], axis=0))
     heights = np.array([z for _, z in sides])
@@ -60,11 +59,7 @@ def _at_axis(
 ) -> tuple[Float[np.ndarray, " view"], Float[np.ndarray, " view"]]:
     """Distance from the axis, and z where it is nearest, of the ray to a point of the panel, -0.5 to 0.5 across it."""
     panel = geometry.panel
-    point = (
-        geometry.panel_center
-        + column * panel.columns * geometry.column_step
-        + row * panel.rows * geometry.row_step
-    )
+    point = geometry.panel_center + column * panel.columns * geometry.column_step + row * panel.rows * geometry.row_step
     direction = point - geometry.source if geometry.ray_direction is None else geometry.ray_direction
     across = np.einsum("vi,vi->v", direction[:, :2], direction[:, :2])
     distance = np.abs(point[:, 0] * direction[:, 1] - point[:, 1] * direction[:, 0]) / np.sqrt(across)

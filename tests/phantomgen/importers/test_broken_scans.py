@@ -20,7 +20,7 @@ from tests.support.tiny_scans import one_sentence
 def said(name: str, path: Path, *options: str) -> str:
     if name == "dicom-ct-pd":
         pytest.importorskip("pydicom")
-    before = {p for p in path.parent.rglob("*")}
+    before = set(path.parent.rglob("*"))
     out = path.parent / "out.h5"
     result = CliRunner().invoke(phantomgen, ["import", name, str(path), "-o", str(out), *FORMATS[name][1], *options])
     sentence = one_sentence(result)
@@ -216,7 +216,9 @@ def test_a_stack_that_declares_more_than_the_file_holds(name, tmp_path):
     path = FORMATS[name][0](tmp_path)
     with h5py.File(path, "a") as file:
         del file[f"{HDF5[name]}/data"]
-        file[HDF5[name]].create_dataset("data", (10**6, 10**5, 10**5), np.uint16, chunks=(1, 64, 64), compression="gzip")
+        file[HDF5[name]].create_dataset(
+            "data", (10**6, 10**5, 10**5), np.uint16, chunks=(1, 64, 64), compression="gzip"
+        )
     assert "cut off" in said(name, path)
 
 

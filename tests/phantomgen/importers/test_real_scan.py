@@ -31,8 +31,26 @@ def folder() -> Path:
 def test_a_radiogram_of_a_tensile_specimen_becomes_its_section(folder, tmp_path):
     """Half of the section, both averaged to voxels of 0.136 mm, up to the scale of the other software."""
     out, run = tmp_path / "scan.h5", tmp_path / "run"
-    options = "--white 0.985 --photons 20000 --axis-column 736.5 --bin 10 --every 52 --voxels 200 --size 27.2".split()
-    result = CliRunner().invoke(phantomgen, ["import", "nikon", str(folder / "radiogram.xtekct"), "-o", str(out), *options])
+    stated = "--white", "0.985", "--photons", "20000", "--axis-column", "736.5"
+    coarse = "--bin", "10", "--every", "52", "--voxels", "200", "--size", "27.2"
+        "--white",
+        "0.985",
+        "--photons",
+        "20000",
+        "--axis-column",
+        "736.5",
+        "--bin",
+        "10",
+        "--every",
+        "52",
+        "--voxels",
+        "200",
+        "--size",
+        "27.2",
+    ]
+    result = CliRunner().invoke(
+        phantomgen, ["import", "nikon", str(folder / "radiogram.xtekct"), "-o", str(out), *stated, *coarse]
+    )
     assert result.exit_code == 0, result.output
     with open_dataset(out) as dataset:
         assert dataset.counts.shape == (61, 1, 200, 150)

@@ -63,7 +63,9 @@ def test_every_ray_sees_the_ball_where_it_is(name, tmp_path):
 def test_an_imported_scan_is_reconstructed(name, tmp_path):
     path = written(name, tmp_path)
     imported(name, path, tmp_path / "out.h5", "--voxels", "14", "--size", "35").close()
-    result = CliRunner().invoke(recon, ["fit", str(tmp_path / "out.h5"), "--method", "cgls", "-o", str(tmp_path / "run")])
+    result = CliRunner().invoke(
+        recon, ["fit", str(tmp_path / "out.h5"), "--method", "cgls", "-o", str(tmp_path / "run")]
+    )
     assert result.exit_code == 0, result.output
     with h5py.File(tmp_path / "run" / "volumes.h5") as file:
         total = file["basis/data"][()].sum(axis=0)
@@ -141,7 +143,9 @@ def test_readings_become_signals_of_the_stated_photons(tmp_path):
         spectra = dataset.spectra
         assert spectra.units == "keV"
         assert spectra.source.sum() == pytest.approx(2e4)
-        np.testing.assert_allclose(dataset.flat, spectra.weights.sum(axis=1)[:, None, None] * np.ones_like(dataset.flat))
+        np.testing.assert_allclose(
+            dataset.flat, spectra.weights.sum(axis=1)[:, None, None] * np.ones_like(dataset.flat)
+        )
 
 
 def test_pixels_are_summed_and_views_left_out(tmp_path):
@@ -233,7 +237,10 @@ def test_nikon_axis_beside_the_central_ray(tmp_path):
         found = point @ column / foreign.PITCH**2, point @ row / foreign.PITCH**2
     scale = foreign.SDD / (foreign.SOD + ball[1])
     # Columns are stored from right to left and turned round as they are read.
-    expected = ball[0] * scale / foreign.PITCH + (foreign.COLUMNS - 1) / 2, (foreign.ROWS - 1) / 2 - z * scale / foreign.PITCH
+    expected = (
+        ball[0] * scale / foreign.PITCH + (foreign.COLUMNS - 1) / 2,
+        (foreign.ROWS - 1) / 2 - z * scale / foreign.PITCH,
+    )
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
