@@ -101,7 +101,7 @@ def import_scan(
 
     Parameters
     ----------
-    name : of the format, as in `phantomgen import`: ``tiff``, ``nxtomo``, ``nikon``, ...
+    name : of the format, one of those of `phantomgen import`, such as ``nikon``
     paths : of the scan; several are channels, where the format has one file per channel
     out : name of the dataset
     overwrite : replace a file that exists

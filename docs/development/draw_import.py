@@ -3,8 +3,8 @@
     pip install axitom
     python docs/development/draw_import.py
 
-The package axitom (PyPI, MIT licence) brings one radiogram of a notched tensile specimen, a body of revolution, with its
-.xtekct file, and what other software made of all 3142 views.
+The package axitom (PyPI, MIT licence) brings one radiogram of a notched tensile specimen, a body of revolution, with
+its .xtekct file, and what other software made of all 3142 views.
 """
 
 import subprocess

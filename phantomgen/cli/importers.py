@@ -112,7 +112,7 @@ _STATED = (
 )  # fmt: skip
 _WANTED = (
     click.option("--basis", type=Names(), default=(), metavar="NAME,...",
-                 help="photoelectric, compton, K-edge elements such as I, or materials [default: the first two, or water]."),
+                 help="photoelectric, compton, K-edge elements, materials [default: the first two, or water]."),
     click.option("--air", metavar="ROWS,COLUMNS", help="Part of the panel that sees air in every view: 0:16,0:256."),
     click.option("--cumulative", is_flag=True, help="A channel counts all photons above its threshold."),
     click.option("--bin", type=click.IntRange(min=1), default=1, metavar="N", help="Sum N x N pixels."),

@@ -89,6 +89,7 @@ def import_scan(
     if out.is_file() and any(path.exists() and path.samefile(out) for path in paths):
         raise InputError(f"the output {out} is the scan itself: choose another name by --out")
     check_output(out, overwrite)
-    stated, wanted = (kind(**{key: options[key] for key in options if key in kinds[kind]}) for kind in (Stated, Wanted))
+    stated = Stated(**{key: value for key, value in options.items() if key in kinds[Stated]})
+    wanted = Wanted(**{key: value for key, value in options.items() if key in kinds[Wanted]})
     raw = read_scan(name, paths, stated)
     return write_raw_scan(replace(raw, title=title or raw.title), out, wanted, overwrite, on_view)

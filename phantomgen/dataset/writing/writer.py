@@ -257,8 +257,9 @@ class DatasetWriter:
         """
         process = self._write_program(f"process_{number}_{what}", number, f"phantomgen {what}", seed)
         if number == 1:
-            del process.parent["start_time"]
-            process.parent["start_time"] = h5py.SoftLink(f"{process.name}/date")
+            entry = group_at(self.file, "entry")
+            del entry["start_time"]
+            entry["start_time"] = h5py.SoftLink(f"{process.name}/date")
         put(process, "done", np.array(done, dtype=object))
         put_note(process, "settings", settings, "application/json")
 

@@ -90,7 +90,8 @@ def _groups(path: Path) -> list[h5py.Group]:
     """Groups that hold a channel."""
     file = opened(path)
     with readable(path):
-        found = [file[name] for name in sorted(file) if _GROUP.match(name) and isinstance(file[name], h5py.Group)]
+        items = [file[name] for name in sorted(file) if _GROUP.match(name)]
+        found = [item for item in items if isinstance(item, h5py.Group)]
     if not found:
         raise InputError(f"{path} has no group exchange: it is no Data Exchange file")
     return [group for group in found if "data" in group] or found[:1]

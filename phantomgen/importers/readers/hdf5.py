@@ -154,7 +154,7 @@ def numbers_of(array: h5py.Dataset, kind: str, default: str) -> Float[np.ndarray
         When they are no finite numbers, or of an unknown unit.
     """
     place = f"{array.file.filename}: {array.name}"
-    if array.dtype.kind not in "uif" or array.size > 10_000_000:
+    if array.dtype.kind not in "uif" or int(array.size or 0) > 10_000_000:
         raise InputError(f"{place} must hold numbers, got {array.dtype} of shape {array.shape}")
     with readable(Path(array.file.filename)):
         values = np.ravel(np.asarray(array[()], dtype=np.float64))

@@ -167,9 +167,9 @@ def _pages(path: Path) -> tuple[int, tuple[int, int]]:
     """Number of images in a file, and their shape; the shape is believed only if the file can hold it."""
     with _opened(path) as file:
         series = file.series[0] if file.series else None
-        shape = () if series is None else tuple(int(n) for n in series.shape)
+        shape = [] if series is None else [int(n) for n in series.shape]
         if series is None or len(shape) not in (2, 3) or series.dtype is None or series.dtype.kind not in "uif":
-            kind = "nothing" if series is None else f"{series.dtype} of shape {shape}"
+            kind = "nothing" if series is None else f"{series.dtype} of shape {tuple(shape)}"
             raise InputError(f"{path} holds {kind}, expected grey values (row, column) or a stack of them")
         need, size = int(np.prod(shape, dtype=np.int64)) * series.dtype.itemsize, path.stat().st_size
         compressed = int(file.pages[0].compression) != 1  # type: ignore[union-attr]

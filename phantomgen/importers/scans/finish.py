@@ -107,9 +107,8 @@ def write_raw_scan(
         writer.write_mask(spectra.channels, mask if mask.any() else None)
         writer.write_step("import", 1, 0, scan.notes, json.dumps(_settings(raw, wanted), default=str))
         frames = {"flat": scan.flats, "dark": scan.darks}
-        arrays = writer.new_counts(
-            shape, *(0 if f is None else len(f) for f in frames.values()), scan.is_integer, spectra.units
-        )
+        flats, darks = (0 if stack is None else len(stack) for stack in frames.values())
+        arrays = writer.new_counts(shape, flats, darks, scan.is_integer, spectra.units)
         for kind, stack in frames.items():
             for number, image in enumerate([] if stack is None else stack):
                 _store(writer, arrays[kind], number, image)
@@ -302,7 +301,7 @@ class _Finished:
         return binned_mask(np.where(self._blind(open_beam), np.uint32(DEAD), np.uint32(0)), self.wanted.bin)
 
     def _blind(self, open_beam: Float[np.ndarray, "channel row column"]) -> Bool[np.ndarray, "row column"]:
-        return ~(np.isfinite(open_beam) & (open_beam > 0)).all(axis=0)
+        return np.logical_not((np.isfinite(open_beam) & (open_beam > 0)).all(axis=0))
 
     @property
     def is_integer(self) -> bool:

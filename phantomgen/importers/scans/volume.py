@@ -33,7 +33,9 @@ def seen_grid(geometry: Geometry, voxels: int | None = None, size: float | None 
         spacing, slices = (high - low) / (2 * MOST), 2 * MOST
         count = max(1, ceil(extent / spacing - 1e-9))
     middle, half = (low + high) / 2, (count - 1) / 2 * spacing
-    return Grid((slices, count, count), (spacing,) * 3, (middle - (slices - 1) / 2 * spacing, -half, -half))
+    return Grid(
+        (slices, count, count), (spacing, spacing, spacing), (middle - (slices - 1) / 2 * spacing, -half, -half)
+    )
 
 
 def _field(geometry: Geometry) -> tuple[float, float, float, float]:

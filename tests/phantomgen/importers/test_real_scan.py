@@ -33,21 +33,6 @@ def test_a_radiogram_of_a_tensile_specimen_becomes_its_section(folder, tmp_path)
     out, run = tmp_path / "scan.h5", tmp_path / "run"
     stated = "--white", "0.985", "--photons", "20000", "--axis-column", "736.5"
     coarse = "--bin", "10", "--every", "52", "--voxels", "200", "--size", "27.2"
-        "--white",
-        "0.985",
-        "--photons",
-        "20000",
-        "--axis-column",
-        "736.5",
-        "--bin",
-        "10",
-        "--every",
-        "52",
-        "--voxels",
-        "200",
-        "--size",
-        "27.2",
-    ]
     result = CliRunner().invoke(
         phantomgen, ["import", "nikon", str(folder / "radiogram.xtekct"), "-o", str(out), *stated, *coarse]
     )
