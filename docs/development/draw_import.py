@@ -1,4 +1,4 @@
-"""The picture of `docs/howto/import.md`: a real scan by a Nikon scanner, imported and reconstructed.
+"""The picture of `docs/howto/import.md`: a real scan by a Nikon scanner, imported and reconstructed, and its numbers.
 
     pip install axitom
     python docs/development/draw_import.py
@@ -40,6 +40,7 @@ def main() -> None:
             volume = file["basis/data"][0]
             z, x = (file["grid/origin"][i] + file["grid/spacing"][i] * np.arange(volume.shape[i]) for i in (0, 2))
     half = tifffile.imread(data / "recon_by_external_software.tif").astype(float)
+    compare(volume, z, half)
     other = np.hstack([half[:, ::-1], half])
     reach = OTHER_VOXEL * half.shape[1]
     with figure_file(TARGET, (WIDTH, 3.0)) as figure:
@@ -59,6 +60,20 @@ def main() -> None:
         for axis in axes[1:]:
             axis.set(xlim=(-reach, reach), ylim=(-13, 13), xlabel="x [mm]")
         axes[1].set_ylabel("z [mm]")
+
+
+def compare(volume: np.ndarray, z: np.ndarray, half: np.ndarray) -> None:
+    """Print how well the sections agree, averaged to our voxels, over heights that they may be shifted by."""
+    middle, pixels = volume.shape[1] // 2, half.reshape(len(half), 40, 10).mean(axis=2)
+    sides = volume[:, :, middle : middle + 40], volume[:, :, middle - 40 : middle][:, :, ::-1]
+    ours = np.mean([side[:, y] for side in sides for y in (middle - 1, middle)], axis=0)[12:-12]
+    for shift in (-0.2, -0.1, 0.0, 0.1, 0.2):
+        rows = np.rint((z[12:-12] + shift) / OTHER_VOXEL + len(half) // 2).astype(int)
+        theirs = np.stack([pixels[row - 5 : row + 5].mean(axis=0) for row in rows])
+        scale, offset = np.polyfit(theirs.ravel(), ours.ravel(), 1)
+        apart = np.abs(scale * theirs + offset - ours).mean() / np.ptp(np.percentile(ours, [5, 95]))
+        alike = np.corrcoef(ours.ravel(), theirs.ravel())[0, 1]
+        print(f"shift {shift:+.1f} mm: correlation {alike:.4f}, mean difference {apart:.2%} of the range")
 
 
 def call(program: str, *arguments: object) -> None:
