@@ -249,6 +249,16 @@ _scan_command(
     """,
 )
 _scan_command(
+    "ctsimu",
+    "FILE_metadata.json",
+    ("projections/scan_metadata.json -o scan.h5 --photons 40000",),
+    """Write a dataset from FILE_metadata.json of CTSimU, the projections that it names, and their scenario.
+
+    Source, panel and stage stand as the scenario says, with the deviations and drifts that are known to the
+    reconstruction; the volume has the axes of the stage.
+    """,
+)
+_scan_command(
     "dicom-ct-pd",
     "FOLDER...",
     (

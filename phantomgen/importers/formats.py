@@ -21,6 +21,7 @@ FORMATS = {
     "nikon": "nikon",
     "fips": "fips",
     "bruker": "bruker",
+    "ctsimu": "ctsimu",
     "dicom-ct-pd": "dicom_ct_pd",
     "r2": "r2_folder",
     "naf": "naf_pickle",

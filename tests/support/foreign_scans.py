@@ -258,6 +258,69 @@ def write_dicom(folder: Path, shape: str = "CYLINDRICAL", transposed: bool = Fal
     return path
 
 
+def write_ctsimu(folder: Path) -> Path:
+    """CTSimU: a stage beside the beam that leans and rises, seen in the world, and what must not be known of it."""
+    name = "ball"
+
+    def vector(*values: float, unit: str | None = None) -> dict:
+        return {axis: {"value": value, "unit": unit} for axis, value in zip("xyz", values, strict=True)}
+
+    def part(center: dict, u: dict, w: dict, deviations: list) -> dict:
+        return {"center": center, "vector_u": u, "vector_w": w, "deviations": deviations}
+
+    across, along = vector(0, -1, 0), vector(1, 0, 0)
+    stage = vector(SOD, 1.5, 0, unit="mm")
+    stage["z"]["drifts"] = [{"value": [-0.3, 0.3], "unit": "cm"}, {"value": [0, 9], "known_to_reconstruction": False}]
+    lean = {"type": "rotation", "axis": "x", "amount": {"value": 10, "unit": "deg"}}
+    secret = {
+        "type": "translation",
+        "axis": "z",
+        "amount": {"value": 7, "unit": "mm"},
+        "known_to_reconstruction": False,
+    }
+    shift = {"type": "translation", "axis": "u", "amount": {"value": 2.5, "unit": "mm"}}
+    scenario = {
+        "file": {"name": name, "file_type": "CTSimU Scenario"},
+        "geometry": {
+            "source": {"type": "cone", **part(vector(0, 0, 0, unit="mm"), across, along, [])},
+            "detector": part(vector(SDD / 10, 0, 0, unit="cm"), across, along, [shift]),
+            "stage": part(stage, vector(1, 0, 0), vector(0, 0, 1), [lean, secret]),
+        },
+        "detector": {
+            "columns": {"value": COLUMNS}, "rows": {"value": ROWS},
+            "pixel_pitch": {axis: {"value": PITCH, "unit": "mm"} for axis in "uv"}, "gray_value": {"imin": {"value": DARK}},
+        },
+        "source": {"voltage": {"value": 60, "unit": "kV"}, "spectrum": {"monochromatic": True, "file": None}},
+        "acquisition": {
+            "start_angle": {"value": 5, "unit": "deg"}, "stop_angle": {"value": 365, "unit": "deg"}, "direction": "CCW",
+            "number_of_projections": VIEWS, "include_final_angle": False,
+        },
+    }  # fmt: skip
+    (folder / f"{name}.json").write_text(json.dumps(scenario))
+    metadata = {
+        "file": {"file_type": "CTSimU Metadata"},
+        "output": {
+            "projections": {
+                "filename": "ball_%04d.tif", "number": VIEWS, "max_intensity": WHITE + DARK, "datatype": "uint16",
+                "headersize": {"file": 0, "image": 0}, "dark_field": {"number": 0}, "flat_field": {"number": 0},
+            }
+        },
+        "acquisition_geometry": {"path_to_CTSimU_JSON": f"{name}.json"},
+    }  # fmt: skip
+    (folder / f"{name}_metadata.json").write_text(json.dumps(metadata))
+    ten = np.deg2rad(10)
+    tilt = np.array([[1, 0, 0], [0, np.cos(ten), -np.sin(ten)], [0, np.sin(ten), np.cos(ten)]])
+    for i in range(VIEWS):
+        a = np.deg2rad(5 + 360 * i / VIEWS)
+        spin = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+        ball = np.array([SOD, 1.5, -3 + 6 * i / (VIEWS - 1)]) + tilt @ spin @ CENTER
+        y = -2.5 - (np.arange(COLUMNS) - (COLUMNS - 1) / 2) * PITCH
+        z = -(np.arange(ROWS) - (ROWS - 1) / 2) * PITCH
+        pixel = np.stack(np.broadcast_arrays(SDD, y[None], z[:, None]), axis=-1)
+        tifffile.imwrite(folder / f"ball_{i:04d}.tif", readings(chord(np.zeros(3), pixel, ball)) + np.uint16(DARK))
+    return folder / f"{name}_metadata.json"
+
+
 # Format: function that writes it, and options that state what it does not.
 KEV = ("--energy", "60")
 COUNTER = (*KEV, "--thresholds", "20")
@@ -270,5 +333,6 @@ FORMATS = {
     "bruker": (write_bruker, (*KEV, "--photons", "2e4")),
     "r2": (write_r2, (*COUNTER, "--photons", "2e4")),
     "naf": (write_naf, (*COUNTER, "--photons", "2e4")),
+    "ctsimu": (write_ctsimu, ("--photons", "2e4")),
     "dicom-ct-pd": (write_dicom, (*KEV, "--photons", "2e4")),
 }

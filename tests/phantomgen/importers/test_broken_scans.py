@@ -98,7 +98,11 @@ def test_images_that_are_missing(scan):
         for file in path.glob("*.dcm"):
             file.unlink()
     else:
-        first_image(name, path).unlink()
+        file = first_image(name, path)
+        file.unlink()
+        sentence = said(name, path)
+        assert str(path) in sentence or str(file) in sentence
+        return
     assert str(path) in said(name, path)
 
 
@@ -182,6 +186,66 @@ def test_folders_of_r2_gaussian_with_wrong_keys(change, text, tmp_path):
     path = foreign.write_r2(tmp_path)
     change_json(path, change)
     assert text in said("r2", path)
+
+
+def change_scenario(folder, change):
+    scenario = json.loads((folder / "ball.json").read_text())
+    change(scenario)
+    (folder / "ball.json").write_text(json.dumps(scenario))
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda s: s["file"].update(file_type="CTSimU Metadata"), "no CTSimU Scenario file"),
+        (lambda s: s["geometry"].pop("stage"), "stage is missing"),
+        (lambda s: s["geometry"]["source"].update(type="fan"), "cone and parallel are read"),
+        (lambda s: s["geometry"]["stage"]["center"]["x"].update(unit="furlong"), "the unit 'furlong'"),
+        (lambda s: s["geometry"]["stage"]["center"]["x"].update(value="far"), "x must be a number"),
+        (lambda s: s["geometry"]["stage"].update(vector_u={a: {"value": 0} for a in "xyz"}), "must be orthogonal"),
+        (
+            lambda s: s["geometry"]["stage"]["center"]["z"].update(drifts=[{"file": "z.csv"}]),
+            "drifts by a file, 'z.csv'",
+        ),
+        (lambda s: s["geometry"]["stage"]["deviations"][0].update(axis="q"), "an axis is x, y, z"),
+        (lambda s: s["geometry"]["stage"]["deviations"][0].update(type="bend"), "translation or rotation"),
+        (lambda s: s["geometry"].update(stage=[]), "stage is missing, or no mapping"),
+        (lambda s: s["acquisition"].update(number_of_projections=10**12), "number_of_projections must be"),
+        (lambda s: s["acquisition"].update(number_of_projections=11), "12 projections, the scenario has 11"),
+        (lambda s: s["detector"].update(columns={"value": 10**9}), "expected"),
+        (lambda s: s["source"].update(voltage=None), "voltage is missing"),
+        (lambda s: s.update(source=[1]), "a mapping is expected"),
+        (lambda s: s["source"].update(spectrum={"monochromatic": False}), None),
+    ],
+)
+def test_scenarios_with_wrong_keys(change, text, tmp_path):
+    path = foreign.write_ctsimu(tmp_path)
+    change_scenario(tmp_path, change)
+    if text is not None:
+        assert text in said("ctsimu", path)
+    else:
+        assert "--filter '2.5 mm Al'" in said("ctsimu", path)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda m: m.pop("output"), "output.projections is missing"),
+        (lambda m: m["output"]["projections"].update(filename="../../etc/passwd_%04d.tif"), "leads out of the folder"),
+        (lambda m: m["output"]["projections"].update(filename="ball_%s%s.tif"), "is no pattern"),
+        (lambda m: m["output"]["projections"].update(number=-1), "need a filename and a number"),
+        (lambda m: m["output"]["projections"].update(filename="ball_%04d.raw", datatype="complex"), "one of the types"),
+        (lambda m: m["output"]["projections"].update(filename="ball_%04d.raw"), "is no file"),
+        (lambda m: m["acquisition_geometry"].update(path_to_CTSimU_JSON="nowhere.json"), "is not there"),
+        (lambda m: m["file"].update(file_type="Other"), "no CTSimU Metadata file"),
+    ],
+)
+def test_metadata_of_projections_with_wrong_keys(change, text, tmp_path):
+    path = foreign.write_ctsimu(tmp_path)
+    metadata = json.loads(path.read_text())
+    change(metadata)
+    path.write_text(json.dumps(metadata))
+    assert text in said("ctsimu", path)
 
 
 class _Evil:
