@@ -288,7 +288,8 @@ def write_ctsimu(folder: Path) -> Path:
         },
         "detector": {
             "columns": {"value": COLUMNS}, "rows": {"value": ROWS},
-            "pixel_pitch": {axis: {"value": PITCH, "unit": "mm"} for axis in "uv"}, "gray_value": {"imin": {"value": DARK}},
+            "pixel_pitch": {axis: {"value": PITCH, "unit": "mm"} for axis in "uv"},
+            "gray_value": {"imin": {"value": DARK}},
         },
         "source": {"voltage": {"value": 60, "unit": "kV"}, "spectrum": {"monochromatic": True, "file": None}},
         "acquisition": {

@@ -49,7 +49,7 @@ def read(paths: Sequence[Path], stated: Stated) -> RawScan:
     try:
         geometry = scenario_geometry(scenario)
         facts, notes = _facts(scenario_path, scenario)
-    except (Error, AttributeError) as error:
+    except (Error, AttributeError, TypeError, OverflowError) as error:
         said = error if isinstance(error, Error) else "a mapping is expected where another value stands"
         raise InputError(f"{scenario_path}: {said}") from None
     output = metadata.get("output")

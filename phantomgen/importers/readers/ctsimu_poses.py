@@ -119,9 +119,9 @@ def number(parent: Mapping[str, Any], name: str, at: float = 0.0, default: float
         if default is not None:
             return default
         raise GeometryError(f"the key {name} is missing, or has no value")
-    unit = entry.get("unit")
+    unit, drifts = entry.get("unit"), entry.get("drifts")
     total = _number(name, entry["value"], unit)
-    for drift in entry.get("drifts") or ():
+    for drift in drifts if isinstance(drifts, list) else ():
         if not isinstance(drift, dict) or drift.get("known_to_reconstruction") is False:
             continue
         values = drift.get("value")
@@ -223,9 +223,11 @@ def _vector(parent: Mapping[str, Any], axes: str, at: float) -> Vector:
 def _number(name: str, value: Any, unit: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
         raise GeometryError(f"{name} must be a number, got {value!r}")
-    if unit is not None and unit not in _UNITS:
+    if unit is None:
+        return float(value)
+    if not isinstance(unit, str) or unit not in _UNITS:
         raise GeometryError(f"{name} has the unit {unit!r}: choose from {', '.join(_UNITS)}")
-    return float(value) * _UNITS.get(unit, 1.0)
+    return float(value) * _UNITS[unit]
 
 
 def _mapping(parent: Mapping[str, Any], name: str) -> Mapping[str, Any]:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +72,7 @@ def tiff_stack(paths: Sequence[Path], shape: tuple[int, int] | None = None) -> S
         shape = shape or found
         if found != shape:
             raise InputError(f"{path} has {_size(found)} pixels, expected {_size(shape)}{like}")
-        images += [partial(_read, path, page, shape) for page in range(pages)]
+        images += [partial(_read, path, page, shape) for page in ([None] if pages is None else range(pages))]
     if shape is None:
         raise InputError("there are no images")
     return Stack(shape, tuple(images))
@@ -163,8 +163,8 @@ def raw_stack(path: Path, views: int, shape: tuple[int, int], dtype: str = "<u2"
     return Stack(shape, tuple(partial(read, number) for number in range(views)))
 
 
-def _pages(path: Path) -> tuple[int, tuple[int, int]]:
-    """Number of images in a file, and their shape; the shape is believed only if the file can hold it."""
+def _pages(path: Path) -> tuple[int | None, tuple[int, int]]:
+    """Number of images of a stack, None for a single one, and their shape, if the file can hold it."""
     with _opened(path) as file:
         series = file.series[0] if file.series else None
         shape = [] if series is None else [int(n) for n in series.shape]
@@ -177,26 +177,56 @@ def _pages(path: Path) -> tuple[int, tuple[int, int]]:
             raise InputError(
                 f"{path} is cut off: it declares {_size(shape)} pixels, {need} bytes, and has {size} bytes"
             )
-        return (1 if len(shape) == 2 else shape[0]), (shape[-2], shape[-1])
+        return (None if len(shape) == 2 else shape[0]), (shape[-2], shape[-1])
 
 
-def _read(path: Path, page: int, shape: tuple[int, int]) -> Image:
-    """One image of a file."""
-    with _opened(path) as file:
-        image = file.series[0].asarray(key=page) if len(file.series[0].shape) == 3 else file.series[0].asarray()
+def _read(path: Path, page: int | None, shape: tuple[int, int]) -> Image:
+    """One image of a file; None for the only one."""
+    if page is None:
+        with _opened(path) as file:
+            image = file.series[0].asarray()
+    else:
+        with _sentence(path):
+            state = path.stat()
+            image = _kept_open(path, state.st_mtime_ns, state.st_size).tiff.series[0].asarray(key=page)
+    image = np.asarray(image)
     if image.shape != shape:
         raise InputError(f"{path} has {_size(image.shape)} pixels, expected {_size(shape)}")
-    return np.asarray(image)
+    return image
+
+
+class _KeptOpen:
+    """An open TIFF file of many images, closed when it is forgotten."""
+
+    def __init__(self, path: Path) -> None:
+        self.tiff = tifffile.TiffFile(path)
+
+    def __del__(self) -> None:
+        if hasattr(self, "tiff"):
+            self.tiff.close()
+
+
+@lru_cache(maxsize=8)
+def _kept_open(path: Path, *state: int) -> _KeptOpen:
+    """Open a file once, as the directory of a file of thousands of images takes long to read."""
+    del state  # a file that was changed is another one
+    return _KeptOpen(path)
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tifffile.TiffFile]:
-    """Open a TIFF file; whatever tifffile makes of a damaged one becomes a sentence."""
+    """Open a TIFF file."""
+    with _sentence(path), tifffile.TiffFile(path) as file:
+        yield file
+
+
+@contextmanager
+def _sentence(path: Path) -> Iterator[None]:
+    """Turn whatever tifffile makes of a damaged file to a sentence."""
     if not path.is_file():
         raise InputError(f"there is no file {path}")
     try:
-        with tifffile.TiffFile(path) as file:
-            yield file
+        yield
     except InputError:
         raise
     except Exception:

@@ -255,7 +255,7 @@ class _Finished:
         if raw.stated.white is not None:
             return np.broadcast_to(raw.stated.white, shape) - self._dark
         if self.wanted.air is not None:
-            level = np.mean([self._air_of(int(view)) for view in self.views], axis=0)
+            level = self._air_levels.mean(axis=0)
             return np.broadcast_to(level[:, None, None], shape)
         return None
 
@@ -267,10 +267,15 @@ class _Finished:
             return None
         return np.array([one[one > 0].mean() if (one > 0).any() else 0.0 for one in found])
 
-    def _air_of(self, view: int) -> Float[np.ndarray, " channel"]:
-        """Mean reading above the dark level in the region of air."""
+    @cached_property
+    def _air_levels(self) -> Float[np.ndarray, "view channel"]:
+        """Mean reading above the dark level in the region of air, in each view."""
         rows, columns = self.wanted.air or (slice(None), slice(None))
-        return (self._apart(self._raw_image(view)) - self._dark)[:, rows, columns].mean(axis=(1, 2))
+
+        def level(view: int) -> Float[np.ndarray, " channel"]:
+            return (self._apart(self._raw_image(view)) - self._dark)[:, rows, columns].mean(axis=(1, 2))
+
+        return np.stack([level(int(view)) for view in self.views])
 
     @cached_property
     def _factor(self) -> Float[np.ndarray, "channel 1 1"]:
@@ -290,7 +295,7 @@ class _Finished:
         assert open_beam is not None  # as there is a region of air
         rows, columns = self.wanted.air
         level = open_beam[:, rows, columns].mean(axis=(1, 2))
-        return np.stack([self._air_of(int(view)) / level for view in self.views])
+        return self._air_levels / level
 
     @cached_property
     def mask(self) -> Shaped[np.ndarray, "row column"]:
@@ -303,7 +308,7 @@ class _Finished:
     def _blind(self, open_beam: Float[np.ndarray, "channel row column"]) -> Bool[np.ndarray, "row column"]:
         return np.logical_not((np.isfinite(open_beam) & (open_beam > 0)).all(axis=0))
 
-    @property
+    @cached_property
     def is_integer(self) -> bool:
         """True where integer counts are written."""
         kinds = [
