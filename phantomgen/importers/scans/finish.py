@@ -14,8 +14,9 @@ from phantomgen.dataset.layout import pack_image, write_image
 from phantomgen.dataset.reader import Region, check_counts
 from phantomgen.dataset.spectral_model import Spectra
 from phantomgen.dataset.writing.writer import DatasetWriter, Splits, check_dataset_name
-from phantomgen.degradation.panel import binned_mask, binned_sum, check_bin, smaller_panel
+from phantomgen.degradation.panel import binned_mask, binned_sum, check_bin
 from phantomgen.effects.defects import DEAD
+from phantomgen.geometry.panel_changes import smaller_panel
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.importers.scans.beam import spectra_of

@@ -9,10 +9,9 @@ from phantomgen.degradation.panel import (
     binned_sum,
     check_bin,
     columns_left,
-    moved_panel,
-    smaller_panel,
 )
 from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.panel_changes import moved_panel, smaller_panel
 from phantomgen.geometry.poses import Geometry
 from spectra.errors import InputError
 

@@ -1,0 +1,1 @@
+"""Where the panel was, from the views of a scan themselves."""
