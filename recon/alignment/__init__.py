@@ -1,1 +1,0 @@
-"""Where the panel was, from the views of a scan themselves."""
