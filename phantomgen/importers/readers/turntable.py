@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
@@ -138,7 +138,9 @@ def as_stored(image: Callable[[int], Image], stated: Stated) -> Callable[[int], 
     return lambda view: in_order(image(view), stated)
 
 
-def in_order(images: Image, stated: Stated) -> Image:
+def in_order(
+    images: Shaped[np.ndarray, "*before row column"], stated: Stated
+) -> Shaped[np.ndarray, "*before row column"]:
     """Reverse columns and rows of images where the user says that they are stored in the opposite order.
 
     Parameters

@@ -14,7 +14,7 @@ from phantomgen.importers.scans.stated import Stated
 
 Values = Literal["counts", "readings", "line-integrals"]
 Image = Shaped[np.ndarray, "channel row column"]
-Frames = Shaped[np.ndarray, "frame channel row column"]
+Frames = Shaped[np.ndarray, "_frame _channel _row _column"]  # sizes are those of a file, not yet compared with others
 
 
 @dataclass(frozen=True, eq=False)

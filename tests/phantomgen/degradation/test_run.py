@@ -10,9 +10,9 @@ from phantomgen.dataset.describe import describe
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.dataset.true_poses import read_true_geometry
 from phantomgen.dataset.validate import validate
-from phantomgen.geometry.panel_changes import smaller_panel
 from phantomgen.degradation.run import degrade_file
 from phantomgen.degradation.settings import Degradation
+from phantomgen.geometry.panel_changes import smaller_panel
 from spectra.errors import InputError
 from spectra.threads import set_threads
 
