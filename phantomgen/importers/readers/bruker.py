@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from phantomgen.geometry.panel import Panel
-from phantomgen.importers.readers.images import numbered_tiffs, tiff_stack
-from phantomgen.importers.readers.key_values import Keys, read_keys
+from phantomgen.importers.files.images import numbered_tiffs, tiff_stack
+from phantomgen.importers.files.key_values import Keys, read_keys
 from phantomgen.importers.readers.turntable import Turntable, as_stored, stated_axis, turning
 from phantomgen.importers.scans.raw_scan import Image, RawScan
 from phantomgen.importers.scans.stated import Stated

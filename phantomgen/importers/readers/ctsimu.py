@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from phantomgen.geometry.poses import Geometry
+from phantomgen.importers.files.images import Stack, raw_stack, tiff_stack
 from phantomgen.importers.readers.ctsimu_poses import number, scenario_geometry, unknown_parts
-from phantomgen.importers.readers.images import Stack, raw_stack, tiff_stack
 from phantomgen.importers.readers.turntable import as_stored, in_order
 from phantomgen.importers.scans.raw_scan import Frames, Image, RawScan
 from phantomgen.importers.scans.stated import Stated

@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Float
 
 from phantomgen.geometry.panel import Panel
+from phantomgen.importers.files.hdf5 import frame, frames_at, numbers_of, opened, readable, text_at, value_at
 from phantomgen.importers.readers.channel_names import channel_names
-from phantomgen.importers.readers.hdf5 import frame, frames_at, numbers_of, opened, readable, text_at, value_at
 from phantomgen.importers.readers.turntable import Turntable, as_stored, in_order, stated_axis, turning
 from phantomgen.importers.scans.raw_scan import Frames, Image, RawScan
 from phantomgen.importers.scans.stated import Stated

@@ -9,7 +9,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationError
 
 from phantomgen.geometry.config import read_geometry_file
-from phantomgen.importers.readers.images import Stack, tiff_stack, tiffs_like
+from phantomgen.importers.files.images import Stack, tiff_stack, tiffs_like
 from phantomgen.importers.scans.raw_scan import Frames, Image, RawScan
 from phantomgen.importers.scans.stated import Stated
 from spectra.errors import InputError

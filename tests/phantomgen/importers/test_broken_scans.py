@@ -157,17 +157,17 @@ KEYS = [
 @pytest.mark.parametrize(("name", "key", "value", "text"), KEYS)
 def test_keys_that_are_missing_or_wrong(name, key, value, text, tmp_path):
     path = FORMATS[name][0](tmp_path)
-    lines = [line for line in path.read_text().splitlines() if not line.startswith(f"{key}=")]
+    lines = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith(f"{key}=")]
     if value is not None:
         lines.append(f"{key}={value}")
-    path.write_text("\n".join(lines))
+    path.write_text("\n".join(lines), encoding="utf-8")
     assert text in said(name, path)
 
 
 def change_json(path, change):
-    meta = json.loads((path / "meta_data.json").read_text())
+    meta = json.loads((path / "meta_data.json").read_text(encoding="utf-8"))
     change(meta)
-    (path / "meta_data.json").write_text(json.dumps(meta))
+    (path / "meta_data.json").write_text(json.dumps(meta), encoding="utf-8")
 
 
 @pytest.mark.parametrize(
@@ -189,9 +189,9 @@ def test_folders_of_r2_gaussian_with_wrong_keys(change, text, tmp_path):
 
 
 def change_scenario(folder, change):
-    scenario = json.loads((folder / "ball.json").read_text())
+    scenario = json.loads((folder / "ball.json").read_text(encoding="utf-8"))
     change(scenario)
-    (folder / "ball.json").write_text(json.dumps(scenario))
+    (folder / "ball.json").write_text(json.dumps(scenario), encoding="utf-8")
 
 
 @pytest.mark.parametrize(
@@ -242,9 +242,9 @@ def test_scenarios_with_wrong_keys(change, text, tmp_path):
 )
 def test_metadata_of_projections_with_wrong_keys(change, text, tmp_path):
     path = foreign.write_ctsimu(tmp_path)
-    metadata = json.loads(path.read_text())
+    metadata = json.loads(path.read_text(encoding="utf-8"))
     change(metadata)
-    path.write_text(json.dumps(metadata))
+    path.write_text(json.dumps(metadata), encoding="utf-8")
     assert text in said("ctsimu", path)
 
 
@@ -336,8 +336,8 @@ def test_hdf5_files_that_lack_or_misstate_something(name, place, value, text, tm
 )
 def test_yaml_files_with_wrong_keys(old, new, text, tmp_path):
     path = foreign.write_tiff(tmp_path)
-    assert old in path.read_text()
-    path.write_text(path.read_text().replace(old, new))
+    assert old in path.read_text(encoding="utf-8")
+    path.write_text(path.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
     assert text in said("tiff", path)
 
 
@@ -393,9 +393,9 @@ def test_counts_handed_in_as_line_integrals(tmp_path):
 
 def test_an_output_that_exists_is_not_replaced(tmp_path):
     path = foreign.write_bruker(tmp_path)
-    (tmp_path / "out.h5").write_text("mine")
+    (tmp_path / "out.h5").write_text("mine", encoding="utf-8")
     assert "add --overwrite" in said("bruker", path)
-    assert (tmp_path / "out.h5").read_text() == "mine"
+    assert (tmp_path / "out.h5").read_text(encoding="utf-8") == "mine"
 
 
 def test_the_scan_is_not_overwritten_by_its_dataset(tmp_path):

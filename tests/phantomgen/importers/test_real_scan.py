@@ -94,7 +94,7 @@ def test_examples_of_ctsimu_see_their_frame_of_iron_rods(name, tmp_path):
     metadata, out = folder / "projections" / f"{name}_metadata.json", tmp_path / "scan.h5"
     result = CliRunner().invoke(phantomgen, ["import", "ctsimu", str(metadata), "-o", str(out), "--photons", "1e6"])
     assert result.exit_code == 0, result.output
-    sample = json.loads((folder / f"{name}.json").read_text())["samples"][0]
+    sample = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))["samples"][0]
     mesh = trimesh.load(folder / sample["file"]["value"])
     center = [sample["position"]["center"][axis]["value"] for axis in "uvw"]
     vertices = mesh.vertices - mesh.bounds.mean(axis=0) + center  # r and t are u and w in these

@@ -107,7 +107,8 @@ def test_what_we_export_comes_back(program, scan, tmp_path):
         paths[0].write_text(
             "geometry: {type: poses, file: poses.csv}\npanel: {rows: 12, columns: 12, pitch: 17.066666666666666}\n"
             'values: counts\nchannels: [bin0, bin1, bin2, bin3]\nviews: "{channel}/view_*.tif"\n'
-            'flats: "{channel}/flat_*.tif"\ndarks: "{channel}/dark_*.tif"\n'
+            'flats: "{channel}/flat_*.tif"\ndarks: "{channel}/dark_*.tif"\n',
+            encoding="utf-8",
         )
     photons = () if program in ("nxtomo", "tiff") else ("--photons", "200000")
     result = run(program, *paths, "-o", tmp_path / "back.h5", *STATED, *photons)
