@@ -38,7 +38,12 @@ def main() -> None:
         highest = pictures[0][1].max()
         for (above, below), title, (logs, volume) in zip(axes.T, WAYS, pictures, strict=True):
             side = (pictures[0][0].shape[1] - logs.shape[1]) // 2
-            above.imshow(np.pad(logs, ((0, 0), (side, side)), constant_values=np.nan), cmap="gray", vmin=0, vmax=np.nanmax(pictures[0][0]))
+            above.imshow(
+                np.pad(logs, ((0, 0), (side, side)), constant_values=np.nan),
+                cmap="gray",
+                vmin=0,
+                vmax=np.nanmax(pictures[0][0]),
+            )
             below.imshow(volume[::-1], cmap="gray", vmin=0, vmax=highest)
             above.set_title(title, family="monospace" if title.startswith("--") else None, fontsize=7.5)
         for axis in axes.ravel():

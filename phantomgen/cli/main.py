@@ -17,6 +17,7 @@ from phantomgen.cli.plan import plan
 from phantomgen.cli.presets import presets
 from phantomgen.cli.report import report
 from phantomgen.cli.spectrum import materials, optimize_thresholds, spectrum
+from phantomgen.cli.suite import suite
 from phantomgen.cli.view import view
 
 
@@ -39,6 +40,7 @@ for command in (
     plan,
     batch,
     degrade,
+    suite,
     info,
     validate,
     view,
