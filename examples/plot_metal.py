@@ -18,7 +18,9 @@ import numpy as np
 import phantomgen
 from phantomgen.runtime.stopwatch import Stopwatch
 from recon.data.measurements import read_measurements
-from recon.output.report.slices import hounsfield, mono_figure
+from recon.output.report.quantities import Maps, slice_figure
+from recon.readouts.quantity import in_pieces, quantity
+from recon.readouts.readouts import Readouts
 from recon.runs.methods import method_named
 from recon.runs.run_voxels import reconstruct_volumes
 
@@ -67,15 +69,15 @@ results = {"image": volumes("fdk", "image"), "one-step": volumes("one-step", "tw
 #
 # Water is 0 HU. The strip between the rods says how far a method is off, its spread how much of it is streaks.
 
-names = dataset.spectra.basis.names
-truth = phantomgen.read_truth(dataset.path)
-true = hounsfield(truth.volumes, dataset.spectra.basis, names)
+truth, spectra = phantomgen.read_truth(dataset.path), dataset.spectra
+ct_numbers = quantity(Readouts.of(spectra.basis, spectra.energy, spectra.weights.sum(axis=0)), "hu", 70.0)
+true = in_pieces(ct_numbers, truth.volumes)
 x, y, z = (dataset.grid.axis(axis) for axis in "xyz")
 strip = np.ix_(np.abs(z) < 8, np.abs(y) < 4, np.abs(x) < 8)
 errors = {}
 for method, result in results.items():
-    image = hounsfield(result, dataset.spectra.basis, names)
+    image = in_pieces(ct_numbers, result)
     errors[method] = float(image[strip].mean())
     print(f"{method:<9} between the rods {image[strip].mean():7.1f} HU, spread {image[strip].std():.1f} HU")
-    print(mono_figure(image, true, dataset.grid, FOLDER / f"{method}.png"))
+    print(slice_figure(Maps(ct_numbers, image, true), dataset.grid, FOLDER / f"{method}.png"))
 dataset.close()

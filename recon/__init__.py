@@ -5,6 +5,7 @@
 (Stage(pixel=0.5, sweeps=1.0),)
 
 `recon.fit(dataset)` gives a fit that renders, scores and saves itself, `recon.segment(fit)` finds its materials,
+`recon.readout(fit, "hu", energy=70)` gives CT numbers, concentrations, electron density and atomic numbers,
 `recon.score(volume, dataset, ...)` scores a volume of any program, and
 `recon.reconstruct(dataset, recipe)` is the computation alone. Names are imported when they are first used, so that
 importing the package takes no time.
@@ -14,22 +15,25 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from recon.api import Fit, fit, score, segment
+    from recon.api import Fit, fit, readout, score, segment
     from recon.gaussians.model import Gaussians
     from recon.gaussians.processes import Resources
     from recon.gaussians.recipe import Recipe, Stage
     from recon.gaussians.reconstruct import Reconstruction, reconstruct
+    from recon.readouts.readouts import Readouts
     from recon.voxel.filtered.fdk import fdk
 
 __all__ = [
     "Fit",
     "Gaussians",
+    "Readouts",
     "Recipe",
     "Reconstruction",
     "Resources",
     "Stage",
     "fdk",
     "fit",
+    "readout",
     "reconstruct",
     "score",
     "segment",
@@ -38,12 +42,14 @@ __all__ = [
 _HOMES = {
     "Fit": "api",
     "Gaussians": "gaussians.model",
+    "Readouts": "readouts.readouts",
     "Recipe": "gaussians.recipe",
     "Reconstruction": "gaussians.reconstruct",
     "Resources": "gaussians.processes",
     "Stage": "gaussians.recipe",
     "fdk": "voxel.filtered.fdk",
     "fit": "api",
+    "readout": "api",
     "reconstruct": "gaussians.reconstruct",
     "score": "api",
     "segment": "api",

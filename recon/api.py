@@ -29,8 +29,12 @@ from recon.kedge.choose_basis import BasisChoice, choose_basis
 from recon.output.render_file import rendered, views_of_geometry
 from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.paper.reconstruct import reconstruct_paper
+from recon.readouts.quantity import in_pieces, quantity
+from recon.readouts.readouts import Readouts
+from recon.readouts.spectrum import detected_spectrum
 from recon.runs.outcomes.score_volume import score_volume
 from recon.runs.outcomes.volume_outcome import VolumeOutcome
+from recon.runs.read_run import StoredModel, open_model
 from recon.runs.run_folder import Run
 from recon.runs.run_gaussians import outcome_of_fit
 from recon.runs.unfinished_run import LOG, log_entry
@@ -54,6 +58,36 @@ class Projections:
 
     line_integrals: Float[np.ndarray, "view basis row column"]
     counts: Float[np.ndarray, "view channel row column"]
+
+
+@dataclass(frozen=True, eq=False)
+class QuantityMap:
+    """A physical quantity in every voxel.
+
+    Parameters
+    ----------
+    name : such as ``hounsfield_70_keV``
+    values : values in `unit`
+    unit : ``1/mm``, ``HU``, ``mg/ml``, or ``1``
+    grid : the voxels
+    """
+
+    name: str
+    values: Float[np.ndarray, "z y x"]
+    unit: str
+    grid: Grid
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        """Return the values, so that functions of NumPy take the map."""
+        return np.array(self.values, dtype=dtype) if copy else np.asarray(self.values, dtype=dtype)
+
+    def __repr__(self) -> str:
+        unit = "" if self.unit == "1" else f" [{self.unit}]"
+        return f"QuantityMap({self.name}{unit}: {' x '.join(map(str, self.grid.shape))} voxels)"
+
+    def _repr_html_(self) -> str:
+        """Picture of the middle slice for notebooks."""
+        return thumbnails(repr(self), [(self.name, self.values[self.grid.shape[0] // 2, ::-1])])
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,10 +310,62 @@ def segment(run: Fit | Path | str, **options: Any) -> Segmentation:
     chosen = Options(**options)
     if not isinstance(run, Fit):
         return segment_subject(open_subject(Path(run)), chosen)
-    basis = Basis(run.basis.functions[: len(run.basis_names)], run.basis.reference_energy)
-    transmission, name = run.result.transmission, run.path.name
-    subject = Subject.of(run.volume(), run.grid, basis, transmission, run.gaussians, name)
+    stored, name = _stored(run), run.path.name
+    subject = Subject.of(run.volume(), run.grid, stored.basis, stored.transmission, run.gaussians, name)
     return segment_subject(subject, chosen)
+
+
+def readout(
+    run: Fit | Path | str,
+    what: str,
+    energy: float | None = None,
+    water: str | float | None = None,
+    grid: Grid | None = None,
+) -> QuantityMap:
+    """Compute a quantity of a finished fit, or of a run folder of any method, in every voxel.
+
+    Parameters
+    ----------
+    run : a fit, or a folder
+    what : ``vmi``, ``hu``, ``vnc``, ``electron-density``, ``zeff``, or an element such as ``iodine``
+    energy : energy of ``vmi``, ``hu`` and ``vnc`` [keV]; 70 where it is left out
+    water : what 0 HU is: ``basis`` (the default), ``table``, or the attenuation of water at the energy [1/mm]
+    grid : any grid; that of the dataset where it is left out
+
+    Returns
+    -------
+    values with their unit
+
+    Raises
+    ------
+    DatasetError
+        When the folder is not a complete run of this version.
+    InputError
+        When there is no such quantity, or the basis of the run cannot show it.
+
+    Warns
+    -----
+    UserWarning
+        When the energy is outside of the detected spectrum.
+
+    Notes
+    -----
+    `Readouts.of(basis, energy, weights)` computes the same quantities of arrays of coefficients, such as volumes of
+    another program.
+    """
+    stored = _stored(run) if isinstance(run, Fit) else open_model(Path(run))
+    spectrum = detected_spectrum(stored.basis, stored.transmission)
+    chosen = quantity(Readouts.of(stored.basis, *spectrum), what, energy, water)
+    if chosen.caution:
+        warnings.warn(chosen.caution, stacklevel=2)
+    place = grid or stored.grid
+    return QuantityMap(chosen.name, in_pieces(chosen, stored.model.volume(place)), chosen.unit, place)
+
+
+def _stored(run: Fit) -> StoredModel:
+    """A fit as what is read from its folder."""
+    basis = Basis(run.basis.functions[: len(run.basis_names)], run.basis.reference_energy)
+    return StoredModel(run.gaussians, run.grid, basis, run.result.transmission)
 
 
 def score(

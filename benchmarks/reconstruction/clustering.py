@@ -16,8 +16,9 @@ from sklearn.cluster import MeanShift
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.gaussians.model import Gaussians
+from recon.readouts.mechanisms import Mechanisms
 from recon.segmentation.clustering import BANDWIDTH, SAMPLES, find_modes, nearest_mode, unit_of
-from recon.segmentation.features import Mechanisms
+from recon.segmentation.features import features_of
 from recon.segmentation.result import Options
 from recon.segmentation.segment import segment_subject
 from recon.segmentation.subject import Subject
@@ -68,7 +69,7 @@ def samples_of(count: int) -> np.ndarray:
     labels = labels[labels > 0][:count]
     values = np.array([TISSUE, *(rod[0] for rod in RODS)])[labels - 1]
     mechanisms = Mechanisms.of(BASIS, ENERGY, WEIGHTS)
-    return mechanisms.features(mechanisms((values * rng.normal(1, 0.05, values.shape)).T)).T
+    return features_of(mechanisms, mechanisms((values * rng.normal(1, 0.05, values.shape)).T)).T
 
 
 def all_seeds(samples: np.ndarray, unit: np.ndarray) -> np.ndarray:

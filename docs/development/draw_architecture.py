@@ -26,6 +26,7 @@ TEXTS = {
     "recon.gaussians": "the fit of Gaussians",
     "recon.voxel": "filtered and iterative methods on voxels",
     "recon.data": "from a dataset to what a fit takes",
+    "recon.readouts": "CT numbers, electrons, agents",
     "recon.ops": "operators: rasterize, voxelize, likelihood, ...",
     "phantomgen.cli": "commands: parse, call, print",
     "phantomgen.api": "short interface for Python",

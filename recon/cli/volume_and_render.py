@@ -31,52 +31,93 @@ def _common(command: Callable) -> Callable:
 
 
 @click.command(
-    epilog="\b\nExamples:\n  recon volume kedge-run --voxel 0.5 --size 160 -o fine.h5\n"
-    "  recon volume kedge-run --energy 60"
+    epilog="\b\nQuantities:\n"
+    "  vmi               attenuation at --energy [1/mm]\n"
+    "  hu                CT numbers at --energy [HU]\n"
+    "  vnc               CT numbers at --energy without contrast agents [HU]\n"
+    "  iodine, Gd, ...   concentration of an element that a basis function shows [mg/ml]\n"
+    "  electron-density  over that of water, without contrast agents\n"
+    "  zeff              effective atomic number, without contrast agents\n\n"
+    "\b\nExamples:\n  recon volume kedge-run --voxel 0.5 --size 160 -o fine.h5\n"
+    "  recon volume kedge-run --as hu --energy 60 -o hu60.nii.gz\n"
+    "  recon volume vials-run --as iodine -o iodine.vti\n"
+    "  recon volume vials-run --as vnc -o vnc-dicom"
 )
 @click.argument("run", type=_RUN)
-@click.option("-o", "--out", type=_FILE, help="File to write [default: <run>-volume.h5].")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    help="File: .h5, .nii, .nii.gz or .vti; without suffix the folder of a DICOM series [default: <run>-volume.h5].",
+)
+@click.option(
+    "--as",
+    "what",
+    metavar="QUANTITY",
+    help="In place of basis volumes: vmi, hu, vnc, electron-density, zeff, or an element such as iodine.",
+)
 @click.option("--grid", metavar="N|Z,Y,X", help="Number of voxels along each axis.")
 @click.option("--voxel", type=_POSITIVE, metavar="MM", help="Edge of a voxel [default: as in the scan].")
 @click.option("--size", metavar="MM|Z,Y,X", help="Size of the volume, in place of --grid.")
 @click.option("--center", metavar="Z,Y,X", help="Centre of the volume in mm [default: the isocentre].")
 @click.option("--like", type=_FILE, metavar="DATASET", help="Take the grid of a dataset.")
-@click.option("--energy", type=_POSITIVE, metavar="KEV", help="Attenuation at an energy, in place of basis volumes.")
+@click.option("--energy", type=float, metavar="KEV", help="Energy of vmi (implied), hu and vnc [default: 70].")
+@click.option(
+    "--water",
+    metavar="basis|table|1/MM",
+    help="What 0 HU is: water as the basis describes it, of tables, or its attenuation [default: basis].",
+)
 @_common
 def volume(
     run: Path,
     out: Path | None,
+    what: str | None,
     grid: str | None,
     voxel: float | None,
     size: str | None,
     center: str | None,
     like: Path | None,
     energy: float | None,
+    water: str | None,
     overwrite: bool,
     threads: int | None,
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Write the basis volumes of a fitted RUN, or its attenuation at an energy, on any grid.
+    """Write the basis volumes of RUN, or a quantity that follows from them, on any grid.
 
-    Without options for a grid it is that of the scan. The file is like volumes.h5 and is written slab by slab.
+    Without options for a grid it is that of the scan. HDF5 files are like volumes.h5 and are written slab by slab. An
+    energy outside of the detected spectrum gets a warning.
     """
-    from recon.output.volume_file import chosen_grid, write_volume
-    from recon.runs.run_folder import open_run
+    from recon.output.volume_file import checked_target, chosen_grid, write_volume
+    from recon.readouts.quantity import CT_NUMBERS, quantity
+    from recon.readouts.readouts import Readouts
+    from recon.readouts.spectrum import detected_spectrum
+    from recon.runs.read_run import open_model
+    from spectra.errors import InputError
     from spectra.threads import set_threads
 
-    target = out or Path(f"{run.resolve().name}-volume.h5")
-    _check_free(target, overwrite)
-    fitted = open_run(run)
-    chosen = chosen_grid(fitted.grid, grid, voxel, size, center, like)
+    asked = what or (None if energy is None else "vmi")
+    if asked is None and water is not None:
+        raise InputError("--water is for CT numbers: add --as hu or --as vnc")
+    target = checked_target(out or Path(f"{run.resolve().name}-volume.h5"), overwrite, asked in CT_NUMBERS)
+    stored = open_model(run)
+    spectrum = detected_spectrum(stored.basis, stored.transmission)
+    wanted = None if asked is None else quantity(Readouts.of(stored.basis, *spectrum), asked, energy, water)
+    chosen = chosen_grid(stored.grid, grid, voxel, size, center, like)
+    if wanted is not None and wanted.caution:
+        click.echo(f"Warning: {wanted.caution}.", err=True)
     set_threads(threads)
     bar = ProgressBar("voxelize", "slice", quiet or as_json)
-    write_volume(target, fitted, chosen, energy, bar.update)
+    write_volume(target, stored, chosen, wanted, bar.update)
     bar.close()
     shape = " x ".join(map(str, chosen.shape))
-    what = "basis volumes" if energy is None else f"attenuation at {energy:g} keV"
-    found = {"volume": str(target), "shape": list(chosen.shape), "spacing_mm": list(chosen.spacing), "energy": energy}
-    _report(as_json, found, f"Wrote {target}: {what}, {shape} voxels")
+    said = "basis volumes" if wanted is None else f"{wanted.about}{'' if wanted.unit == '1' else f' [{wanted.unit}]'}"
+    found: dict[str, Any] = {"volume": str(target.path), "shape": list(chosen.shape)}
+    found |= {"spacing_mm": list(chosen.spacing), "energy": energy}
+    if wanted is not None:
+        found |= {"quantity": wanted.name, "unit": wanted.unit, "caution": wanted.caution}
+    _report(as_json, found, f"Wrote {target.path}: {said}, {shape} voxels")
 
 
 @click.command(

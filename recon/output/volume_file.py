@@ -1,8 +1,9 @@
-"""Volumes of a fitted model in HDF5, slab by slab: neither memory nor values depend on the size of the grid."""
+"""Volumes of a run on any grid: basis volumes or quantities, in HDF5 slab by slab, or in formats of other programs."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 import h5py
 import numpy as np
@@ -10,11 +11,17 @@ import numpy as np
 from phantomgen.dataset.layout import new_group, put
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.dataset.truth import write_grid
+from phantomgen.exporters import dicom
+from phantomgen.exporters.volumes import FORMATS, Volumes, basis_volumes, suffix_of, write_volumes, writer_of
 from phantomgen.geometry.voxel_grid import Grid, parse_triple
 from phantomgen.runtime.disk import complete_file
-from recon.runs.run_folder import Run
+from phantomgen.runtime.outputs import check_output
+from recon.readouts.quantity import Quantity, in_pieces
+from recon.runs.read_run import StoredModel
 from spectra.errors import InputError
 
+HDF5 = (".h5", ".hdf5")
+SUFFIXES = (*HDF5, *FORMATS)
 SLAB_VALUES = 1 << 24  # values; voxels times bases that are in memory at once, 64 MiB in float32
 
 
@@ -67,15 +74,67 @@ def chosen_grid(
     return Grid(whole, tuple(spacing.tolist()), tuple(first.tolist()))  # type: ignore[arg-type]
 
 
-def write_volume(path: Path, run: Run, grid: Grid, energy: float | None, on_slice: Callable[[int, int], None]) -> None:
-    """Write ``/basis/data`` (basis, z, y, x) [1/mm], laid out as in ``volumes.h5``.
+class Target(NamedTuple):
+    """Output of a volume.
 
     Parameters
     ----------
-    path : file to write
-    run : a finished fit
+    path : file, or folder of a DICOM series where the name has no suffix
+    writer : ``hdf5``, ``dicom``, or ``other`` for the formats of `phantomgen.exporters.volumes`
+    """
+
+    path: Path
+    writer: str
+
+
+def checked_target(path: Path, overwrite: bool, ct_numbers: bool) -> Target:
+    """Check an output before anything is computed.
+
+    Parameters
+    ----------
+    path : file, or folder of a DICOM series where the name has no suffix
+    overwrite : whether it may be replaced
+    ct_numbers : whether CT numbers are to be written
+
+    Returns
+    -------
+    the output
+
+    Raises
+    ------
+    InputError
+        When it exists, or its format is unknown or cannot hold the quantity.
+    NotInstalledError
+        When the format needs a package that is not there.
+    """
+    if not path.suffix:
+        if not ct_numbers:
+            raise InputError(
+                f"the output {path} has no suffix, which means a DICOM CT series, and that holds CT numbers: add --as "
+                f"hu or --as vnc, or end the name in one of {', '.join(SUFFIXES)}"
+            )
+        dicom.check_series(path, overwrite)
+        return Target(path, "dicom")
+    suffix = suffix_of(path, dict.fromkeys(SUFFIXES, ""))
+    if suffix not in HDF5:
+        writer_of(path)
+    check_output(path, overwrite)
+    return Target(path, "hdf5" if suffix in HDF5 else "other")
+
+
+def write_volume(
+    target: Target, stored: StoredModel, grid: Grid, chosen: Quantity | None, on_slice: Callable[[int, int], None]
+) -> None:
+    """Write basis volumes, or a quantity, on any grid.
+
+    HDF5 files have ``/basis/data`` (basis, z, y, x), laid out as in ``volumes.h5``, and are written slab by slab.
+
+    Parameters
+    ----------
+    target : output, as `checked_target` gives it
+    stored : result of a run
     grid : grid of the volumes
-    energy : energy [keV] of the attenuation that is written in place of the bases; None for the bases
+    chosen : quantity that is written in place of the bases; None for the bases
     on_slice : called with the number of slices that are done, and of all slices
 
     Raises
@@ -83,29 +142,57 @@ def write_volume(path: Path, run: Run, grid: Grid, energy: float | None, on_slic
     StorageError
         When the disk is full; then no file is left.
     """
-    model = run.gaussians
-    names, mix = model.basis_names, np.eye(len(model.basis_names), dtype=np.float32)
-    if energy is not None:
-        names = (f"attenuation_{energy:g}_keV",)
-        mix = run.basis.evaluate(np.array([energy]))[: len(mix)].T.astype(np.float32)
-    depth, rows, columns = grid.shape
-    slab = max(1, SLAB_VALUES // (rows * columns * len(model.basis_names)))
+    if target.writer == "hdf5":
+        _write_hdf5(target.path, stored, grid, chosen, on_slice)
+        return
+    names = stored.basis.names if chosen is None else (chosen.name,)
+    whole = np.empty((len(names), *grid.shape), np.float32)
+    for first, values in _slabs(stored, grid, chosen, on_slice):
+        whole[:, first : first + values.shape[1]] = values
+    if target.writer == "dicom":
+        dicom.write_series(target.path, grid, whole[0], str(chosen and chosen.about))
+    elif chosen is None:
+        write_volumes(target.path, basis_volumes(grid, names, whole))
+    else:
+        write_volumes(target.path, Volumes(grid, {chosen.name: whole[0]}, f"{chosen.about} [{chosen.unit}]"))
+
+
+def _write_hdf5(
+    path: Path, stored: StoredModel, grid: Grid, chosen: Quantity | None, on_slice: Callable[[int, int], None]
+) -> None:
+    """Write an HDF5 file slab by slab."""
+    names, unit = (stored.basis.names, "1/mm") if chosen is None else ((chosen.name,), chosen.unit)
+    _, rows, columns = grid.shape
     with whole_file(path) as file:
         file.attrs.update({"NX_class": "NXroot", "default": "basis", "creator": "recon"})
         group = new_group(file, "basis", "NXdata", signal="data", axes=("basis_name", "z", "y", "x"))
         shape, chunks = (len(names), *grid.shape), (1, 1, rows, columns)
         packing = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
         data = group.create_dataset("data", shape, np.float32, chunks=chunks, **packing)
-        data.attrs["units"] = "1/mm"
+        data.attrs["units"] = unit
+        if chosen is not None:
+            data.attrs["long_name"] = chosen.about
+            if chosen.caution:
+                data.attrs["caution"] = chosen.caution
         put(group, "basis_name", np.array(names, dtype=object))
         for axis in "zyx":
             put(group, axis, grid.axis(axis), "mm")
         write_grid(new_group(file, "grid", "NXcollection"), grid)
-        for first in range(0, depth, slab):
-            count = min(slab, depth - first)
-            values = model.volume(grid.slices(first, count))
-            data[:, first : first + count] = values if energy is None else np.tensordot(mix, values, axes=1)
-            on_slice(first + count, depth)
+        for first, values in _slabs(stored, grid, chosen, on_slice):
+            data[:, first : first + values.shape[1]] = values
+
+
+def _slabs(
+    stored: StoredModel, grid: Grid, chosen: Quantity | None, on_slice: Callable[[int, int], None]
+) -> Iterator[tuple[int, np.ndarray]]:
+    """First slice and values (volume, z, y, x) of some slices after others."""
+    depth, rows, columns = grid.shape
+    slab = max(1, SLAB_VALUES // (rows * columns * len(stored.basis)))
+    for first in range(0, depth, slab):
+        count = min(slab, depth - first)
+        values = stored.model.volume(grid.slices(first, count))
+        yield first, values if chosen is None else in_pieces(chosen, values)[None]
+        on_slice(first + count, depth)
 
 
 @contextmanager

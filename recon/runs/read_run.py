@@ -13,9 +13,11 @@ from phantomgen.dataset.layout import array_at, group_at
 from phantomgen.geometry.voxel_grid import Grid
 from recon.gaussians.divided.model_file import load_model
 from recon.gaussians.model import GaussianModel
-from recon.runs.run_folder import MODEL, VOLUMES, open_run
+from recon.runs.run_folder import MODEL, SCAN, VOLUMES, open_run, open_scan
 from recon.voxel.model import Voxels
+from spectra.basis.basis import Basis
 from spectra.errors import DatasetError
+from spectra.transmission import Transmission
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +75,61 @@ class StoredVolumes(NamedTuple):
     grid: Grid
     basis_names: tuple[str, ...]
     values: Float32[np.ndarray, "basis z y x"]
+
+
+@dataclass(frozen=True, eq=False)
+class StoredModel:
+    """Result of a run that has values on any grid, with what its coefficients mean.
+
+    Parameters
+    ----------
+    model : Gaussians, or volumes between whose voxels values are interpolated
+    grid : grid of the dataset
+    basis : basis functions of the model
+    transmission : spectral model of a pixel at the panel's centre, at exposure 1
+    """
+
+    model: GaussianModel | Voxels
+    grid: Grid
+    basis: Basis
+    transmission: Transmission
+
+
+def open_model(folder: Path) -> StoredModel:
+    """Read a run folder of any method with volumes; volumes of Gaussians are not computed.
+
+    Parameters
+    ----------
+    folder : run folder
+
+    Returns
+    -------
+    model and record of the scan
+
+    Raises
+    ------
+    DatasetError
+        When it is no run folder, when it is incomplete, or when another version wrote it.
+    """
+    check_run_folder(folder)
+    model: GaussianModel | Voxels
+    if (folder / MODEL).is_file():
+        run = open_run(folder)
+        model, grid, basis, transmission = run.gaussians, run.grid, run.basis, run.transmission
+    else:
+        if not (folder / SCAN).is_file():
+            raise DatasetError(f"{folder} has no {SCAN}, which older versions did not write: run recon fit again")
+        stored = read_volumes(folder / VOLUMES)
+        model = Voxels(stored.values, stored.grid, stored.basis_names)
+        scan = open_scan(folder, len(stored.basis_names))
+        grid, basis, transmission = scan.grid, scan.basis, scan.transmission
+    names = model.basis_names
+    if basis.names[: len(names)] != names or (isinstance(model, Voxels) and model.values.shape[1:] != grid.shape):
+        raise DatasetError(
+            f"{folder} does not fit together: {SCAN} describes another basis or grid than the result has"
+        )
+    own = Basis(basis.functions[: len(names)], basis.reference_energy)
+    return StoredModel(model, grid, own, transmission)
 
 
 def check_run_folder(folder: Path) -> None:

@@ -7,17 +7,13 @@ tissue of 20.3e-3 per mm consists of Gaussians of 2.4e-3 to 7.0e-3). By default,
 the whole model at the centre of each Gaussian or voxel. A Gaussian's own coefficients are the paper's choice.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from phantomgen.geometry.voxel_grid import Grid
-from spectra.basis.basis import Basis, BasisFunction
-from spectra.materials.material import Material
+from recon.readouts.mechanisms import Mechanisms
 
-MECHANISMS = Basis((BasisFunction("photoelectric"), BasisFunction("compton")))
 EPSILON = 0.005  # Compton coefficient of water; keeps kappa finite where there is no Compton; our choice
 AIR = 0.2  # density of water; voxels below it are air; lungs have 0.26 and more
 FLAT = 0.12  # quantile `_HIGH` of the density; largest range among the neighbours of a voxel inside of a material
@@ -26,70 +22,37 @@ _HIGH = 0.9  # quantile of the density in voxels that are not air; our choice
 _APART = 3  # voxels; distance of the two values whose difference is noise; our choice
 
 
-@dataclass(frozen=True, eq=False)
-class Mechanisms:
-    """Conversion of coefficients in any basis to photoelectric, Compton and K-edge coefficients.
+def features_of(mechanisms: Mechanisms, parts: Float[np.ndarray, "mechanism ..."]) -> Float[np.ndarray, "feature ..."]:
+    """Compute the features.
 
     Parameters
     ----------
-    matrix : photoelectric and Compton coefficient of each function without K edge
-    plain, edges : indices of the functions without and with a K edge
-    water : photoelectric and Compton coefficient of water [1/mm]
+    mechanisms : conversion that gave the parts
+    parts : photoelectric, Compton and K-edge coefficients [1/mm]; negative values, which some methods give, are taken
+        as 0
+
+    Returns
+    -------
+    density rho [1/mm], kappa, and f_K of each K edge
     """
+    parts = np.maximum(parts, 0.0)
+    density = parts.sum(axis=0)
+    ratio = np.log1p(parts[0] / (parts[1] + EPSILON * mechanisms.water[1]))
+    return np.concatenate([[density], [ratio], parts[2:] / np.maximum(density, 1e-12)])
 
-    matrix: Float[np.ndarray, "2 plain"]
-    plain: tuple[int, ...]
-    edges: tuple[int, ...]
-    water: Float[np.ndarray, "2"]
 
-    @classmethod
-    def of(cls, basis: Basis, energy: Float[np.ndarray, " node"], weights: Float[np.ndarray, " node"]) -> "Mechanisms":
-        """Create the conversion for a basis, by least squares over the detected spectrum.
+def air_density(mechanisms: Mechanisms) -> float:
+    """Return the density below which a voxel is air.
 
-        Parameters
-        ----------
-        basis : basis functions
-        energy : energies of the spectrum [keV]
-        weights : detected photons
+    Parameters
+    ----------
+    mechanisms : conversion of coefficients, which knows water
 
-        Returns
-        -------
-        conversion, exact where the basis has both functions itself
-        """
-        edges = tuple(i for i, f in enumerate(basis.functions) if f.edge_energy is not None)
-        plain = tuple(i for i in range(len(basis)) if i not in edges)
-        goal, values = MECHANISMS.evaluate(energy), basis.evaluate(energy)[list(plain)]
-        root = np.sqrt(weights / weights.sum())
-        matrix = np.linalg.lstsq((goal * root).T, (values * root).T, rcond=None)[0]
-        water = Material("water", composition="Water, Liquid").coefficients_in(MECHANISMS, energy, weights)
-        return cls(np.where(np.abs(matrix) < 1e-9, 0.0, matrix), plain, edges, water)
-
-    def __call__(self, values: Float[np.ndarray, "basis ..."]) -> Float[np.ndarray, "mechanism ..."]:
-        """Convert coefficients: photoelectric, Compton, then each K edge [1/mm]."""
-        parts = np.tensordot(self.matrix, values[list(self.plain)], axes=1)
-        return np.concatenate([parts, values[list(self.edges)]])
-
-    def features(self, parts: Float[np.ndarray, "mechanism ..."]) -> Float[np.ndarray, "feature ..."]:
-        """Compute the features.
-
-        Parameters
-        ----------
-        parts : photoelectric, Compton and K-edge coefficients [1/mm]; negative values, which some methods give, are
-            taken as 0
-
-        Returns
-        -------
-        density rho [1/mm], kappa, and f_K of each K edge
-        """
-        parts = np.maximum(parts, 0.0)
-        density = parts.sum(axis=0)
-        ratio = np.log1p(parts[0] / (parts[1] + EPSILON * self.water[1]))
-        return np.concatenate([[density], [ratio], parts[2:] / np.maximum(density, 1e-12)])
-
-    @property
-    def air(self) -> float:
-        """Density below which a voxel is air [1/mm]."""
-        return AIR * float(self.water.sum())
+    Returns
+    -------
+    density [1/mm]
+    """
+    return AIR * float(mechanisms.water.sum())
 
 
 def flat_inside(parts: Float[np.ndarray, "mechanism z y x"], air: float) -> Bool[np.ndarray, "z y x"]:

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 from scipy.sparse.csgraph import connected_components
 
+from recon.readouts.mechanisms import Mechanisms
 from recon.segmentation.clustering import find_modes, is_tail, nearest_mode, unit_of
-from recon.segmentation.features import Mechanisms, at_points, flat_inside, noise_of, voxel_places
+from recon.segmentation.features import air_density, at_points, features_of, flat_inside, noise_of, voxel_places
 from recon.segmentation.labelling import label_edges, nearest_voxels, ordered, rims
 from recon.segmentation.result import Options
 from recon.segmentation.subject import Subject
@@ -58,8 +59,8 @@ def find_materials(
     InputError
         When there is nothing but air.
     """
-    features = mechanisms.features(parts)
-    inside = flat_inside(parts, mechanisms.air)
+    features = features_of(mechanisms, parts)
+    inside = flat_inside(parts, air_density(mechanisms))
     if not inside.any():
         raise InputError("there is nothing to segment: nothing in the volume is wider than two voxels and no air")
     voxels = features[:, inside].T
@@ -70,10 +71,10 @@ def find_materials(
     groups = _groups(modes, unit, features, inside, options.bandwidth)
     inner[inside] = groups[nearest_mode(voxels, modes, unit)]
     inner = _renumbered(inner, np.flatnonzero(~rims(inner, len(modes)) & _present(inner, len(modes))))
-    air = features[0] <= mechanisms.air
+    air = features[0] <= air_density(mechanisms)
     inner = with_thin_materials(inner, parts, features, air, medians(parts, inner), options.seed)
     centres = medians(parts, inner)
-    order = ordered(mechanisms.features(centres.T).T)
+    order = ordered(features_of(mechanisms, centres.T).T)
     inner, centres, coefficients = _renumbered(inner, order), centres[order], medians(subject.volumes, inner)[order]
     return Found(label_edges(inner, parts, air, centres), centres, coefficients)
 

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int, Integer
 
+from recon.readouts.readouts import Readouts, check_energies
 from recon.segmentation.clustering import BANDWIDTH
 from recon.segmentation.colours import colours_of, kind_of, names_of
+from recon.segmentation.features import features_of
 from recon.segmentation.labelling import NOTHING
-from recon.segmentation.readouts import Readouts, check_energies
 from recon.segmentation.rendering import slices_rgb
 from recon.segmentation.subject import Subject
 from spectra.errors import InputError
@@ -148,7 +149,7 @@ def describe(
     clusters in the same order
     """
     columns = np.asarray(coefficients, dtype=np.float64).T
-    features = readouts.mechanisms.features(readouts.mechanisms(columns)).T
+    features = features_of(readouts.mechanisms, readouts.mechanisms(columns)).T
     plain = readouts.without_contrast(columns)
     numbers, electrons = readouts.electrons(columns)
     kinds = [

@@ -7,11 +7,11 @@ from jaxtyping import Float, Int, Integer
 from scipy.ndimage import minimum_filter
 
 from recon.gaussians.model import Gaussians
+from recon.readouts.readouts import Readouts
 from recon.segmentation.clustering import BANDWIDTH, find_modes, nearest_mode
-from recon.segmentation.features import at_points, voxel_places
+from recon.segmentation.features import air_density, at_points, features_of, voxel_places
 from recon.segmentation.labelling import NOTHING, label_at, label_edges, ordered
 from recon.segmentation.local_values import find_materials, medians
-from recon.segmentation.readouts import Readouts
 from recon.segmentation.rendering import gaussian_materials
 from recon.segmentation.result import DOMAINS, FEATURES, Options, Segmentation, describe
 from recon.segmentation.subject import Subject
@@ -67,13 +67,13 @@ def _by_own_coefficients(
 ) -> tuple[Float[np.ndarray, "cluster basis"], Int[np.ndarray, " gaussian"]]:
     """Coefficients and labels as in the paper: by the coefficients of each Gaussian, over their standard deviation."""
     values, mechanisms = model.coefficients.numpy().astype(np.float64), readouts.mechanisms
-    features = mechanisms.features(mechanisms(values.T)).T
+    features = features_of(mechanisms, mechanisms(values.T)).T
     carrying = features[:, 0] > _CARRYING * features[:, 0].max()
     unit = np.maximum(features[carrying].std(axis=0), 1e-12) / BANDWIDTH
     modes = find_modes(features[carrying], unit, options.bandwidth, options.seed)
     nearest = np.unique(nearest_mode(features, modes, unit), return_inverse=True)[1]
     coefficients = medians(values.T, nearest + 1)
-    order = ordered(mechanisms.features(mechanisms(coefficients.T)).T)
+    order = ordered(features_of(mechanisms, mechanisms(coefficients.T)).T)
     return coefficients[order], np.argsort(order)[nearest]
 
 
@@ -96,7 +96,7 @@ def _of_gaussians(
     centres = np.maximum(readouts.mechanisms(coefficients.T), 0.0).T
     parts = materials / np.maximum(centres.sum(axis=1), 1e-12)[:, None, None, None]
     labels = np.where(parts.sum(axis=0) > _HALF, parts.argmax(axis=0) + 1, 0).astype(np.uint16)
-    air = materials.sum(axis=0) <= readouts.mechanisms.air
+    air = materials.sum(axis=0) <= air_density(readouts.mechanisms)
     unfilled = (labels == NOTHING) & minimum_filter(~air, 3)
     if unfilled.any():
         values = np.maximum(readouts.mechanisms(subject.volumes), 0.0)
@@ -112,7 +112,7 @@ def _inside_of(
     own: Float[np.ndarray, "cluster basis"],
 ) -> Float[np.ndarray, "cluster basis"]:
     """Medians of the volumes where a material is the densest, in place of the coefficients of single Gaussians."""
-    groups = np.where(materials.sum(axis=0) > readouts.mechanisms.air, materials.argmax(axis=0), len(own))
+    groups = np.where(materials.sum(axis=0) > air_density(readouts.mechanisms), materials.argmax(axis=0), len(own))
     present = [groups == i for i in range(len(own))]
     rows = [np.median(subject.volumes[:, m], axis=1) if m.any() else row for m, row in zip(present, own, strict=True)]
     return np.array(rows)

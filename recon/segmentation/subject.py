@@ -8,13 +8,10 @@ from jaxtyping import Float
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.gaussians.model import GaussianModel, Gaussians
-from recon.runs.read_run import VOLUMES, dataset_name, read_volumes
-from recon.runs.run_folder import MODEL, SCAN, open_run, open_scan
+from recon.readouts.spectrum import detected_spectrum
+from recon.runs.read_run import dataset_name, open_model
 from spectra.basis.basis import Basis
-from spectra.errors import DatasetError
 from spectra.transmission import Transmission
-
-_ENERGIES = np.arange(5.0, 400.0, 0.05)  # keV; energies among which those of the nodes are found
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,45 +83,7 @@ def open_subject(folder: Path) -> Subject:
     DatasetError
         When it is no run folder, when it is incomplete, or when another version wrote it.
     """
-    dataset = dataset_name(folder)
-    if (folder / MODEL).is_file():
-        run = open_run(folder)
-        names = run.gaussians.basis_names
-        volumes, grid, basis, transmission = run.gaussians.volume(run.grid), run.grid, run.basis, run.transmission
-        model = run.gaussians
-    elif (folder / VOLUMES).is_file():
-        if not (folder / SCAN).is_file():
-            raise DatasetError(f"{folder} has no {SCAN}, which older versions did not write: run recon fit again")
-        stored = read_volumes(folder / VOLUMES)
-        names, volumes = stored.basis_names, stored.values
-        scan = open_scan(folder, len(names))
-        grid, basis, transmission, model = scan.grid, scan.basis, scan.transmission, None
-    else:
-        raise DatasetError(f"{folder} is not a run folder: it has neither {MODEL} nor {VOLUMES}; make one by recon fit")
-    if basis.names[: len(names)] != names or volumes.shape[1:] != grid.shape:
-        raise DatasetError(
-            f"{folder} does not fit together: {SCAN} describes another basis or grid than the result has"
-        )
-    basis = Basis(basis.functions[: len(names)], basis.reference_energy)
-    return Subject.of(volumes, grid, basis, transmission, model, dataset)
-
-
-def detected_spectrum(
-    basis: Basis, transmission: Transmission
-) -> tuple[Float[np.ndarray, " node"], Float[np.ndarray, " node"]]:
-    """Return the nodes of the spectral model of all channels as one spectrum.
-
-    Parameters
-    ----------
-    basis : basis functions
-    transmission : spectral model, whose first columns are the values of the basis functions at its nodes
-
-    Returns
-    -------
-    energies [keV] and photons of the nodes; an energy is that at which the values of the basis functions are nearest
-    """
-    values = basis.evaluate(_ENERGIES)
-    columns = transmission.columns[: len(basis)]
-    scale = np.linalg.norm(columns, axis=0)
-    distances = np.linalg.norm(values[:, None, :] - columns[:, :, None], axis=0) / scale[:, None]
-    return _ENERGIES[distances.argmin(axis=1)], transmission.weights
+    stored = open_model(folder)
+    model = stored.model if isinstance(stored.model, GaussianModel) else None
+    volumes = stored.model.volume(stored.grid)
+    return Subject.of(volumes, stored.grid, stored.basis, stored.transmission, model, dataset_name(folder))

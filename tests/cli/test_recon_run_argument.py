@@ -44,8 +44,11 @@ def test_a_dataset_is_told_from_a_run_folder(name, folder):
     ("arguments", "said"),
     [
         (["fit", "scan.h5", "-o", "result.h5"], "--out names a folder, got result.h5: write result"),
-        (["volume", "some-run", "-o", "x.nii"], "the output x.nii is an HDF5 file"),
-        (["volume", "some-run"], "some-run is a run in voxels, but Gaussians are needed"),
+        (["render", "some-run", "-o", "x.nii", "--like", "scan.h5"], "the output x.nii is an HDF5 file"),
+        (["render", "some-run", "--like", "scan.h5"], "some-run is a run in voxels, but Gaussians are needed"),
+        (["volume", "some-run", "-o", "x.png"], "x.png: the suffix says the format, one of .h5, .hdf5, .vti"),
+        (["volume", "some-run", "-o", "x"], "the output x has no suffix, which means a DICOM CT series"),
+        (["volume", "some-run"], "some-run has no scan.json, which older versions did not write"),
         (["fit", "scene.yaml"], "there is no dataset scene.yaml; `phantomgen make scene.yaml` makes one"),
     ],
 )

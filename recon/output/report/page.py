@@ -10,7 +10,19 @@ from phantomgen.dataset.truth import read_truth
 from phantomgen.display.html import Page, Paragraph, Part, Section
 from phantomgen.runtime.versions import program_version
 from recon.evaluation import verdict
-from recon.output.report import cost, energies, limits, materials, progress, resolution, scores, segments, slices, views
+from recon.output.report import (
+    cost,
+    energies,
+    limits,
+    materials,
+    progress,
+    quantities,
+    resolution,
+    scores,
+    segments,
+    slices,
+    views,
+)
 from recon.output.report.case import Case, LeftOut, Parts, check_same_scan, number
 from recon.output.report.finished_run import FinishedRun, open_finished_run
 from spectra.basis.basis import pretty
@@ -22,8 +34,8 @@ CHAPTERS: dict[str, dict[str, Topic]] = {
     "Volumes": {
         "Slices": slices.parts,
         "Profiles": slices.profile_parts,
-        "Virtual monoenergetic image": slices.mono_parts,
     },
+    "Physical quantities": {"CT numbers, contrast agents and electrons": quantities.parts},
     "Materials": {
         "Bias and noise": materials.parts,
         "Scatter of two bases": materials.scatter_parts,

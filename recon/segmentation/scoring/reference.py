@@ -10,8 +10,9 @@ from phantomgen.dataset.layout import FRACTION_SCALE
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.dataset.truth import Truth, read_truth
 from phantomgen.geometry.poses import Geometry
+from recon.readouts.readouts import Readouts
+from recon.segmentation.features import features_of
 from recon.segmentation.labelling import NOTHING, ordered
-from recon.segmentation.readouts import Readouts
 from recon.segmentation.rendering import slices_rgb, views_around
 from recon.segmentation.result import Cluster, Segmentation, describe
 from spectra.errors import InputError
@@ -93,7 +94,7 @@ def read_reference(path: Path, segmentation: Segmentation) -> Reference | None:
     readouts = Readouts.of(basis, subject.energy, subject.weights)
     volumes = truth.fractions.sum(axis=(1, 2, 3)) / FRACTION_SCALE * truth.grid.voxel_volume / 1000
     coefficients = truth.coefficients[:, [truth.basis_names.index(n) for n in basis.names]]
-    order = ordered(readouts.mechanisms.features(readouts.mechanisms(coefficients.T)).T)
+    order = ordered(features_of(readouts.mechanisms, readouts.mechanisms(coefficients.T)).T)
     found = describe(readouts, coefficients[order], segmentation.options.energies, volumes[order])
     materials = tuple(found[i] for i in np.argsort(order))
     picked = tests[(np.arange(min(VIEWS, len(tests))) * len(tests)) // VIEWS] if len(tests) else None

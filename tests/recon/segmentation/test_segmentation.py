@@ -13,17 +13,19 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.gaussians.model import Gaussians
+from recon.readouts.mechanisms import Mechanisms
+from recon.readouts.readouts import WATER, Readouts, check_energies
+from recon.readouts.spectrum import detected_spectrum
 from recon.segmentation.clustering import find_modes, is_tail, nearest_mode
 from recon.segmentation.colours import colours_of, kind_of, names_of
-from recon.segmentation.features import Mechanisms
+from recon.segmentation.features import features_of
 from recon.segmentation.labelling import label_edges, ordered, rims
-from recon.segmentation.readouts import WATER, Readouts, check_energies
 from recon.segmentation.rendering import parse_views, picture, slices_rgb, views_around, voxel_lengths
 from recon.segmentation.result import Options
 from recon.segmentation.scoring.image_similarity import image_similarity
 from recon.segmentation.scoring.scores import confusion, dice, match
 from recon.segmentation.segment import segment_subject
-from recon.segmentation.subject import Subject, detected_spectrum
+from recon.segmentation.subject import Subject
 from spectra.basis.basis import Basis, BasisFunction
 from spectra.elements.attenuation import electrons_per_gram
 from spectra.errors import InputError
@@ -221,7 +223,7 @@ def test_a_mode_in_the_tail_of_a_lung_is_no_material(monkeypatch):
     places = np.indices(GRID.shape)[:, labels == 2]
     ratio = 1 + np.exp(-([1, 0.4, 0.2] @ (places - places.min(axis=1, keepdims=True))) / 3)
     volumes[0, labels == 2] *= ratio * np.random.default_rng(0).normal(1, 0.01, len(ratio))
-    features = Mechanisms.of(DUAL, ENERGY, WEIGHTS).features(volumes)
+    features = features_of(Mechanisms.of(DUAL, ENERGY, WEIGHTS), volumes)
     lung = features[:, labels == 2]
     modes = np.array([features[:, labels == 1].mean(axis=1), np.median(lung, axis=1), np.quantile(lung, 0.9, axis=1)])
     monkeypatch.setattr("recon.segmentation.local_values.find_modes", lambda *_: modes)

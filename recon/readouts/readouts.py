@@ -3,6 +3,12 @@
 All are linear in the coefficients except the effective atomic number. It follows from the ratio of photoelectric
 absorption to Compton scattering, by comparison with the coefficients of the elements in the same basis over the same
 spectrum, so that no exponent of Z is assumed and errors of the basis cancel. Contrast agents are subtracted first.
+
+References
+----------
+.. [1] Alvarez & Macovski 1976, doi:10.1088/0031-9155/21/5/002: monoenergetic images from coefficients, eq. 1
+.. [2] Heismann, Leppert & Stierstorfer 2003, J. Appl. Phys. 94, 2073-2079: density and atomic number from two energies
+.. [3] Roessl & Proksa 2007, doi:10.1088/0031-9155/52/15/020: concentrations from K-edge functions
 """
 
 from collections.abc import Sequence
@@ -11,15 +17,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from recon.segmentation.features import MECHANISMS, Mechanisms
+from recon.readouts.agents import HEAVIEST_TISSUE, Agent, agents_of
+from recon.readouts.mechanisms import MECHANISMS, Mechanisms
 from spectra.basis.basis import Basis
 from spectra.elements.attenuation import electrons_per_gram, symbol
 from spectra.errors import InputError
 from spectra.materials.material import Material
 
-HEAVIEST = 40  # atomic number; largest that is reported, as K edges of heavier elements lie within spectra
 WATER = Material("water", composition="Water, Liquid")
-_MILLIGRAM = 1e-3  # g/cm^3; 1 mg/ml
+HEAVIEST = HEAVIEST_TISSUE  # atomic number; largest that is reported, as K edges of heavier elements lie within spectra
 _LEAST_MATTER = 0.02  # electron density of water; voxels below it get no atomic number; our choice
 
 Volume = Float[np.ndarray, "..."]
@@ -35,19 +41,21 @@ class Readouts:
     basis : basis functions of the coefficients
     mechanisms : conversion to photoelectric, Compton and K-edge coefficients
     water : coefficients of water [1/mm]
-    agents : by element of a K-edge function, the coefficients of 1 mg/ml of the element [1/mm]
+    agents : contrast agents by the symbol of their element
     nameless : indices of K-edge functions without an element
     angles : arc tangent of photoelectric over Compton for each atomic number from 1 on, ascending [rad]
     per_electron : norm of the photoelectric and Compton coefficients at the electron density of water [1/mm]
+    span : lowest and highest energy among the nodes of the detected spectrum [keV]
     """
 
     basis: Basis
     mechanisms: Mechanisms
     water: Float[np.ndarray, " basis"]
-    agents: dict[str, Float[np.ndarray, " basis"]]
+    agents: dict[str, Agent]
     nameless: tuple[int, ...]
     angles: Float[np.ndarray, " element"]
     per_electron: Float[np.ndarray, " element"]
+    span: tuple[float, float]
 
     @classmethod
     def of(cls, basis: Basis, energy: Float[np.ndarray, " node"], weights: Float[np.ndarray, " node"]) -> "Readouts":
@@ -65,18 +73,19 @@ class Readouts:
         """
         spectrum = energy, weights
         mechanisms = Mechanisms.of(basis, *spectrum)
-        agents, nameless = {}, []
-        for index in mechanisms.edges:
-            element = basis.functions[index].element
-            if element is None:
-                nameless.append(index)
-            else:
-                solute = Material(element, _MILLIGRAM, {element: 1.0})
-                agents[element] = solute.coefficients_in(basis, *spectrum)
+        nameless = tuple(i for i in mechanisms.edges if basis.functions[i].element is None)
         table = _element_table(*spectrum)
         angles = np.maximum.accumulate(np.arctan2(table[:, 0], table[:, 1]))
         water = WATER.coefficients_in(basis, *spectrum)
-        return cls(basis, mechanisms, water, agents, tuple(nameless), angles, np.linalg.norm(table, axis=1))
+        norms = np.linalg.norm(table, axis=1)
+        seen = energy[weights > 0]
+        span = float(seen.min()), float(seen.max())
+        return cls(basis, mechanisms, water, agents_of(basis, *spectrum), nameless, angles, norms, span)
+
+    @property
+    def tells_electrons(self) -> bool:
+        """True where two functions are left without those of contrast agents, as atomic numbers require."""
+        return len(self.basis) - len(self.agents) - len(self.nameless) >= 2
 
     def concentration(self, values: Coefficients, element: str) -> Volume:
         """Compute the concentration of a contrast agent.
@@ -84,14 +93,25 @@ class Readouts:
         Parameters
         ----------
         values : coefficients [1/mm]
-        element : symbol of the element of a K-edge function
+        element : symbol of the element
 
         Returns
         -------
         concentration [mg/ml]
+
+        Raises
+        ------
+        InputError
+            When no basis function shows the element.
         """
-        index = next(i for i, f in enumerate(self.basis.functions) if f.element == element)
-        return values[index] / self.agents[element][index]
+        if element not in self.agents:
+            names = ", ".join(f.name for f in self.basis.functions)
+            shown = f"its functions show {', '.join(self.agents)}" if self.agents else "none of its functions shows one"
+            raise InputError(
+                f"the basis ({names}) cannot show the concentration of {element}: {shown}; scan and fit with a basis "
+                f"function of {element}"
+            )
+        return np.tensordot(self.agents[element].amounts, values, axes=1)
 
     def without_contrast(self, values: Coefficients) -> Coefficients:
         """Subtract contrast agents from coefficients.
@@ -106,9 +126,8 @@ class Readouts:
         no element [1/mm]
         """
         left = np.array(values, dtype=np.float64)
-        for element, added in self.agents.items():
-            amount = self.concentration(values, element)
-            left -= np.multiply.outer(added, amount)
+        for element, agent in self.agents.items():
+            left -= np.multiply.outer(agent.added, self.concentration(values, element))
         left[list(self.nameless)] = 0.0
         return left
 
@@ -126,20 +145,82 @@ class Readouts:
         """
         return np.tensordot(self.basis.evaluate(np.array([energy], dtype=np.float64))[:, 0], values, axes=1)
 
-    def hounsfield(self, values: Coefficients, energy: float) -> Volume:
-        """Compute a virtual monoenergetic image.
+    def hounsfield(self, values: Coefficients, energy: float, water: float | None = None) -> Volume:
+        """Compute a virtual monoenergetic image, 1000 (mu / mu_water - 1).
 
         Parameters
         ----------
         values : coefficients [1/mm]
         energy : energy [keV]
+        water : attenuation of water at this energy [1/mm]; None for that of water as the basis describes it, so that
+            water is 0 at every energy; `tabulated_water` has that of tables
 
         Returns
         -------
-        CT number [HU]; that of water, as the basis describes it, is 0 at every energy
+        CT number [HU]
         """
-        water = float(self.attenuation(self.water, energy))
-        return 1000.0 * (self.attenuation(values, energy) / water - 1.0)
+        zero = float(self.attenuation(self.water, energy)) if water is None else water
+        return 1000.0 * (self.attenuation(values, energy) / zero - 1.0)
+
+    def virtual_non_contrast(self, values: Coefficients, energy: float, water: float | None = None) -> Volume:
+        """Compute a virtual monoenergetic image without contrast agents.
+
+        Parameters
+        ----------
+        values : coefficients [1/mm]
+        energy : energy [keV]
+        water : as in `hounsfield`
+
+        Returns
+        -------
+        CT number [HU]
+        """
+        return self.hounsfield(self.without_contrast(values), energy, water)
+
+    def electron_density(self, values: Coefficients) -> Volume:
+        """Compute the electron density without contrast agents.
+
+        Parameters
+        ----------
+        values : coefficients [1/mm]
+
+        Returns
+        -------
+        electron density relative to that of water, which is 3.343e23 per cm^3
+        """
+        return self.electrons(values)[1]
+
+    def effective_atomic_number(self, values: Coefficients) -> Volume:
+        """Compute the effective atomic number without contrast agents.
+
+        Parameters
+        ----------
+        values : coefficients [1/mm]
+
+        Returns
+        -------
+        atomic number; NaN where `electrons` gives none
+        """
+        return self.electrons(values)[0]
+
+    def extrapolation(self, energy: float) -> str | None:
+        """Say where an energy is outside of the spectrum that the coefficients were measured with.
+
+        Parameters
+        ----------
+        energy : energy of a virtual monoenergetic image [keV]
+
+        Returns
+        -------
+        a sentence; None within the spectrum
+        """
+        low, high = self.span
+        if low <= energy <= high:
+            return None
+        return (
+            f"{energy:g} keV is outside of the detected spectrum (nodes at {low:.0f} to {high:.0f} keV): the image "
+            "is an extrapolation of the basis functions, which no count has tested"
+        )
 
     def electrons(self, values: Coefficients) -> tuple[Volume, Volume]:
         """Compute effective atomic number and electron density, both without contrast agents.
@@ -151,10 +232,10 @@ class Readouts:
         Returns
         -------
         effective atomic number, and electron density relative to water. The number is NaN below 2 % of the electron
-        density of water, for a single basis function, and beyond `HEAVIEST`
+        density of water, without two functions besides those of contrast agents, and beyond `HEAVIEST`
         """
         photo, compton = self.mechanisms(self.without_contrast(values))[:2]
-        if len(self.mechanisms.plain) < 2:
+        if not self.tells_electrons:
             return np.full(np.shape(photo), np.nan), np.full(np.shape(photo), np.nan)
         angle = np.arctan2(np.maximum(photo, 0.0), np.maximum(compton, 1e-12))
         numbers = np.arange(1, HEAVIEST + 1, dtype=np.float64)
@@ -183,6 +264,20 @@ def check_energies(energies: Sequence[float]) -> tuple[float, ...]:
         if not 10 <= energy <= 500:
             raise InputError(f"--energy must be between 10 and 500 keV, got {energy:g}")
     return tuple(energies)
+
+
+def tabulated_water(energy: float) -> float:
+    """Return the attenuation of water at 1 g/cm^3 from tables.
+
+    Parameters
+    ----------
+    energy : energy [keV]
+
+    Returns
+    -------
+    attenuation [1/mm]
+    """
+    return float(WATER.attenuation(np.array([energy], dtype=np.float64))[0])
 
 
 def _element_table(

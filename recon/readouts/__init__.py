@@ -1,0 +1,1 @@
+"""Physical numbers from basis volumes: attenuation and CT numbers at any energy, electrons, contrast agents."""
