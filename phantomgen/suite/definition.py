@@ -25,7 +25,7 @@ class Case:
     name, what : its name, and what it is in words
     scene : the scene with all overrides of the tier
     degradation : what is made worse afterwards; None for nothing
-    sha256 : digest of the text of the scene, its overrides and what is made worse
+    sha256 : digest of the values of the scene and of what is made worse
     """
 
     name: str
@@ -42,7 +42,8 @@ class Suite:
     Parameters
     ----------
     name, tier : which one
-    sha256 : digest of the definition
+    sha256 : digest of the scenes of all cases in the tier; with name and tier, what results cite
+    seconds : time that each method gets on each case where nothing else is asked for [s]
     cases : the scans
     expected : what was stored for the cases of the tier by name; empty where nothing is
     """
@@ -50,6 +51,7 @@ class Suite:
     name: str
     tier: str
     sha256: str
+    seconds: float
     cases: tuple[Case, ...]
     expected: dict[str, Any]
 
@@ -83,15 +85,16 @@ def read_suite(name: str, tier: str) -> Suite:
     """
     if name not in suite_names():
         raise InputError(f"there is no suite {name!r}: choose from {', '.join(suite_names())}")
-    text = (_FOLDER / f"{name}.yaml").read_text(encoding="utf-8")
-    content = yaml.safe_load(text)
+    content = yaml.safe_load((_FOLDER / f"{name}.yaml").read_text(encoding="utf-8"))
     if tier not in content["tiers"]:
         raise InputError(f"the suite {name} has no tier {tier!r}: choose from {', '.join(content['tiers'])}")
-    scale = content["tiers"][tier] / content["base_voxels"]
+    size = content["tiers"][tier]
+    scale = size["voxels"] / content["base_voxels"]
     cases = tuple(_case(entry, content, scale) for entry in content["cases"])
     stored = _FOLDER / f"{name}-expected.json"
     expected = json.loads(stored.read_text(encoding="utf-8")) if stored.is_file() else {}
-    return Suite(name, tier, sha256(text.encode()).hexdigest(), cases, expected.get(tier, {}))
+    digest = _digest([name, tier, [[case.name, case.sha256] for case in cases]])
+    return Suite(name, tier, digest, size["seconds"], cases, expected.get(tier, {}))
 
 
 def _case(entry: dict[str, Any], content: dict[str, Any], scale: float) -> Case:
@@ -110,14 +113,19 @@ def _case(entry: dict[str, Any], content: dict[str, Any], scale: float) -> Case:
     }
     overrides = tuple(f"{path}={value}" for path, value in values.items())
     worse = entry.get("degrade")
-    stated = json.dumps([whole.text, overrides, worse], sort_keys=True)
+    scene = _scene(entry, overrides)
     return Case(
         entry["name"],
         entry["what"],
-        _scene(entry, overrides),
+        scene,
         None if worse is None else Degradation(**worse, seed=entry["seed"]),
-        sha256(stated.encode()).hexdigest(),
+        _digest([scene.values, worse]),
     )
+
+
+def _digest(values: Any) -> str:
+    """SHA-256 of values, which comments and the order of keys do not change."""
+    return sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
 def _scene(entry: dict[str, Any], overrides: tuple[str, ...]) -> SceneFile:
