@@ -6,31 +6,24 @@ their hashes first. Where these differ, nearly all images must have the same tot
 the rest a total that differs by noise.
 """
 
-from collections.abc import Mapping
-from hashlib import sha256
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
-from phantomgen.dataset.file import DETECTOR
+from phantomgen.dataset.array_hashes import HASHED, array_hashes
 from phantomgen.dataset.layout import array_at
 from phantomgen.dataset.reader import open_dataset
 
 IDENTICAL, ROUNDED, DIFFERENT, UNKNOWN = "identical", "same within rounding", "different", "not stored"
-_ARRAYS = {
-    "counts": f"{DETECTOR}/data",
-    "flats": "/entry/instrument/flat/data",
-    "truth_basis": "/truth/basis/data",
-    "truth_fractions": "/truth/fractions",
-}
+_STATED = ("stated_channels", "stated_basis", "stated_poses")
 # Change of the total of an image with the same noise: part of the total, and counts.
 _ROUNDING, _COUNTS = 5e-6, 20.0
 # Part of the images that must have the same noise, and standard deviations for the others.
 _SAME_NOISE, _DEVIATIONS = 0.8, 6.0
-# Relative change of sums over the truth.
-_TRUTH = 1e-5
+# Relative change of sums over the truth, and over what the file states.
+_SUMS = 1e-5
 
 
 def record(path: Path) -> dict[str, Any]:
@@ -42,19 +35,17 @@ def record(path: Path) -> dict[str, Any]:
 
     Returns
     -------
-    `arrays`, with dtype, shape and SHA-256 of dtype, shape and bytes of each; `totals` of the counts of each view and
-    channel; `truth`, the sum and the sum of squares of each basis volume
+    `arrays` of `phantomgen.dataset.array_hashes.array_hashes`; `totals` of the counts of each view and channel;
+    `truth`, the sum of magnitudes and the sum of squares of each basis volume; `stated`, the same of the stated
+    spectra, basis functions and poses
     """
     with open_dataset(path) as dataset:
-        arrays = {name: _digest(array_at(dataset.file, place)) for name, place in _ARRAYS.items()}
         views = range(dataset.counts.shape[0])
         totals = [dataset.load([view])[0].sum(axis=(1, 2), dtype=np.int64).tolist() for view in views]
-        volumes = [np.asarray(volume, np.float64) for volume in array_at(dataset.file, _ARRAYS["truth_basis"])]
-        truth = {
-            name: [float(volume.sum()), float(np.square(volume).sum())]
-            for name, volume in zip(dataset.spectra.basis.names, volumes, strict=True)
-        }
-    return {"arrays": arrays, "totals": totals, "truth": truth}
+        volumes = array_at(dataset.file, HASHED["truth_basis"])
+        truth = {name: _sums(volume) for name, volume in zip(dataset.spectra.basis.names, volumes, strict=True)}
+        stated = {name: _sums(array_at(dataset.file, HASHED[name])[()]) for name in _STATED}
+    return {"arrays": array_hashes(path), "totals": totals, "truth": truth, "stated": stated}
 
 
 def compare(found: Mapping[str, Any], stored: Mapping[str, Any] | None) -> tuple[str, str]:
@@ -78,9 +69,11 @@ def compare(found: Mapping[str, Any], stored: Mapping[str, Any] | None) -> tuple
     for name, array in found["arrays"].items():
         if any(array[key] != stored["arrays"][name][key] for key in ("dtype", "shape")):
             return DIFFERENT, f"{name} have another type or shape"
-    now, before = (np.array([scan["truth"][name] for name in stored["truth"]]) for scan in (found, stored))
-    if not np.allclose(now, before, rtol=_TRUTH, atol=0):
-        return DIFFERENT, f"sums over the truth changed by up to {np.abs(now / before - 1).max():.1e} of their value"
+    for what in ("truth", "stated"):
+        pairs = [(found[what].get(name, (0, 0)), sums) for name, sums in stored[what].items()]
+        if (change := _largest_change(pairs)) > _SUMS:
+            where = "the truth" if what == "truth" else "stated spectra and poses"
+            return DIFFERENT, f"sums over {where} changed by up to {change:.1e} of their value"
     now, before = (np.array(scan["totals"], np.float64) for scan in (found, stored))
     change = np.abs(now - before)
     same = change <= _ROUNDING * before + _COUNTS
@@ -91,9 +84,13 @@ def compare(found: Mapping[str, Any], stored: Mapping[str, Any] | None) -> tuple
     return ROUNDED, f"{', '.join(others)} differ by what processors round"
 
 
-def _digest(array: h5py.Dataset) -> dict[str, Any]:
-    """Type, shape, and SHA-256 of both and of the values, read piece by piece."""
-    found = sha256(f"{array.dtype.str} {array.shape}".encode())
-    for part in array:
-        found.update(np.ascontiguousarray(part).tobytes())
-    return {"dtype": array.dtype.str, "shape": list(array.shape), "sha256": found.hexdigest()}
+def _sums(values: np.ndarray) -> list[float]:
+    """Sums of magnitudes and of squares, which do not cancel."""
+    values = np.asarray(values, np.float64)
+    return [float(np.abs(values).sum()), float(np.square(values).sum())]
+
+
+def _largest_change(pairs: Sequence[tuple[Sequence[float], Sequence[float]]]) -> float:
+    """Largest difference of sums, as part of the stored one."""
+    now, before = np.array(pairs, np.float64).transpose(1, 0, 2)
+    return float(np.max(np.abs(now - before) / np.where(before == 0, 1.0, before)))

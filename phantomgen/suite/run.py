@@ -67,22 +67,25 @@ def make_suite(
         When the folder exists and neither is given, is no suite, or is another one.
     """
     check_output_folder(folder, overwrite or resume, "phantomgen suite", _is_suite, "make what is missing")
-    known = {} if overwrite else _known(suite, folder)
+    entries = {} if overwrite else _known(suite, folder)
     folder.mkdir(exist_ok=True)
     manifest: dict[str, Any] = {
         "schema": SCHEMA,
         "suite": suite.name,
         "sha256": suite.sha256,
         "tier": suite.tier,
+        "seconds": suite.seconds,
         "environment": environment(),
-        "cases": [],
+        "cases": list(entries.values()),
     }
+    write_json(folder / MANIFEST, manifest)
     for case in suite.cases:
         path = folder / f"{case.name}.h5"
-        entry = known.get(case.name) if path.is_file() else None
-        if entry is None:
-            entry = _made(case, path, suite.expected.get(case.name))
-        manifest["cases"].append(entry)
+        if case.name not in entries or not path.is_file():
+            entries[case.name] = _made(case, path)
+        entry = entries[case.name]
+        entry["agreement"], entry["why"] = compare(entry, suite.expected.get(case.name))
+        manifest["cases"] = [entries[one.name] for one in suite.cases if one.name in entries]
         write_json(folder / MANIFEST, manifest)
         tell(f"{case.name:<16} {_shape_text(entry)}, {entry['seconds']:.1f} s: {entry['agreement']}")
     return Made(folder, manifest)
@@ -100,11 +103,11 @@ def expected_of(manifest: dict[str, Any]) -> dict[str, Any]:
     records by name of the case
     """
     return {
-        case["name"]: {key: case[key] for key in ("scene", "arrays", "totals", "truth")} for case in manifest["cases"]
+        case["name"]: {key: case[key] for key in ("scene", "arrays", "totals", "truth", "stated")} for case in manifest["cases"]
     }
 
 
-def _made(case: Case, path: Path, stored: dict[str, Any] | None) -> dict[str, Any]:
+def _made(case: Case, path: Path) -> dict[str, Any]:
     """Simulate, degrade and record one case."""
     begun = time.perf_counter()
     scan = load_scene(case.scene)
@@ -112,19 +115,19 @@ def _made(case: Case, path: Path, stored: dict[str, Any] | None) -> dict[str, An
         simulate(scan, path, overwrite=True)
     else:
         whole = path.with_name(f"{path.stem}-whole.h5")
-        simulate(scan, whole, overwrite=True)
-        degrade_file(whole, path, case.degradation, overwrite=True)
-        whole.unlink()
-    found = {"scene": case.sha256, **record(path)}
-    agreement, why = compare(found, stored)
+        try:
+            simulate(scan, whole, overwrite=True)
+            degrade_file(whole, path, case.degradation, overwrite=True)
+        finally:
+            whole.unlink(missing_ok=True)
+    found = record(path)
     return {
         "name": case.name,
         "what": case.what,
         "file": path.name,
         "basis": list(found["truth"]),
         "seconds": round(time.perf_counter() - begun, 2),
-        "agreement": agreement,
-        "why": why,
+        "scene": case.sha256,
         **found,
     }
 
