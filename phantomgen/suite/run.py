@@ -103,7 +103,8 @@ def expected_of(manifest: dict[str, Any]) -> dict[str, Any]:
     records by name of the case
     """
     return {
-        case["name"]: {key: case[key] for key in ("scene", "arrays", "totals", "truth", "stated")} for case in manifest["cases"]
+        case["name"]: {key: case[key] for key in ("scene", "arrays", "totals", "truth", "stated")}
+        for case in manifest["cases"]
     }
 
 
