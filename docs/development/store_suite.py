@@ -1,8 +1,9 @@
-"""Stores what scans of a suite must be, for others to compare theirs with: `phantomgen/suite/definitions/v1-expected.json`.
+"""Stores what the scans of a suite must be, for others to compare theirs with.
 
     python docs/development/store_suite.py suite-v1-minutes suite-v1-hour
 
-takes folders of `phantomgen suite`, one per tier, and records their files anew. Tiers that are not named stay as they are.
+takes folders of `phantomgen suite`, one per tier, records their files anew, and writes
+`phantomgen/suite/definitions/v1-expected.json`. Tiers that are not named stay as they are.
 """
 
 import json
@@ -22,8 +23,7 @@ def store(folder: Path) -> Path:
     suite = read_suite(manifest["suite"], manifest["tier"])
     if manifest["sha256"] != suite.sha256:
         sys.exit(f"{folder} was made by another definition of the suite {suite.name}: make it anew")
-    for case in manifest["cases"]:
-        case |= record(folder / case["file"])
+    manifest["cases"] = [case | record(folder / case["file"]) for case in manifest["cases"]]
     path = FOLDER / f"{suite.name}-expected.json"
     content = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     content[suite.tier] = expected_of(manifest)

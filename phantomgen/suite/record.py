@@ -17,7 +17,7 @@ from phantomgen.dataset.layout import array_at
 from phantomgen.dataset.reader import open_dataset
 
 IDENTICAL, ROUNDED, DIFFERENT, UNKNOWN = "identical", "same within rounding", "different", "not stored"
-_STATED = ("stated_channels", "stated_basis", "stated_poses")
+_STATED = ("flats", "stated_channels", "stated_basis", "stated_poses")
 # Change of the total of an image with the same noise: part of the total, and counts.
 _ROUNDING, _COUNTS = 5e-6, 20.0
 # Part of the images that must have the same noise, and standard deviations for the others.
@@ -36,7 +36,7 @@ def record(path: Path) -> dict[str, Any]:
     Returns
     -------
     `arrays` of `phantomgen.dataset.array_hashes.array_hashes`; `totals` of the counts of each view and channel;
-    `truth`, the sum of magnitudes and the sum of squares of each basis volume; `stated`, the same of the stated
+    `truth`, the sum of magnitudes and the sum of squares of each basis volume; `stated`, the same of flats and of the stated
     spectra, basis functions and poses
     """
     with open_dataset(path) as dataset:
@@ -66,22 +66,38 @@ def compare(found: Mapping[str, Any], stored: Mapping[str, Any] | None) -> tuple
         return DIFFERENT, "the definition of the scene changed"
     if found["arrays"] == stored["arrays"]:
         return IDENTICAL, ""
-    for name, array in found["arrays"].items():
-        if any(array[key] != stored["arrays"][name][key] for key in ("dtype", "shape")):
-            return DIFFERENT, f"{name} have another type or shape"
-    for what in ("truth", "stated"):
-        pairs = [(found[what].get(name, (0, 0)), sums) for name, sums in stored[what].items()]
-        if (change := _largest_change(pairs)) > _SUMS:
-            where = "the truth" if what == "truth" else "stated spectra and poses"
-            return DIFFERENT, f"sums over {where} changed by up to {change:.1e} of their value"
-    now, before = (np.array(scan["totals"], np.float64) for scan in (found, stored))
-    change = np.abs(now - before)
-    same = change <= _ROUNDING * before + _COUNTS
-    far = change > _DEVIATIONS * np.sqrt(2 * before) + _COUNTS
-    if far.any() or same.mean() < _SAME_NOISE:
-        return DIFFERENT, f"{1 - same.mean():.0%} of the images have other counts than rounding explains"
+    if why := _changed_shape(found, stored) or _changed_sums(found, stored):
+        return DIFFERENT, why
+    if not (same := _part_with_same_noise(found["totals"], stored["totals"])) >= _SAME_NOISE:
+        return DIFFERENT, f"{1 - same:.0%} of the images have other counts than rounding explains"
     others = [name for name, array in found["arrays"].items() if array != stored["arrays"][name]]
     return ROUNDED, f"{', '.join(others)} differ by what processors round"
+
+
+def _changed_shape(found: Mapping[str, Any], stored: Mapping[str, Any]) -> str:
+    """Which array has another type or shape, as a sentence; empty where none has."""
+    for name, array in found["arrays"].items():
+        if any(array[key] != stored["arrays"][name][key] for key in ("dtype", "shape")):
+            return f"{name} have another type or shape"
+    return ""
+
+
+def _changed_sums(found: Mapping[str, Any], stored: Mapping[str, Any]) -> str:
+    """Why sums show another truth, or other statements; empty where they do not."""
+    for what, where in (("truth", "the truth"), ("stated", "flats, stated spectra and poses")):
+        pairs = [(found[what].get(name, (0, 0)), sums) for name, sums in stored[what].items()]
+        if (change := _largest_change(pairs)) > _SUMS:
+            return f"sums over {where} changed by up to {change:.1e} of their value"
+    return ""
+
+
+def _part_with_same_noise(found: Sequence[Sequence[int]], stored: Sequence[Sequence[int]]) -> float:
+    """Part of the images whose totals differ by rounding only; 0 where one differs by more than noise."""
+    now, before = np.array(found, np.float64), np.array(stored, np.float64)
+    change = np.abs(now - before)
+    if (change > _DEVIATIONS * np.sqrt(2 * before) + _COUNTS).any():
+        return 0.0
+    return float(np.mean(change <= _ROUNDING * before + _COUNTS))
 
 
 def _sums(values: np.ndarray) -> list[float]:

@@ -138,15 +138,10 @@ def _known(suite: Suite, folder: Path) -> dict[str, dict[str, Any]]:
     if not (folder / MANIFEST).is_file():
         return {}
     manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    other = [
-        key
-        for key in ("suite", "sha256", "tier")
-        if manifest.get(key) != getattr(suite, "name" if key == "suite" else key)
-    ]
-    if other:
+    if [manifest.get(key) for key in ("suite", "tier", "sha256")] != [suite.name, suite.tier, suite.sha256]:
         raise InputError(
-            f"{folder} holds the suite {manifest.get('suite')} of tier {manifest.get('tier')}: choose another folder by "
-            "--out, or add --overwrite"
+            f"{folder} holds the suite {manifest.get('suite')}, tier {manifest.get('tier')}, "
+            f"{manifest.get('sha256', '')[:12]}: choose another folder by --out, or add --overwrite"
         )
     return {case["name"]: case for case in manifest["cases"]}
 

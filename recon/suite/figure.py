@@ -30,10 +30,10 @@ def cases_and_methods(results: Results, path: Path) -> Path | None:
             ax.axhline(place, color=GRID, linewidth=0.8, zorder=0)
         for i, (name, own) in enumerate(levels.items()):
             points = [(value, cases.index(case)) for case, value in own.items() if value is not None]
-            style = {"color": COLOURS[i % len(COLOURS)], "marker": MARKERS[i % len(MARKERS)], "linestyle": "none"}
-            # several rounds of colours differ by their filling
-            filling = {} if i < len(COLOURS) else {"markerfacecolor": "none"}
-            ax.plot(*zip(*points, strict=True) if points else ([], []), label=name, markersize=6, **style, **filling)
+            x, y = zip(*points, strict=True) if points else ((), ())
+            mark, colour = MARKERS[i % len(MARKERS)], COLOURS[i % len(COLOURS)]
+            inside = colour if i < len(COLOURS) else "none"  # a second round of colours is not filled
+            ax.plot(x, y, mark, color=colour, markerfacecolor=inside, markersize=6, label=name)
         ax.set_yticks(range(len(cases)), cases)
         ax.set_ylim(len(cases) - 0.5, -0.5)
         ax.set_xlabel("mean PSNR of the basis volumes [dB]")
