@@ -1,12 +1,21 @@
-"""The transmission operator in torch's automatic differentiation."""
+"""The transmission operator in torch's automatic differentiation.
+
+`transmit` has gradients in the line integrals and is the fastest; `transmit_spectrum` has gradients in everything: line
+integrals, sensitivities of the channels, and functions of energy.
+"""
 
 from functools import lru_cache
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from spectra.ops.transmit import expected_and_jacobian, expected_counts
+
+# Rays x energies that are in memory at once.
+_MOST = 1 << 21
 
 if TYPE_CHECKING:
     from spectra.ops.transmit.gpu import Tables
@@ -144,3 +153,91 @@ def transmit(lengths: torch.Tensor, transmission: "Transmission") -> torch.Tenso
     """
     on_gpu = lengths.device.type == "cuda" and find_spec("triton") is not None
     return (TransmitOnGpu if on_gpu else Transmit).apply(lengths, transmission)
+
+
+class TransmitSpectrum(torch.autograd.Function):
+    """Expected counts as a torch function of line integrals, columns and weights; some rays at a time.
+
+    The backward pass computes the transmitted parts again, so that memory does not grow with rays x energies.
+    """
+
+    @staticmethod
+    def forward(lengths: Tensor, columns: Tensor, weights: Tensor) -> Tensor:
+        """Compute expected counts.
+
+        Parameters
+        ----------
+        lengths : line integrals, (ray, M)
+        columns : functions of energy, (M, E)
+        weights : photons x response, (C, E)
+
+        Returns
+        -------
+        counts, (ray, C)
+        """
+        return torch.cat([torch.exp(-rays @ columns) @ weights.T for rays in lengths.split(_together(columns))])
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Tensor, ...], output: Tensor) -> None:
+        """Keep the arguments.
+
+        Parameters
+        ----------
+        ctx : torch's context
+        inputs : arguments of `forward`
+        output : counts
+        """
+        ctx.save_for_backward(*inputs)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Compute the gradients in all arguments; these can be differentiated again.
+
+        Parameters
+        ----------
+        ctx : torch's context
+        gradient : gradient in the counts, (ray, C)
+
+        Returns
+        -------
+        gradients in the line integrals, the columns and the weights
+        """
+        lengths, columns, weights = ctx.saved_tensors
+        by_rays, by_columns, by_weights = [], torch.zeros_like(columns), torch.zeros_like(weights)
+        together = _together(columns)
+        for rays, counts in zip(lengths.split(together), gradient.split(together), strict=True):
+            left = torch.exp(-rays @ columns)
+            absorbed = left * (counts @ weights)
+            by_rays.append(-absorbed @ columns.T)
+            by_columns = by_columns - rays.T @ absorbed
+            by_weights = by_weights + counts.T @ left
+        return torch.cat(by_rays), by_columns, by_weights
+
+
+def _together(columns: Tensor) -> int:
+    """Number of rays that are computed at once."""
+    return max(1, _MOST // max(1, columns.shape[1]))
+
+
+def transmit_spectrum(
+    lengths: Float[Tensor, "... basis"],
+    columns: Float[Tensor, "basis energy"],
+    weights: Float[Tensor, "channel energy"],
+) -> Float[Tensor, "... channel"]:
+    """Compute expected counts sum_k w_ck exp(-sum_m B_m(E_k) L_m), differentiable in all three arguments.
+
+    Plain torch, on any device, in the precision of `lengths`; `transmit` is faster where only line integrals have
+    gradients, as it computes the nodes of a channel alone.
+
+    Parameters
+    ----------
+    lengths : line integrals, (..., M)
+    columns : functions of energy, (M, E)
+    weights : photons x response, (C, E)
+
+    Returns
+    -------
+    counts, (..., C), on the device and in the dtype of `lengths`
+    """
+    counts = TransmitSpectrum.apply(lengths.flatten(0, -2), columns.to(lengths), weights.to(lengths))
+    return counts.unflatten(0, lengths.shape[:-1])  # type: ignore[union-attr]

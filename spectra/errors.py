@@ -16,6 +16,24 @@ Messages are one sentence: what is wrong, where, the value found, and what would
 A command line turns an `Error` into that sentence and exit code 1; anything else is a bug and shows its traceback.
 """
 
+LONGEST_QUOTE = 80  # characters of an input that a message quotes
+
+
+def shortened(text: object, longest: int = LONGEST_QUOTE) -> str:
+    """Shorten an input for a message.
+
+    Parameters
+    ----------
+    text : what the user gave
+    longest : number of characters
+
+    Returns
+    -------
+    beginning and end of a long text, the whole of a short one
+    """
+    words = str(text)
+    return words if len(words) <= longest else f"{words[: longest * 2 // 3]} ... {words[-longest // 4 :]}"
+
 
 class Error(Exception):
     """Root of all errors raised on purpose."""

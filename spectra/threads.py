@@ -19,6 +19,8 @@ R = TypeVar("R")
 
 _worker = threading.local()
 _state: dict[str, ThreadPoolExecutor | int | None] = {"pool": None, "count": None}
+if hasattr(os, "register_at_fork"):  # threads do not survive a fork, as that of a data loader: its child makes its own
+    os.register_at_fork(after_in_child=lambda: _state.update(pool=None))
 
 
 def available_threads() -> int:

@@ -31,8 +31,15 @@ PAGES = sorted(
     for path in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
     if not {"outside", "_build"} & set(path.parts)  # made when the site is built
 )
-# Modules that come with a dependency: Triton with torch's builds for GPUs, which choose its version.
-BROUGHT_ALONG = {"xraylib_np": ["xraylib"], "llvmlite": ["numba"], "triton": ["torch"], "tifffile": ["scikit-image"]}
+# Modules that come with a dependency: Triton with torch's builds for GPUs, which choose its version. And DeepInverse,
+# which no other test needs.
+BROUGHT_ALONG = {
+    "xraylib_np": ["xraylib"],
+    "llvmlite": ["numba"],
+    "triton": ["torch"],
+    "tifffile": ["scikit-image"],
+    "deepinv": ["deepinv"],
+}
 PROGRAMS = {"phantomgen": phantomgen, "recon": recon}
 # Scripts of folders that `phantomgen export` writes, and of R2-Gaussian.
 ELSEWHERE = {"load.py", "initialize_pcd.py", "train.py"}
@@ -63,7 +70,7 @@ def test_everything_imported_is_a_dependency(imports):
     extras = PROJECT["project"]["optional-dependencies"]
     optional = {
         Requirement(text).name.lower()
-        for extra in ("cluster", "compress", "images", "io", "xarray")
+        for extra in ("cluster", "compress", "deepinv", "images", "io", "xarray")
         for text in extras[extra]
     }
     assert needed == {Requirement(text).name for text in PROJECT["project"]["dependencies"]} | optional
@@ -215,9 +222,21 @@ def test_the_version_is_the_same_everywhere():
     assert f"version: {version}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
+def test_nothing_but_kernels_for_gpus_needs_triton():
+    # PyTorch's builds for the CPU, for macOS and for Windows bring none.
+    modules = [
+        ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        for path in files(*PACKAGES, suffix=".py")
+        if path.name not in {"gpu.py", "gpu_calls.py", "deepinv.py"}
+    ]
+    assert len(modules) > 300
+    code = f"import sys, importlib; sys.modules['triton'] = None; [importlib.import_module(m) for m in {modules}]"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
 def kernels():
     for path in files(*PACKAGES, suffix=".py"):
-        if path.name == "gpu.py":  # no numba, and Triton is not everywhere
+        if path.name in {"gpu.py", "deepinv.py"}:  # no numba, and Triton and DeepInverse are not everywhere
             continue
         module = import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
         yield from ((module, name, value) for name, value in vars(module).items() if isinstance(value, Dispatcher))

@@ -6,10 +6,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from phantomgen.dataset.compression import Compression, check_compression
+from phantomgen.runtime.yaml_text import YamlTextError, parse_yaml
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.simulation.forward_model.fingerprint import digest
 from spectra.errors import InputError, SceneError
@@ -143,11 +143,13 @@ class Batch:
 def _model(path: Path) -> BatchModel:
     """The checked content of a manifest."""
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+        values = parse_yaml(path.read_text(encoding="utf-8")).values
     except OSError as error:
         raise InputError(f"{path} cannot be read as a manifest: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is no YAML: {str(error).splitlines()[0]}") from None
+    except YamlTextError as problem:
+        raise InputError(f"{path}:{problem.line}:{problem.column}: {problem.reason}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path} is no YAML: it is not UTF-8 text") from None
     if not isinstance(values, dict):
         raise InputError(f"{path}: a manifest is a mapping of keys to values that starts with 'version: 1'")
     if values.keys() & _OF_A_SCENE and not values.keys() & {"preset", "scene"}:

@@ -1,13 +1,27 @@
 """Common parts of all commands of this project: errors as sentences, exit codes, options."""
 
+import errno
+import os
+import signal
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from math import isfinite
 from typing import Any
 
 import click
 
-from spectra.errors import Error, MachineWarning
+from spectra.errors import Error, MachineWarning, shortened
+
+# What a file system refuses: names that are too long, folders that cannot be written, full disks.
+_OF_FILES = {
+    errno.ENAMETOOLONG, errno.EACCES, errno.EPERM, errno.EROFS, errno.ELOOP, errno.EISDIR, errno.ENOTDIR, errno.ENOSPC,
+    errno.EDQUOT, errno.EFBIG, errno.EIO,
+}  # fmt: skip
+
+
+_NOTHING_LEFT = "nothing was left half-written"
 
 
 class Commands(click.Group):
@@ -25,16 +39,45 @@ class Commands(click.Group):
         result of the command
         """
         try:
-            with _warnings_as_sentences():
+            with _warnings_as_sentences(), _terminable():
                 return super().invoke(ctx)
         except Error as error:
             if ctx.meta.get("debug"):
                 raise
             click.echo(f"Error: {error}", err=True)
             ctx.exit(1)
+        except OSError as error:
+            if error.errno not in _OF_FILES or ctx.meta.get("debug"):
+                raise
+            name = shortened(error.filename or "a file")
+            click.echo(f"Error: {name} cannot be opened or written: {os.strerror(error.errno)}", err=True)
+            ctx.exit(1)
         except KeyboardInterrupt as interrupt:
-            click.echo(f"Interrupted; {str(interrupt) or 'nothing was left half-written'}.", err=True)
-            ctx.exit(130)
+            ended = isinstance(interrupt, Terminated)
+            how = "Ended by SIGTERM" if ended else "Interrupted"
+            click.echo(f"{how}; {str(interrupt) or _NOTHING_LEFT}.", err=True)
+            ctx.exit(143 if ended else 130)
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM, which a batch system sends before it kills a process; handled as Ctrl-C."""
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Turn SIGTERM into an exception, so that what is half-written is removed; a fit has a handler of its own."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+        yield
+        return
+
+    def end(*_: object) -> None:
+        raise Terminated
+
+    signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 @contextmanager
@@ -53,6 +96,31 @@ def _warnings_as_sentences() -> Iterator[None]:
         yield
     finally:
         warnings.showwarning = usual
+
+
+class FiniteRange(click.FloatRange):
+    """Type of an option that is a number within limits, neither NaN nor infinite."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Convert the text of an option.
+
+        Parameters
+        ----------
+        value : the text
+        param, ctx : of click
+
+        Returns
+        -------
+        the number
+        """
+        number = super().convert(value, param, ctx)
+        if number is not None and not isfinite(number):
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return number
+
+    def _describe_range(self) -> str:
+        """Limits for the help text, where there are any."""
+        return "" if self.min is None and self.max is None else super()._describe_range()
 
 
 def debug_option(command: Callable) -> Callable:

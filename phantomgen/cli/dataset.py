@@ -23,18 +23,24 @@ def info(file: str, as_json: bool) -> None:
     click.echo(json.dumps(description) if as_json else describe_text(description))
 
 
-@click.command(epilog="\b\nExamples:\n  phantomgen validate kedge.h5\n  phantomgen validate scan.h5 --air 0:16,0:256")
+@click.command(
+    epilog="\b\nExamples:\n  phantomgen validate kedge.h5\n  phantomgen validate edited.h5 --air 0:16,0:256 --seal"
+)
 @click.argument("file", type=click.Path(dir_okay=False))
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
+@click.option("--seal", is_flag=True, help="First write new digests into the file, after an edit on purpose.")
 @json_option
 @debug_option
-def validate(file: str, air: str | None, as_json: bool) -> None:
-    """Check a dataset whole: shapes, units, values, splits.
+def validate(file: str, air: str | None, seal: bool, as_json: bool) -> None:
+    """Check a dataset whole: digests, checksums, shapes, units, ranges, splits.
 
     Exits with 3 when something is wrong.
     """
+    from phantomgen.dataset.file import seal_file
     from phantomgen.dataset.validate import validate as check
 
+    if seal:
+        seal_file(Path(file))
     problems = check(file, air)
     if as_json:
         click.echo(json.dumps({"file": file, "valid": not problems, "problems": problems}))
@@ -53,6 +59,6 @@ def schema(scene: bool) -> None:
 
         click.echo(json.dumps(json_schema(), indent=1))
         return
-    from phantomgen.dataset.layout import SCHEMA_TABLE
+    from phantomgen.dataset.checks.fields import schema_text
 
-    click.echo(SCHEMA_TABLE, nl=False)
+    click.echo(schema_text(), nl=False)

@@ -2,111 +2,76 @@
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import FiniteRange, debug_option, json_option
 
 
-class Part(click.ParamType):
-    """A part of something: ``20%`` or ``0.2``."""
+class Parsed(click.ParamType):
+    """An option whose text a function reads; a ValueError of the function becomes a sentence.
 
-    name = "part"
+    Parameters
+    ----------
+    name : name of the type
+    parse : reads the text
+    wrong : what is said of a text that cannot be read, after the text itself
+    """
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Read a part.
+    def __init__(self, name: str, parse: Callable[[str], Any], wrong: str) -> None:
+        self.name, self.parse, self.wrong = name, parse, wrong
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Read the text; a default is a value already.
 
         Parameters
         ----------
-        value : text
+        value : text, or the default
         param, ctx : of click
 
         Returns
         -------
-        the part, 1 for all
+        what the function reads
         """
-        text = str(value).strip()
-        try:
-            return float(text.removesuffix("%")) / (100 if text.endswith("%") else 1)
-        except ValueError:
-            self.fail(f"{value!r} is neither a percentage such as 20% nor a number such as 0.2", param, ctx)
-
-
-class Arc(click.ParamType):
-    """An arc: its length, or first and last angle, in degrees."""
-
-    name = "arc"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
-        """Read an arc.
-
-        Parameters
-        ----------
-        value : text
-        param, ctx : of click
-
-        Returns
-        -------
-        first and last angle [degree]
-        """
-        first, _, last = str(value).rpartition(":")
-        try:
-            return float(first or 0), float(last)
-        except ValueError:
-            self.fail(f"{value!r} is neither an angle such as 120 nor two such as 30:150", param, ctx)
-
-
-class Pixels(click.ParamType):
-    """A length in pixels: ``0.5px`` or ``0.5``."""
-
-    name = "pixels"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Read a length.
-
-        Parameters
-        ----------
-        value : text
-        param, ctx : of click
-
-        Returns
-        -------
-        pixels
-        """
-        try:
-            return float(str(value).strip().removesuffix("px"))
-        except ValueError:
-            self.fail(f"{value!r} is no number of pixels such as 0.5px", param, ctx)
-
-
-class Levels(click.ParamType):
-    """Doses, separated by commas."""
-
-    name = "levels"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
-        """Read doses.
-
-        Parameters
-        ----------
-        value : text
-        param, ctx : of click
-
-        Returns
-        -------
-        doses
-        """
-        if isinstance(value, tuple):
+        if not isinstance(value, str):
             return value
         try:
-            levels = tuple(float(part) for part in str(value).split(","))
+            return self.parse(value.strip())
         except ValueError:
-            self.fail(f"{value!r} is no list of doses such as 1,0.5,0.25", param, ctx)
-        if len(set(levels)) < len(levels):
-            self.fail(f"{value!r} names a dose twice", param, ctx)
-        return levels
+            self.fail(f"{value!r} {self.wrong}", param, ctx)
+
+
+def _part(text: str) -> float:
+    """Part of something, 1 for all: ``20%`` or ``0.2``."""
+    return float(text.removesuffix("%")) / (100 if text.endswith("%") else 1)
+
+
+def _arc(text: str) -> tuple[float, float]:
+    """First and last angle [degree]: ``30:150``, or ``120`` from 0."""
+    first, _, last = text.rpartition(":")
+    return float(first or 0), float(last)
+
+
+def _pixels(text: str) -> float:
+    """Length in pixels: ``0.5px`` or ``0.5``."""
+    return float(text.removesuffix("px"))
+
+
+def _levels(text: str) -> tuple[float, ...]:
+    """Doses, separated by commas, each once."""
+    levels = tuple(float(part) for part in text.split(","))
+    if len(set(levels)) < len(levels):
+        raise ValueError
+    return levels
+
+
+PART = Parsed("part", _part, "is neither a percentage such as 20% nor a number such as 0.2")
+ARC = Parsed("arc", _arc, "is neither an angle such as 120 nor two such as 30:150")
+PIXELS = Parsed("pixels", _pixels, "is no number of pixels such as 0.5px")
+LEVELS = Parsed("levels", _levels, "is no list of different doses such as 1,0.5,0.25")
 
 
 @click.command(
@@ -117,19 +82,19 @@ class Levels(click.ParamType):
 )
 @click.argument("scan", type=click.Path(dir_okay=False, path_type=Path))
 @click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="The new dataset.")
-@click.option("--dose", type=float, default=1.0, help="Part of the dose that is left, such as 0.25.")
-@click.option("--levels", type=Levels(), metavar="D,D,...", help="One file per dose, named OUT-D.h5.")
+@click.option("--dose", type=FiniteRange(), default=1.0, help="Part of the dose that is left, such as 0.25.")
+@click.option("--levels", type=LEVELS, metavar="D,D,...", help="One file per dose, named OUT-D.h5.")
 @click.option("--complement", is_flag=True, help="Write the counts that --dose leaves out, in place of the others.")
 @click.option("--flats", type=click.Choice(["keep", "thin"]), default="keep", help="Flats at low dose [default: keep].")
 @click.option("--noise", is_flag=True, help="Draw Poisson counts, from a scan made by --no-noise.")
 @click.option("--views", type=int, metavar="N", help="Number of training views, evenly spread; test views stay.")
-@click.option("--arc", type=Arc(), metavar="DEGREES", help="Training views of this arc only: 120, or 30:150.")
-@click.option("--truncate", type=Part(), default=0.0, metavar="PART", help="Cut off columns, half on each side: 20%.")
+@click.option("--arc", type=ARC, metavar="DEGREES", help="Training views of this arc only: 120, or 30:150.")
+@click.option("--truncate", type=PART, default=0.0, metavar="PART", help="Cut off columns, half on each side: 20%.")
 @click.option("--bin", "factor", type=int, default=1, metavar="N", help="Sum N x N pixels.")
-@click.option("--dead", type=Part(), default=0.0, metavar="PART", help="Pixels that die and are marked: 0.1%.")
-@click.option("--shift", type=Pixels(), default=0.0, metavar="PIXELS", help="State the panel so far from the true one.")
+@click.option("--dead", type=PART, default=0.0, metavar="PART", help="Pixels that die and are marked: 0.1%.")
+@click.option("--shift", type=PIXELS, default=0.0, metavar="PIXELS", help="State the panel so far from the true one.")
 @click.option(
-    "--kv-error", type=float, default=0.0, metavar="KV", help="State a tube voltage so far from the true one."
+    "--kv-error", type=FiniteRange(), default=0.0, metavar="KV", help="State a tube voltage so far from the true one."
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of photons and dead pixels.")
 @click.option("--compression", default="gzip", metavar="gzip|bitshuffle|none", help="Of large arrays [default: gzip].")

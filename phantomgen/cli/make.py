@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option, print_stages
+from phantomgen.cli.common import FiniteRange, debug_option, json_option, print_stages
 
 
 @click.command(
@@ -23,7 +23,7 @@ from phantomgen.cli.common import debug_option, json_option, print_stages
 @click.option("--test-views", type=click.IntRange(min=0), help="Number of test views.")
 @click.option("--voxels", type=click.IntRange(min=1), help="Voxels along each edge of the volume.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the noise, and of a scene's random values.")
-@click.option("--tol", type=float, help="Worst error of log projections that is wanted [default: 1e-3].")
+@click.option("--tol", type=FiniteRange(), help="Worst error of log projections that is wanted [default: 1e-3].")
 @click.option("--noise/--no-noise", default=None, help="Poisson counts, or their means.")
 @click.option("--set", "settings", metavar="PATH=VALUE", multiple=True, help="Override any value of the scene.")
 @click.option(
@@ -116,6 +116,7 @@ def _make(
     shown = sys.stderr.isatty() and not quiet
     with compiling_ahead(lambda text: click.echo(text, err=True) if shown else None) as wait_for_kernels:
         from phantomgen.dataset.compression import check_compression
+        from phantomgen.dataset.file import DATASET
         from phantomgen.dataset.writing.frame_journal import check_journal
         from phantomgen.dataset.writing.writer import check_dataset_name
         from phantomgen.runtime.outputs import check_output
@@ -131,7 +132,7 @@ def _make(
             file = SceneFile.preset(preset, overrides) if preset else find_scene(scene or "", overrides)
         path = Path(out or f"{file.model.name}.h5")
         check_dataset_name(path)
-        check_output(path, options["overwrite"])
+        check_output(path, options["overwrite"], kind=DATASET)
         check_journal(path, options["resume"], options["overwrite"])
         check_compression(options["compression"])
         set_threads(threads)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import FiniteRange, debug_option, json_option
 
 
 @click.command(
@@ -13,7 +13,7 @@ from phantomgen.cli.common import debug_option, json_option
     "  phantomgen materials iodine_10 --scene contrast-vials"
 )
 @click.argument("name", required=False)
-@click.option("--density", type=click.FloatRange(min=0, min_open=True), help="Density of a formula [g/cm^3].")
+@click.option("--density", type=FiniteRange(min=0, min_open=True), help="Density of a formula [g/cm^3].")
 @click.option("--scene", metavar="FILE", help="Take NAME from the materials of a scene file or preset.")
 @click.option("--plot", type=click.Path(dir_okay=False), help="Write mu(E), its fit and the error as a picture.")
 @json_option

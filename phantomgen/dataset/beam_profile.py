@@ -7,7 +7,8 @@ import h5py
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.dataset.layout import array_at, new_group, put, text_of
+from phantomgen.dataset.checks.door import find_group, value_at
+from phantomgen.dataset.layout import new_group, put, text_of
 from spectra.errors import DatasetError
 
 PROFILE = "/entry/spectra/profile"
@@ -78,8 +79,8 @@ def read_profile(file: h5py.File) -> StoredProfile | None:
     -------
     the profile; None where the dataset has none
     """
-    group = file.get(PROFILE)
-    if not isinstance(group, h5py.Group):
+    group = find_group(file, PROFILE)
+    if group is None:
         return None
-    names, lengths, attenuation = (array_at(group, name)[()] for name in ("name", "thickness", "mu"))
+    names, lengths, attenuation = (value_at(group, name) for name in ("name", "thickness", "mu"))
     return StoredProfile(tuple(text_of(name) for name in names), lengths, attenuation)

@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 from jaxtyping import Shaped
 
+from phantomgen.dataset.checks.door import find_array
 from spectra.errors import InputError, NotInstalledError
 
 Compression = Literal["gzip", "bitshuffle", "none"]
@@ -40,7 +41,7 @@ def check_compression(name: str) -> None:
 
 
 def filters(compression: Compression) -> dict[str, Any]:
-    """Return the keyword arguments of h5py for a compression.
+    """Return the keyword arguments of h5py for a compression; the last filter is the checksum Fletcher-32.
 
     Parameters
     ----------
@@ -51,14 +52,14 @@ def filters(compression: Compression) -> dict[str, Any]:
     keyword arguments of ``create_dataset``
     """
     if compression == "bitshuffle":
-        return dict(_plugin("the compression bitshuffle").Bitshuffle())
+        return {**_plugin("the compression bitshuffle").Bitshuffle(), "fletcher32": True}
     if compression == "gzip":
-        return {"compression": "gzip", "compression_opts": _GZIP_LEVEL, "shuffle": True}
-    return {}
+        return {"compression": "gzip", "compression_opts": _GZIP_LEVEL, "shuffle": True, "fletcher32": True}
+    return {"fletcher32": True}
 
 
 def pack(chunk: Shaped[np.ndarray, "row column"], compression: Compression) -> bytes:
-    """Compress one chunk as the HDF5 filters do.
+    """Compress one chunk as the HDF5 filters do, without the checksum at the end.
 
     Parameters
     ----------
@@ -85,8 +86,8 @@ def check_readable(file: h5py.File, name: str) -> None:
     file : open dataset
     name : path of the array
     """
-    dataset = file.get(name)
-    if not isinstance(dataset, h5py.Dataset):
+    dataset = find_array(file, name)
+    if dataset is None:
         return
     settings = dataset.id.get_create_plist()
     used = {settings.get_filter(i)[0] for i in range(settings.get_nfilters())}
@@ -103,7 +104,7 @@ def _by_hdf5(chunk: Shaped[np.ndarray, "row column"], compression: Compression) 
     """One chunk through HDF5's own filters, in a file that exists in memory only."""
     with h5py.File(f"chunk-{next(_numbers)}", "w", driver="core", backing_store=False) as file:
         dataset = file.create_dataset("chunk", data=chunk, chunks=chunk.shape, **filters(compression))
-        return dataset.id.read_direct_chunk((0, 0))[1]
+        return dataset.id.read_direct_chunk((0, 0))[1][:-4]  # without the checksum
 
 
 def _plugin(what: str) -> Any:

@@ -7,8 +7,9 @@ from typing import Any
 import h5py
 import numpy as np
 
+from phantomgen.dataset.checks.door import find_array, find_group, group_at, has, value_at
 from phantomgen.dataset.file import DARK, FLAT
-from phantomgen.dataset.layout import array_at, group_at, text_of
+from phantomgen.dataset.layout import text_of
 from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.truth import read_fit
 from phantomgen.dataset.validate import newer_minor
@@ -52,7 +53,7 @@ def describe(path: Path) -> dict[str, Any]:
             "darks": _frames(dataset, DARK),
             "masked_pixels": int(np.count_nonzero(dataset.mask.any(axis=0))),
             "grid": {"shape": list(grid.shape), "spacing_mm": list(grid.spacing), "origin_mm": list(grid.origin)},
-            "truth": sorted(map(str, group_at(dataset.file, "truth"))) if "truth" in dataset.file else [],
+            "truth": sorted(map(str, group_at(dataset.file, "truth"))) if has(dataset.file, "truth") else [],
             "materials": _materials(dataset),
             "nxtomo": sorted(name for name in map(str, dataset.file) if name.startswith("nxtomo_")),
             "made_by": _made_by(dataset),
@@ -123,10 +124,10 @@ def _channels(dataset: Dataset) -> list[dict[str, Any]]:
 
 def _materials(dataset: Dataset) -> dict[str, Any]:
     """Whose coefficients are explicit and whose are fitted, with window and error of the fit; empty without truth."""
-    table = dataset.file.get("truth/materials")
-    if not isinstance(table, h5py.Group) or "kind" not in table:
+    table = find_group(dataset.file, "truth/materials")
+    if table is None or not has(table, "kind"):
         return {}
-    names, kinds = ([text_of(t) for t in array_at(table, key)[()]] for key in ("name", "kind"))
+    names, kinds = ([text_of(t) for t in value_at(table, key)] for key in ("name", "kind"))
     fit = read_fit(table)
     if fit is None:
         return {"kind": dict(zip(names, kinds, strict=True))}
@@ -166,17 +167,17 @@ def _dead_time_lines(dead_time: dict[str, Any] | None) -> list[str]:
 
 def _frames(dataset: Dataset, name: str) -> int:
     """Number of flats or darks."""
-    frames = dataset.file.get(name)
-    return int(frames.shape[0]) if isinstance(frames, h5py.Dataset) else 0
+    frames = find_array(dataset.file, name)
+    return 0 if frames is None else int(frames.shape[0])
 
 
 def _made_by(dataset: Dataset) -> str:
     """Program, version, date and seed of the first process."""
-    process = dataset.file.get("entry/process_1_simulate")
-    if not isinstance(process, h5py.Group):
+    process = find_group(dataset.file, "entry/process_1_simulate")
+    if process is None:
         return "unknown"
-    program, version, date = (text_of(array_at(process, name)[()]) for name in ("program", "version", "date"))
-    return f"{program} {version} on {date}, seed {int(array_at(process, 'seed')[()])}"
+    program, version, date = (text_of(value_at(process, name)) for name in ("program", "version", "date"))
+    return f"{program} {version} on {date}, seed {int(value_at(process, 'seed'))}"
 
 
 def _history(dataset: Dataset) -> list[dict[str, Any]]:
@@ -184,8 +185,8 @@ def _history(dataset: Dataset) -> list[dict[str, Any]]:
     steps = []
     for name, group in group_at(dataset.file, "entry").items():
         if str(name).startswith("process_") and isinstance(group, h5py.Group) and "done" in group:
-            number = int(array_at(group, "sequence_index")[()])
-            done = [text_of(phrase) for phrase in array_at(group, "done")[()]]
+            number = int(value_at(group, "sequence_index"))
+            done = [text_of(phrase) for phrase in value_at(group, "done")]
             what = str(name).split("_", 2)[2]
-            steps.append({"number": number, "step": what, "seed": int(array_at(group, "seed")[()]), "done": done})
+            steps.append({"number": number, "step": what, "seed": int(value_at(group, "seed")), "done": done})
     return sorted(steps, key=lambda step: step["number"])

@@ -4,7 +4,8 @@ import h5py
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.dataset.layout import FRAME, array_at, new_group, put, text_of
+from phantomgen.dataset.checks.door import value_at
+from phantomgen.dataset.layout import FRAME, new_group, put, text_of
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
 
@@ -43,8 +44,8 @@ def read_geometry(group: h5py.Group, panel: Panel, angles: Float[np.ndarray, " v
     -------
     the poses
     """
-    vectors = {name: array_at(group, name)[()] for name in _VECTORS}
-    kind = text_of(array_at(group, "kind")[()])
+    vectors = {name: value_at(group, name) for name in _VECTORS}
+    kind = text_of(value_at(group, "kind"))
     if kind == "parallel":
-        return Geometry.parallel(array_at(group, "ray_direction")[()], **vectors, panel=panel, angles=angles)
-    return Geometry(source=array_at(group, "source")[()], **vectors, panel=panel, angles=angles, kind=kind)
+        return Geometry.parallel(value_at(group, "ray_direction"), **vectors, panel=panel, angles=angles)
+    return Geometry(source=value_at(group, "source"), **vectors, panel=panel, angles=angles, kind=kind)

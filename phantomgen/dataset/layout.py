@@ -11,105 +11,15 @@ import h5py
 import numpy as np
 from jaxtyping import Shaped
 
+from phantomgen.dataset.checks.fletcher import fletcher32
 from phantomgen.dataset.compression import Compression, filters, pack
-from spectra.errors import DatasetError
 
 SCHEMA = "spectral-ct"
-SCHEMA_VERSION = (1, 0)
+SCHEMA_VERSION = (1, 1)
 FRAME = "right-handed, z = rotation axis, origin = isocentre"
 FRACTION_SCALE = 65535
 # Most bytes of a chunk, uncompressed; rows of larger images are split.
 _CHUNK_BYTES = 4 << 20
-
-SCHEMA_TABLE = """\
-/entry/instrument/detector/data          (V,C,R,K) int32 or float32   counts, or signal as `units` says
-/entry/instrument/detector/x_pixel_size  () mm     pitch along columns; y_pixel_size along rows
-/entry/instrument/detector/distance      () mm     sample to panel
-/entry/instrument/detector/<n>_channel   threshold_energy, upper_energy [keV]; pixel_mask (R,K), optional: 0 for a
-                                         pixel that measures, else bits of NXdetector: 1 dead, 3 hot, 6 in a cluster
-/entry/instrument/detector/dead_time     () ns, optional, with count_time () [ms] and dead_time_model
-/entry/instrument/flat/data              (F,C,R,K) open-beam frames
-/entry/instrument/dark/data              (D,C,R,K) frames without beam
-/entry/instrument/source                 probe, type, voltage [kV], charge per view [mA*s], target_material
-/entry/sample                            name, rotation_angle (V) [degree]
-/entry/geometry                          kind, source, panel_center, column_step, row_step (V,3) [mm]; in a parallel
-                                         beam ray_direction (V,3), unit vectors, in place of source
-/entry/spectra                           energy (E), energy_edges (E+1) [keV], source (E) [photons], response (C,E),
-                                         channel (C,E), basis (M,E), basis_name, basis_kind, edge_energy, edge_width,
-                                         element, normalisation_energy, reference_energy; for bases of materials
-                                         basis_composition: elements and their amounts, such as H 0.11 O 0.89;
-                                         variance (C,E), optional: of a signal per photon, where that is not the
-                                         response
-/entry/spectra/profile                   optional, for bowtie and heel effect: name (P), mu (P,E) [1/mm],
-                                         thickness (P,R,K) [mm] beyond that at the panel's centre; the beam to a pixel
-                                         is source x exp(-sum_p mu thickness)
-/entry/exposure/scale                    (V) or (V,C) tube output per view [and channel]
-/entry/splits/<scheme>                   train, test, val: indices of views; @default names the scheme
-/entry/reconstruction_grid               shape, spacing, origin (z,y,x) [mm]; origin is the centre of voxel 0
-/entry/process_<n>_<what>                program, version, date, sequence_index, command, seed, environment; of a later
-                                         step than the first also done (phrases) and settings (JSON)
-/truth/basis/data                        (M,z,y,x) float32 [1/mm]
-/truth/fractions                         (material,z,y,x) uint16, 65535 = the whole voxel
-/truth/labels                            (z,y,x) uint8 or uint16, 0 = background, i + 1 = material i
-/truth/materials                         name, density [g/cm^3], composition, coefficients (material,M) [1/mm], kind:
-                                         explicit or fitted, fit_error (rms, relative), fit_window [keV], fit_weights
-/truth/grid                              shape, spacing, origin (z,y,x), affine (4,4) for (x,y,z) [mm]
-/truth/scene                             the scene as YAML
-/truth/plan                              how finely the scan was computed, and the error of each part, as JSON
-/truth/geometry                          optional, like /entry/geometry: true poses, in the frame of the sample
-/truth/motion/pose                       (V,4,4) [mm], optional: from the sample at rest, as in /truth, to where it was
-/truth/expected                          (V,C,R,K) float32, optional: counts without noise
-/truth/paths                             optional: energy (n) [keV], data (V,n,R,K) float32, -log of the part of the
-                                         photons of that energy that objects leave; bounds (i+1) [keV], nodes (i),
-                                         error, depends_on
-/nxtomo_<channel>                        the channel as NXtomo, virtual: flats, projections, darks
-"""
-
-
-def array_at(parent: h5py.Group, name: str) -> h5py.Dataset:
-    """Return an array that must exist.
-
-    Parameters
-    ----------
-    parent : group
-    name : path of the array
-
-    Returns
-    -------
-    the array
-
-    Raises
-    ------
-    DatasetError
-        When it is missing.
-    """
-    found = parent.get(name)
-    if not isinstance(found, h5py.Dataset):
-        raise DatasetError(f"{parent.file.filename} lacks {_full_name(parent, name)}")
-    return found
-
-
-def group_at(parent: h5py.Group, name: str) -> h5py.Group:
-    """Return a group that must exist.
-
-    Parameters
-    ----------
-    parent : group
-    name : path of the group
-
-    Returns
-    -------
-    the group
-
-    Raises
-    ------
-    DatasetError
-        When it is missing.
-    """
-    found = parent.get(name)
-    if not isinstance(found, h5py.Group):
-        raise DatasetError(f"{parent.file.filename} lacks {_full_name(parent, name)}")
-    return found
 
 
 def text_of(value: Any) -> str:
@@ -238,7 +148,7 @@ def pack_image(image: Shaped[np.ndarray, "row column"], compression: Compression
 
 
 def write_image(dataset: h5py.Dataset, frame: int, channel: int, packed: list[bytes]) -> None:
-    """Write an image from `pack_image` at its place.
+    """Write an image from `pack_image` at its place, each chunk with its checksum.
 
     Parameters
     ----------
@@ -248,12 +158,7 @@ def write_image(dataset: h5py.Dataset, frame: int, channel: int, packed: list[by
     """
     step = _rows_per_chunk(dataset.shape[-2], dataset.shape[-1] * dataset.dtype.itemsize)
     for i, chunk in enumerate(packed):
-        dataset.id.write_direct_chunk((frame, channel, i * step, 0), chunk)
-
-
-def _full_name(parent: h5py.Group, name: str) -> str:
-    """Path from the root."""
-    return name if name.startswith("/") else f"{str(parent.name).rstrip('/')}/{name}"
+        dataset.id.write_direct_chunk((frame, channel, i * step, 0), chunk + fletcher32(chunk))
 
 
 def _rows_per_chunk(rows: int, row_bytes: int) -> int:

@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 from jaxtyping import Bool, UInt32
 
-from phantomgen.dataset.layout import group_at
+from phantomgen.dataset.checks.door import find_array, group_at
 from spectra.errors import DatasetError
 
 _DETECTOR = "/entry/instrument/detector"
@@ -24,7 +24,7 @@ def write_mask(file: h5py.File, channels: tuple[str, ...], mask: UInt32[np.ndarr
         return
     for name in channels:
         group = group_at(file, f"{_DETECTOR}/{name}_channel")
-        group.create_dataset("pixel_mask", data=mask, compression="gzip", shuffle=True)
+        group.create_dataset("pixel_mask", data=mask, compression="gzip", shuffle=True, fletcher32=True)
 
 
 def mask_of(file: h5py.File, channel: str) -> h5py.Dataset | None:
@@ -39,8 +39,7 @@ def mask_of(file: h5py.File, channel: str) -> h5py.Dataset | None:
     -------
     the array; None where the channel has none
     """
-    found = file.get(f"{_DETECTOR}/{channel}_channel/pixel_mask")
-    return found if isinstance(found, h5py.Dataset) else None
+    return find_array(file, f"{_DETECTOR}/{channel}_channel/pixel_mask")
 
 
 def read_mask(
@@ -61,18 +60,13 @@ def read_mask(
     Raises
     ------
     DatasetError
-        When a mask does not fit the panel, or leaves nothing of a channel.
+        When a mask leaves nothing of a channel.
     """
     masks = np.zeros((len(channels), *pixels), bool)
     for mask, name in zip(masks, channels, strict=True):
         stored = mask_of(file, name)
         if stored is None:
             continue
-        if stored.shape != pixels or stored.dtype.kind not in "iu":
-            raise DatasetError(
-                f"{file.filename}: {stored.name} holds {stored.dtype} of shape {stored.shape}, expected integers of "
-                f"shape {pixels}"
-            )
         mask[:] = stored[()].astype(np.int64) & _REJECTING != 0
         if mask.all():
             raise DatasetError(f"{file.filename}: {stored.name} leaves no pixel that measures")

@@ -7,6 +7,7 @@ of its own, so that a reconstructor which imports this one cannot see it by acci
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +16,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Shaped
 
 from phantomgen.dataset.beam_profile import read_profile
+from phantomgen.dataset.checks.digest import missing_chunks
+from phantomgen.dataset.checks.door import array_at, find_array, frame_at, group_at, has, value_at
+from phantomgen.dataset.checks.fields import ENTRY, form_problems, value_problems
 from phantomgen.dataset.file import DARK, DETECTOR, FLAT, damaged_file, open_file
 from phantomgen.dataset.geometry import read_geometry
-from phantomgen.dataset.layout import array_at, group_at, text_of
+from phantomgen.dataset.layout import text_of
 from phantomgen.dataset.pixel_mask import read_mask
 from phantomgen.dataset.spectral_model import Spectra, in_basis
 from phantomgen.geometry.panel import Panel
@@ -267,7 +271,7 @@ class Dataset:
     def spectra(self) -> Spectra:
         """Energy grid, source, response and basis."""
         table = {name: self._value(f"/entry/spectra/{name}") for name in _SPECTRA}
-        if _COMPOSITION in self.file:
+        if has(self.file, _COMPOSITION):
             table["basis_composition"] = self._value(_COMPOSITION)
         channels = tuple(text_of(name) for name in self._value("/entry/data/channel"))
         limits = [f"{DETECTOR}/{name}_channel" for name in channels]
@@ -282,14 +286,14 @@ class Dataset:
             lower=np.array([float(self._value(f"{group}/threshold_energy")) for group in limits]),
             upper=np.array([float(self._value(f"{group}/upper_energy")) for group in limits]),
             units=text_of(self.counts.attrs.get("units", "counts")),
-            variance=self._value("/entry/spectra/variance") if "entry/spectra/variance" in self.file else None,
+            variance=self._value("/entry/spectra/variance") if has(self.file, "entry/spectra/variance") else None,
             profile=read_profile(self.file),
             dead_time=self._dead_time(),
         )
 
     def _dead_time(self) -> DeadTime | None:
         """Dead time of the pixels, where the file has one."""
-        if f"{DETECTOR}/dead_time" not in self.file:
+        if not has(self.file, f"{DETECTOR}/dead_time"):
             return None
         tau, exposure = (float(self._value(f"{DETECTOR}/{name}")) for name in ("dead_time", "count_time"))
         return DeadTime(tau, exposure, str(self._value(f"{DETECTOR}/dead_time_model")))  # type: ignore[arg-type]
@@ -320,25 +324,21 @@ class Dataset:
         """Tube output per view and channel, relative to the flats; 0 where a view was not taken in a channel."""
         scale = np.asarray(self._value("/entry/exposure/scale"), dtype=np.float64)
         views, channels = self.counts.shape[:2]
-        if scale.shape not in {(views,), (views, channels)}:
-            raise DatasetError(
-                f"{self.path}: /entry/exposure/scale has shape {scale.shape} for {views} views x {channels} channels"
-            )
         return np.broadcast_to(scale.reshape(views, -1), (views, channels))
 
     @cached_property
     def dark(self) -> Float[np.ndarray, "channel row column"]:
         """Mean counts without beam."""
-        frames = self.file.get(DARK)
-        if not isinstance(frames, h5py.Dataset) or frames.shape[0] == 0:
+        frames = find_array(self.file, DARK)
+        if frames is None or frames.shape[0] == 0:
             return np.zeros(self.counts.shape[1:])
         return self._mean(frames, "dark")
 
     @cached_property
     def dark_variance(self) -> Float[np.ndarray, " channel"]:
         """Variance of a pixel between dark frames, mean over the pixels that measure; 0 for less than two frames."""
-        frames = self.file.get(DARK)
-        if not isinstance(frames, h5py.Dataset) or frames.shape[0] < 2:
+        frames = find_array(self.file, DARK)
+        if frames is None or frames.shape[0] < 2:
             return np.zeros(self.counts.shape[1])
         squares = sum(np.square(self._image(frames, frame) - self.dark) for frame in range(frames.shape[0]))
         return np.mean(squares / (frames.shape[0] - 1), axis=(1, 2), where=~self.mask)
@@ -387,15 +387,11 @@ class Dataset:
 
     def _image(self, frames: h5py.Dataset, frame: int) -> Shaped[np.ndarray, "channel row column"]:
         """All channels of one frame."""
-        with damaged_file(self.path):
-            return frames[frame]
+        return frame_at(frames, frame)
 
     def _value(self, name: str) -> Any:
         """Content of a small dataset; text as ``str``."""
-        dataset = array_at(self.file, name)
-        with damaged_file(self.path):
-            value = dataset[()]
-        return text_of(value) if isinstance(value, bytes) else value
+        return value_at(self.file, name)
 
 
 _COMPOSITION = "/entry/spectra/basis_composition"  # of bases of materials only
@@ -429,7 +425,7 @@ def open_dataset(path: Path | str, air: Region | str | None = None) -> Dataset:
     Raises
     ------
     DatasetError
-        When the file is missing, cut off, of another kind or a newer schema, inconsistent, or without flats.
+        When the file is missing, damaged, of another kind or a newer schema, inconsistent, or without flats.
     """
     path = Path(path)
     file = open_file(path)
@@ -490,14 +486,14 @@ def check_counts(counts: Shaped[np.ndarray, "..."], where: str, signed: bool = F
 
 def _check_consistent(dataset: Dataset) -> None:
     """Refuse arrays that do not belong together, before any long work."""
+    for problem in chain(form_problems(dataset.file, ENTRY), value_problems(dataset.file, ENTRY)):
+        raise DatasetError(problem)
     shape = dataset.counts.shape
-    if len(shape) != 4 or 0 in shape[1:]:
-        raise DatasetError(f"{dataset.path}: counts have shape {shape}, expected (view, channel, row, column)")
-    spectra, views = dataset.spectra, shape[0]
-    if len(dataset.geometry.source) != views:
-        raise DatasetError(f"{dataset.path}: there are {views} views but {len(dataset.geometry.source)} source points")
-    if spectra.response.shape != (shape[1], len(spectra.energy)) or len(spectra.channels) != shape[1]:
-        raise DatasetError(f"{dataset.path}: the response has shape {spectra.response.shape} for {shape[1]} channels")
+    if 0 in shape:
+        raise DatasetError(f"{dataset.path}: counts have shape {shape}, which is empty")
+    for name in (f"{DETECTOR}/data", FLAT):
+        _check_whole(dataset, name)
+    _, spectra = dataset.geometry, dataset.spectra
     if spectra.profile is not None:
         spectra.profile.check(dataset.path, shape[2:], len(spectra.energy))
     exposed = dataset.exposure > 0
@@ -507,20 +503,26 @@ def _check_consistent(dataset: Dataset) -> None:
     _check_open_beam(dataset)
 
 
+def _check_whole(dataset: Dataset, name: str) -> None:
+    """Refuse frames with parts that are not in the file, which HDF5 would read as zeros."""
+    frames = find_array(dataset.file, name)
+    missing = 0 if frames is None else missing_chunks(frames)
+    if missing:
+        raise DatasetError(
+            f"{dataset.path} is damaged: {name} lacks {missing} of its chunks, which would read as zeros"
+        )
+
+
 def _check_open_beam(dataset: Dataset) -> None:
     """Refuse a file without flats, unless a region of air on the panel was named."""
-    _, channels, rows, columns = dataset.counts.shape
+    rows, columns = dataset.counts.shape[2:]
     if dataset.air is not None:
         if dataset.air[0].stop > rows or dataset.air[1].stop > columns:
             raise InputError(f"the region of air reaches beyond the panel of {rows} x {columns} pixels")
         return
-    flats = dataset.file.get(FLAT)
-    if not isinstance(flats, h5py.Dataset) or flats.shape[0] == 0:
+    flats = find_array(dataset.file, FLAT)
+    if flats is None or flats.shape[0] == 0:
         raise DatasetError(
             f"{dataset.path} has no flat field in {FLAT}: name a part of the panel that sees only air by "
             "--air rows,columns, such as --air 0:16,0:256"
-        )
-    if flats.shape[1:] != (channels, rows, columns):
-        raise DatasetError(
-            f"{dataset.path}: flats have shape {flats.shape}, expected (F, {channels}, {rows}, {columns})"
         )

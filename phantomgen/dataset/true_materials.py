@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from phantomgen.dataset.checks.door import value_at
 from phantomgen.dataset.file import damaged_file, open_file
-from phantomgen.dataset.layout import array_at, text_of
+from phantomgen.dataset.layout import text_of
 from spectra.elements.attenuation import Composition
 
 
@@ -39,10 +40,10 @@ def read_true_materials(path: Path | str) -> tuple[TrueMaterial, ...]:
     materials in the order of `phantomgen.dataset.truth.Truth.material_names`
     """
     path = Path(path)
-    with open_file(path) as file, damaged_file(path):
-        names = array_at(file, "truth/materials/name").asstr()[()]
-        densities = array_at(file, "truth/materials/density")[()]
-        texts = [text_of(text) for text in array_at(file, "truth/materials/composition")[()]]
+    with open_file(path, "truth") as file, damaged_file(path):
+        names = value_at(file, "truth/materials/name")
+        densities = value_at(file, "truth/materials/density")
+        texts = [text_of(text) for text in value_at(file, "truth/materials/composition")]
     return tuple(
         TrueMaterial(str(name), None if np.isnan(density) else float(density), _composition(text))
         for name, density, text in zip(names, densities, texts, strict=True)

@@ -6,9 +6,10 @@ import h5py
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.dataset.checks.door import group_at, has, value_at
 from phantomgen.dataset.file import damaged_file, open_file
 from phantomgen.dataset.geometry import read_geometry, write_geometry
-from phantomgen.dataset.layout import array_at, group_at, new_group, put
+from phantomgen.dataset.layout import new_group, put
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.geometry.poses import Geometry
 from spectra.errors import DatasetError
@@ -46,7 +47,7 @@ def read_true_geometry(path: Path | str) -> Geometry | None:
     """
     anywhere = (slice(0, 1), slice(0, 1))
     with open_dataset(path, air=anywhere) as dataset, damaged_file(dataset.path):
-        if "truth/geometry" not in dataset.file:
+        if not has(dataset.file, "truth/geometry"):
             return None
         nominal = dataset.geometry
         true = read_geometry(group_at(dataset.file, "truth/geometry"), nominal.panel, nominal.angles)
@@ -66,5 +67,5 @@ def read_sample_poses(path: Path | str) -> Float[np.ndarray, "view 4 4"] | None:
     -------
     matrices [mm], (view, 4, 4); None where the sample did not move
     """
-    with open_file(Path(path)) as file, damaged_file(Path(path)):
-        return array_at(file, "truth/motion/pose")[()] if "truth/motion/pose" in file else None
+    with open_file(Path(path), "truth") as file, damaged_file(Path(path)):
+        return value_at(file, "truth/motion/pose") if has(file, "truth/motion/pose") else None

@@ -3,18 +3,19 @@
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import h5py
 import numpy as np
 from jaxtyping import Float, Float32, Integer, UInt16
 
+from phantomgen.dataset.checks.door import group_at, has, value_at
+from phantomgen.dataset.checks.fields import TRUTH, form_problems, value_problems
 from phantomgen.dataset.compression import Compression, filters
 from phantomgen.dataset.file import damaged_file, open_file
 from phantomgen.dataset.layout import (
     FRACTION_SCALE,
-    array_at,
-    group_at,
     new_frames,
     new_group,
     pack_image,
@@ -256,7 +257,7 @@ def truth_group(file: h5py.File) -> h5py.Group:
     -------
     the group
     """
-    return group_at(file, "truth") if "truth" in file else new_group(file, "truth", "NXentry", default="basis")
+    return group_at(file, "truth") if has(file, "truth") else new_group(file, "truth", "NXentry", default="basis")
 
 
 def read_truth(path: Path | str) -> Truth | None:
@@ -271,19 +272,21 @@ def read_truth(path: Path | str) -> Truth | None:
     the truth; None where the file has none
     """
     path = Path(path)
-    with open_file(path) as file, damaged_file(path):
-        if "truth" not in file:
+    with open_file(path, "truth") as file, damaged_file(path):
+        if not has(file, "truth"):
             return None
+        for problem in chain(form_problems(file, TRUTH), value_problems(file, TRUTH)):
+            raise DatasetError(problem)
         group = group_at(file, "truth")
-        shape, spacing, origin = (array_at(group, f"grid/{name}")[()] for name in ("shape", "spacing", "origin"))
+        shape, spacing, origin = (value_at(group, f"grid/{name}") for name in ("shape", "spacing", "origin"))
         return Truth(
             grid=Grid(tuple(map(int, shape)), tuple(map(float, spacing)), tuple(map(float, origin))),  # type: ignore[arg-type]
-            basis_names=tuple(array_at(group, "basis/basis").asstr()[()]),
-            volumes=array_at(group, "basis/data")[()],
-            material_names=tuple(array_at(group, "materials/name").asstr()[()]),
-            coefficients=array_at(group, "materials/coefficients")[()],
-            fractions=array_at(group, "fractions")[()],
-            scene=text_of(array_at(group, "scene/data")[()]) if "scene" in group else "",
+            basis_names=tuple(value_at(group, "basis/basis")),
+            volumes=value_at(group, "basis/data"),
+            material_names=tuple(value_at(group, "materials/name")),
+            coefficients=value_at(group, "materials/coefficients"),
+            fractions=value_at(group, "fractions"),
+            scene=text_of(value_at(group, "scene/data")) if has(group, "scene") else "",
             fit=read_fit(group_at(group, "materials")),
         )
 
@@ -299,11 +302,11 @@ def read_fit(materials: h5py.Group) -> CoefficientFit | None:
     -------
     the fit; None where the file does not say
     """
-    if "fit_error" not in materials:
+    if not has(materials, "fit_error"):
         return None
-    low, high = array_at(materials, "fit_window")[()]
-    weights = text_of(array_at(materials, "fit_weights")[()])
-    return CoefficientFit((float(low), float(high)), weights, array_at(materials, "fit_error")[()])
+    low, high = value_at(materials, "fit_window")
+    weights = text_of(value_at(materials, "fit_weights"))
+    return CoefficientFit((float(low), float(high)), weights, value_at(materials, "fit_error"))
 
 
 def _new_volumes(

@@ -4,10 +4,12 @@ from collections.abc import Callable, Iterator
 from itertools import combinations
 from pathlib import Path
 
-import h5py
 import numpy as np
 
-from phantomgen.dataset.file import DARK, DETECTOR, FLAT, damaged_file
+from phantomgen.dataset.checks.digest import chunk_problems, seal_problems
+from phantomgen.dataset.checks.door import find_array, frame_at, outside_problems
+from phantomgen.dataset.checks.fields import ENTRY, form_problems, value_problems
+from phantomgen.dataset.file import DARK, DETECTOR, FLAT, open_file
 from phantomgen.dataset.geometry import KINDS
 from phantomgen.dataset.layout import SCHEMA_VERSION
 from phantomgen.dataset.reader import Dataset, check_counts, open_dataset
@@ -49,8 +51,16 @@ def validate(path: Path | str, air: str | None = None) -> list[str]:
     DatasetError
         When the file cannot be opened as a dataset at all.
     """
+    path = Path(path)
+    with open_file(path) as file:
+        sound = not any(form_problems(file, ENTRY))
+        impossible = list(value_problems(file, ENTRY)) if sound else []
+    if impossible:
+        return impossible
     with open_dataset(path, air) as dataset:
         problems = [sentence for check in _CHECKS for sentence in check(dataset)]
+        for whole in (seal_problems, chunk_problems, outside_problems):
+            problems += _checked(lambda whole=whole: list(whole(dataset.file)))
         names = dataset.spectra.basis.names
     problems += _checked(lambda: list(_step_problems("/truth/geometry", read_true_geometry(path))))
     return problems + _checked(lambda: list(_truth_problems(read_truth(path), names)))
@@ -85,13 +95,12 @@ def _checked(check: Callable[[], list[str]]) -> list[str]:
 def _count_problems(dataset: Dataset) -> Iterator[str]:
     """Counts that are negative, not numbers or unreadable."""
     for name in (f"{DETECTOR}/data", FLAT, DARK):
-        frames = dataset.file.get(name)
-        if not isinstance(frames, h5py.Dataset):
+        frames = find_array(dataset.file, name)
+        if frames is None:
             continue
         for frame in range(frames.shape[0]):
             try:
-                with damaged_file(dataset.path):
-                    check_counts(frames[frame], f"{name}[{frame}]", dataset.signed)
+                check_counts(frame_at(frames, frame), f"{name}[{frame}]", dataset.signed)
             except DatasetError as error:
                 yield str(error)
                 break
@@ -110,19 +119,12 @@ def _unit_problems(dataset: Dataset) -> Iterator[str]:
 
 
 def _spectra_problems(dataset: Dataset) -> Iterator[str]:
-    """Energies out of order, negative or infinite spectra, a stored basis that is not what its table says."""
+    """Energies out of order, a stored basis that is negative, or is not what its table says."""
     spectra = dataset.spectra
     if len(spectra.edges) != len(spectra.energy) + 1 or not (np.diff(spectra.edges) > 0).all():
         yield "/entry/spectra/energy_edges must ascend and have one entry more than energy"
-    for name in ("source", "response", "energy", "basis_values", "variance"):
-        values = getattr(spectra, name)
-        if values is None:
-            continue
-        may_be_negative = name == "basis_values" and spectra.basis.signed
-        if not np.isfinite(values).all() or (values.min() < 0 and not may_be_negative):
-            yield f"/entry/spectra/{name} holds a value that is negative or not a number"
-    if spectra.variance is not None and spectra.variance.shape != spectra.response.shape:
-        yield f"/entry/spectra/variance has shape {spectra.variance.shape}, the response {spectra.response.shape}"
+    if spectra.basis_values.min() < 0 and not spectra.basis.signed:
+        yield "/entry/spectra/basis holds a value that is negative"
     if (spectra.variance is None) != (spectra.units == "counts"):
         yield "/entry/spectra/variance belongs to signals in keV, and to these only"
     if not np.allclose(spectra.basis.evaluate(spectra.energy), spectra.basis_values, rtol=1e-6):

@@ -4,14 +4,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import h5py
 import numpy as np
 from jaxtyping import Float, Int64, Shaped, UInt32
 
 from phantomgen.dataset.beam_profile import StoredProfile
-from phantomgen.dataset.file import DARK, FLAT, damaged_file
+from phantomgen.dataset.checks.door import array_at, find_array, frame_at, group_at, has, value_at
+from phantomgen.dataset.file import DARK, FLAT
 from phantomgen.dataset.geometry import read_geometry
-from phantomgen.dataset.layout import array_at, group_at, text_of
+from phantomgen.dataset.layout import text_of
 from phantomgen.dataset.pixel_mask import mask_of
 from phantomgen.dataset.reader import Dataset, check_counts
 from phantomgen.dataset.spectral_model import Spectra
@@ -89,10 +89,10 @@ class DegradedScan:
     @cached_property
     def is_noise_free(self) -> bool:
         """True where values are means: float counts, or signals whose flats are all the same."""
-        flats = self.dataset.file.get(FLAT)
+        flats = find_array(self.dataset.file, FLAT)
         if self.has_counts or not self.is_signal:
             return not self.has_counts
-        return isinstance(flats, h5py.Dataset) and flats.shape[0] > 1 and bool((flats[0] == flats[1]).all())
+        return flats is not None and flats.shape[0] > 1 and bool((flats[0] == flats[1]).all())
 
     @cached_property
     def columns(self) -> slice:
@@ -116,7 +116,7 @@ class DegradedScan:
     def true_geometry(self) -> Geometry:
         """Poses that were used, of the views and pixels that are left."""
         nominal, file = self.dataset.geometry, self.dataset.file
-        if "truth/geometry" in file:
+        if has(file, "truth/geometry"):
             nominal = read_geometry(group_at(file, "truth/geometry"), nominal.panel, nominal.angles)
         return smaller_panel(nominal[self.kept[0]], self.columns, self.settings.bin)
 
@@ -129,12 +129,13 @@ class DegradedScan:
     @property
     def has_true_geometry(self) -> bool:
         """True where poses that were used are not those that are stated, and the file has a truth."""
-        return "truth" in self.dataset.file and ("truth/geometry" in self.dataset.file or self.settings.shift != 0)
+        file = self.dataset.file
+        return has(file, "truth") and (has(file, "truth/geometry") or self.settings.shift != 0)
 
     @cached_property
     def exposure(self) -> np.ndarray:
         """Tube output of each view that is left, relative to the flats."""
-        scale = np.asarray(array_at(self.dataset.file, "/entry/exposure/scale")[()], np.float64)[self.kept[0]]
+        scale = np.asarray(value_at(self.dataset.file, "/entry/exposure/scale"), np.float64)[self.kept[0]]
         return scale if self.settings.flats == "thin" else scale * self.settings.written_dose
 
     @cached_property
@@ -172,8 +173,8 @@ class DegradedScan:
     @cached_property
     def voltage(self) -> float:
         """Voltage of the tube [kV]."""
-        found = self.dataset.file.get(f"{_SOURCE}/voltage")
-        if not isinstance(found, h5py.Dataset):
+        found = find_array(self.dataset.file, f"{_SOURCE}/voltage")
+        if found is None:
             raise InputError(
                 f"{self.dataset.path} states no tube voltage in {_SOURCE}, of which an error could be made"
             )
@@ -182,8 +183,8 @@ class DegradedScan:
     @property
     def _anode(self) -> str:
         """Material of the target."""
-        found = self.dataset.file.get(f"{_SOURCE}/target_material")
-        return text_of(found[()]) if isinstance(found, h5py.Dataset) else "tungsten"
+        found = find_array(self.dataset.file, f"{_SOURCE}/target_material")
+        return "tungsten" if found is None else text_of(found[()])
 
     @cached_property
     def new_dead(self) -> UInt32[np.ndarray, "row column"]:
@@ -217,8 +218,8 @@ class DegradedScan:
         """
         if kind == "data":
             return self.kept[0]
-        found = self.dataset.file.get(FLAT if kind == "flat" else DARK)
-        return np.arange(found.shape[0] if isinstance(found, h5py.Dataset) else 0)
+        found = find_array(self.dataset.file, FLAT if kind == "flat" else DARK)
+        return np.arange(0 if found is None else found.shape[0])
 
     def images(self, kind: str, frame: int) -> list[Shaped[np.ndarray, "row column"]]:
         """Compute one frame of the new file.
@@ -236,8 +237,7 @@ class DegradedScan:
         frames = {"data": lambda: dataset.counts}.get(
             kind, lambda: array_at(dataset.file, FLAT if kind == "flat" else DARK)
         )()
-        with damaged_file(dataset.path):
-            images = frames[frame]
+        images = frame_at(frames, frame)
         check_counts(images, f"{frames.name}[{frame}] of {dataset.path}", dataset.signed)
         changed = kind == "data" or (kind == "flat" and self.settings.flats == "thin")
         stream = Stream.DOSE if kind == "data" else Stream.FLAT_DOSE
@@ -257,8 +257,7 @@ class DegradedScan:
         -------
         means of each channel, float32
         """
-        with damaged_file(self.dataset.path):
-            images = array_at(self.dataset.file, "/truth/expected")[frame].astype(np.float64)
+        images = frame_at(array_at(self.dataset.file, "/truth/expected"), frame).astype(np.float64)
         dose = self.settings.written_dose
         scaled = dose * images + (1 - dose) * self.dataset.dark
         return [self._on_panel(image).astype(np.float32) for image in scaled]

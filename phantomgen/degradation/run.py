@@ -6,11 +6,10 @@ from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
 
-import h5py
-
+from phantomgen.dataset.checks.door import find_array, group_at, has, value_at
 from phantomgen.dataset.compression import Compression, check_compression
-from phantomgen.dataset.file import FLAT
-from phantomgen.dataset.layout import array_at, group_at, pack_image, text_of, write_image
+from phantomgen.dataset.file import DATASET, FLAT
+from phantomgen.dataset.layout import pack_image, text_of, write_image
 from phantomgen.dataset.pixel_mask import write_mask
 from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.truth import truth_group
@@ -104,7 +103,7 @@ def check_writable(path: Path, out: Path, overwrite: bool) -> None:
     check_dataset_name(out)
     if out.exists() and path.exists() and out.samefile(path):
         raise InputError(f"the output {out} is the scan itself: choose another name by --out")
-    check_output(out, overwrite)
+    check_output(out, overwrite, kind=DATASET)
 
 
 def level_path(out: Path, level: float) -> Path:
@@ -126,8 +125,8 @@ def _opened(path: Path) -> Dataset:
     """Open a dataset, also one without flats."""
     anywhere = (slice(0, 1), slice(0, 1))
     dataset = open_dataset(path, air=anywhere)
-    flats = dataset.file.get(FLAT)
-    if not isinstance(flats, h5py.Dataset) or not flats.shape[0]:
+    flats = find_array(dataset.file, FLAT)
+    if flats is None or not flats.shape[0]:
         return dataset
     dataset.close()
     return open_dataset(path)
@@ -177,7 +176,7 @@ def _write_images(writer: DatasetWriter, scan: DegradedScan, progress: bool) -> 
     units = scan.dataset.spectra.units
     arrays = writer.new_counts(shape, len(numbers["flat"]), len(numbers["dark"]), scan.writes_counts, units)
     places = [(kind, place, int(frame)) for kind, frames in numbers.items() for place, frame in enumerate(frames)]
-    if "truth/expected" in scan.dataset.file:
+    if has(scan.dataset.file, "truth/expected"):
         arrays["expected"] = writer.new_expected(shape, units)
         places += [("expected", place, int(frame)) for place, frame in enumerate(numbers["data"])]
 
@@ -196,14 +195,14 @@ def _write_images(writer: DatasetWriter, scan: DegradedScan, progress: bool) -> 
 def _copy_truth(writer: DatasetWriter, scan: DegradedScan) -> None:
     """Copy the truth; what belongs to views follows them."""
     file = scan.dataset.file
-    if "truth" not in file:
+    if not has(file, "truth"):
         return
     old, new = group_at(file, "truth"), truth_group(writer.file)
     for name in old:
         if name not in _OF_VIEWS:
             file.copy(old[name], new, name)
     if scan.has_true_geometry:
-        poses = array_at(file, "truth/motion/pose")[()][scan.kept[0]] if "truth/motion/pose" in file else None
+        poses = value_at(file, "truth/motion/pose")[scan.kept[0]] if has(file, "truth/motion/pose") else None
         writer.write_true_geometry(scan.true_geometry, poses)
 
 

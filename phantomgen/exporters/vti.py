@@ -1,5 +1,7 @@
 """VTK image data, which ParaView, PyVista and 3D Slicer open."""
 
+import errno
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +16,9 @@ def writer() -> Callable[[Path, Volumes], None]:
     function of path and volumes
     """
     return write_vti
+
+
+_END = b"</VTKFile>"  # last bytes of a file
 
 
 def write_vti(path: Path, volumes: Volumes) -> None:
@@ -32,3 +37,12 @@ def write_vti(path: Path, volumes: Volumes) -> None:
         image.point_data[name] = values.ravel()  # z is slowest here as there
     image.field_data["about"] = [volumes.about]
     image.save(path)
+    _check_whole(path)
+
+
+def _check_whole(path: Path) -> None:
+    """Refuse a file that VTK could not finish: on a full disk it says so on stderr only."""
+    with path.open("rb") as file:
+        file.seek(-min(path.stat().st_size, len(_END) + 2), os.SEEK_END)
+        if _END not in file.read():
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import yaml
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -28,6 +27,7 @@ from phantomgen.geometry.schema import (
     PosesModel,
     TiltModel,
 )
+from phantomgen.runtime.yaml_text import YamlTextError, parse_yaml
 from spectra.errors import Error, GeometryError, InputError
 
 Turning = CircularModel | LaminographyModel | ParallelModel
@@ -76,10 +76,10 @@ def read_geometry_file(path: Path) -> Geometry:
         When the views are impossible.
     """
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+        values = parse_yaml(path.read_text(encoding="utf-8")).values
     except OSError as error:
         raise InputError(f"{path} cannot be read as a geometry: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError):
+    except (YamlTextError, UnicodeDecodeError):
         raise InputError(f"{path} cannot be read as a geometry: it is not YAML text") from None
     if not isinstance(values, dict):
         raise InputError(f"{path}: the file must be a mapping with keys, as in scene files")

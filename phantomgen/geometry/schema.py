@@ -12,6 +12,12 @@ NonNegativeInt = Annotated[int, Field(ge=0)]
 Tilt = Annotated[FiniteFloat, Field(gt=-90, lt=90)]
 
 
+# Limits of lengths [mm] and numbers, far beyond any scan: more would overflow, or fill any memory.
+Length = Annotated[PositiveFloat, Field(le=1e7)]
+Views = Annotated[PositiveInt, Field(le=1_000_000)]
+Pixels = Annotated[PositiveInt, Field(le=100_000)]
+
+
 class Model(BaseModel):
     """Common settings: immutable, no unknown keys."""
 
@@ -40,13 +46,13 @@ class CircularModel(Model):
     """
 
     type: Literal["circular"]
-    sod: PositiveFloat
-    sdd: PositiveFloat
-    views: PositiveInt | None = None
+    sod: Length
+    sdd: Length
+    views: Views | None = None
     angles: Angles | None = None
     arc: Degrees | Literal["short"] | None = None
     start: FiniteFloat | None = None
-    test_views: NonNegativeInt = 0
+    test_views: Annotated[NonNegativeInt, Field(le=1_000_000)] = 0
     jitter: JitterModel | None = None
 
 
@@ -54,14 +60,14 @@ class HelicalModel(Model):
     """Circular orbit that rises by `pitch` [mm] per turn, for `turns` or over a `range` [mm], its middle at z = 0."""
 
     type: Literal["helical"]
-    sod: PositiveFloat
-    sdd: PositiveFloat
-    views: PositiveInt
+    sod: Length
+    sdd: Length
+    views: Views
     pitch: FiniteFloat
     turns: PositiveFloat | None = None
     range: PositiveFloat | None = None
     start: FiniteFloat = 0.0
-    test_views: NonNegativeInt = 0
+    test_views: Annotated[NonNegativeInt, Field(le=1_000_000)] = 0
     jitter: JitterModel | None = None
 
 
@@ -69,14 +75,14 @@ class LaminographyModel(Model):
     """Circular orbit whose beam dips by `tilt` below the plane across the rotation axis; distances along the beam."""
 
     type: Literal["laminography"]
-    sod: PositiveFloat
-    sdd: PositiveFloat
+    sod: Length
+    sdd: Length
     tilt: Tilt
-    views: PositiveInt | None = None
+    views: Views | None = None
     angles: Angles | None = None
     arc: Degrees | None = None
     start: FiniteFloat | None = None
-    test_views: NonNegativeInt = 0
+    test_views: Annotated[NonNegativeInt, Field(le=1_000_000)] = 0
     jitter: JitterModel | None = None
 
 
@@ -84,13 +90,13 @@ class ParallelModel(Model):
     """Parallel beam, the panel at a `distance` from the axis; `arc` is 180 if left out, `tilt` as in laminography."""
 
     type: Literal["parallel"]
-    distance: PositiveFloat
+    distance: Length
     tilt: Tilt = 0.0
-    views: PositiveInt | None = None
+    views: Views | None = None
     angles: Angles | None = None
     arc: Degrees | None = None
     start: FiniteFloat | None = None
-    test_views: NonNegativeInt = 0
+    test_views: Annotated[NonNegativeInt, Field(le=1_000_000)] = 0
     jitter: JitterModel | None = None
 
 
@@ -99,7 +105,7 @@ class PosesModel(Model):
 
     type: Literal["poses"]
     file: str
-    test_views: NonNegativeInt = 0
+    test_views: Annotated[NonNegativeInt, Field(le=1_000_000)] = 0
     jitter: JitterModel | None = None
 
 
@@ -130,9 +136,9 @@ class PanelModel(Model):
     edge of a pixel instead, faster and less exact, and 1 takes the ray through the centre alone.
     """
 
-    rows: PositiveInt
-    columns: PositiveInt
-    pitch: PositiveFloat | tuple[PositiveFloat, PositiveFloat]
+    rows: Pixels
+    columns: Pixels
+    pitch: Length | tuple[Length, Length]
     offset: OffsetModel | None = None
     tilt: TiltModel | None = None
     sub_rays: Annotated[int, Field(ge=1, le=16)] | None = None

@@ -24,6 +24,8 @@ class Grid:
     origin: tuple[float, float, float]
 
     def __post_init__(self) -> None:
+        if not np.isfinite([*self.spacing, *self.origin]).all():
+            raise InputError(f"spacing and origin of a grid must be numbers, got {self.spacing} and {self.origin} mm")
         if min(self.shape) < 1:
             raise InputError(f"a grid needs at least one voxel along each axis, got shape {self.shape}")
         if min(self.spacing) <= 0:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from phantomgen.runtime.output_lock import output_lock
 from spectra.errors import InputError, StorageError
 
 # Least and most room that is reserved for closing a file [byte].
@@ -110,12 +111,19 @@ def one_sentence(path: Path, needed: float | None = None) -> Iterator[None]:
         if is_full(error):
             more = "" if needed is None else f" and about {readable(needed)} more are needed"
             free = readable(free_bytes(path))
-            text = f"the disk is full, {free} are free{more}: make room and start again, `make` with --resume"
+            full = f"the disk is full, {free} are free{more}"
+            full = "files may not grow further here" if _beyond_limit(error) else full
+            text = f"{full}: make room and start again, with --resume where there is one"
         elif isinstance(error, OSError):
             text = os.strerror(error.errno) if error.errno else "the file system refuses"
         else:
             raise
         raise StorageError(f"{path} cannot be written: {text}") from None
+
+
+def _beyond_limit(error: BaseException) -> bool:
+    """Whether a limit on the size of files was met, and not the end of the disk."""
+    return getattr(error, "errno", None) == errno.EFBIG or os.strerror(errno.EFBIG) in str(error)
 
 
 def is_full(error: BaseException) -> bool:
@@ -131,7 +139,7 @@ def is_full(error: BaseException) -> bool:
     -------
     True where it does
     """
-    return getattr(error, "errno", None) in _FULL or os.strerror(errno.ENOSPC) in str(error)
+    return getattr(error, "errno", None) in _FULL or any(os.strerror(number) in str(error) for number in _FULL)
 
 
 @contextmanager
@@ -148,9 +156,9 @@ def complete_file(path: Path, suffix: str) -> Iterator[Path]:
     the name to write
     """
     beside = path.with_name(f"{path.name}.part{suffix}")
-    try:
-        with one_sentence(path):
+    with one_sentence(path), output_lock(path):
+        try:
             yield beside
             beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
+        finally:
+            beside.unlink(missing_ok=True)

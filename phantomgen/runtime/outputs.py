@@ -4,11 +4,30 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from spectra.errors import InputError
+from phantomgen.runtime.hdf5_signature import SIGNATURE
+from spectra.errors import InputError, shortened
+
+LONGEST_NAME = 240  # bytes; most file systems take 255, and files in work get a suffix
 
 
-def check_output(path: Path, overwrite: bool, option: str = "--out", example: str = "scan.h5") -> None:
+# How files of a suffix begin; others may be replaced whatever they hold.
+_BEGINNINGS = {
+    ".h5": (SIGNATURE,), ".hdf5": (SIGNATURE,), ".nxs": (SIGNATURE,), ".png": (b"\x89PNG",), ".gz": (b"\x1f\x8b",),
+    ".html": (b"<!", b"<html"), ".htm": (b"<!", b"<html"), ".json": (b"{", b"["), ".ply": (b"ply",),
+    ".nii": (b"\x5c\x01\x00\x00", b"\x00\x00\x01\x5c"), ".vti": (b"<?xml", b"<VTKFile"),
+}  # fmt: skip
+
+
+def check_output(
+    path: Path,
+    overwrite: bool,
+    option: str = "--out",
+    example: str = "scan.h5",
+    kind: tuple[str, Callable[[Path], bool]] | None = None,
+) -> None:
     """Refuse an output file that exists or has no folder, before any work is done.
+
+    A file that exists is replaced only where it is a file of the kind that the command writes, or empty.
 
     Parameters
     ----------
@@ -16,16 +35,64 @@ def check_output(path: Path, overwrite: bool, option: str = "--out", example: st
     overwrite : whether an existing file may be replaced
     option : option that names the output, for the message
     example : name of such a file, for the message
+    kind : what the command writes, for the message, and a function that tells whether a file is such a one; by the
+        beginning of files of this suffix where None
 
     Raises
     ------
     InputError
         When the output cannot be written.
     """
+    check_name(path, option)
     if path.is_dir():
         raise InputError(f"the output {path} is a folder: name a file in it, such as {path / example}")
     refuse_existing(path, overwrite, option)
+    if path.exists():
+        _check_replaceable(path, kind)
     check_parent(path)
+
+
+def _check_replaceable(path: Path, kind: tuple[str, Callable[[Path], bool]] | None) -> None:
+    """Refuse to replace what no such command wrote."""
+    if not path.is_file():
+        raise InputError(f"the output {path} is a device or a pipe and no file; it will not be replaced")
+    what, is_own = kind or (f"a {path.suffix} file", _begins_as_named)
+    if path.stat().st_size and not (_begins_as_named(path) and is_own(path)):
+        raise InputError(f"the output {path} is not {what}; it will not be replaced: move it, or choose another name")
+
+
+def _begins_as_named(path: Path) -> bool:
+    """Whether a file begins as those of its suffix do."""
+    known = _BEGINNINGS.get(path.suffix.lower())
+    if known is None:
+        return True
+    try:
+        with path.open("rb") as file:
+            return file.read(16).lstrip().startswith(known)
+    except OSError:
+        return False
+
+
+def check_name(path: Path, option: str = "--out") -> None:
+    """Refuse a name that is empty or longer than file systems allow.
+
+    Parameters
+    ----------
+    path : name of the output
+    option : option that names the output, for the message
+
+    Raises
+    ------
+    InputError
+        When it is so.
+    """
+    if not path.name:
+        raise InputError(f"the output {str(path)!r} names no file or folder: name one by {option}")
+    if len(os.fsencode(path.name)) > LONGEST_NAME:
+        raise InputError(
+            f"the name of the output {shortened(path.name)} has {len(os.fsencode(path.name))} bytes, and file systems "
+            f"take about {LONGEST_NAME} beside suffixes: choose a shorter one by {option}"
+        )
 
 
 def check_output_folder(
@@ -46,6 +113,7 @@ def check_output_folder(
     InputError
         When the output cannot be written.
     """
+    check_name(path)
     refuse_existing(path, overwrite, resume=resume)
     if os.path.lexists(path) and (path.is_symlink() or not is_own(path)):
         raise InputError(f"the output {path} is not a folder that {writer} wrote; it will not be replaced")

@@ -92,7 +92,7 @@ def compare(
         check_run_name(out)
     protocol_named(protocol)
     chosen = None if study is None else study_named(study, dataset)
-    ours = contenders((methods or _METHODS).split(",")) if chosen is None else chosen.contenders
+    ours = contenders((_METHODS if methods is None else methods).split(",")) if chosen is None else chosen.contenders
     others = (*map(finished_volume, finished), *map(command_program, commands))
     check_names(others)
     who = (*ours, *others)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import FiniteRange, debug_option, json_option
 from recon.cli.common import (
     ProgressBar,
     exit_where_failed,
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--sweeps",
-    type=click.FloatRange(min=0, min_open=True),
+    type=FiniteRange(min=0, min_open=True),
     callback=finite_number,
     help="Number of times that every training view is used.",
 )
@@ -60,9 +60,15 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--detail",
-    type=click.FloatRange(min=0.25, max=4),
+    type=FiniteRange(min=0.25, max=4),
     callback=finite_number,
     help="Factor by which Gaussians are closer to each other; 2 gives three to eight times as many [default: 1].",
+)
+@click.option(
+    "--gaussians",
+    type=click.IntRange(min=1),
+    metavar="NUMBER",
+    help="Number of Gaussians, about [default: as many as the surfaces need].",
 )
 @click.option("--steps", type=click.IntRange(min=1), help="Steps of --recipe paper; schedules scale [default: 30000].")
 @click.option("--without", metavar="NAME", multiple=True, help="Leave out a component of --recipe paper; repeatable.")
@@ -86,7 +92,7 @@ if TYPE_CHECKING:
 @click.option(
     "--held-out", type=click.IntRange(min=0), default=0, help="Number of training views that only tell when to stop."
 )
-@click.option("--memory", type=click.FloatRange(min=0, min_open=True), metavar="GIB", help="Largest memory to take.")
+@click.option("--memory", type=FiniteRange(min=0, min_open=True), metavar="GIB", help="Largest memory to take.")
 @click.option(
     "--device",
     type=click.Choice(["cpu", "cuda"]),
@@ -111,6 +117,7 @@ def fit(
     recipe: str,
     kernel: str,
     detail: float | None,
+    gaussians: int | None,
     steps: int | None,
     without: tuple[str, ...],
     method: str,
@@ -157,7 +164,7 @@ def fit(
     if out:
         check_run_name(Path(out))
     special = {"resume": resume, "dry-run": dry_run, "memory": memory, "held-out": held_out, "edge": edge}
-    special |= {"kernel": None if kernel == "auto" else kernel, "detail": detail}
+    special |= {"kernel": None if kernel == "auto" else kernel, "detail": detail, "gaussians": gaussians}
     special |= {"device": None if device == "cpu" else device_named(device).type}
     if method != "gaussian":
         refuse_options(f"--method {method}", special | {"steps": steps, "without": without, "recipe": recipe != "fast"})
@@ -167,7 +174,8 @@ def fit(
     else:
         refuse_options(f"--recipe {recipe}, whose length is --sweeps", {"steps": steps, "without": without})
         chosen = ("interface" if device == "cpu" else "gaussian") if kernel == "auto" else kernel
-        how = chosen_recipe(recipe, sweeps, seed, held_out, chosen, detail or 1.0)
+        refuse_options("--gaussians", {"detail": gaussians and detail})
+        how = chosen_recipe(recipe, sweeps, seed, held_out, chosen, detail or 1.0, gaussians or 0)
     source, edges, asked = Path(dataset), parse_edges(edge), parse_bases(bases)
     set_threads(threads)
     if dry_run and not isinstance(how, PaperRecipe):

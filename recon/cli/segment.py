@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import FiniteRange, debug_option, json_option
 from recon.cli.common import stderr_printer
 from recon.cli.run_argument import RunFolder, check_run_name
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from recon.segmentation.result import Segmentation
     from recon.segmentation.scoring.reference import Reference
 
-_POSITIVE = click.FloatRange(min=0, min_open=True)
+_POSITIVE = FiniteRange(min=0, min_open=True)
 
 
 @click.command(
@@ -45,7 +45,7 @@ _POSITIVE = click.FloatRange(min=0, min_open=True)
 @click.option(
     "--energy",
     "energies",
-    type=float,
+    type=FiniteRange(),
     multiple=True,
     metavar="KEV",
     help="Energy of images in HU; repeatable [default: 70].",

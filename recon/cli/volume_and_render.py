@@ -7,13 +7,13 @@ from typing import Any
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import FiniteRange, debug_option, json_option
 from recon.cli.run_argument import RunFolder
 
 _RUN = RunFolder()
 _FILE = click.Path(dir_okay=False, path_type=Path)
 _SUFFIXES = (".h5", ".hdf5")
-_POSITIVE = click.FloatRange(min=0, min_open=True)
+_POSITIVE = FiniteRange(min=0, min_open=True)
 
 
 def _common(command: Callable) -> Callable:
@@ -61,7 +61,7 @@ def _common(command: Callable) -> Callable:
 @click.option("--size", metavar="MM|Z,Y,X", help="Size of the volume, in place of --grid.")
 @click.option("--center", metavar="Z,Y,X", help="Centre of the volume in mm [default: the isocentre].")
 @click.option("--like", type=_FILE, metavar="DATASET", help="Take the grid of a dataset.")
-@click.option("--energy", type=float, metavar="KEV", help="Energy of vmi (implied), hu and vnc [default: 70].")
+@click.option("--energy", type=FiniteRange(), metavar="KEV", help="Energy of vmi (implied), hu and vnc [default: 70].")
 @click.option(
     "--water",
     metavar="basis|table|1/MM",
@@ -167,6 +167,7 @@ def render(
 
 def _check_free(path: Path, overwrite: bool) -> None:
     from phantomgen.runtime.outputs import check_output
+    from recon.output.volume_file import RESULT
     from spectra.errors import InputError
 
     if path.suffix.lower() not in _SUFFIXES:
@@ -174,7 +175,7 @@ def _check_free(path: Path, overwrite: bool) -> None:
             f"the output {path} is an HDF5 file, whose name ends in {' or '.join(_SUFFIXES)}; "
             "`recon export` writes other formats"
         )
-    check_output(path, overwrite)
+    check_output(path, overwrite, kind=RESULT)
 
 
 def _report(as_json: bool, found: dict[str, Any], text: str) -> None:

@@ -23,6 +23,7 @@ def draw_model(
     folder: Path,
     left_out: Sequence[str] = (),
     guard: Guard = unguarded,
+    volumes: GaussianModel | Voxels | None = None,
 ) -> None:
     """Draw every figure that the data allow.
 
@@ -34,8 +35,9 @@ def draw_model(
     folder : folder for the figures
     left_out : bases of the file that the model lacks, which the titles name
     guard : context of each figure, so that one that fails does not prevent the others
+    volumes : the model in voxels, where they are known already
     """
-    draw_volumes(dataset, truth, model, folder, left_out, guard)
+    draw_volumes(dataset, truth, model if volumes is None else volumes, folder, left_out, guard)
     with guard("drawing residuals.png"):
         _draw_residuals(dataset, model, folder / "residuals.png")
 

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.runtime.disk import one_sentence
 from recon.ops.rasterize import rasterize
 from recon.ops.voxelize import CUTOFF, voxelize, voxelize_tensor
 from spectra.errors import DatasetError
@@ -186,8 +187,13 @@ class GaussianModel(ABC):
         Parameters
         ----------
         path : file to write
+
+        Raises
+        ------
+        StorageError
+            When the disk is full or refuses.
         """
-        from safetensors.torch import save_file  # noqa: PLC0415
+        from safetensors.torch import save  # noqa: PLC0415
 
         header = {
             "schema": self.SCHEMA,
@@ -197,7 +203,9 @@ class GaussianModel(ABC):
         }
         tensors = {name: value.contiguous() for name, value in self.tensors().items()}
         # One entry: safetensors writes several in random order, and the same model must give the same bytes.
-        save_file(tensors, path, metadata={HEADER: json.dumps(header | self.header())})
+        packed = save(tensors, metadata={HEADER: json.dumps(header | self.header())})
+        with one_sentence(path):
+            path.write_bytes(packed)  # with the rights of other files; safetensors writes files for the owner alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,6 +322,7 @@ class Gaussians(GaussianModel):
             raise DatasetError(f"{path}: not a Gaussian model written by recon ({error})") from error
 
 
+_LARGEST_LOG = 30.0  # of a standard deviation in mm: 1e13 mm, or 1e-13 mm
 PARTS = (*Gaussians.GEOMETRY, "coefficients")  # names of the arrays of `Gaussians`, in order
 
 
@@ -339,6 +348,26 @@ def read_model_file(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
         with safe_open(path, framework="pt") as file:
             header = json.loads((file.metadata() or {})[HEADER])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dict
-        return header | {"schema": header["schema"], "basis": tuple(header["basis"])}, tensors
+        found = header | {"schema": str(header["schema"]), "basis": tuple(map(str, header["basis"]))}
     except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
         raise DatasetError(f"{path}: not a Gaussian model written by recon ({error})") from error
+    _check_arrays(path, tensors, len(found["basis"]))
+    return found, tensors
+
+
+def _check_arrays(path: Path, tensors: dict[str, Tensor], bases: int) -> None:
+    """Refuse arrays that do not fit together, or hold values that are not numbers."""
+    count = len(tensors["centres"]) if tensors.get("centres", torch.empty(())).ndim else -1
+    sides = (2,) if "offsets" in tensors else ()
+    shapes = {"centres": (count, 3), "log_scales": (count, 3), "quaternions": (count, 4), "offsets": (count,)}
+    shapes["coefficients"] = (count, *sides, bases)
+    for name, values in tensors.items():
+        if not values.is_floating_point() or tuple(values.shape) != shapes.get(name, tuple(values.shape)):
+            raise DatasetError(
+                f"{path} is damaged: {name} has shape {tuple(values.shape)} and type {values.dtype}, expected floating "
+                f"point numbers of shape {shapes.get(name)}"
+            )
+        if not torch.isfinite(values).all():
+            raise DatasetError(f"{path} is damaged: {name} holds a value that is not a number; run recon fit again")
+    if len(tensors.get("log_scales", ())) and float(tensors["log_scales"].abs().max()) > _LARGEST_LOG:
+        raise DatasetError(f"{path} is damaged: a Gaussian has a standard deviation beyond any scan; fit again")

@@ -237,3 +237,19 @@ def with_detail(recipe: Recipe, detail: float) -> Recipe:
         finest_spacing=recipe.finest_spacing / detail,
         surfaces=replace(surfaces, **closer),
     )
+
+
+def with_count(recipe: Recipe, count: int) -> Recipe:
+    """Place about as many Gaussians as are wanted.
+
+    Parameters
+    ----------
+    recipe : the recipe
+    count : number of Gaussians, within 1 % above a few hundred; 0 for as many as the distances give
+
+    Returns
+    -------
+    a recipe whose distances between Gaussians get the factor that this takes
+    """
+    placement, surfaces = replace(recipe.placement, count=count), replace(recipe.surfaces, count=count)
+    return replace(recipe, placement=placement, surfaces=surfaces)

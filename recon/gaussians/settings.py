@@ -47,6 +47,8 @@ class PlacementSettings:
     flatness : thickness over width of a Gaussian on a full edge [no unit]; measured against 0.5
     least_sum : smallest sum of all Gaussians at a centre that a coefficient is divided by [no unit]; chosen by hand,
         not measured
+    count : number of Gaussians, about, for which all distances get one factor; 0, the value of both recipes, for as
+        many as the distances give
     """
 
     coarsest: float = 3.5
@@ -55,9 +57,10 @@ class PlacementSettings:
     neighbours: int = 6
     flatness: float = 0.25
     least_sum: float = 0.5
+    count: int = 0
 
     def __post_init__(self) -> None:
-        check_positive(self, "recipe placement")
+        check_positive(self, "recipe placement", ("count",))
 
 
 @dataclass(frozen=True)
@@ -87,8 +90,12 @@ class SurfaceSettings:
     first_width : width of the transition while Gaussians are fitted to the voxel volumes [voxels]; measured against 0.1
         and 0.3
     width : width of the transition while they are fitted to the counts [voxels]; measured against 0.12, 0.15 and 0.2
+    cutoff : distance at which a Gaussian ends while they are fitted to the voxel volumes [standard deviations]; 0.9 %
+        of its mass lies beyond, which the volumes are scaled by; measured against 3 and 4
     solves : iterations of conjugate gradients for the first coefficients, on voxels of twice the size; chosen by hand,
         not measured
+    count : number of Gaussians, about, for which all distances get one factor; 0, the value of both recipes, for as
+        many as the distances give
     """
 
     spacing: float = 0.6
@@ -106,10 +113,12 @@ class SurfaceSettings:
     least_sum: float = 0.5
     first_width: float = 0.15
     width: float = 0.1
+    cutoff: float = 3.4
     solves: int = 12
+    count: int = 0
 
     def __post_init__(self) -> None:
-        check_positive(self, "recipe surfaces")
+        check_positive(self, "recipe surfaces", ("count",))
 
 
 @dataclass(frozen=True)

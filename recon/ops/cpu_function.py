@@ -1,13 +1,13 @@
 """What makes an operator of Gaussians that runs on the CPU differentiable by torch."""
 
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Iterable
+from typing import Protocol, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from recon.ops.arguments import GaussianTensors, TensorGradients
+Kind = TypeVar("Kind", bound=tuple[Tensor, ...])
 
 
 class OperatorCall(Protocol):
@@ -22,8 +22,8 @@ class OperatorCall(Protocol):
         """
         ...
 
-    def gradients(self, cotangent: Tensor) -> TensorGradients:
-        """Compute gradients in the fields of `recon.ops.arguments.GaussianTensors`.
+    def gradients(self, cotangent: Tensor) -> Iterable[np.ndarray]:
+        """Compute gradients in the tensors of the Gaussians.
 
         Parameters
         ----------
@@ -31,34 +31,34 @@ class OperatorCall(Protocol):
 
         Returns
         -------
-        one gradient per field
+        one gradient per tensor, in their order
         """
         ...
 
 
-def apply_on_cpu(prepare: Callable[[GaussianTensors], OperatorCall], gaussians: GaussianTensors) -> Tensor:
+def apply_on_cpu(prepare: Callable[[Kind], OperatorCall], gaussians: Kind) -> Tensor:
     """Apply an operator to Gaussians; differentiable once in the tensors of the Gaussians.
 
     Parameters
     ----------
     prepare : makes the call for given Gaussians
-    gaussians : may lie on any device
+    gaussians : a named tuple of tensors, coefficients last; may lie on any device
 
     Returns
     -------
     values on the device of the Gaussians, with the type of their coefficients
     """
-    return _OnCpu.apply(prepare, *gaussians)  # type: ignore[return-value]
+    return _OnCpu.apply(prepare, type(gaussians), *gaussians)  # type: ignore[return-value]
 
 
 class _OnCpu(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, prepare, *parts):
-        ctx.call, ctx.dtypes, ctx.device = prepare(GaussianTensors(*parts)), [x.dtype for x in parts], parts[0].device
-        return torch.from_numpy(ctx.call.values()).to(device=ctx.device, dtype=parts[3].dtype)
+    def forward(ctx, prepare, kind, *parts):
+        ctx.call, ctx.dtypes, ctx.device = prepare(kind(*parts)), [x.dtype for x in parts], parts[0].device
+        return torch.from_numpy(ctx.call.values()).to(device=ctx.device, dtype=parts[-1].dtype)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx, *cotangents):
         gradients = zip(ctx.call.gradients(cotangents[0]), ctx.dtypes, strict=True)
-        return None, *(torch.from_numpy(g).to(device=ctx.device, dtype=dtype) for g, dtype in gradients)
+        return None, None, *(torch.from_numpy(g).to(device=ctx.device, dtype=dtype) for g, dtype in gradients)

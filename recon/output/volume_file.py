@@ -8,20 +8,23 @@ from typing import NamedTuple
 import h5py
 import numpy as np
 
-from phantomgen.dataset.layout import new_group, put
+from phantomgen.dataset.checks.door import DAMAGE
+from phantomgen.dataset.layout import new_group, put, text_of
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.dataset.truth import write_grid
 from phantomgen.exporters import dicom
 from phantomgen.exporters.volumes import FORMATS, Volumes, basis_volumes, suffix_of, write_volumes, writer_of
 from phantomgen.geometry.voxel_grid import Grid, parse_triple
 from phantomgen.runtime.disk import complete_file
-from phantomgen.runtime.outputs import check_output
+from phantomgen.runtime.hdf5_output import hdf5_output
+from phantomgen.runtime.outputs import check_name, check_output
 from recon.readouts.quantity import Quantity, in_pieces
 from recon.runs.read_run import StoredModel
 from spectra.errors import InputError
 
 HDF5 = (".h5", ".hdf5")
 SUFFIXES = (*HDF5, *FORMATS)
+MOST_VOXELS = 1e11  # of a volume: 400 GB for each basis
 SLAB_VALUES = 1 << 24  # values; voxels times bases that are in memory at once, 64 MiB in float32
 
 
@@ -58,6 +61,8 @@ def chosen_grid(
         return scan
     if counts is not None and size is not None:
         raise InputError("--grid counts voxels and --size measures them in mm: leave one of them out")
+    if voxel is not None and not np.isfinite(voxel):
+        raise InputError(f"--voxel must be a finite size in mm, got {voxel:g}")
     spacing = np.full(3, voxel) if voxel is not None else np.array(scan.spacing)
     if counts is not None:
         shape = np.array(parse_triple("--grid", counts))
@@ -65,13 +70,41 @@ def chosen_grid(
             raise InputError(f"--grid needs whole numbers of voxels, got {counts!r}")
     else:
         extent = np.array(scan.shape) * scan.spacing if size is None else np.array(parse_triple("--size", size))
+        if (np.array(extent) <= 0).any():
+            raise InputError(f"--size needs positive sizes in mm, got {size!r}")
         shape = np.maximum(np.ceil(extent / spacing - 1e-6), 1)
     middle = np.zeros(3) if center is None else np.array(parse_triple("--center", center, several=True))
     if (shape < 1).any():
         raise InputError(f"a volume needs positive sizes, got {counts or size!r}")
+    if np.prod(shape) > MOST_VOXELS:
+        raise InputError(
+            f"a volume of {' x '.join(f'{n:g}' for n in shape)} voxels is more than the {MOST_VOXELS:g} that are "
+            "written: choose larger voxels by --voxel, or a smaller part by --size"
+        )
     first = middle - (shape - 1) / 2 * spacing
     whole = tuple(int(n) for n in shape)
     return Grid(whole, tuple(spacing.tolist()), tuple(first.tolist()))  # type: ignore[arg-type]
+
+
+def is_result(path: Path) -> bool:
+    """Return whether a file was written by `recon`, or is a damaged HDF5 file, which may have been.
+
+    Parameters
+    ----------
+    path : an HDF5 file by its first bytes
+
+    Returns
+    -------
+    False for HDF5 files of other programs, and for datasets
+    """
+    try:
+        with h5py.File(path, "r") as file:
+            return text_of(file.attrs.get("creator", "")) == "recon"
+    except DAMAGE:
+        return True
+
+
+RESULT = ("an HDF5 file that recon wrote", is_result)  # what may be replaced by one
 
 
 class Target(NamedTuple):
@@ -107,6 +140,7 @@ def checked_target(path: Path, overwrite: bool, ct_numbers: bool) -> Target:
     NotInstalledError
         When the format needs a package that is not there.
     """
+    check_name(path)
     if not path.suffix:
         if not ct_numbers:
             raise InputError(
@@ -118,7 +152,7 @@ def checked_target(path: Path, overwrite: bool, ct_numbers: bool) -> Target:
     suffix = suffix_of(path, dict.fromkeys(SUFFIXES, ""))
     if suffix not in HDF5:
         writer_of(path)
-    check_output(path, overwrite)
+    check_output(path, overwrite, kind=RESULT if suffix in HDF5 else None)
     return Target(path, "hdf5" if suffix in HDF5 else "other")
 
 
@@ -167,7 +201,7 @@ def _write_hdf5(
         file.attrs.update({"NX_class": "NXroot", "default": "basis", "creator": "recon"})
         group = new_group(file, "basis", "NXdata", signal="data", axes=("basis_name", "z", "y", "x"))
         shape, chunks = (len(names), *grid.shape), (1, 1, rows, columns)
-        packing = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+        packing = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
         data = group.create_dataset("data", shape, np.float32, chunks=chunks, **packing)
         data.attrs["units"] = unit
         if chosen is not None:
@@ -212,5 +246,5 @@ def whole_file(path: Path) -> Iterator[h5py.File]:
     StorageError
         When the file cannot be written; then no file is left.
     """
-    with complete_file(path, ".h5") as beside, h5py.File(beside, "w") as file:
+    with complete_file(path, ".h5") as beside, hdf5_output(beside) as file:
         yield file

@@ -17,14 +17,15 @@ def detected_spectrum(
     Parameters
     ----------
     basis : basis functions
-    transmission : spectral model, whose first columns are the values of the basis functions at its nodes
+    transmission : spectral model, whose first columns are the values of the basis functions at its nodes; of the first
+        functions alone, where others were not reconstructed
 
     Returns
     -------
     energies [keV] and photons of the nodes; an energy is that at which the values of the basis functions are nearest
     """
-    values = basis.evaluate(_ENERGIES)
     columns = transmission.columns[: len(basis)]
+    values = basis.evaluate(_ENERGIES)[: len(columns)]
     scale = np.linalg.norm(columns, axis=0)
     distances = np.linalg.norm(values[:, None, :] - columns[:, :, None], axis=0) / scale[:, None]
     return _ENERGIES[distances.argmin(axis=1)], transmission.weights

@@ -15,6 +15,7 @@ from recon.data.array_store import release
 from recon.data.measurements import Measurements
 from spectra.errors import DatasetError
 
+_DIGEST = "sha256"  # key of that JSON: digest of the arrays and of the other keys
 _HEADER = "content"  # key of the metadata of a safetensors file that holds the JSON
 
 
@@ -34,7 +35,9 @@ def write_checkpoint(path: Path, tensors: dict[str, Tensor], content: dict[str, 
     """
     from safetensors.torch import save  # noqa: PLC0415
 
-    packed = save({name: value.contiguous() for name, value in tensors.items()}, {_HEADER: json.dumps(content)})
+    whole = {name: value.contiguous() for name, value in tensors.items()}
+    header = json.dumps({_DIGEST: _digest(whole, content), **content})
+    packed = save(whole, {_HEADER: header})
     write_whole(path, packed)
 
 
@@ -74,16 +77,30 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     Raises
     ------
     DatasetError
-        When the file is not such a file.
+        When the file is not such a file, or was damaged.
     """
     from safetensors import SafetensorError, safe_open  # noqa: PLC0415
 
     try:
         with safe_open(path, framework="pt") as file:
             content = json.loads((file.metadata() or {})[_HEADER])
-            return {name: file.get_tensor(name) for name in file.keys()}, content  # noqa: SIM118 - not a dict
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dict
+        stated = content.pop(_DIGEST, None)
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise DatasetError(f"{path}: not a checkpoint written by recon ({error})") from error
+    if stated != _digest(tensors, content):
+        raise DatasetError(f"{path} is damaged, as it does not fit its digest: begin anew by --overwrite")
+    return tensors, content
+
+
+def _digest(tensors: dict[str, Tensor], content: dict[str, Any]) -> str:
+    """SHA-256 of all that a checkpoint holds."""
+    found = sha256(json.dumps(content, sort_keys=True).encode())
+    for name in sorted(tensors):
+        values = tensors[name].detach().cpu().contiguous()
+        found.update(repr((name, str(values.dtype), tuple(values.shape))).encode())
+        found.update(values.numpy().data if values.numel() else b"")
+    return found.hexdigest()
 
 
 def identity(measured: Measurements, options: dict[str, Any]) -> dict[str, str]:

@@ -104,7 +104,7 @@ def _parts(dataset: Dataset, recipe: Recipe, bases: int | None, gaussians: int |
         finer = SurfaceSettings().finest / recipe.surfaces.finest
         on_surfaces, inside = GAUSSIANS_PER_SIDE * voxels ** (2 / 3) * finer**2, GAUSSIANS_PER_VOXEL * voxels
         expected = on_surfaces if recipe.kernel == "interface" else inside / recipe.distance(views) ** 2
-        gaussians = round(expected)
+        gaussians = recipe.surfaces.count or round(expected)
     per_step = recipe.views_per_step * 4 * (3 * m + 1) + 4 * 12 * channels + 8 * (channels * (m + 2) + 2 * m)
     pairs = m * (m + 1) // 2
     curvature = fisher.VIEWS_AT_ONCE * 4 * (m + 1 + 4 * pairs) + 8 * channels * (m + 2) + 8 * m * m * 2

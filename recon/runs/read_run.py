@@ -9,14 +9,14 @@ import h5py
 import numpy as np
 from jaxtyping import Float32
 
-from phantomgen.dataset.layout import array_at, group_at
+from phantomgen.dataset.checks.door import DAMAGE, group_at, value_at
 from phantomgen.geometry.voxel_grid import Grid
 from recon.gaussians.divided.model_file import load_model
 from recon.gaussians.model import GaussianModel
 from recon.runs.run_folder import MODEL, SCAN, VOLUMES, open_run, open_scan
 from recon.voxel.model import Voxels
 from spectra.basis.basis import Basis
-from spectra.errors import DatasetError
+from spectra.errors import DatasetError, Error
 from spectra.transmission import Transmission
 
 
@@ -201,14 +201,18 @@ def read_volumes(path: Path) -> StoredVolumes:
     try:
         with h5py.File(path, "r") as file:
             group, place = group_at(file, "basis"), group_at(file, "grid")
-            shape, spacing, origin = (array_at(place, name)[()] for name in ("shape", "spacing", "origin"))
+            shape, spacing, origin = (value_at(place, name) for name in ("shape", "spacing", "origin"))
             grid = Grid(tuple(map(int, shape)), tuple(map(float, spacing)), tuple(map(float, origin)))  # type: ignore[arg-type]
-            names = tuple(array_at(group, "basis_name").asstr()[()])
-            values = array_at(group, "data")[()].astype(np.float32)
-    except (OSError, TypeError) as error:
+            names = tuple(map(str, np.ravel(value_at(group, "basis_name"))))
+            values = np.asarray(value_at(group, "data")).astype(np.float32)
+    except Error:
+        raise
+    except DAMAGE as error:
         raise DatasetError(f"{path} cannot be read as what recon fit writes there ({error})") from None
     if values.shape != (len(names), *grid.shape):
         raise DatasetError(f"{path}: /basis/data has shape {values.shape}, expected {(len(names), *grid.shape)}")
+    if not np.isfinite(values).all():
+        raise DatasetError(f"{path}: /basis/data holds a value that is not a number; run recon fit again")
     return StoredVolumes(grid, names, values)
 
 

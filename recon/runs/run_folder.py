@@ -119,9 +119,11 @@ def open_scan(folder: Path, bases: int | None = None) -> ScanRecord:
         grid = Grid(**{name: tuple(values) for name, values in content["grid"].items()})
         basis = Basis.from_table({name: _back(name, values) for name, values in content["basis"].items()})
         nodes = {name: np.array(values) for name, values in content["transmission"].items()}
+        if not all(np.isfinite(values).all() for values in nodes.values()):
+            raise ValueError("the spectral model holds a value that is not a number")
         columns = nodes["columns"][:bases]
         transmission = Transmission(columns, nodes["weights"], nodes["starts"], tuple(content["channels"]))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
         raise DatasetError(f"{folder / SCAN} cannot be read as what recon fit writes there ({error})") from error
     return ScanRecord(grid, basis, transmission)
 

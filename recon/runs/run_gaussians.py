@@ -16,7 +16,7 @@ from recon.figures.run_figures import convergence
 from recon.gaussians.fitted_grid import fitted_grid
 from recon.gaussians.optimize import Progress
 from recon.gaussians.processes import ALONE, Processes, Resources
-from recon.gaussians.recipe import PLAIN_RECIPES, RECIPES, Recipe, with_detail
+from recon.gaussians.recipe import PLAIN_RECIPES, RECIPES, Recipe, with_count, with_detail
 from recon.gaussians.reconstruct import Reconstruction, reconstruct
 from recon.kedge.basis_names import Asked, left_out, with_named
 from recon.kedge.choose_basis import BasisChoice, choose_basis
@@ -169,7 +169,13 @@ class GaussianRun:
 
 
 def chosen_recipe(
-    name: str, sweeps: float | None, seed: int, held_out: int, kernel: str = "interface", detail: float = 1.0
+    name: str,
+    sweeps: float | None,
+    seed: int,
+    held_out: int,
+    kernel: str = "interface",
+    detail: float = 1.0,
+    count: int = 0,
 ) -> Recipe:
     """Return a recipe of this project with what a user chose.
 
@@ -182,13 +188,14 @@ def chosen_recipe(
     held_out : number of training views that only tell when to stop
     kernel : ``interface`` or ``gaussian``
     detail : factor by which Gaussians are closer to each other than in the recipe
+    count : number of Gaussians; 0 for as many as the distances give
 
     Returns
     -------
     the recipe
     """
     recipes = RECIPES if kernel == "interface" else PLAIN_RECIPES
-    recipe = with_detail(replace(recipes[name], seed=seed, held_out=held_out), detail)
+    recipe = with_count(with_detail(replace(recipes[name], seed=seed, held_out=held_out), detail), count)
     if sweeps is None:
         return recipe
     return replace(

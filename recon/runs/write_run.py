@@ -8,14 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.dataset.layout import array_at, new_group, put
+from phantomgen.dataset.checks.door import array_at
+from phantomgen.dataset.layout import new_group, put
 from phantomgen.dataset.truth import write_grid
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.runtime.outputs import check_output_folder, refuse_interrupted
+from phantomgen.runtime.disk import one_sentence
+from phantomgen.runtime.output_lock import acquire
+from phantomgen.runtime.outputs import check_name, check_output_folder, refuse_interrupted
 from recon.runs.run_folder import MODEL, VIEWS, VOLUMES
 from recon.runs.unfinished_run import clear, is_partial
 from recon.voxel.unreliable import Unreliable
-from spectra.errors import InputError
+from spectra.errors import InputError, StorageError
 
 if TYPE_CHECKING:
     import h5py
@@ -41,6 +44,7 @@ class RunFolder:
     """
 
     def __init__(self, path: Path, overwrite: bool, resume: bool = False) -> None:
+        check_name(path)
         self.path, self.resume = path, resume
         self.part = path.absolute().with_name(path.absolute().name + ".part")
         interrupted = is_partial(path) and not path.is_symlink()
@@ -53,6 +57,8 @@ class RunFolder:
             refuse_interrupted(self.part, resume, overwrite)
 
     def __enter__(self) -> Path:
+        with one_sentence(self.path):
+            self._lock = acquire(self.path)
         try:
             if self.resume and is_partial(self.path) and not is_partial(self.part):
                 shutil.rmtree(self.part, ignore_errors=True)
@@ -61,10 +67,18 @@ class RunFolder:
                 shutil.rmtree(self.part, ignore_errors=True)
             (self.part / "figures").mkdir(parents=True, exist_ok=True)
         except OSError as error:
+            self._lock.unlink(missing_ok=True)
             raise InputError(f"{self.part} cannot be written: {error.strerror}") from None
         return self.part
 
     def __exit__(self, kind: type | None, error: object, traceback: object) -> None:
+        try:
+            self._finish(kind, error)
+        finally:
+            self._lock.unlink(missing_ok=True)
+
+    def _finish(self, kind: type | None, error: object) -> None:
+        """Name the folder, or keep what can be resumed."""
         if kind is None:
             if self.path.exists():
                 shutil.rmtree(self.path)
@@ -78,8 +92,10 @@ class RunFolder:
             raise KeyboardInterrupt(f"{place} holds the model {error}, not yet scored{onward}")
         elif not is_partial(self.part):
             shutil.rmtree(self.part, ignore_errors=True)
-        elif kind is KeyboardInterrupt:
-            raise KeyboardInterrupt(f"what was fitted is kept in {self.part}: go on by --resume")
+        elif kind is not None and issubclass(kind, StorageError):
+            raise StorageError(f"{error}; what was fitted is kept in {self.part}: go on by --resume") from None
+        elif kind is not None and issubclass(kind, KeyboardInterrupt):
+            raise kind(f"what was fitted is kept in {self.part}: go on by --resume")
 
 
 def _is_run(path: Path) -> bool:
@@ -113,9 +129,9 @@ def write_volumes(
         group
     unit : of the volumes
     """
-    import h5py  # noqa: PLC0415
+    from phantomgen.runtime.hdf5_output import hdf5_output  # noqa: PLC0415 - h5py
 
-    with h5py.File(path, "w") as file:
+    with hdf5_output(path) as file:
         file.attrs.update({"NX_class": "NXroot", "default": "basis", "creator": "recon"})
         for name, values in (("basis", volumes), *others.items()):
             group = _plot(file, name, values.astype(np.float32), ("basis_name", "z", "y", "x"), grid)
@@ -130,7 +146,9 @@ def _plot(file: "h5py.File", name: str, values: np.ndarray, axes: tuple[str, ...
     """Write an array of voxels as a NeXus plot, compressed slice by slice."""
     group = new_group(file, name, "NXdata", signal="data", axes=axes)
     chunks = (*[1] * (values.ndim - 2), *values.shape[-2:])
-    group.create_dataset("data", data=values, chunks=chunks, compression="gzip", compression_opts=1, shuffle=True)
+    group.create_dataset(
+        "data", data=values, chunks=chunks, compression="gzip", compression_opts=1, shuffle=True, fletcher32=True
+    )
     for axis in "zyx":
         put(group, axis, grid.axis(axis), "mm")
     return group

@@ -2,8 +2,9 @@
 
 import re
 
-from spectra.errors import InputError
+from spectra.errors import InputError, shortened
 
+_DIGITS = 6  # of a number of atoms; large proteins have some 10000 of a kind
 _HINT = "give mass fractions instead, such as {'H': 0.112, 'O': 0.888}"
 # Symbols of two letters; in capitals they may be read as two elements. Those of common compounds, such as the CO of
 # CO2 or the HF of C2HF5, only count where the formula has no number at all.
@@ -32,6 +33,9 @@ def refuse_misread(formula: str) -> None:
         )
     if re.search(r"[1-9]\d*\.\d", formula):
         raise InputError(f"the decimal point in {formula!r} reads like a hydrate: {_HINT}")
+    for number in re.findall(r"\d+", formula):
+        if len(number) > _DIGITS:
+            raise InputError(f"the formula {shortened(formula)!r} has {shortened(number)} atoms of one kind: {_HINT}")
     _refuse_fractions(formula)
     _refuse_capitals(formula)
 

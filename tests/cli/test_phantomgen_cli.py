@@ -7,6 +7,7 @@ import time
 
 import pytest
 from click.testing import CliRunner
+from support.edited_datasets import edited_dataset
 
 from phantomgen.cli.main import main
 from phantomgen.dataset.reader import open_dataset
@@ -204,13 +205,12 @@ def test_info_describes_a_dataset(made):
 
 
 def test_validate_ends_with_0_or_3(made, tmp_path):
-    import h5py
 
     folder, _ = made
     assert run("validate", folder / "toy.h5").stdout == f"{folder / 'toy.h5'} is valid\n"
     bad = tmp_path / "bad.h5"
     bad.write_bytes((folder / "toy.h5").read_bytes())
-    with h5py.File(bad, "r+") as file:
+    with edited_dataset(bad) as file:
         file["entry/spectra/response"][0, 0] = -1.0
     result = run("validate", bad, "--json")
     assert result.exit_code == 3
@@ -240,12 +240,11 @@ def test_a_look_at_a_dataset_is_a_picture_and_a_page(made, tmp_path):
 
 @pytest.mark.usefixtures("renders")
 def test_a_look_at_a_dataset_without_truth_says_so(made, tmp_path):
-    import h5py
 
     folder, _ = made
     bare = tmp_path / "bare.h5"
     bare.write_bytes((folder / "toy.h5").read_bytes())
-    with h5py.File(bare, "r+") as file:
+    with edited_dataset(bare) as file:
         del file["truth"]
     result = run("view", bare, "--screenshot", tmp_path / "bare.png", "--size", "400x300")
     assert (result.exit_code, result.stderr) == (0, f"Note: {bare} holds no truth, so only the scan is shown.\n")

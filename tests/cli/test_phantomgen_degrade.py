@@ -67,8 +67,8 @@ def test_an_existing_level_is_refused_before_any_work(scan, tmp_path):
     [
         ([], "nothing is to be changed"),
         (["--levels", "0.5", "--dose", "0.5"], "--levels names the doses"),
-        (["--levels", "0.5,0.5"], "names a dose twice"),
-        (["--levels", "half"], "no list of doses"),
+        (["--levels", "0.5,0.5"], "no list of different doses"),
+        (["--levels", "half"], "no list of different doses"),
         (["--arc", "a:b"], "neither an angle"),
         (["--truncate", "much"], "neither a percentage"),
         (["--shift", "1mm"], "no number of pixels"),
@@ -88,5 +88,5 @@ def test_a_report_tells_what_was_done(scan, tmp_path):
     assert run(scan, "-o", tmp_path / "low.h5", "--dose", "0.25", "--bin", "2").exit_code == 0
     result = CliRunner().invoke(main, ["report", str(tmp_path / "low.h5"), "-o", str(tmp_path / "low.html")])
     assert result.exit_code == 0, result.output
-    page = (tmp_path / "low.html").read_text()
+    page = (tmp_path / "low.html").read_text(encoding="utf-8")
     assert "exposure scaled; panel: 2 x 2 pixels summed" in page

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from safetensors.numpy import load_file
+from support.edited_datasets import edited_dataset
 from support.tiny_scans import make, one_sentence
 
 from phantomgen.dataset.reader import open_dataset
@@ -75,7 +76,7 @@ def copy(dataset, tmp_path):
 
 
 def edited(path: Path, edit) -> Path:
-    with h5py.File(path, "r+") as file:
+    with edited_dataset(path) as file:
         edit(file)
     return path
 
@@ -131,6 +132,17 @@ def test_a_run_with_planes_is_exported_and_segmented(complete, tmp_path):
 def test_more_detail_places_more_gaussians(dataset, tmp_path, complete):
     assert fit(dataset, "-o", tmp_path / "run", "--detail", "1.6", *FAST).exit_code == 0
     assert metrics_of(tmp_path / "run")["gaussians"] > 1.5 * metrics_of(complete[0])["gaussians"]
+
+
+def test_a_stated_number_of_gaussians_is_placed(dataset, tmp_path):
+    assert fit(dataset, "-o", tmp_path / "run", "--gaussians", "150", *FAST).exit_code == 0
+    assert metrics_of(tmp_path / "run")["gaussians"] == pytest.approx(150, abs=5)
+
+
+def test_number_and_distance_of_gaussians_exclude_each_other(dataset, tmp_path):
+    result = fit(dataset, "-o", tmp_path / "run", "--gaussians", "150", "--detail", "2", *FAST)
+    assert result.exit_code == 2
+    assert "--detail cannot be used with --gaussians" in result.output
 
 
 def test_volumes_state_shape_axes_and_units(complete):
@@ -283,7 +295,7 @@ def _without(name):
         (_set(DATA, (4, 2, 0, 0), -7), "view 4 of {path} holds negative counts, down to -7"),
         (_set(DATA, (VIEWS, 0, 0, 0), -1), "view 9 of {path} holds negative counts"),
         (_set("entry/instrument/flat/data", (3, 0, 0, 0), -1), "flat 3 of {path} holds negative counts"),
-        (_of_version("2.0"), "{path} has schema version 2.0, this program knows 1.0: update it"),
+        (_of_version("2.0"), "{path} has schema version 2.0, this program knows 1.1: update it"),
         (_without("entry/instrument/flat"), "{path} has no flat field"),
         (_without("entry/spectra"), "{path} lacks /entry/spectra/energy"),
         (lambda file: file.attrs.__delitem__("schema"), "{path} is not a spectral-ct dataset"),
@@ -355,6 +367,7 @@ def test_fewer_bases_than_the_dataset_has_are_fitted_and_named(dataset, tmp_path
     assert read_run(tmp_path / "run").basis_names == tuple(name for name in BASES if name != missing)
     assert {name for name, s in metrics["basis"].items() if s["psnr"] == s["psnr_zero"]} == {missing}
     page = CliRunner().invoke(recon, ["report", str(tmp_path / "run"), "--dataset", str(dataset), "--json"])
+    assert page.exit_code == 0, page.output
     assert any("not fitted" in why for why in json.loads(page.stdout)["left_out"].values())
 
 
@@ -503,10 +516,13 @@ def test_debug_shows_the_traceback(tmp_path):
 
 
 @pytest.mark.parametrize("command", [["fit"], ["volume"], ["render"], []])
-def test_every_help_ends_with_two_examples(command):
+def test_every_help_ends_with_examples(command):
     result = CliRunner().invoke(recon, [*command, "--help"])
     assert result.exit_code == 0
-    assert result.stdout.rstrip().splitlines()[-3].strip() == "Examples:"
+    lines = [line.strip() for line in result.stdout.rstrip().splitlines()]
+    examples = lines[lines.index("Examples:") + 1 :]
+    assert len(examples) >= 2
+    assert all(line.startswith("recon ") for line in examples)
 
 
 @pytest.mark.parametrize("program", ["recon", "phantomgen"])

@@ -2,9 +2,9 @@
 
 import json
 
-import h5py
 import pytest
 from click.testing import CliRunner
+from support.edited_datasets import edited_dataset
 from support.tiny_scans import make, one_sentence
 
 from phantomgen.dataset.reader import open_dataset
@@ -51,11 +51,11 @@ def plain(tmp_path_factory):
 
 
 def test_the_edge_is_found_without_the_truth_and_whatever_the_file_says(scan, tmp_path):
-    with h5py.File(scan, "r+") as file:
+    with edited_dataset(scan) as file:
         del file["truth"]
         file["entry/spectra/edge_energy"][2] = 40.0
     result = CliRunner().invoke(recon, ["edge", str(scan), "-o", str(tmp_path / "found"), "--json"])
-    with h5py.File(scan, "r+") as file:
+    with edited_dataset(scan) as file:
         file["entry/spectra/edge_energy"][2] = 63.3
     assert result.exit_code == 0, result.output
     record = json.loads(result.output)

@@ -7,6 +7,7 @@ import pytest
 import torch
 from click.testing import CliRunner
 from support.agent_scan import agent_scan
+from support.edited_datasets import edited_dataset
 from support.tiny_scans import make, one_sentence
 
 import recon as package
@@ -274,10 +275,8 @@ def test_what_is_not_known_is_one_sentence_and_nothing_is_written(scan, tmp_path
 def test_a_dataset_without_a_truth(scan, noisy, tmp_path):
     import shutil
 
-    import h5py
-
     shutil.copy(scan, tmp_path / "bare.h5")
-    with h5py.File(tmp_path / "bare.h5", "a") as file:
+    with edited_dataset(tmp_path / "bare.h5") as file:
         del file["truth"]
     with pytest.raises(DatasetError, match="holds no truth to score against"):
         package.score(noisy[0], tmp_path / "bare.h5", "basis:compton", units="1/mm", axes="zyx", same_grid=True)

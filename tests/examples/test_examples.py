@@ -102,7 +102,7 @@ def test_the_flat_panel_has_darks_and_a_mask(tmp_path, monkeypatch):
         assert ratio.mean() == pytest.approx(1, abs=0.05)  # air beside the object, less what is stored
 
 
-@pytest.mark.parametrize("name", ["plot_first_fit", "plot_iodine", "plot_metal"])
+@pytest.mark.parametrize("name", ["plot_first_fit", "plot_iodine", "plot_metal", "plot_torch"])
 def test_articles_run_from_top_to_bottom(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("phantomgen.simulation.run.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
@@ -113,6 +113,10 @@ def test_articles_run_from_top_to_bottom(name, tmp_path, monkeypatch, capsys):
         assert (tmp_path / "first-fit" / "report.html").is_file()
     elif name == "plot_iodine":
         assert found["slope"] == pytest.approx(1, abs=0.15)
+    elif name == "plot_torch":
+        assert abs(found["offset_error"]) < 0.01
+        assert min(found["scores"]["offset fitted"]) > min(found["scores"]["panel 0.5 pixel off"])
+        assert (tmp_path / "torch-example" / "torch.png").is_file()
     else:
         assert abs(found["errors"]["one-step"]) < abs(found["errors"]["image"])
     assert capsys.readouterr().out

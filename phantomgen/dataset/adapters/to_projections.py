@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
+from phantomgen.dataset.checks.door import value_at
 from phantomgen.dataset.file import DARK, FLAT
 from phantomgen.dataset.inpainting import inpainted
-from phantomgen.dataset.layout import array_at
 from phantomgen.dataset.truth import read_truth
 from phantomgen.exporters.projections import Kind, Projections
 from spectra.errors import DatasetError, InputError
@@ -108,7 +108,7 @@ def _frames(
     """Flats or darks of the channels."""
     if path not in dataset.file:
         return None
-    return array_at(dataset.file, path)[()][:, chosen]
+    return value_at(dataset.file, path)[:, chosen]
 
 
 def _true_attenuation(

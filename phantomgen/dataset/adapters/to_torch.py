@@ -66,6 +66,12 @@ class ViewSet(TorchDataset):
         counts = torch.from_numpy(dataset.load([view])[0]).float()
         return {"counts": counts, "line_integrals": torch.from_numpy(dataset.line_integrals(view)), "view": view}
 
+    def close(self) -> None:
+        """Close the file if this process has it open; the next item opens it again."""
+        if self._opened is not None and self._opened[0] == os.getpid():
+            self._opened[1].close()
+        self._opened = None
+
     def __getstate__(self) -> dict[str, Any]:
         """Without the open file."""
         return {**vars(self), "_opened": None}

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from phantomgen.runtime.disk import one_sentence
+from phantomgen.runtime.output_lock import acquire, refuse_locked
 from phantomgen.runtime.outputs import refuse_interrupted
 from spectra.errors import Error, InputError, StorageError
 
@@ -53,9 +54,10 @@ def check_journal(out: Path, resume: bool, overwrite: bool) -> None:
     Raises
     ------
     InputError
-        When frames exist and neither option is given.
+        When frames exist and neither option is given, or another process writes them.
     """
     path = journal_path(out)
+    refuse_locked(path)
     if path.exists():
         refuse_interrupted(path, resume, overwrite)
 
@@ -83,7 +85,17 @@ class FrameJournal:
 
     def __enter__(self) -> "FrameJournal":
         with one_sentence(self.path):
-            self._file = open(os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666), "r+b", buffering=0)
+            self._owner = acquire(self.path)
+        try:
+            return self._entered()
+        except BaseException:
+            self._owner.unlink(missing_ok=True)
+            raise
+
+    def _entered(self) -> "FrameJournal":
+        """Open the file."""
+        with one_sentence(self.path):
+            self._file = open(os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666), "r+b", buffering=0)  # noqa: SIM115
         try:
             self._lock()
             end = self._read_finished() if self.resume else 0
@@ -103,11 +115,12 @@ class FrameJournal:
     def __exit__(self, kind: type | None, *exception: object) -> None:
         unusable = kind is not None and issubclass(kind, Error) and not issubclass(kind, StorageError)
         self._file.close()
+        self._owner.unlink(missing_ok=True)
         if kind is None or unusable or not self.finished:
             self.path.unlink(missing_ok=True)
-        elif kind is KeyboardInterrupt:
+        elif issubclass(kind, KeyboardInterrupt):
             kept = " and ".join(f"{count} {name}" for name, count in self.finished.items())
-            raise KeyboardInterrupt(f"{kept} are kept in {self.path}: go on by --resume")
+            raise kind(f"{kept} are kept in {self.path}: go on by --resume")
 
     @property
     def size(self) -> int:

@@ -7,8 +7,9 @@ readers (nxtomo, nabu, tomopy and others) open these as they are.
 import h5py
 import numpy as np
 
+from phantomgen.dataset.checks.door import array_at, value_at
 from phantomgen.dataset.file import DARK, DETECTOR, FLAT
-from phantomgen.dataset.layout import array_at, new_group, put
+from phantomgen.dataset.layout import new_group, put
 from phantomgen.dataset.pixel_mask import mask_of
 from phantomgen.dataset.spectral_model import Spectra
 
@@ -27,7 +28,7 @@ def write_aliases(file: h5py.File, spectra: Spectra) -> None:
     file : open dataset
     spectra : channels of the dataset
     """
-    angles = array_at(file, "entry/sample/rotation_angle")[()]
+    angles = value_at(file, "entry/sample/rotation_angle")
     if not np.issubdtype(array_at(file, f"{DETECTOR}/data").dtype, np.integer) or not np.isfinite(angles).all():
         return
     for channel, name in enumerate(spectra.channels):
@@ -53,7 +54,7 @@ def _write_entry(file: h5py.File, channel: int, name: str, energy: float) -> Non
     sample = new_group(entry, "sample", "NXsample")
     sample["name"] = h5py.SoftLink("/entry/sample/name")
     angles = np.zeros(len(keys))
-    angles[keys == _PROJECTION] = array_at(file, "entry/sample/rotation_angle")[()]
+    angles[keys == _PROJECTION] = value_at(file, "entry/sample/rotation_angle")
     put(sample, "rotation_angle", angles, "degree")
     data = new_group(entry, "data", "NXdata", signal="data")
     for link, target in (

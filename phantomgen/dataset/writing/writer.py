@@ -16,9 +16,12 @@ import numpy as np
 from jaxtyping import Float, Int, UInt32
 
 from phantomgen.dataset.beam_profile import write_profile
+from phantomgen.dataset.checks.digest import seal
+from phantomgen.dataset.checks.door import array_at, group_at
 from phantomgen.dataset.compression import Compression
+from phantomgen.dataset.file import DATASET
 from phantomgen.dataset.geometry import write_geometry
-from phantomgen.dataset.layout import SCHEMA, SCHEMA_VERSION, array_at, group_at, new_frames, new_group, put, put_note
+from phantomgen.dataset.layout import SCHEMA, SCHEMA_VERSION, new_frames, new_group, put, put_note
 from phantomgen.dataset.pixel_mask import write_mask
 from phantomgen.dataset.spectral_model import Spectra
 from phantomgen.dataset.true_poses import write_true_geometry
@@ -27,6 +30,7 @@ from phantomgen.dataset.writing.nxtomo import write_aliases
 from phantomgen.geometry.poses import Geometry, distances
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.disk import is_full, one_sentence, reserve
+from phantomgen.runtime.output_lock import acquire
 from phantomgen.runtime.outputs import check_output
 from phantomgen.runtime.versions import environment, program_version
 from spectra.errors import InputError
@@ -50,7 +54,7 @@ class DatasetWriter:
         self.path = Path(path)
         self.compression: Compression = compression
         self.part = self.path.with_name(self.path.name + ".part")
-        check_output(self.path, overwrite)
+        check_output(self.path, overwrite, kind=DATASET)
 
     @property
     def reserved(self) -> Path:
@@ -59,6 +63,7 @@ class DatasetWriter:
 
     def __enter__(self) -> "DatasetWriter":
         with one_sentence(self.part):
+            self._lock = acquire(self.path)
             try:
                 reserve(self.reserved)
                 self.file = h5py.File(self.part, "w")
@@ -66,6 +71,7 @@ class DatasetWriter:
             except (OSError, RuntimeError) as error:
                 if is_full(error):
                     self._discard()
+                self._lock.unlink(missing_ok=True)
                 raise
         return self
 
@@ -80,6 +86,7 @@ class DatasetWriter:
                     os.replace(self.part, self.path)
             finally:
                 self._discard()
+                self._lock.unlink(missing_ok=True)
 
     def _discard(self) -> None:
         """Close and remove what is not complete.
@@ -272,7 +279,7 @@ class DatasetWriter:
         return process
 
     def finish(self, spectra: Spectra) -> None:
-        """Add the default plot and the aliases that other programs read.
+        """Add the default plot, the aliases that other programs read, and the digests of all that was written.
 
         Parameters
         ----------
@@ -286,6 +293,7 @@ class DatasetWriter:
         put(data, "view", np.arange(array_at(self.file, "entry/instrument/detector/data").shape[0], dtype=np.int32))
         put(data, "channel", np.array(spectra.channels, dtype=object))
         write_aliases(self.file, spectra)
+        seal(self.file)
 
 
 def check_dataset_name(path: Path) -> None:

@@ -5,7 +5,8 @@ from typing import Any
 
 import h5py
 
-from phantomgen.dataset.layout import array_at, text_of
+from phantomgen.dataset.checks.door import value_at
+from phantomgen.dataset.layout import text_of
 from phantomgen.dataset.reader import Dataset
 from phantomgen.display.html import Code, Paragraph, Part, Table
 
@@ -30,7 +31,7 @@ def plan_of(dataset: Dataset) -> dict[str, Any]:
     """
     if "truth/plan/data" not in dataset.file:
         return {}
-    return json.loads(text_of(array_at(dataset.file, "truth/plan/data")[()]))
+    return json.loads(text_of(value_at(dataset.file, "truth/plan/data")))
 
 
 def plan_parts(dataset: Dataset) -> list[Part]:
@@ -91,7 +92,7 @@ def _process(name: str, group: h5py.Group) -> list[Part]:
     rows = tuple((key, _text(item)) for key, item in fields.items() if key != "sequence_index")
     parts: list[Part] = [Table(("what", "value"), rows, f"Where it comes from: {name}.", name)]
     if "environment/data" in group:
-        parts.append(Code(f"Environment of {name}", text_of(array_at(group, "environment/data")[()])))
+        parts.append(Code(f"Environment of {name}", text_of(value_at(group, "environment/data"))))
     return parts
 
 

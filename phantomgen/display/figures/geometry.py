@@ -10,6 +10,7 @@ from jaxtyping import Float
 from phantomgen.display.figures.style import BLACK, GRID, RED, check_picture, styled_figure
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.runtime.disk import complete_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -80,7 +81,8 @@ def draw(
         columns = 2 if stacked else len(labels)
         figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8.5)
         if path is not None:
-            figure.savefig(path, transparent=stacked)
+            with complete_file(Path(path), Path(path).suffix) as beside:
+                figure.savefig(beside, transparent=stacked)
     return figure
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from phantomgen.runtime.disk import complete_file
 from spectra.errors import InputError
 
 if TYPE_CHECKING:
@@ -116,7 +117,8 @@ def figure_file(path: Path, inches: tuple[float, float]) -> Iterator["Figure"]:
         yield figure
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         figure.draw_without_rendering()  # the layout settles in two rounds where aspect ratios are fixed
-        figure.savefig(path, format=kind, transparent=kind == "svg", metadata=dict.fromkeys(_STAMPS[kind]))
+        with complete_file(Path(path), f".{kind}") as beside:
+            figure.savefig(beside, format=kind, transparent=kind == "svg", metadata=dict.fromkeys(_STAMPS[kind]))
 
 
 def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:

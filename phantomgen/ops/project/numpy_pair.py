@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-from phantomgen.ops.project import cpu, z_aligned
+from phantomgen.ops.project import cpu, pose_derivatives, z_aligned
 from spectra.threads import run_parallel
 
 # Layers of z per piece of work of the transpose; changes time, not results.
@@ -98,6 +98,39 @@ def backward(
             out[group, first : last + 1] += layers
 
     for _ in run_parallel(piece, range(0, shape[0], _LAYERS)):
+        pass
+    return out
+
+
+def pose_gradient(
+    volume: Float[np.ndarray, "component z y x"],
+    images: Float[np.ndarray, "component view row column"],
+    views: Float[np.ndarray, "view 4 3"],
+    parallel: bool,
+    spacing: Float[np.ndarray, " 3"],
+) -> Float[np.ndarray, "view 4 3"]:
+    """Compute the derivatives of ``(images * forward(volume, ...)).sum()`` in the views.
+
+    Parameters
+    ----------
+    volume : values of the voxels
+    images : weights of the pixels
+    views, parallel, spacing : as in `forward`
+
+    Returns
+    -------
+    derivatives [1/voxel]
+    """
+    components, *shape = volume.shape
+    flat = np.ascontiguousarray(volume.reshape(components, -1).T, dtype=np.float32)
+    weights = np.ascontiguousarray(np.moveaxis(images, 0, -1), dtype=np.float64)
+    strides, out = _strides(shape), np.zeros((len(views), 4, 3))
+
+    def view(i: int) -> None:
+        seen = cpu.VoxelView(views[i], parallel, spacing, strides)
+        pose_derivatives.pose_derivatives(flat, weights[i], seen, pose_derivatives.PoseScratch.of(shape), out[i])
+
+    for _ in run_parallel(view, range(len(views))):
         pass
     return out
 

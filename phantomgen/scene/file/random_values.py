@@ -16,12 +16,14 @@ import numpy as np
 from jaxtyping import Float
 
 from phantomgen.scene.file.placement import PLACE_KEYS, place
+from spectra.errors import shortened
 
 Location = tuple[str | int, ...]
 _Keys = tuple[Any, ...]  # a location whose keys may be numbers, such as energies of lines
 Refuse = Callable[[Location, str], Exception]
 Path = tuple[str, ...]
 
+MOST_OBJECTS = 1_000_000  # of a scene, and of one entry
 DISTRIBUTIONS = {
     "uniform": "two numbers [lowest, highest]",
     "log_uniform": "two positive numbers [lowest, highest]",
@@ -183,6 +185,8 @@ class _Draw:
         if not isinstance(count, int) or isinstance(count, bool) or count < 0:
             hint = "; write such as {integers: [1, 9]}" if isinstance(count, dict) else ""
             raise self.refuse((*where, "count"), f"must be a whole number of objects, 0 or more, got {count!r}{hint}")
+        if count > MOST_OBJECTS:
+            raise self.refuse((*where, "count"), f"must be at most {MOST_OBJECTS}, got {shortened(count)}")
         return count
 
     def _choices(self, value: dict[str, Any], path: Path, where: _Keys, count: int) -> list[Any]:

@@ -13,10 +13,11 @@ from typing import Any, Literal, get_args, get_origin
 import yaml
 from pydantic import BaseModel, ValidationError
 
+from phantomgen.runtime.yaml_text import YamlText, YamlTextError, parse_yaml
 from phantomgen.scene import schema
 from phantomgen.scene.file.random_values import DISTRIBUTIONS, draw, drawn_item, source_place
 from phantomgen.scene.schema import SceneModel
-from spectra.errors import Error, SceneError
+from spectra.errors import Error, SceneError, shortened
 
 Location = tuple[str | int, ...]
 # More objects are written as one line of JSON each, which is YAML too: PyYAML takes half a millisecond for each.
@@ -82,7 +83,7 @@ class SceneFile:
             When there is no such preset.
         """
         if name not in preset_names():
-            raise SceneError(f"unknown preset {name!r}{closest(name, preset_names())}")
+            raise SceneError(f"unknown preset {shortened(name)!r}{closest(name, preset_names())}")
         text = resources.files("phantomgen").joinpath("scene", "presets", f"{name}.yaml").read_text(encoding="utf-8")
         return cls(f"{name}.yaml", text, tuple(overrides))
 
@@ -107,7 +108,7 @@ class SceneFile:
         """The mapping in the file, with the overrides put in."""
         if not isinstance(self._root, yaml.MappingNode):
             raise SceneError(f"{self.name}:1:1: a scene is a mapping of keys to values that starts with 'version: 1'")
-        values = yaml.safe_load(self.text)
+        values = self._parsed.values
         for override in self.overrides:
             _override(values, override)
         return values
@@ -147,7 +148,7 @@ class SceneFile:
         paths = {override: override.partition("=")[0].strip() for override in self.overrides}
         for override, path in reversed(paths.items()):  # the last one of a path is in force
             if key == path or key.startswith(f"{path}."):
-                return SceneError(f"--set {override}: {key} - {message}")
+                return SceneError(f"--set {shortened(override)}: {key} - {message}")
         parts = [f"--set {override}" for override, path in paths.items() if key and path.startswith(f"{key}.")]
         where = f"{key} (with {', '.join(parts)})" if parts else key
         return SceneError(f"{self.name}:{_mark(self._root, location)}: {where}{' - ' if where else ''}{message}")
@@ -179,17 +180,17 @@ class SceneFile:
     @cached_property
     def _root(self) -> yaml.Node | None:
         """The parsed file with line numbers."""
-        try:
-            root = yaml.compose(self.text, Loader=yaml.SafeLoader)
-            yaml.safe_load(self.text)
-        except yaml.MarkedYAMLError as error:
-            mark = error.problem_mark
-            place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
-            raise SceneError(f"{self.name}:{place}: this is no YAML: {error.problem}") from None
-        except yaml.YAMLError as error:
-            raise SceneError(f"{self.name}:1:1: {str(error).splitlines()[0]}") from None
+        root = self._parsed.root
         _refuse_repeats(root, self.name)
         return root
+
+    @property
+    def _parsed(self) -> YamlText:
+        """The file as nodes and as values, which are new each time."""
+        try:
+            return parse_yaml(self.text)
+        except YamlTextError as problem:
+            raise SceneError(f"{self.name}:{problem.line}:{problem.column}: {problem.reason}") from None
 
 
 def preset_names() -> list[str]:
@@ -258,7 +259,7 @@ def _sentence(error: Any) -> str:
     text = error["msg"][0].lower() + error["msg"][1:]
     if kind == "too_short":
         text = f"needs at least {error['ctx']['min_length']}, got {error['ctx']['actual_length']}"
-    return f"{text}, got {got!r}" if isinstance(got, str | int | float | bool | None) else text
+    return f"{text}, got {shortened(repr(got))}" if isinstance(got, str | int | float | bool | None) else text
 
 
 def _choices(key: str) -> str:
@@ -296,9 +297,9 @@ def _override(values: dict[str, Any], override: str) -> None:
     if not equals or not path.strip():
         raise SceneError(f"--set {override}: write path=value, such as geometry.views=180")
     try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError:
-        raise SceneError(f"--set {override}: {text!r} is not a YAML value") from None
+        value = parse_yaml(text).values
+    except YamlTextError:
+        raise SceneError(f"--set {shortened(override)}: {shortened(text)!r} is not a YAML value") from None
     holder, rest = values, path.strip()
     while True:
         key, rest = _next_key(holder, rest, override)

@@ -1,13 +1,14 @@
 """From object models of a scene file to shapes with the names of their materials."""
 
 from collections.abc import Iterator
-from itertools import product
+from itertools import islice, product
 from math import radians
 from pathlib import Path
 
 import numpy as np
 
 from phantomgen.scene import schema
+from phantomgen.scene.file.random_values import MOST_OBJECTS
 from phantomgen.scene.file.scene_file import Location, SceneFile
 from phantomgen.scene.materials import check_material
 from phantomgen.scene.objects.voxel_maps import voxels_of
@@ -53,7 +54,10 @@ def objects_of(file: SceneFile) -> list[tuple[Shape, ObjectContent]]:
     SceneError
         With the place in the file of a material that is missing, unknown or out of place, or of an impossible shape.
     """
-    return list(_members(file, file.model.objects, ("objects",)))
+    found = list(islice(_members(file, file.model.objects, ("objects",)), MOST_OBJECTS + 1))
+    if len(found) > MOST_OBJECTS:
+        raise file.error(("objects",), f"has more than {MOST_OBJECTS} objects with all copies, the most that are read")
+    return found
 
 
 def _members(
@@ -219,7 +223,7 @@ def _copies(model: schema.ObjectModel):
     places = product(
         *((np.arange(n) - (n - 1) / 2) * step for n, step in zip(pattern.count, pattern.step, strict=True))
     )
-    return [lambda shape, place=place: Placed(shape, np.eye(3), np.array(place)) for place in places]
+    return (lambda shape, place=place: Placed(shape, np.eye(3), np.array(place)) for place in places)
 
 
 def _radians(degrees: schema.Vector) -> schema.Vector:

@@ -192,11 +192,11 @@ class SceneModel(Model):
     objects: Annotated[tuple[ShapeModel, ...], Field(min_length=1)]
     overlap: Literal["replace", "add"] = "replace"
     background: str | None = None
-    tessellation: PositiveInt | Literal["auto"] = 1
+    tessellation: Annotated[PositiveInt, Field(le=1000)] | Literal["auto"] = 1
     seed: NonNegativeInt = 0
     noise: bool = True
-    flats: PositiveInt = 50
-    darks: NonNegativeInt = 1
+    flats: Annotated[PositiveInt, Field(le=100_000)] = 50
+    darks: Annotated[NonNegativeInt, Field(le=100_000)] = 1
 
 
 def json_schema() -> dict[str, Any]:

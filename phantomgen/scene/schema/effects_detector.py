@@ -16,7 +16,7 @@ class BlurModel(Model):
 
     mtf: Annotated[PositiveFloat, Field(lt=1)] | None = None
     frequency: PositiveFloat | None = None
-    fwhm: PositiveFloat | None = None
+    fwhm: Annotated[PositiveFloat, Field(le=1000)] | None = None
 
 
 class GainModel(Model):

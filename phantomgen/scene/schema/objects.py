@@ -6,6 +6,8 @@ from pydantic import Field, FiniteFloat, PositiveFloat, PositiveInt
 
 from phantomgen.scene.schema.base import Model, NonNegative, Size, Vector
 
+Copies = Annotated[PositiveInt, Field(le=100_000)]
+
 
 class PlaneModel(Model):
     """A plane that cuts off what lies beyond it: normal . x >= offset [mm]; the normal may have any length."""
@@ -18,7 +20,7 @@ class GridModel(Model):
     """Copies on a grid around the original: how many along x, y and z, and how far apart [mm]."""
 
     type: Literal["grid"]
-    count: tuple[PositiveInt, PositiveInt, PositiveInt]
+    count: tuple[Copies, Copies, Copies]
     step: Vector
 
 
@@ -26,7 +28,7 @@ class RingModel(Model):
     """Copies turned about the z axis, evenly over a full turn."""
 
     type: Literal["ring"]
-    count: PositiveInt
+    count: Copies
 
 
 RepeatModel = Annotated[GridModel | RingModel, Field(discriminator="type")]
@@ -144,8 +146,8 @@ class SweepModel(ObjectModel):
     type: Literal["sweep"]
     points: Annotated[tuple[Vector, ...], Field(min_length=2)]
     radius: PositiveFloat | tuple[PositiveFloat, ...]
-    sides: Annotated[int, Field(ge=3)] = 24
-    steps: PositiveInt = 8
+    sides: Annotated[int, Field(ge=3, le=10_000)] = 24
+    steps: Annotated[PositiveInt, Field(le=10_000)] = 8
 
 
 class VoxelsModel(ObjectModel):

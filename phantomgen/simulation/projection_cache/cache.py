@@ -15,9 +15,10 @@ import h5py
 import numpy as np
 from jaxtyping import Float, Float32
 
+from phantomgen.dataset.checks.door import array_at, group_at, value_at
 from phantomgen.dataset.compression import Compression
 from phantomgen.dataset.file import open_file
-from phantomgen.dataset.layout import FRACTION_SCALE, array_at, group_at, new_frames, new_group, put, put_note, text_of
+from phantomgen.dataset.layout import FRACTION_SCALE, new_frames, new_group, put, put_note, text_of
 from phantomgen.dataset.truth import truth_group
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.scene.file.scene_file import SceneFile
@@ -148,9 +149,9 @@ class ProjectionCache:
         with _opened(path) as file:
             group = group_at(file, GROUP)
             bounds, counts = (array_at(group, name)[:].tolist() for name in ("bounds", "nodes"))
-            error = float(array_at(group, "error")[()])
-            depends_on = json.loads(text_of(array_at(group, "depends_on/data")[()]))
-            plan = json.loads(text_of(array_at(file, "truth/plan/data")[()]))
+            error = float(value_at(group, "error"))
+            depends_on = json.loads(text_of(value_at(group, "depends_on/data")))
+            plan = json.loads(text_of(value_at(file, "truth/plan/data")))
         energies = PiecewiseChebyshev(tuple(bounds), tuple(counts))
         setting = f"{sum(counts)} energies of {bounds[0]:g} .. {bounds[-1]:g} keV from {Path(path).name}"
         last = Choice("kept projections", setting, error, SHARE * plan["tolerance"])
@@ -243,7 +244,7 @@ class ProjectionCache:
         whole = scan.grid
         with h5py.File(self.path, "r") as file:
             wanted = {"shape": whole.shape, "spacing": whole.spacing, "origin": whole.origin}
-            if any(tuple(array_at(file, f"truth/grid/{key}")[()]) != value for key, value in wanted.items()):
+            if any(tuple(value_at(file, f"truth/grid/{key}")) != value for key, value in wanted.items()):
                 return None
 
         def fractions_on(part: Grid) -> Float32[np.ndarray, "material z y x"]:
@@ -365,13 +366,13 @@ def cached_scene(path: Path | str, overrides: Sequence[str] = ()) -> SceneFile:
     """
     with _opened(path) as file:
         group_at(file, GROUP)
-        return SceneFile(str(path), text_of(array_at(file, "truth/scene/data")[()]), tuple(overrides))
+        return SceneFile(str(path), text_of(value_at(file, "truth/scene/data")), tuple(overrides))
 
 
 @contextmanager
 def _opened(path: Path | str) -> Iterator[h5py.File]:
     """A dataset that keeps projections."""
-    with open_file(Path(path)) as file:
+    with open_file(Path(path), "truth") as file:
         if GROUP not in file:
             raise DatasetError(f"{path} keeps no projections: make it with --keep paths")
         yield file

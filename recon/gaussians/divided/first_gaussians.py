@@ -44,7 +44,6 @@ def divided_gaussians(
         gaussians = place_on_surfaces(*occupied, metric, scan.measured.basis_names, recipe.seed, settings)
         gaussians = solve_coefficients(gaussians, *occupied, metric, settings.solves)
     with stage("approximate"):
-        gaussians = fit_divided_to_volume(
-            gaussians, *occupied, metric, recipe.approximation, on_iteration, recipe.volume_fit
-        )
+        steps = replace(recipe.volume_fit, cutoff=settings.cutoff)
+        gaussians = fit_divided_to_volume(gaussians, *occupied, metric, recipe.approximation, on_iteration, steps)
     return replace(gaussians, width=settings.width * min(occupied.grid.spacing))

@@ -5,6 +5,7 @@ sign: sums of overlapping Gaussians come closer to an even density so, by 1 to 5
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -22,10 +23,11 @@ from recon.gaussians.divided.steps import (
     moved,
 )
 from recon.gaussians.initial.descent import descend
-from recon.gaussians.settings import VolumeFitSettings
+from recon.gaussians.settings import SurfaceSettings, VolumeFitSettings
+from recon.ops.voxelize import mass_within
 from recon.voxel.method import OnIteration, Report, no_callback
 
-DEFAULT = VolumeFitSettings()
+DEFAULT = replace(VolumeFitSettings(), cutoff=SurfaceSettings().cutoff)
 LEAST_CURVATURE = 1e-12  # no unit; added to the diagonal, so that a Gaussian without coefficients is not divided by 0
 SOLVE_DAMPING = 1e-3  # no unit; added to the diagonal in the first solution, so that empty sides stay small
 LEAST_OVERLAP = 1e-3  # voxels; sum of squares of one side of a Gaussian, at least, for the same purpose
@@ -50,7 +52,7 @@ def fit_divided_to_volume(
     metric : weights of the bases, see `recon.gaussians.initial.fit_to_volume.metric_of`
     evaluations : number of voxelizations, each with its gradient
     on_evaluation : called after each evaluation; its residual is the squared distance
-    settings : lengths of the steps and bounds
+    settings : lengths of the steps, bounds and cutoff
 
     Returns
     -------
@@ -83,7 +85,7 @@ def solve_coefficients(
     the model with other coefficients
     """
     volumes, grid = _of_twice_the_size(volumes, grid)
-    problem = _Distance(volumes, grid, metric, Report(no_callback, iterations), DEFAULT)
+    problem = _Distance(volumes, grid, metric, Report(no_callback, iterations), replace(DEFAULT, cutoff=CUTOFF))
     problem.renew_diagonal(start)
     scale = problem.overlap[..., None] * torch.diagonal(problem.metric)
     values = start.coefficients.clone()
@@ -116,7 +118,8 @@ class _Distance:
         settings: VolumeFitSettings,
     ) -> None:
         self.grid, self.voxel, self.settings, self.report = grid, min(grid.spacing), settings, report
-        self.target = torch.from_numpy(np.ascontiguousarray(volumes, np.float32))
+        kept = np.float32(mass_within(settings.cutoff))
+        self.target = torch.from_numpy(np.ascontiguousarray(kept * volumes, np.float32))
         self.metric = torch.from_numpy(metric / np.trace(metric)).float()
         self.inverse_metric = torch.linalg.inv(self.metric)
         self.evaluations, self.widest = 0, torch.empty(0)
@@ -124,7 +127,7 @@ class _Distance:
     def evaluate(self, model: DividedGaussians) -> tuple[float, Float[Tensor, "gaussian step"]]:
         """Compute the distance, and its gradient with respect to steps."""
         parts = {name: value.detach().requires_grad_() for name, value in model.tensors().items()}
-        found = model.with_tensors(parts).voxels(self.grid, CUTOFF)
+        found = model.with_tensors(parts).voxels(self.grid, self.settings.cutoff)
         difference = found.detach() - self.target
         weighted = torch.einsum("mn,nzyx->mzyx", self.metric, difference)
         found.backward(weighted)
@@ -136,7 +139,7 @@ class _Distance:
     def pulled(self, model: DividedGaussians, target: Tensor | None) -> tuple[Tensor, float]:
         """Compute the gradient of the distance in the coefficients, and the distance; from 0 without a target."""
         values = model.coefficients.detach().requires_grad_()
-        found = model.with_values(values).voxels(self.grid, CUTOFF)
+        found = model.with_values(values).voxels(self.grid, self.settings.cutoff)
         difference = found.detach() if target is None else found.detach() - target
         weighted = torch.einsum("mn,nzyx->mzyx", self.metric, difference)
         found.backward(weighted)
@@ -146,7 +149,7 @@ class _Distance:
     def renew_diagonal(self, model: DividedGaussians) -> None:
         """Compute the curvature along each step: that of a Gaussian that is alone, times the overlap with others."""
         one = torch.ones_like(model.coefficients[..., :1]).requires_grad_()
-        density = model.with_values(one).voxels(self.grid, CUTOFF)
+        density = model.with_values(one).voxels(self.grid, self.settings.cutoff)
         density.backward(density.detach())
         assert one.grad is not None
         overlap, settings = one.grad[..., 0], self.settings  # (N, 2), per side

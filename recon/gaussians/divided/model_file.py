@@ -1,5 +1,6 @@
 """Model files of every kind."""
 
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +34,11 @@ def load_model(path: Path) -> GaussianModel:
             f"{DividedGaussians.SCHEMA!r}"
         )
     try:
-        return model_of(tensors, header["basis"], header)
-    except (KeyError, TypeError) as error:
+        model = model_of(tensors, header["basis"], header)
+        if not isfinite(getattr(model, "width", 0.0)):
+            raise ValueError("its width is not a number")
+        return model
+    except (KeyError, TypeError, ValueError) as error:
         raise DatasetError(f"{path}: not a Gaussian model written by recon ({error})") from error
 
 

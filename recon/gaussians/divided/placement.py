@@ -15,6 +15,7 @@ from recon.data.volume_edges import SMOOTHING, large_signal
 from recon.gaussians.divided.model import DividedGaussians
 from recon.gaussians.divided.surfaces import surfaces_of
 from recon.gaussians.initial.initialize import neighbour_distance, places_of, random_of_places
+from recon.gaussians.initial.wanted_count import places_for
 from recon.gaussians.settings import SurfaceSettings
 
 BEYOND = 8.0  # standard deviations; where the plane of a plain Gaussian is put, further than any line meets it
@@ -54,9 +55,9 @@ def place_on_surfaces(
     places, distances = np.concatenate([surfaces.points, inside]), np.concatenate([apart, apart_inside])
     on_surface = np.arange(len(places)) < len(apart)
     random = random_of_places(np.floor(places[:, ::-1] + 0.5).astype(np.int64) + places_of(grid), seed)[:, 3]
-    kept = _spread(places, distances, on_surface, random)
+    factor, kept = places_for(settings.count, lambda factor: _spread(places, factor * distances, on_surface, random))
     centres, on_surface = places[kept], on_surface[kept]
-    sigma = settings.overlap * neighbour_distance(centres, settings.neighbours, default=settings.finest)
+    sigma = settings.overlap * neighbour_distance(centres, settings.neighbours, default=factor * settings.finest)
     count = int(on_surface.sum())  # those on surfaces come first
     normals = np.tile([0.0, 0.0, 1.0], (len(centres), 1))
     normals[:count] = surfaces.normals[kept[:count]]

@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.volume_edges import SMOOTHING, VolumeEdges, directions_across
+from recon.gaussians.initial.wanted_count import places_for
 from recon.gaussians.model import Gaussians
 from recon.gaussians.settings import PlacementSettings
 from recon.ops.voxelize import voxelize
@@ -53,9 +54,10 @@ def initialize(
     smooth = np.stack([gaussian_filter(v, SMOOTHING) for v in volumes])
     structure = VolumeEdges.of(volumes, fisher)
     distance = _wanted_distance(structure, grid, spacing, settings)
-    voxel = _blue_noise(structure.occupied, distance / min(grid.spacing), places_of(grid), seed)
+    apart, first = distance / min(grid.spacing), places_of(grid)
+    factor, voxel = places_for(settings.count, lambda f: _blue_noise(structure.occupied, f * apart, first, seed))
     centres = (np.array(grid.origin) + voxel * np.array(grid.spacing))[:, ::-1].copy()
-    scales = neighbour_distance(centres, settings.neighbours, default=spacing) * settings.overlap
+    scales = neighbour_distance(centres, settings.neighbours, default=factor * spacing) * settings.overlap
     normals, edge = _normals(structure, voxel)
     thickness = settings.flatness**edge
     flat = np.stack([thickness**-0.25, thickness**-0.25, thickness**0.75], axis=1)  # thinner, and a little wider

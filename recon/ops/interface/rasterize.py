@@ -2,17 +2,20 @@
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Float, Float32, Int64
 from torch import Tensor
 
 from phantomgen.ops.simd import WIDTH as LANES
-from recon.ops.interface import cpu
+from recon.ops.arguments import RayFrame, inverse_frames
+from recon.ops.cpu_function import apply_on_cpu
+from recon.ops.interface import cpu, cpu_footprints
 from recon.ops.interface.arrays import DividedTensors
-from recon.ops.interface.footprints import footprints
 from recon.ops.interface.sides import side_moments
-from recon.ops.interface.table import SUMS
-from recon.ops.pieces import run_all
-from recon.ops.rasterize.footprints import near_images, whitening
+from recon.ops.interface.table import NUMBERS, SUMS
+from recon.ops.pieces import run_all, run_in_pieces
+from recon.ops.rasterize.cpu import whitening, whitening_backward
+from recon.ops.rasterize.footprints import near_images
+from recon.ops.rasterize.footprints import whitening as whitening_matrices
 from recon.ops.rasterize.projector import Projector
 
 LIGHTEST = 1e-6  # part of a Gaussian's mass; a side with less is not projected near the ends of rays
@@ -37,19 +40,19 @@ def rasterize_divided(
 
     Returns
     -------
-    line integrals, dimensionless, float32, differentiable in all arrays of the Gaussians. Near the source and the
-    panel, each side of a plane counts as a Gaussian of the same mass, centre and covariance.
+    line integrals, dimensionless, in the type of the coefficients, differentiable in all arrays of the Gaussians. Near
+    the source and the panel, each side of a plane counts as a Gaussian of the same mass, centre and covariance.
 
     References
     ----------
     `recon.ops.interface.reference` has the formula and its source.
     """
-    exact = gaussians.exact()
-    seen, below, above = footprints(exact, frames.double(), panel, projector), gaussians.below, gaussians.above
-    images: Tensor = _Images.apply(seen.numbers, seen.rows, below, above - below, frames, panel, projector)  # type: ignore[assignment]
-    if not any(len(near) for near in seen.near):
+    call = _Call(gaussians, frames, panel, projector)
+    images = apply_on_cpu(lambda _: call, gaussians)
+    if not call.near.any():
         return images
-    return images + _near_the_ends(exact, seen.near, frames.double(), panel, projector)
+    near = tuple(torch.from_numpy(np.flatnonzero(some)) for some in call.near)
+    return images + _near_the_ends(gaussians.exact(), near, frames.double(), panel, projector)
 
 
 def _near_the_ends(
@@ -63,7 +66,10 @@ def _near_the_ends(
     images = []
     for frame, which in zip(frames, near, strict=True):
         some = DividedTensors(*(part[which] for part in gaussians))
-        matrices, image = whitening(some.log_scales, some.quaternions), torch.zeros(some.below.shape[1], *panel)
+        matrices, image = (
+            whitening_matrices(some.log_scales, some.quaternions),
+            torch.zeros(some.below.shape[1], *panel),
+        )
         third = torch.linalg.inv(matrices)[:, :, 2]
         for above, values in ((False, some.below), (True, some.above)):
             mass, mean, spread = side_moments(some.planes[:, 0], above)
@@ -75,81 +81,78 @@ def _near_the_ends(
     return torch.stack(images)
 
 
-class _Images(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx, numbers, rows, below, step, frames, panel, projector):
-        table = numbers.detach().float().contiguous().numpy()
-        spans = rows.detach().long().contiguous().numpy()
-        low, high = (part.detach().float().contiguous().numpy() for part in (below, step))
-        lengths = _ray_lengths(frames, panel)
-        bases = (0,) * low.shape[1]
-        image = np.zeros((len(table), len(bases), panel[0], panel[1] + LANES), np.float32)
+class _Call:
+    """Arrays of one call: geometry in float64, footprints and pixels in float32."""
+
+    def __init__(self, gaussians: DividedTensors, frames: Tensor, panel: tuple[int, int], projector: Projector) -> None:
+        exact = [part.detach().numpy().astype(np.float64) for part in gaussians[:4]]
+        self.centres, self.log_scales, self.quaternions, self.planes = exact
+        below, above = gaussians.below.detach(), gaussians.above.detach()
+        self.below, self.step = (part.float().contiguous().numpy() for part in (below, above - below))
+        self.bases, self.panel, self.sampling = (0,) * below.shape[1], panel, projector.sampling
+        self.lengths = _ray_lengths(frames, panel)
+        self.frames = frames.numpy().astype(np.float64)
+        self.inverses = inverse_frames(self.frames)
+        views, n = len(self.frames), len(self.centres)
+        self.matrices, self.table = np.empty((n, 3, 3)), np.empty((views, n, NUMBERS), np.float32)
+        self.spans, self.near = np.empty((views, n, 2), np.int64), np.empty((views, n), np.bool_)
+        run_in_pieces(self._measure, n, CHUNK)
+
+    def _measure(self, first: int, last: int) -> None:
+        """Compute the footprints of some Gaussians in all views."""
+        whitening(self.log_scales, self.quaternions, first, last, self.matrices)
+        for view, frame in enumerate(self.views()):
+            cpu_footprints.footprints(
+                self.centres, self.matrices, self.planes, frame, self.sampling, self.panel[0], first, last,
+                self.table[view], self.spans[view], self.near[view],
+            )  # fmt: skip
+
+    def views(self) -> list[RayFrame]:
+        """Return the rays of each view."""
+        return [RayFrame(*pair) for pair in zip(self.frames, self.inverses, strict=True)]
+
+    def values(self) -> Float32[np.ndarray, "view basis row column"]:
+        """Compute line integrals."""
+        rows, columns = self.panel
+        image = np.zeros((len(self.frames), len(self.bases), rows, columns + LANES), np.float32)
 
         def splat(piece: tuple[int, int]) -> None:
             view, band = piece
-            first, last = band * panel[0] // BANDS, (band + 1) * panel[0] // BANDS
+            first, last = band * rows // BANDS, (band + 1) * rows // BANDS
             cpu.forward(
-                bases, table[view], spans[view], low, high, lengths[view], projector.cutoff, panel[1], first, last,
-                image[view],
+                self.bases, self.table[view], self.spans[view], self.below, self.step, self.lengths[view],
+                self.sampling.cutoff, columns, first, last, image[view],
             )  # fmt: skip
 
-        run_all(splat, [(view, band) for view in range(len(table)) for band in range(BANDS)])
-        ctx.arrays, ctx.numbers = (table, spans, low, high, lengths), numbers.detach()
-        ctx.panel, ctx.projector = panel, projector
-        ctx.dtype = below.dtype
-        return torch.from_numpy(image[..., : panel[1]])
+        run_all(splat, [(view, band) for view in range(len(self.frames)) for band in range(BANDS)])
+        return image[..., :columns]
 
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx, *cotangents):
-        (table, spans, low, high, lengths), panel, projector = ctx.arrays, ctx.panel, ctx.projector
-        bases, images = (0,) * low.shape[1], cotangents[0].detach().numpy()
-        n = len(low)
-        sums, to_low, to_high = np.zeros((len(table), n, SUMS)), np.zeros(low.shape), np.zeros(low.shape)
-        padded = np.zeros((*images.shape[:3], panel[1] + LANES), np.float32)
-        np.multiply(images, lengths[:, None], out=padded[..., : panel[1]])
+    def gradients(self, cotangent: Float[Tensor, "view basis row column"]) -> list[np.ndarray]:
+        """Compute the gradients in the six arrays of the Gaussians from those in the line integrals."""
+        (rows, columns), n, images = self.panel, len(self.centres), cotangent.detach().numpy()
+        padded = np.zeros((*images.shape[:2], rows, columns + LANES), np.float32)
+        np.multiply(images, self.lengths[:, None], out=padded[..., :columns])
+        to_below, to_step = np.zeros(self.below.shape), np.zeros(self.below.shape)
+        to_centres, to_matrices, to_planes = np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 2))
+        to_log_scales, to_quaternions, sums = np.empty((n, 3)), np.empty((n, 4)), np.zeros((n, SUMS))
 
-        def gather(first: int) -> None:
-            last = min(first + CHUNK, n)
-            for view in range(len(table)):
+        def gather(first: int, last: int) -> None:
+            for view, frame in enumerate(self.views()):
                 cpu.backward(
-                    bases, table[view], spans[view], low, high, padded[view], projector.cutoff, panel[1],
-                    first, last, sums[view], to_low, to_high,
+                    self.bases, self.table[view], self.spans[view], self.below, self.step, padded[view],
+                    self.sampling.cutoff, columns, first, last, sums, to_below, to_step,
                 )  # fmt: skip
+                cpu_footprints.backward(
+                    self.centres, self.matrices, self.planes, frame, self.sampling.box, self.spans[view], sums,
+                    first, last, to_centres, to_matrices, to_planes,
+                )  # fmt: skip
+            whitening_backward(
+                self.log_scales, self.quaternions, self.matrices, to_matrices, first, last, to_log_scales,
+                to_quaternions,
+            )  # fmt: skip
 
-        run_all(gather, range(0, n, CHUNK))
-        to_numbers = _to_numbers(ctx.numbers, torch.from_numpy(sums))
-        return (
-            to_numbers,
-            None,
-            torch.from_numpy(to_low).to(ctx.dtype),
-            torch.from_numpy(to_high).to(ctx.dtype),
-            None,
-            None,
-            None,
-        )
-
-
-def _to_numbers(
-    numbers: Float[Tensor, "view gaussian 21"], sums: Float[Tensor, "view gaussian 23"]
-) -> Float[Tensor, "view gaussian 21"]:
-    """Gradient in each number of a footprint from the sums over its pixels (see `recon.ops.interface.cpu.backward`)."""
-    _, _, l11, l21, l22, e1, e2, e3, e4, e5, amplitude, _, q1, q2, q3, q4, q5, _, b1, b2, _ = numbers.unbind(-1)
-    w, ax, ay, axx, axy, ayy, s0, sx, sy, sxx, sxy, syy, offset, t0, tx, ty, txx, txy, tyy, b, bx, by, width = (
-        sums.unbind(-1)
-    )
-    along = l11 * ax + l21 * ay
-    to_x = -2 * l11 * along - (e1 * s0 + 2 * e3 * sx + e4 * sy) - (q1 * t0 + 2 * q3 * tx + q4 * ty) - b1 * b
-    to_y = (
-        -2 * (l21 * along + l22 * l22 * ay)
-        - (e2 * s0 + e4 * sx + 2 * e5 * sy)
-        - (q2 * t0 + q4 * tx + 2 * q5 * ty)
-        - b2 * b
-    )
-    to_l = [2 * (l11 * axx + l21 * axy), 2 * (l11 * axy + l21 * ayy), 2 * l22 * ayy]
-    to_amplitude = w / torch.where(amplitude == 0, 1.0, amplitude)
-    parts = [to_x, to_y, *to_l, sx, sy, sxx, sxy, syy, to_amplitude, offset, tx, ty, txx, txy, tyy, b, bx, by, width]
-    return torch.stack(parts, -1)
+        run_in_pieces(gather, n, CHUNK)
+        return [to_centres, to_log_scales, to_quaternions, to_planes, to_below - to_step, to_step]
 
 
 def _ray_lengths(frames: Tensor, panel: tuple[int, int]) -> Float[np.ndarray, "view row column"]:

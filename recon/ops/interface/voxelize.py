@@ -1,25 +1,20 @@
 """Volumes of divided Gaussians, each voxel holding its mean, differentiable."""
 
-import itertools
-import math
-
 import numpy as np
-import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Float, Float32
 from torch import Tensor
 
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.simd import WIDTH
-from recon.ops.interface import cpu_voxels
+from recon.ops.cpu_function import apply_on_cpu
+from recon.ops.interface import cpu_voxel_table, cpu_voxels
 from recon.ops.interface.arrays import DividedTensors
-from recon.ops.interface.voxel_table import SUMS
-from recon.ops.pieces import run_all
-from recon.ops.rasterize.footprints import whitening
+from recon.ops.interface.voxel_table import NUMBERS, SUMS
+from recon.ops.pieces import run_in_pieces
+from recon.ops.rasterize.cpu import whitening, whitening_backward
 
 CHUNK = 256  # Gaussians per piece of work
 SLAB = 4  # slices per piece of work
-WAVES = [k for k in itertools.product((-1.0, 0.0, 1.0), repeat=3) if k > (0.0, 0.0, 0.0)]  # per voxel; half of them
-FARTHEST = 2.0**22  # voxels from the grid's corner
 
 
 def voxelize_divided(
@@ -37,109 +32,76 @@ def voxelize_divided(
 
     Returns
     -------
-    means, float32, differentiable once in all arrays of the Gaussians [1/mm]
+    means, in the type of the coefficients, differentiable once in all arrays of the Gaussians [1/mm]
 
     Notes
     -----
-    A voxel is taken as a Gaussian of its variance V. The part of a Gaussian of covariance C in a voxel then has its
-    centre of mass at C (C + V)^-1 times the voxel's offset, and the mean of the plane's transition is as for a pixel.
-    Errors are below 0.01 of the difference between the sides in voxels that the plane crosses.
+    `recon.ops.interface.cpu_voxel_table.fill_table` has the approximation. Errors are below 0.01 of the difference
+    between the sides in voxels that the plane crosses.
     """
-    numbers, voxels, halves = _table(gaussians.exact(), grid, cutoff)
-    below, above = gaussians.below, gaussians.above
-    return _Volume.apply(numbers, voxels, halves, below, above - below, grid.shape, cutoff)  # type: ignore[return-value]
+    return apply_on_cpu(lambda parts: _Call(parts, grid, cutoff), gaussians)
 
 
-def _table(
-    gaussians: DividedTensors, grid: Grid, cutoff: float
-) -> tuple[Float[Tensor, "gaussian 14"], Int64[Tensor, "gaussian 3"], Float[Tensor, "gaussian 2"]]:
-    """Numbers of `recon.ops.interface.voxel_table`, the voxels of the centres, and half the extents along z and y."""
-    centres, log_scales, quaternions, planes = gaussians[:4]
-    spacing = torch.tensor(grid.spacing[::-1], dtype=centres.dtype)
-    origin = torch.tensor(grid.origin[::-1], dtype=centres.dtype)
-    matrices = whitening(log_scales, quaternions) * spacing  # from voxels to standard deviations
-    one = torch.eye(3, dtype=centres.dtype)
-    inverse = torch.linalg.inv(matrices)
-    narrow = inverse @ inverse.mT
-    wide = narrow + one / 12
-    precision = torch.linalg.inv(wide)
-    upper = torch.linalg.cholesky(precision, upper=True)
-    place = (centres - origin) / spacing
-    voxel = torch.floor(place.detach() + 0.5).clamp(-FARTHEST, FARTHEST)
-    x = place - voxel
-    # A C (C + V)^-1 is the change of the whitened mean position with the voxel's offset, V - V (C + V)^-1 V its spread
-    slope = (matrices @ narrow @ precision)[:, 2]
-    across = matrices[:, 2]
-    left = (across @ one / 12 * across).sum(-1) - torch.einsum("ni,nij,nj->n", across, precision, across) / 144
-    root = torch.sqrt(planes[:, 1] ** 2 + left)
-    amplitude = torch.sqrt(torch.linalg.det(narrow) * torch.linalg.det(precision)) / _lattice_mass(x, wide)
-    entries = [upper[:, i, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))]
-    numbers = torch.stack([*x.T, *entries, amplitude, -planes[:, 0] / root, *(slope / root[:, None]).T], 1)
-    with torch.no_grad():
-        halves = cutoff * torch.stack([torch.sqrt(wide[:, 2, 2]), 1 / upper[:, 1, 1]], 1)
-    return numbers, voxel.long(), halves
+class _Call:
+    """Arrays of one call: geometry in float64, numbers and voxels in float32."""
 
+    def __init__(self, gaussians: DividedTensors, grid: Grid, cutoff: float) -> None:
+        exact = [part.detach().numpy().astype(np.float64) for part in gaussians[:4]]
+        self.centres, self.log_scales, self.quaternions, self.planes = exact
+        below, above = gaussians.below.detach(), gaussians.above.detach()
+        self.below, self.step = (part.float().contiguous().numpy() for part in (below, above - below))
+        self.bases, self.shape, self.cutoff = (0,) * below.shape[1], grid.shape, cutoff
+        self.lattice = np.array(grid.origin[::-1]), np.array(grid.spacing[::-1])
+        n = len(self.centres)
+        self.matrices, self.table = np.empty((n, 3, 3)), np.empty((n, NUMBERS), np.float32)
+        self.voxels, self.halves = np.empty((n, 3), np.int64), np.empty((n, 2), np.float32)
+        run_in_pieces(self._measure, n, CHUNK)
 
-def _lattice_mass(x: Tensor, wide: Tensor) -> Tensor:
-    """Sum over all voxels of densities of unit mass; see `recon.ops.rasterize.reference.lattice_mass`."""
-    waves = torch.tensor(WAVES, dtype=x.dtype)
-    decay = torch.exp(-2 * math.pi**2 * ((waves @ wide) * waves).sum(dim=2))
-    return 1 + 2 * (decay * torch.cos(2 * math.pi * x @ waves.T)).sum(dim=1)
+    def _measure(self, first: int, last: int) -> None:
+        """Compute the numbers of some Gaussians."""
+        whitening(self.log_scales, self.quaternions, first, last, self.matrices)
+        cpu_voxel_table.fill_table(
+            self.centres, self.log_scales, self.matrices, self.planes, *self.lattice, self.cutoff, first, last,
+            self.table, self.voxels, self.halves,
+        )  # fmt: skip
 
+    def values(self) -> Float32[np.ndarray, "basis z y x"]:
+        """Compute the means."""
+        slices, rows, columns = self.shape
+        volume = np.zeros((len(self.bases), slices, rows, columns + WIDTH), np.float32)
 
-class _Volume(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx, numbers, voxels, halves, below, step, shape, cutoff):
-        table, extents = (part.detach().float().contiguous().numpy() for part in (numbers, halves))
-        places = voxels.numpy()
-        low, high = (part.detach().float().contiguous().numpy() for part in (below, step))
-        bases, (slices, rows, columns) = (0,) * low.shape[1], shape
-        volume = np.zeros((len(bases), slices, rows, columns + WIDTH), np.float32)
-
-        def fill(first: int) -> None:
-            last = min(first + SLAB, slices)
-            cpu_voxels.fill(bases, table, places, extents, low, high, cutoff, columns, first, last, volume)
-
-        run_all(fill, range(0, slices, SLAB))
-        ctx.arrays, ctx.cutoff, ctx.numbers, ctx.dtype = (
-            (table, places, extents, low, high),
-            cutoff,
-            numbers.detach(),
-            below.dtype,
-        )
-        return torch.from_numpy(volume[..., :columns])
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx, *cotangents):
-        (table, places, extents, low, high), volume = ctx.arrays, cotangents[0].detach().numpy()
-        bases, columns, n = (0,) * low.shape[1], volume.shape[3], len(low)
-        padded = np.zeros((*volume.shape[:3], columns + WIDTH), np.float32)
-        padded[..., :columns] = volume
-        sums, to_low, to_high = np.zeros((n, SUMS)), np.zeros(low.shape), np.zeros(low.shape)
-
-        def gather(first: int) -> None:
-            last = min(first + CHUNK, n)
-            cpu_voxels.backward(
-                bases, table, places, extents, low, high, padded, ctx.cutoff, columns, first, last, sums, to_low,
-                to_high,
+        def fill(first: int, last: int) -> None:
+            cpu_voxels.fill(
+                self.bases, self.table, self.voxels, self.halves, self.below, self.step, self.cutoff, columns, first,
+                last, volume,
             )  # fmt: skip
 
-        run_all(gather, range(0, n, CHUNK))
-        to_numbers = _to_numbers(ctx.numbers, torch.from_numpy(sums))
-        to_below, to_step = (torch.from_numpy(part).to(ctx.dtype) for part in (to_low, to_high))
-        return to_numbers, None, None, to_below, to_step, None, None
+        run_in_pieces(fill, slices, SLAB)
+        return volume[..., :columns]
 
+    def gradients(self, cotangent: Float[Tensor, "basis z y x"]) -> list[np.ndarray]:
+        """Compute the gradients in the six arrays of the Gaussians from those in the means."""
+        volume = cotangent.detach().numpy()
+        n, columns = len(self.centres), volume.shape[3]
+        padded = np.zeros((*volume.shape[:3], columns + WIDTH), np.float32)
+        padded[..., :columns] = volume
+        to_below, to_step = np.zeros(self.below.shape), np.zeros(self.below.shape)
+        to_centres, to_matrices, to_planes = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 2))
+        to_log_scales, to_quaternions, sums = np.empty((n, 3)), np.empty((n, 4)), np.zeros((n, SUMS))
 
-def _to_numbers(
-    numbers: Float[Tensor, "gaussian 14"], sums: Float[Tensor, "gaussian 14"]
-) -> Float[Tensor, "gaussian 14"]:
-    """Gradient in each number from the sums over voxels (see `recon.ops.interface.cpu_voxels.backward`)."""
-    w, wx, wy, wz, wxx, wxy, wxz, wyy, wyz, wzz, t, tx, ty, tz = sums.unbind(1)
-    _, _, _, u11, u12, u13, u22, u23, u33, amplitude, _, part_x, part_y, part_z = numbers.unbind(1)
-    first = [u11 * a + u12 * b + u13 * c for a, b, c in ((wxx, wxy, wxz), (wxy, wyy, wyz), (wxz, wyz, wzz))]
-    second = [u22 * b + u23 * c for b, c in ((wyy, wyz), (wyz, wzz))]
-    a, b, c = u11 * wx + u12 * wy + u13 * wz, u22 * wy + u23 * wz, u33 * wz
-    to_x = [u11 * a - part_x * t, u12 * a + u22 * b - part_y * t, u13 * a + u23 * b + u33 * c - part_z * t]
-    to_u = [*(-value for value in first), *(-value for value in second), -u33 * wzz]
-    return torch.stack([*to_x, *to_u, w / amplitude, t, tx, ty, tz], 1)
+        def gather(first: int, last: int) -> None:
+            cpu_voxels.backward(
+                self.bases, self.table, self.voxels, self.halves, self.below, self.step, padded, self.cutoff, columns,
+                first, last, sums, to_below, to_step,
+            )  # fmt: skip
+            cpu_voxel_table.backward(
+                self.centres, self.log_scales, self.matrices, self.planes, *self.lattice, sums, first, last,
+                to_centres, to_matrices, to_planes,
+            )  # fmt: skip
+            whitening_backward(
+                self.log_scales, self.quaternions, self.matrices, to_matrices, first, last, to_log_scales,
+                to_quaternions,
+            )  # fmt: skip
+
+        run_in_pieces(gather, n, CHUNK)
+        return [to_centres, to_log_scales, to_quaternions, to_planes, to_below - to_step, to_step]

@@ -4,8 +4,9 @@ import math
 from typing import NamedTuple, no_type_check
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32, Float64, Int32
 from numba import njit
+from torch import Tensor
 
 from recon.ops.rounding import round_down, round_up
 from spectra.ops.min_max import larger, smaller
@@ -16,6 +17,19 @@ FOOTPRINT_SIZE = 13
 NARROWEST = 1 / 12  # variance of a pixel [pixel^2]
 NEGLIGIBLE = 18.0  # exponent; exp(-18) is below the resolution of float32
 f4 = np.float32
+
+
+class Footprints(NamedTuple):
+    """Footprints of all Gaussians in one view.
+
+    Parameters
+    ----------
+    numbers : xc, yc, l11, l21, l22, e1 to e5, amplitude; as in `recon.ops.rasterize.cpu`
+    bounds : first row, one past the last, first column, one past the last
+    """
+
+    numbers: Float32[Tensor, "gaussian 11"]
+    bounds: Int32[Tensor, "gaussian 4"]
 
 
 class Views(NamedTuple):

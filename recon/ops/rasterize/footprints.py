@@ -8,8 +8,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from recon.ops.arguments import TINY
-from recon.ops.rasterize.footprint_table import NARROWEST
-from recon.ops.rasterize.gpu import Footprints
+from recon.ops.rasterize.footprint_table import NARROWEST, Footprints
 from recon.ops.rasterize.near_field import REACH
 from recon.ops.rasterize.projector import Projector
 

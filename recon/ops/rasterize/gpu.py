@@ -6,33 +6,21 @@ Numbers and sums of a footprint mean what they mean in `recon.ops.rasterize.cpu`
 interpreter, and compile them for GPUs.
 """
 
-from typing import NamedTuple, no_type_check
+from typing import no_type_check
 
 import torch
 import triton
 import triton.language as tl
-from jaxtyping import Float32, Int32
+from jaxtyping import Float32
 from torch import Tensor
 
+from recon.ops.rasterize.footprint_table import Footprints
 from recon.ops.tile_lists import tile_lists
 
 NUMBERS = 11  # xc, yc, l11, l21, l22, e1 to e5, amplitude
 SUMS = 12  # w, alpha (x, y, x^2, x y, y^2), beta (1, x, y, x^2, x y, y^2), as in `cpu.backward`
 _TILE = 16  # edge of a tile
 _BLOCK = 128  # pixels at a time of a Gaussian's program
-
-
-class Footprints(NamedTuple):
-    """Footprints of all Gaussians in one view.
-
-    Parameters
-    ----------
-    numbers : xc, yc, l11, l21, l22, e1 to e5, amplitude; as in `recon.ops.rasterize.cpu`
-    bounds : first row, one past the last, first column, one past the last
-    """
-
-    numbers: Float32[Tensor, "gaussian 11"]
-    bounds: Int32[Tensor, "gaussian 4"]
 
 
 @triton.jit

@@ -131,7 +131,9 @@ def slice_figure(maps: Maps, grid: Grid, path: Path) -> Path:
             limit = max(float(np.quantile(known, 0.99)) if known.size else 0.0, 1e-3 * (high - low))
             shown = axes[-1].imshow(error, cmap="RdBu_r", vmin=-limit, vmax=limit, extent=extent, origin="lower")
             axes[-1].set_title("result − truth")
-            figure.colorbar(shown, ax=axes[-1], location="bottom", extend="both", aspect=15).set_label(label)
+            bar = figure.colorbar(shown, ax=axes[-1], location="bottom", extend="both", aspect=15)
+            bar.set_label(label)
+            bar.ax.tick_params(labelsize="small")
         axes[0].set_ylabel("y [mm]")
         for ax in axes:
             ax.spines[:].set_visible(True)

@@ -48,7 +48,7 @@ class ViewOutcome:
         ----------
         folder : run folder
         """
-        import h5py  # noqa: PLC0415
+        from phantomgen.runtime.hdf5_output import hdf5_output  # noqa: PLC0415 - h5py
 
         (folder / "recipe.yaml").write_text(yaml.safe_dump(self.settings, sort_keys=False), encoding="utf-8")
         test, panel = self.dataset.splits["test"], self.dataset.geometry.panel
@@ -56,10 +56,12 @@ class ViewOutcome:
         images = np.zeros((0, len(self.dataset.spectra.channels), panel.rows, panel.columns), np.float32)
         if len(test):
             images = np.moveaxis(self.views(self.dataset.geometry[test]), 0, 1)
-        with h5py.File(folder / VIEWS, "w") as file:
+        with hdf5_output(folder / VIEWS) as file:
             file.attrs.update({"NX_class": "NXroot", "default": "views", "creator": "recon"})
             group = new_group(file, "views", "NXdata", signal="data", axes=("view", "channel", "row", "column"))
-            group.create_dataset("data", data=images, compression="gzip", compression_opts=1, shuffle=True)
+            group.create_dataset(
+                "data", data=images, compression="gzip", compression_opts=1, shuffle=True, fletcher32=True
+            )
             group.create_dataset("view", data=np.asarray(test))
 
     def scores(self, truth: Truth | None, guard: Guard) -> dict[str, Any]:

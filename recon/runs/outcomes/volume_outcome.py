@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import Truth
+from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.guarded import Guard
 from phantomgen.runtime.versions import environment
 from recon.data.coverage import Coverage
@@ -93,6 +94,11 @@ class VolumeOutcome:
         """The result on the grid of the dataset [1/mm]."""
         return self.model.volume(self.dataset.grid)
 
+    def _volumes_on(self, grid: Grid) -> GaussianModel | Voxels:
+        """The volumes, where they are on this grid; else the model, whose volumes take seconds."""
+        known = grid == self.dataset.grid
+        return Voxels(self.volumes, grid, self.model.basis_names) if known else self.model
+
     @property
     def _occupied(self) -> int:
         """Number of voxels that hold more than `OCCUPIED` of the largest value of a basis."""
@@ -141,7 +147,7 @@ class VolumeOutcome:
             metrics["numbers_over_voxels"] = self.model.numbers / max(self._occupied * len(names), 1)
         if truth is not None:
             with guard("scoring against the truth"):
-                metrics.update(score_truth(truth, self.model, self.unreliable))
+                metrics.update(score_truth(truth, self._volumes_on(truth.grid), self.unreliable))
                 for method, volumes in self.start.items():
                     metrics.update(score_start(method, truth, volumes, names, self.dataset.grid))
         metrics["channels"] = {}
@@ -205,7 +211,8 @@ class VolumeOutcome:
         folder : of the figures
         guard : of each figure; what it catches is left out
         """
-        draw_model(self.dataset, truth, self.model, folder, self.left_out, guard)
+        grid = self.dataset.grid if truth is None else truth.grid
+        draw_model(self.dataset, truth, self.model, folder, self.left_out, guard, self._volumes_on(grid))
         for name, draw in self.figures.items():
             with guard(f"drawing {name}"):
                 draw(folder / name)

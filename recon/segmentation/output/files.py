@@ -11,7 +11,9 @@ from phantomgen.dataset.layout import new_group, put
 from phantomgen.dataset.truth import write_grid
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.disk import one_sentence
-from phantomgen.runtime.outputs import check_output_folder
+from phantomgen.runtime.hdf5_output import hdf5_output
+from phantomgen.runtime.output_lock import acquire
+from phantomgen.runtime.outputs import check_name, check_output_folder
 from phantomgen.runtime.plain_json import write_json
 from recon.gaussians.model import Gaussians
 from recon.segmentation.result import Segmentation
@@ -19,7 +21,7 @@ from spectra.errors import InputError
 
 VOLUMES, TABLE, POINTS = "segment.h5", "materials.json", "gaussians.ply"
 _DC = 0.28209479177387814  # 1 / sqrt(4 pi), the spherical harmonic of degree 0, by which viewers multiply colours
-_PACKING: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+_PACKING: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
 
 
 class SegmentFolder:
@@ -37,17 +39,20 @@ class SegmentFolder:
     """
 
     def __init__(self, path: Path, overwrite: bool) -> None:
+        check_name(path)
         self.path = path
         self.part = path.absolute().with_name(path.absolute().name + ".part")
         check_output_folder(path, overwrite, "recon segment", lambda folder: (folder / VOLUMES).is_file())
 
     def __enter__(self) -> Path:
         with one_sentence(self.part):
+            self._lock = acquire(self.path)
             shutil.rmtree(self.part, ignore_errors=True)
             self.part.mkdir()
         return self.part
 
     def __exit__(self, kind: type | None, *exception: object) -> None:
+        self._lock.unlink(missing_ok=True)
         if kind is None:
             shutil.rmtree(self.path, ignore_errors=True)
             self.part.replace(self.path)
@@ -65,7 +70,7 @@ def write_segmentation(path: Path, segmentation: Segmentation) -> None:
     """
     s, grid = segmentation, segmentation.subject.grid
     names = np.array([c.name for c in s.clusters], dtype=object)
-    with one_sentence(path), h5py.File(path, "w") as file:
+    with hdf5_output(path) as file:
         file.attrs.update({"NX_class": "NXroot", "default": "labels", "creator": "recon"})
         labels = _volume(file, "labels", s.labels.astype(np.uint16), grid, ())
         labels.attrs["meaning"] = "0 air, then the materials in order"

@@ -3,6 +3,7 @@
 import h5py
 import numpy as np
 import pytest
+from support.edited_datasets import edited_dataset
 
 from phantomgen.dataset.describe import describe, describe_text
 from phantomgen.dataset.file import DETECTOR
@@ -63,7 +64,7 @@ def path(tmp_path):
 
 
 def edited(path, edit):
-    with h5py.File(path, "r+") as file:
+    with edited_dataset(path) as file:
         edit(file)
     return path
 
@@ -202,7 +203,7 @@ def test_damaged_counts_are_refused_when_read(path):
     data = bytearray(path.read_bytes())
     data[chunk.byte_offset : chunk.byte_offset + chunk.size] = b"\xff" * chunk.size
     path.write_bytes(data)
-    assert refusal(path) == f"{path} is damaged: a part of it cannot be read"
+    assert refusal(path) == f"{path}: {DETECTOR}/data[1] cannot be read: the file is damaged"
 
 
 def test_other_files_are_refused(tmp_path):
@@ -215,7 +216,7 @@ def test_other_files_are_refused(tmp_path):
 
 def test_a_newer_schema_is_refused_and_a_newer_minor_one_is_read(path):
     edited(path, lambda file: file.attrs.__setitem__("schema_version", "2.0"))
-    assert "has schema version 2.0, this program knows 1.0: update it" in refusal(path)
+    assert "has schema version 2.0, this program knows 1.1: update it" in refusal(path)
     edited(path, lambda file: file.attrs.__setitem__("schema_version", "1.7"))
     assert validate(path) == []
     assert "schema version 1.7" in describe(path)["warnings"][0]
@@ -261,7 +262,7 @@ def test_a_region_of_air_beyond_the_panel_is_refused(path):
 @pytest.mark.parametrize(
     ("edit", "expected"),
     [
-        (lambda f: f["entry/spectra/response"].__setitem__((0, 0), -1.0), "response holds a value that is negative"),
+        (lambda f: f["entry/spectra/response"].__setitem__((0, 0), -1.0), "response holds -1, expected numbers from 0"),
         (lambda f: f["entry/spectra/energy_edges"].__setitem__(3, 5.0), "energy_edges must ascend"),
         (lambda f: f["entry/spectra/basis"].__setitem__((0, 0), 9.0), "basis is not what"),
         (lambda f: f["entry/geometry/row_step"].__setitem__((1, 2), 9.0), "row_step has length"),

@@ -14,6 +14,7 @@ import pytest
 import SimpleITK
 import tifffile
 from click.testing import CliRunner
+from support.edited_datasets import edited_dataset
 from support.poses import largest_difference
 from support.tiny_scans import make, one_sentence
 
@@ -316,7 +317,7 @@ def test_wrong_options_are_one_sentence(scan, tmp_path):
 def test_blind_pixels_are_interpolated_in_line_integrals(scan, tmp_path):
     path = tmp_path / "blind.h5"
     path.write_bytes(scan.read_bytes())
-    with h5py.File(path, "r+") as file:
+    with edited_dataset(path) as file:
         mask = np.zeros((16, 16), np.uint32)
         mask[5, 6] = 2
         put(file[f"{DETECTOR}/bin0_channel"], "pixel_mask", mask)
@@ -330,7 +331,7 @@ def test_blind_pixels_are_interpolated_in_line_integrals(scan, tmp_path):
 def test_channels_of_different_views_are_refused_together(scan, tmp_path):
     path = tmp_path / "switched.h5"
     path.write_bytes(scan.read_bytes())
-    with h5py.File(path, "r+") as file:
+    with edited_dataset(path) as file:
         scale = np.ones((7, 4))
         scale[::2, 0] = 0
         del file["entry/exposure/scale"]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.edited_datasets import edited_dataset
 
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.dataset.validate import validate
@@ -207,11 +208,9 @@ def test_air_cannot_stand_in_for_flats_where_the_beam_differs(scans):
 def test_a_damaged_profile_is_refused(scans, tmp_path):
     import shutil
 
-    import h5py
-
     path = tmp_path / "damaged.h5"
     shutil.copy(scans[1], path)
-    with h5py.File(path, "r+") as file:
+    with edited_dataset(path) as file:
         del file["entry/spectra/profile/mu"]
         file["entry/spectra/profile/mu"] = np.ones((3, 5))
     with pytest.raises(DatasetError, match=r"profile/mu has shape \(3, 5\), expected \(3, \d+\)"):

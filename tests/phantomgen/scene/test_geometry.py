@@ -7,6 +7,7 @@ import h5py
 import numpy as np
 import pytest
 import yaml
+from support.edited_datasets import edited_dataset
 
 from phantomgen.dataset.describe import describe, describe_text
 from phantomgen.dataset.reader import open_dataset
@@ -225,7 +226,7 @@ def test_a_file_tells_the_nominal_geometry_and_keeps_the_true_one(tmp_path):
     assert read_true_geometry(tmp_path / "shaking.h5") == shaking.geometry
     assert read_sample_poses(tmp_path / "shaking.h5") is None
     assert validate(tmp_path / "shaking.h5") == []
-    with h5py.File(tmp_path / "shaking.h5", "a") as file:
+    with edited_dataset(tmp_path / "shaking.h5") as file:
         file["truth/geometry/row_step"][...] *= 1.1
     assert "/truth/geometry/row_step has length" in validate(tmp_path / "shaking.h5")[0]
 

@@ -3,6 +3,7 @@
 import h5py
 import numpy as np
 import pytest
+from support.edited_datasets import edited_dataset
 
 from phantomgen.dataset.describe import describe, describe_text
 from phantomgen.dataset.reader import open_dataset
@@ -386,7 +387,7 @@ def test_several_sources_are_two_or_more():
 @pytest.mark.parametrize("scale", [np.ones(3), np.ones((5, 3)), -np.ones(5), np.zeros((5, 2))])
 def test_exposures_that_do_not_fit_are_refused(tmp_path, scale):
     path, _ = made(tmp_path)
-    with h5py.File(path, "r+") as file:
+    with edited_dataset(path) as file:
         del file["/entry/exposure/scale"]
         file["/entry/exposure/scale"] = scale
     with pytest.raises(DatasetError, match="exposure"):

@@ -301,3 +301,15 @@ def test_processes_that_make_no_sense_are_one_sentence(rank, count, monkeypatch)
     monkeypatch.setenv("WORLD_SIZE", count)
     with pytest.raises(InputError, match="start several of them by torchrun"), joined():
         pass
+
+
+@pytest.mark.parametrize("place", [-1, -9, 0.5])
+def test_a_checkpoint_with_a_flipped_bit_is_not_resumed(place, tmp_path):
+    path = tmp_path / "state"
+    write_checkpoint(path, {"a": torch.ones(3), "b": torch.zeros(2, dtype=torch.int64)}, {"done": 1, "least": 0.25})
+    data = bytearray(path.read_bytes())
+    at = place if isinstance(place, int) else data.index(b"0.25")
+    data[at] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(DatasetError, match="damaged, as it does not fit its digest: begin anew by --overwrite"):
+        read_checkpoint(path)

@@ -71,6 +71,15 @@ def test_smaller_distances_place_more_gaussians():
     assert len(many) > 1.5 * len(few)
 
 
+@pytest.mark.parametrize("count", [60, 300, 1000])
+def test_about_as_many_gaussians_are_placed_as_are_wanted(count):
+    assert len(placed(ball(), settings=replace(SETTINGS, count=count))) == pytest.approx(count, rel=0.02, abs=5)
+
+
+def test_no_more_gaussians_are_placed_than_there_are_voxels():
+    assert 1000 < len(placed(ball(), settings=replace(SETTINGS, count=10**7))) < 2 * ball().size
+
+
 def test_the_same_object_elsewhere_gets_the_same_gaussians():
     volume = ball(7.0)
     shifted = Grid(GRID.shape, GRID.spacing, tuple(o + 4 for o in GRID.origin))  # type: ignore[arg-type]

@@ -7,6 +7,7 @@ from support.gaussian_scenes import NAMES
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.gaussians.initial.initialize import initialize
+from recon.gaussians.settings import PlacementSettings
 
 GRID = Grid((24, 26, 28), (1.0, 1.0, 1.0), (-11.5, -12.5, -13.5))
 FISHER = np.array([[4.0, 1.0], [1.0, 9.0]]) * 1e4
@@ -38,6 +39,12 @@ def test_points_keep_their_distance_and_fill_the_object(spacing):
     inside = np.argwhere(ball(GRID, 7.0)[0] > 0) + np.array(GRID.origin)
     # no hole larger than the coarsest spacing
     assert cKDTree(centres).query(inside[:, ::-1])[0].max() < 3.5 * spacing
+
+
+@pytest.mark.parametrize("count", [50, 400])
+def test_about_as_many_gaussians_are_placed_as_are_wanted(count):
+    found = initialize(ball(GRID), GRID, FISHER, 1.5, NAMES[:1], 0, PlacementSettings(count=count))
+    assert len(found) == pytest.approx(count, rel=0.02, abs=3)
 
 
 def test_edges_are_filled_more_densely_than_the_inside(noisy):

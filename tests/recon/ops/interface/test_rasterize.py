@@ -96,7 +96,7 @@ def test_sides_that_agree_make_a_plain_gaussian():
     from recon.ops.rasterize import rasterize
 
     wanted = rasterize(*(p.float() for p in (*parts[:3], parts[4])), of, SIDE, SIDE, Projector(1.0, 4.0))
-    torch.testing.assert_close(found, wanted, rtol=1e-4, atol=1e-6)
+    torch.testing.assert_close(found.float(), wanted, rtol=1e-4, atol=1e-6)
 
 
 def test_gradients_are_those_of_the_reference():

@@ -48,7 +48,7 @@ def test_sides_that_agree_make_a_plain_gaussian():
     parts = gaussians()
     found = voxelize_divided(DividedTensors(*parts[:5], parts[4]), GRID, 4.5)
     wanted = voxelize_tensor(*(p.float() for p in (*parts[:3], parts[4])), GRID, cutoff=4.5)
-    torch.testing.assert_close(found, wanted, rtol=1e-4, atol=1e-6)
+    torch.testing.assert_close(found.float(), wanted, rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("part", range(6), ids=["centres", "scales", "turns", "planes", "below", "above"])

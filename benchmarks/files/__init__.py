@@ -1,0 +1,1 @@
+"""What files are worth when they are damaged."""
