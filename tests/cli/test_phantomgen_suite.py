@@ -98,5 +98,7 @@ def test_what_cannot_be_is_one_sentence(made, known, tmp_path):
     other = one_sentence(suite("tiny", "--tier", "hour", "-o", made, "--resume"))
     assert "holds the suite tiny, tier minutes" in other
     (tmp_path / "mine").mkdir()
-    assert "not a folder that phantomgen suite wrote" in one_sentence(suite("tiny", "-o", tmp_path / "mine", "--resume"))
+    assert "not a folder that phantomgen suite wrote" in one_sentence(
+        suite("tiny", "-o", tmp_path / "mine", "--resume")
+    )
     assert not (tmp_path / "no").exists()
