@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from phantomgen.dataset.array_hashes import HASHED, array_hashes
-from phantomgen.dataset.layout import array_at
+from phantomgen.dataset.array_hashes import array_hashes, contents
 from phantomgen.dataset.reader import open_dataset
 
 IDENTICAL, ROUNDED, DIFFERENT, UNKNOWN = "identical", "same within rounding", "different", "not stored"
-_STATED = ("flats", "stated_channels", "stated_basis", "stated_poses")
+_STATED = ("flats", "stated_spectra", "stated_poses", "stated_views")
 # Change of the total of an image with the same noise: part of the total, and counts.
 _ROUNDING, _COUNTS = 5e-6, 20.0
 # Part of the images that must have the same noise, and standard deviations for the others.
@@ -36,15 +35,15 @@ def record(path: Path) -> dict[str, Any]:
     Returns
     -------
     `arrays` of `phantomgen.dataset.array_hashes.array_hashes`; `totals` of the counts of each view and channel;
-    `truth`, the sum of magnitudes and the sum of squares of each basis volume; `stated`, the same of flats and of the stated
-    spectra, basis functions and poses
+    `truth`, two sums over each basis volume; `stated`, the same of each array of flats, spectra, poses and views
     """
     with open_dataset(path) as dataset:
+        arrays = contents(dataset)
         views = range(dataset.counts.shape[0])
         totals = [dataset.load([view])[0].sum(axis=(1, 2), dtype=np.int64).tolist() for view in views]
-        volumes = array_at(dataset.file, HASHED["truth_basis"])
-        truth = {name: _sums(volume) for name, volume in zip(dataset.spectra.basis.names, volumes, strict=True)}
-        stated = {name: _sums(array_at(dataset.file, HASHED[name])[()]) for name in _STATED}
+        names = dataset.spectra.basis.names
+        truth = {name: _sums(volume) for name, volume in zip(names, arrays["truth_basis"][0], strict=True)}
+        stated = {name: [_sums(array[()]) for array in arrays[name]] for name in _STATED}
     return {"arrays": array_hashes(path), "totals": totals, "truth": truth, "stated": stated}
 
 
@@ -75,18 +74,21 @@ def compare(found: Mapping[str, Any], stored: Mapping[str, Any] | None) -> tuple
 
 
 def _changed_shape(found: Mapping[str, Any], stored: Mapping[str, Any]) -> str:
-    """Which array has another type or shape, as a sentence; empty where none has."""
+    """Which array has another shape, as a sentence; empty where none has."""
     for name, array in found["arrays"].items():
-        if any(array[key] != stored["arrays"][name][key] for key in ("dtype", "shape")):
-            return f"{name} have another type or shape"
+        if array["shapes"] != stored["arrays"][name]["shapes"]:
+            return f"{name} have another shape"
     return ""
 
 
 def _changed_sums(found: Mapping[str, Any], stored: Mapping[str, Any]) -> str:
     """Why sums show another truth, or other statements; empty where they do not."""
-    for what, where in (("truth", "the truth"), ("stated", "flats, stated spectra and poses")):
-        pairs = [(found[what].get(name, (0, 0)), sums) for name, sums in stored[what].items()]
-        if (change := _largest_change(pairs)) > _SUMS:
+    pairs = {"the truth": [(found["truth"].get(name, (0, 0)), sums) for name, sums in stored["truth"].items()]}
+    pairs["flats, stated spectra, poses and views"] = [
+        pair for name, sums in stored["stated"].items() for pair in zip(found["stated"][name], sums, strict=True)
+    ]
+    for where, each in pairs.items():
+        if (change := _largest_change(each)) > _SUMS:
             return f"sums over {where} changed by up to {change:.1e} of their value"
     return ""
 
@@ -101,12 +103,13 @@ def _part_with_same_noise(found: Sequence[Sequence[int]], stored: Sequence[Seque
 
 
 def _sums(values: np.ndarray) -> list[float]:
-    """Sums of magnitudes and of squares, which do not cancel."""
-    values = np.asarray(values, np.float64)
-    return [float(np.abs(values).sum()), float(np.square(values).sum())]
+    """Sum of magnitudes, and a sum with weights from 1 to 2, which signs and the sequence of values change."""
+    flat = np.ravel(values).astype(np.float64)
+    return [float(np.abs(flat).sum()), float(flat @ np.linspace(1, 2, flat.size))]
 
 
 def _largest_change(pairs: Sequence[tuple[Sequence[float], Sequence[float]]]) -> float:
-    """Largest difference of sums, as part of the stored one."""
+    """Largest difference of sums, as part of the stored sum of magnitudes."""
     now, before = np.array(pairs, np.float64).transpose(1, 0, 2)
-    return float(np.max(np.abs(now - before) / np.where(before == 0, 1.0, before)))
+    whole = before[:, :1]
+    return float(np.max(np.abs(now - before) / np.where(whole == 0, 1.0, whole)))

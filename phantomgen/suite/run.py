@@ -47,7 +47,7 @@ class Made:
 def make_suite(
     suite: Suite, folder: Path, *, overwrite: bool = False, resume: bool = False, tell: Callable[[str], None] = print
 ) -> Made:
-    """Make the scans of a suite that a folder lacks.
+    """Make the scans of a suite that a folder lacks, and compare all with the stored ones.
 
     Parameters
     ----------
@@ -81,9 +81,9 @@ def make_suite(
     write_json(folder / MANIFEST, manifest)
     for case in suite.cases:
         path = folder / f"{case.name}.h5"
-        if case.name not in entries or not path.is_file():
-            entries[case.name] = _made(case, path)
-        entry = entries[case.name]
+        there = case.name in entries and path.is_file()
+        entry = entries[case.name] | record(path) if there else _made(case, path)
+        entries[case.name] = entry
         entry["agreement"], entry["why"] = compare(entry, suite.expected.get(case.name))
         manifest["cases"] = [entries[one.name] for one in suite.cases if one.name in entries]
         write_json(folder / MANIFEST, manifest)
@@ -153,5 +153,5 @@ def _is_suite(folder: Path) -> bool:
 
 def _shape_text(entry: dict[str, Any]) -> str:
     """Views, channels and pixels of a case."""
-    views, channels, rows, columns = entry["arrays"]["counts"]["shape"]
+    views, channels, rows, columns = entry["arrays"]["counts"]["shapes"][0]
     return f"{views} views x {channels} channels x {rows} x {columns}"

@@ -31,7 +31,7 @@ def test_the_manifest_says_what_the_files_are(made):
     assert sorted(path.name for path in made.iterdir()) == ["misstated.h5", "plain.h5", "suite.json"]
     for case in manifest["cases"]:
         assert case["arrays"] == array_hashes(made / case["file"])
-        assert case["arrays"]["counts"]["shape"] == [10, 4, 32, 32]
+        assert case["arrays"]["counts"]["shapes"] == [[10, 4, 32, 32]]
         assert (case["agreement"], case["basis"]) == ("not stored", ["photoelectric", "compton", "kedge_63.3"])
 
 
