@@ -65,10 +65,8 @@ def compare(found: Mapping[str, Any], stored: Mapping[str, Any] | None) -> tuple
         return DIFFERENT, "the definition of the scene changed"
     if found["arrays"] == stored["arrays"]:
         return IDENTICAL, ""
-    if why := _changed_shape(found, stored) or _changed_sums(found, stored):
+    if why := _changed_shape(found, stored) or _changed_counts(found, stored) or _changed_sums(found, stored):
         return DIFFERENT, why
-    if not (same := _part_with_same_noise(found["totals"], stored["totals"])) >= _SAME_NOISE:
-        return DIFFERENT, f"{1 - same:.0%} of the images have other counts than rounding explains"
     others = [name for name, array in found["arrays"].items() if array != stored["arrays"][name]]
     return ROUNDED, f"{', '.join(others)} differ by what processors round"
 
@@ -79,6 +77,12 @@ def _changed_shape(found: Mapping[str, Any], stored: Mapping[str, Any]) -> str:
         if array["shapes"] != stored["arrays"][name]["shapes"]:
             return f"{name} have another shape"
     return ""
+
+
+def _changed_counts(found: Mapping[str, Any], stored: Mapping[str, Any]) -> str:
+    """How many images have other noise, as a sentence; empty where they are few."""
+    same = _part_with_same_noise(found["totals"], stored["totals"])
+    return "" if same >= _SAME_NOISE else f"{1 - same:.0%} of the images have other counts than rounding explains"
 
 
 def _changed_sums(found: Mapping[str, Any], stored: Mapping[str, Any]) -> str:
