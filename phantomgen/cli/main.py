@@ -6,7 +6,7 @@ Results go to stdout, progress and warnings to stderr. Exit codes: 0 done, 1 an 
 
 import click
 
-from phantomgen.cli.batch import batch
+from phantomgen.cli.batch import batch, suite
 from phantomgen.cli.common import Commands, version_option
 from phantomgen.cli.dataset import info, schema, validate
 from phantomgen.cli.degrade import degrade
@@ -18,7 +18,6 @@ from phantomgen.cli.presets import presets
 from phantomgen.cli.report import report
 from phantomgen.cli.spectrum import materials, optimize_thresholds, spectrum
 from phantomgen.cli.stress import stress
-from phantomgen.cli.suite import suite
 from phantomgen.cli.view import view
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from phantomgen.dataset.array_hashes import array_hashes, contents
+from phantomgen.dataset.adapters.to_hashes import array_hashes, contents
 from phantomgen.dataset.reader import open_dataset
 
 IDENTICAL, ROUNDED, DIFFERENT, UNKNOWN = "identical", "same within rounding", "different", "not stored"
@@ -34,7 +34,7 @@ def record(path: Path) -> dict[str, Any]:
 
     Returns
     -------
-    `arrays` of `phantomgen.dataset.array_hashes.array_hashes`; `totals` of the counts of each view and channel;
+    `arrays` of `phantomgen.dataset.adapters.to_hashes.array_hashes`; `totals` of the counts of each view and channel;
     `truth`, two sums over each basis volume; `stated`, the same of each array of flats, spectra, poses and views
     """
     with open_dataset(path) as dataset:

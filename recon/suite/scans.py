@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from phantomgen.dataset.array_hashes import array_hashes
+from phantomgen.dataset.adapters.to_hashes import array_hashes
 from spectra.errors import InputError
 
 MANIFEST, SCHEMA = "suite.json", "spectral-ct-suite"

@@ -8,7 +8,7 @@ import pytest
 from support.tiny_scans import one_sentence
 from support.tiny_suite import definitions, make_tiny, suite
 
-from phantomgen.dataset.array_hashes import array_hashes
+from phantomgen.dataset.adapters.to_hashes import array_hashes
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.dataset.truth import read_truth
 from phantomgen.suite.definition import read_suite
