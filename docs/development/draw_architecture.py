@@ -32,6 +32,7 @@ TEXTS = {
     "phantomgen.cli": "commands: parse, call, print",
     "phantomgen.api": "short interface for Python",
     "phantomgen.batch": "many scans",
+    "phantomgen.suite": "fixed scans for results",
     "phantomgen.display": "viewer, figures, pages",
     "phantomgen.analysis": "spectra, thresholds",
     "phantomgen.importers": "phantom files",
