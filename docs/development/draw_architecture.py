@@ -15,6 +15,7 @@ PICTURE = ROOT / "docs" / "images" / "architecture.svg"
 TEXTS = {
     "recon.cli": "commands: parse, call, print",
     "recon.api": "short interface for Python",
+    "recon.suite": "scores on a suite of scans",
     "recon.comparison": "methods at equal time",
     "recon.output": "files, report, viewer",
     "recon.segmentation": "material maps",
@@ -31,6 +32,7 @@ TEXTS = {
     "phantomgen.cli": "commands: parse, call, print",
     "phantomgen.api": "short interface for Python",
     "phantomgen.batch": "many scans",
+    "phantomgen.suite": "fixed scans for results",
     "phantomgen.display": "viewer, figures, pages",
     "phantomgen.analysis": "spectra, thresholds",
     "phantomgen.importers": "scans of others",

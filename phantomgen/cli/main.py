@@ -6,7 +6,7 @@ Results go to stdout, progress and warnings to stderr. Exit codes: 0 done, 1 an 
 
 import click
 
-from phantomgen.cli.batch import batch
+from phantomgen.cli.batch import batch, suite
 from phantomgen.cli.common import Commands, version_option
 from phantomgen.cli.dataset import info, schema, validate
 from phantomgen.cli.degrade import degrade
@@ -40,6 +40,7 @@ for command in (
     plan,
     batch,
     degrade,
+    suite,
     info,
     validate,
     view,

@@ -74,12 +74,13 @@ class Ended:
     too_short: bool = False
 
 
-def finished_volume(text: str) -> OtherProgram:
+def finished_volume(text: str, option: str = "--with") -> OtherProgram:
     """Read the value of ``--with``.
 
     Parameters
     ----------
     text : such as ``tigre=fdk.npy as=mono:60 units=1/cm axes=zyx same-grid``
+    option : that has the value, for messages
 
     Returns
     -------
@@ -90,11 +91,11 @@ def finished_volume(text: str) -> OtherProgram:
     InputError
         When the text says none.
     """
-    words = _words(text, "--with", _WITH)
+    words = _words(text, option, _WITH)
     name, equals, path = words[0].partition("=") if words else ("", "", "")
     if not equals or not path:
-        raise InputError(f"--with takes {_WITH}, got {text!r}")
-    return OtherProgram(_checked_name(name, "--with"), _statement(words[1:], "--with"), path)
+        raise InputError(f"{option} takes {_WITH}, got {text!r}")
+    return OtherProgram(_checked_name(name, option), _statement(words[1:], option), path)
 
 
 def command_program(text: str) -> OtherProgram:

@@ -70,12 +70,14 @@ class Protocol:
         Returns
         -------
         ``psnr`` [dB] with the largest true value as peak, ``psnr_scaled`` after the best scalar, ``psnr_zero`` of a
-        volume of zeros, ``ssim``
+        volume of zeros, ``ssim``, and ``rmse`` in the unit of the volume, which any truth has
         """
         peak = float(truth.max(initial=0.0))
+        volume, truth = (np.asarray(v, np.float64) for v in (volume, truth))
+        rmse = float(np.sqrt(_mean_square(volume - truth)))
         if peak <= 0:
-            return dict.fromkeys(("psnr", "psnr_scaled", "psnr_zero", "ssim"))
-        volume, truth = (np.asarray(v, np.float64) / peak for v in (volume, truth))
+            return {**dict.fromkeys(("psnr", "psnr_scaled", "psnr_zero", "ssim")), "rmse": rmse}
+        volume, truth = volume / peak, truth / peak
         energy = float(np.vdot(volume, volume))
         scale = float(np.vdot(volume, truth)) / energy if energy > 0 else 0.0
         return {
@@ -83,6 +85,7 @@ class Protocol:
             "psnr_scaled": psnr(1.0, _mean_square(scale * volume - truth)),
             "psnr_zero": psnr(1.0, _mean_square(truth)),
             "ssim": ssim_of_slices(volume, truth) if self.by_slices else ssim_3d(volume, truth),
+            "rmse": rmse,
         }
 
 

@@ -10,8 +10,8 @@ from phantomgen.display.figures.style import GRAY, WIDTH, figure_file, write_csv
 from spectra.basis.basis import pretty
 
 Result = dict[str, Any]
-_COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B2", "#CC79A7", "#8C6D31")  # Okabe and Ito
-_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B2", "#CC79A7", "#8C6D31")  # Okabe and Ito
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 _ACROSS = 4  # panels in a row
 _DASHES = ("-", (0, (4, 1.5)), (0, (1, 1)))
 
@@ -51,7 +51,7 @@ def error_against_time(results: Sequence[Result], path: Path, clock: str) -> Pat
             for i, (who, points) in enumerate(lines.items()):
                 _draw(ax, i, who, _pairs(points, name), _pairs(ends[who], name))
             for i, (who, level) in enumerate(finished.items(), len(lines)):
-                options = {"color": _COLOURS[i % len(_COLOURS)], "linestyle": (0, (6, 2)), "linewidth": 1.2}
+                options = {"color": COLOURS[i % len(COLOURS)], "linestyle": (0, (6, 2)), "linewidth": 1.2}
                 if name in level:
                     ax.axhline(level[name], **options)
                 ax.plot([], [], label=who, **options)
@@ -98,10 +98,10 @@ def _by_contender(results: Sequence[Result]) -> dict[str, list[Result]]:
 
 def _draw(ax: Any, i: int, who: str, points: np.ndarray, ends: np.ndarray) -> None:
     """A line through points, and a marker at each end; (point, 2) seconds and PSNR."""
-    colour, dash = _COLOURS[i % len(_COLOURS)], _DASHES[i // len(_COLOURS) % len(_DASHES)]
+    colour, dash = COLOURS[i % len(COLOURS)], _DASHES[i // len(COLOURS) % len(_DASHES)]
     ax.plot(*points.T, color=colour, linestyle=dash, linewidth=2.0 if who == "gaussian" else 1.2, zorder=2)
-    ax.plot(*ends.T, color=colour, marker=_MARKERS[i % len(_MARKERS)], linestyle="none", markersize=5, zorder=3)
-    ax.plot([], [], color=colour, marker=_MARKERS[i % len(_MARKERS)], linestyle=dash, markersize=5, label=who)
+    ax.plot(*ends.T, color=colour, marker=MARKERS[i % len(MARKERS)], linestyle="none", markersize=5, zorder=3)
+    ax.plot([], [], color=colour, marker=MARKERS[i % len(MARKERS)], linestyle=dash, markersize=5, label=who)
 
 
 def _pairs(points: list[dict[str, float]], name: str) -> np.ndarray:
