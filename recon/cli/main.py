@@ -4,14 +4,14 @@ import click
 
 from phantomgen.cli.common import Commands, version_option
 from recon.cli.compare import compare
-from recon.cli.decompose import decompose
 from recon.cli.edge import edge
-from recon.cli.export import export
+from recon.cli.export import decompose, export
 from recon.cli.fit import fit
 from recon.cli.report import report
 from recon.cli.score import score
 from recon.cli.segment import segment
 from recon.cli.suite import suite
+from recon.cli.uncertainty import uncertainty
 from recon.cli.view import view
 from recon.cli.volume_and_render import render, volume
 
@@ -26,5 +26,19 @@ def main() -> None:
     """Reconstruct basis volumes from spectral-CT scans, and score them."""
 
 
-for command in (fit, edge, score, compare, suite, report, view, segment, volume, render, export, decompose):
+for command in (
+    fit,
+    edge,
+    score,
+    compare,
+    suite,
+    report,
+    view,
+    segment,
+    volume,
+    uncertainty,
+    render,
+    export,
+    decompose,
+):
     main.add_command(command)
