@@ -30,3 +30,17 @@ def test_the_page_names_all_cases_and_the_hash_to_cite():
     suite = read_suite("v1", "minutes")
     assert re.findall(r"^\| `([a-z-]+)` \|", PAGE, re.MULTILINE)[: len(suite.cases)] == [c.name for c in suite.cases]
     assert f"`{suite.sha256[:12]}`" in PAGE
+
+
+def test_the_measured_table_is_of_the_suite_as_it_is():
+    root = Path(__file__).parents[2]
+    page, raw = root / "docs/reference/benchmarks/suite.md", root / "benchmarks/results/suite-v1-minutes.md"
+    page, raw = (path.read_text(encoding="utf-8") for path in (page, raw))
+    suite = read_suite("v1", "minutes")
+    assert f"`{suite.sha256}`" in raw
+    assert f"`{suite.sha256[:12]}`" in page
+    rows = [line for line in page.splitlines() if line.startswith("|")]
+    assert len(rows) == 6
+    assert set(rows) <= set(raw.splitlines())
+    for case in suite.cases:
+        assert f"Counts `{suite.expected[case.name]['arrays']['counts']['sha256'][:12]}`" in raw
