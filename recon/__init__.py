@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from recon.api import Fit, fit, readout, score, segment
+    from recon.callbacks import EarlyStop, ProgressBar
     from recon.gaussians.model import Gaussians
     from recon.gaussians.processes import Resources
     from recon.gaussians.recipe import Recipe, Stage
@@ -24,8 +25,10 @@ if TYPE_CHECKING:
     from recon.voxel.filtered.fdk import fdk
 
 __all__ = [
+    "EarlyStop",
     "Fit",
     "Gaussians",
+    "ProgressBar",
     "Readouts",
     "Recipe",
     "Reconstruction",
@@ -40,8 +43,10 @@ __all__ = [
 ]
 
 _HOMES = {
+    "EarlyStop": "callbacks",
     "Fit": "api",
     "Gaussians": "gaussians.model",
+    "ProgressBar": "callbacks",
     "Readouts": "readouts.readouts",
     "Recipe": "gaussians.recipe",
     "Reconstruction": "gaussians.reconstruct",
