@@ -118,6 +118,13 @@ def test_materials_of_a_fit_are_those_of_its_folder(path, tmp_path):
     assert found.options.energies == (60,)
 
 
-def test_options_that_no_segmentation_has_are_refused(tmp_path):
-    with pytest.raises(InputError, match=r"no option 'energy'.*energies"):
-        recon.segment(tmp_path, energy=70)
+def test_impossible_options_of_a_segmentation_are_refused(tmp_path):
+    with pytest.raises(InputError, match="the domain must be one of"):
+        recon.segment(tmp_path, domain="pixels")
+
+
+def test_an_early_stop_ends_a_fit_that_no_longer_improves(path):
+    fit = recon.fit(path, SHORT, callbacks=[recon.EarlyStop(patience=2, change=10.0)], progress=True)
+    assert [entry["step"] for entry in fit.log] == [1, 2, 3, 4]
+    with pytest.raises(InputError, match="patience of an early stop"):
+        recon.EarlyStop(patience=0)

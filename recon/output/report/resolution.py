@@ -1,7 +1,6 @@
 """Resolution and noise of a reconstruction: edge response, MTF, and noise power spectrum."""
 
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +10,11 @@ from scipy.special import erfinv
 
 from phantomgen.display.figures.style import PAGE_WIDTH, TRUTH, figure_file, write_csv
 from phantomgen.display.html import Part, picture
-from phantomgen.geometry.voxel_grid import Grid
 from recon.evaluation.metrics import pure_voxels
 from recon.evaluation.scoring import FULL_FRACTION
 from recon.output.report.case import LINES, Case, LeftOut, Parts
+from recon.quality.edge_response import edge_width, mtf
+from recon.quality.noise_power import noise_power
 from spectra.basis.basis import pretty
 
 REACH = 3.0  # voxels; range of an edge response on both sides of the edge; our choice
@@ -218,46 +218,6 @@ def edge_of(fraction: Float[np.ndarray, "z y x"], labels: Integer[np.ndarray, "z
     return Edge(distance[used], voxels)
 
 
-def mtf(response: Float[np.ndarray, " bin"], step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the modulation transfer function: the spectrum of the derivative of an edge response.
-
-    Parameters
-    ----------
-    response : edge response at equal steps
-    step : distance of two values [voxel]
-
-    Returns
-    -------
-    frequencies [1/voxel], and transfer, 1 at frequency 0
-    """
-    line = np.diff(response) * np.hanning(len(response) + 1)[1:-1]
-    padded = 8 * len(line)
-    transfer = np.abs(np.fft.rfft(line, padded))
-    return np.fft.rfftfreq(padded, step), transfer / (transfer[0] or 1.0)
-
-
-def edge_width(distance: Float[np.ndarray, " bin"], response: Float[np.ndarray, " bin"]) -> float:
-    """Compute the distance over which an edge falls from 90 to 10 % of its height.
-
-    Parameters
-    ----------
-    distance : distances from the surface [voxel]
-    response : edge response, from 1 to 0
-
-    Returns
-    -------
-    distance [voxel]; NaN where it does not fall so
-    """
-
-    def crossing(level: float) -> float:
-        for (a, ya), (b, yb) in pairwise(zip(distance, response, strict=True)):
-            if ya >= level > yb:
-                return a + (b - a) * (ya - level) / (ya - yb)
-        return float("nan")
-
-    return crossing(0.1) - crossing(0.9)
-
-
 def uniform_region(
     fractions: Integer[np.ndarray, "material z y x"], names: tuple[str, ...]
 ) -> tuple[str, tuple[slice, slice, slice]] | None:
@@ -287,39 +247,6 @@ def uniform_region(
         if len(whole) and whole[-1] - whole[0] + 1 == len(whole) and (best is None or reach > best[0]):
             best = reach, name, (slice(int(whole[0]), int(whole[-1]) + 1), *square)
     return None if best is None else best[1:]
-
-
-def noise_power(
-    volume: Real[np.ndarray, "z y x"], grid: Grid, box: tuple[slice, slice, slice]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the noise power spectrum of axial slices, with their mean planes subtracted.
-
-    Parameters
-    ----------
-    volume : values of all voxels
-    grid : grid of the volume
-    box : region (z, y, x) of voxels, square in y and x
-
-    Returns
-    -------
-    radial frequencies [1/mm], and mean power of the slices [value^2 mm^2]
-
-    References
-    ----------
-    ICRU Report 87, section 4.4: NPS = dx dy / (nx ny) |DFT(noise)|^2.
-    """
-    slices = np.asarray(volume[box], dtype=np.float64)
-    side = slices.shape[1]
-    y, x = np.mgrid[:side, :side] - (side - 1) / 2
-    planes = np.stack([np.ones(side * side), y.ravel(), x.ravel()], axis=1)
-    flat = slices.reshape(len(slices), -1).T
-    noise = (flat - planes @ np.linalg.lstsq(planes, flat, rcond=None)[0]).T.reshape(slices.shape)
-    power = (np.abs(np.fft.fft2(noise)) ** 2).mean(axis=0) * grid.spacing[1] * grid.spacing[2] / side**2
-    frequency = np.hypot(np.fft.fftfreq(side, grid.spacing[1])[:, None], np.fft.fftfreq(side, grid.spacing[2])[None])
-    edges = np.arange(0.5, side // 2 + 1) / (side * max(grid.spacing[1:]))
-    number = np.histogram(frequency, edges)[0]
-    total = np.histogram(frequency, edges, weights=power)[0]
-    return (edges[1:] + edges[:-1]) / 2, total / np.maximum(number, 1)
 
 
 def noise_figure(case: Case, box: tuple[slice, slice, slice], path: Path) -> Path:
