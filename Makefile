@@ -2,6 +2,7 @@
 # make test   run the test suite; TESTS="tests/spectra" for a part
 # make coverage  the same, and report the lines that no test runs
 # make test-isa  the same as processors with other instructions run it; ISA_TESTS="tests/recon" for a part
+# make fuzz   try FUZZ=1000 spoiled inputs per test, seed SEED, which is printed
 # make check  formatting, lint, import contracts, docstrings, types
 # make docs   build the documentation site, docs/_build/html; GALLERY=1 runs the example scripts as well, some minutes
 # make numbers  run the commands behind the numbers of README and docs; say which no longer hold (ONLY=readme, SLOW=1)
@@ -18,10 +19,12 @@ endif
 # instruction sets of numba / of torch; an x86-64 processor with AVX2 can run all of these
 INSTRUCTIONS := x86-64/default x86-64-v3/avx2
 TESTS ?= tests
+FUZZ ?= 1000
+SEED ?= $(shell date +%s)
 ISA_TESTS ?= tests
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
-.PHONY: demo test coverage test-isa check docs numbers clean
+.PHONY: demo test coverage test-isa fuzz check docs numbers clean
 
 demo: $(VENV)/installed
 	$(BIN)/phantomgen make --preset kedge --overwrite
@@ -37,6 +40,10 @@ test-isa: $(VENV)/installed-test
 	set -e; for setting in $(INSTRUCTIONS); do echo "$$setting"; \
 		env NUMBA_CPU_NAME=$${setting%/*} ATEN_CPU_CAPABILITY=$${setting#*/} $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile $(ISA_TESTS); done
 	$(BIN)/python -m benchmarks.reconstruction.processors
+
+fuzz: $(VENV)/installed-test
+	@echo "FUZZ=$(FUZZ) SEED=$(SEED)"
+	FUZZ=$(FUZZ) $(BIN)/python -m pytest tests/fuzz --hypothesis-seed=$(SEED)
 
 check: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .

@@ -16,7 +16,11 @@ Messages are one sentence: what is wrong, where, the value found, and what would
 A command line turns an `Error` into that sentence and exit code 1; anything else is a bug and shows its traceback.
 """
 
+import re
+
 LONGEST_QUOTE = 80  # characters of an input that a message quotes
+LONGEST_WORD = 1000  # characters without a space that a command line prints, so that paths stay whole
+LONGEST_MESSAGE = 4000  # characters of a sentence that a command line prints
 
 
 def shortened(text: object, longest: int = LONGEST_QUOTE) -> str:
@@ -33,6 +37,21 @@ def shortened(text: object, longest: int = LONGEST_QUOTE) -> str:
     """
     words = str(text)
     return words if len(words) <= longest else f"{words[: longest * 2 // 3]} ... {words[-longest // 4 :]}"
+
+
+def concise(message: str) -> str:
+    """Shorten long words of a message, which quote an input.
+
+    Parameters
+    ----------
+    message : a sentence
+
+    Returns
+    -------
+    the sentence; words of more than `LONGEST_WORD` characters and the middle of a very long sentence are left out
+    """
+    words = re.sub(rf"\S{{{LONGEST_WORD + 1},}}", lambda word: shortened(word[0]), message)
+    return shortened(words, LONGEST_MESSAGE)
 
 
 class Error(Exception):

@@ -7,15 +7,14 @@ from contextlib import suppress
 
 import pytest
 from hypothesis import settings
-from jaxtyping import config, install_import_hook
+from jaxtyping import config
+from support.checked_types import check_types
 
 os.environ.setdefault("TRITON_INTERPRET", "1")  # asked at import; 0 tests on a GPU, where there is one
 with suppress(ImportError):  # before anything is rendered: its LLVM and that of Mesa load in this order only
     import triton  # noqa: F401
 
-CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"  # an int may stand for a float
-CHECKED = os.environ.get("CHECKED_TYPES", "spectra").split()  # all are "spectra phantomgen recon"
-install_import_hook(CHECKED, CHECKER)  # before anything of the project is imported
+check_types(os.environ.get("CHECKED_TYPES", "spectra phantomgen recon").split())  # before any of these is imported
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")

@@ -1,13 +1,15 @@
 """Files around the code: workflow, forms, hooks, changelog, citation, rules for tests and for kernels."""
 
 import ast
+import os
 import re
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
-from jaxtyping import TypeCheckError
+from beartype.roar import BeartypeCallHintViolation
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("spectra", "phantomgen", "recon")
@@ -92,11 +94,19 @@ def test_every_test_can_fail():
     assert [place for place, names in called.items() if not names & sure] == []
 
 
-def test_types_and_axes_of_calls_are_checked():
+@pytest.mark.skipif("CHECKED_TYPES" in os.environ, reason="checks of types are chosen")
+def test_types_and_axes_of_calls_are_checked_in_all_packages():
+    from phantomgen.geometry.voxel_grid import Grid
+    from recon.gaussians.unseen_rays import certainly_larger
     from spectra.basis.basis import klein_nishina
 
-    with pytest.raises(TypeCheckError):
-        klein_nishina([70.0])
+    with pytest.raises(BeartypeCallHintViolation, match="energy"):
+        klein_nishina([70.0])  # a list for an array
+    with pytest.raises(BeartypeCallHintViolation, match="spacing"):
+        Grid((1, 1, 1), (1.0, 1.0), (0.0, 0.0, 0.0))  # a field of a dataclass
+    with pytest.raises(BeartypeCallHintViolation, match="view"):
+        certainly_larger(np.ones(3), np.ones(4))  # an axis of two lengths
+    assert certainly_larger(np.array([3.0, 4.0]), np.ones(2)) is True
 
 
 def test_only_kernels_go_without_checks_of_types():

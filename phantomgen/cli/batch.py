@@ -48,7 +48,7 @@ def batch(
     part = Shard.parse(shard) if shard else None
     summary = run_batch(
         Batch.read(manifest),
-        out or Path(manifest).stem,
+        Path(manifest).stem if out is None else out,
         count=count,
         workers=workers,
         executor=cluster,

@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from spectra.errors import Error, MachineWarning, shortened
+from spectra.errors import Error, MachineWarning, concise, shortened
 
 # What a file system refuses: names that are too long, folders that cannot be written, full disks.
 _OF_FILES = {
@@ -44,8 +44,11 @@ class Commands(click.Group):
         except Error as error:
             if ctx.meta.get("debug"):
                 raise
-            click.echo(f"Error: {error}", err=True)
+            click.echo(f"Error: {concise(str(error))}", err=True)
             ctx.exit(1)
+        except click.ClickException as error:
+            error.__dict__["message"] = concise(error.message)  # annotated as final
+            raise
         except OSError as error:
             if error.errno not in _OF_FILES or ctx.meta.get("debug"):
                 raise

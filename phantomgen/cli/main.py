@@ -17,6 +17,7 @@ from phantomgen.cli.plan import plan
 from phantomgen.cli.presets import presets
 from phantomgen.cli.report import report
 from phantomgen.cli.spectrum import materials, optimize_thresholds, spectrum
+from phantomgen.cli.stress import stress
 from phantomgen.cli.view import view
 
 
@@ -43,6 +44,7 @@ for command in (
     validate,
     view,
     report,
+    stress,
     export,
     presets,
     import_,

@@ -130,7 +130,7 @@ def _make(
             file = cached_scene(options["paths"], overrides)
         else:
             file = SceneFile.preset(preset, overrides) if preset else find_scene(scene or "", overrides)
-        path = Path(out or f"{file.model.name}.h5")
+        path = Path(f"{file.model.name}.h5" if out is None else out)
         check_dataset_name(path)
         check_output(path, options["overwrite"], kind=DATASET)
         check_journal(path, options["resume"], options["overwrite"])

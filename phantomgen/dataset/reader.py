@@ -4,12 +4,12 @@ Errors are sentences, also for files that are cut off, of a newer schema, or wit
 of its own, so that a reconstructor which imports this one cannot see it by accident.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, SupportsInt
 
 import h5py
 import numpy as np
@@ -169,14 +169,12 @@ class Dataset:
         """True when signals may be negative, as electronic noise makes signals that are not counts."""
         return self.spectra.units != "counts"
 
-    def load(
-        self, views: Sequence[int] | Int[np.ndarray, " view"] | None = None
-    ) -> Shaped[np.ndarray, "v c row column"]:
+    def load(self, views: Iterable[SupportsInt] | None = None) -> Shaped[np.ndarray, "v c row column"]:
         """Read counts of some views into memory.
 
         Parameters
         ----------
-        views : numbers of the views; all where left out
+        views : numbers of the views, in a list, an array or a tensor; all where left out
 
         Returns
         -------
@@ -230,7 +228,7 @@ class Dataset:
 
         Parameters
         ----------
-        views : numbers of the views; all where left out
+        views : numbers of the views, in a list, an array or a tensor; all where left out
 
         Returns
         -------

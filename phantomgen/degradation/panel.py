@@ -10,6 +10,7 @@ from phantomgen.geometry.poses import Geometry
 from spectra.errors import InputError
 
 Image = Shaped[np.ndarray, "... row column"]
+Binned = Shaped[np.ndarray, "... large_row large_column"]
 
 
 def columns_left(columns: int, part: float) -> slice:
@@ -54,7 +55,7 @@ def check_bin(rows: int, columns: int, factor: int) -> None:
         raise InputError(f"{rows} x {columns} pixels cannot be binned by {factor}: {hint}")
 
 
-def binned_sum(image: Image, factor: int) -> Image:
+def binned_sum(image: Image, factor: int) -> Binned:
     """Sum pixels.
 
     Parameters
@@ -69,7 +70,7 @@ def binned_sum(image: Image, factor: int) -> Image:
     return _blocks(image, factor).sum(axis=(-3, -1)) if factor > 1 else image
 
 
-def binned_mask(mask: UInt32[np.ndarray, "row column"], factor: int) -> UInt32[np.ndarray, "row column"]:
+def binned_mask(mask: UInt32[np.ndarray, "row column"], factor: int) -> UInt32[np.ndarray, "large_row large_column"]:
     """Combine masks: a pixel has the faults of all pixels that it consists of.
 
     Parameters
@@ -84,7 +85,9 @@ def binned_mask(mask: UInt32[np.ndarray, "row column"], factor: int) -> UInt32[n
     return np.bitwise_or.reduce(np.bitwise_or.reduce(_blocks(mask, factor), axis=-1), axis=-2)
 
 
-def binned_mean(values: Float[np.ndarray, "... row column"], factor: int) -> Float[np.ndarray, "... row column"]:
+def binned_mean(
+    values: Float[np.ndarray, "... row column"], factor: int
+) -> Float[np.ndarray, "... large_row large_column"]:
     """Average pixels.
 
     Parameters
@@ -144,7 +147,7 @@ def _same_rays(geometry: Geometry, moved: Geometry) -> Geometry:
     return replace(moved, source=geometry.source + moved.panel_center - geometry.panel_center)
 
 
-def _blocks(image: Image, factor: int) -> Shaped[np.ndarray, "... row y column x"]:
-    """Pixels (..., row, y, column, x) by the larger pixel that they go to."""
+def _blocks(image: Image, factor: int) -> Shaped[np.ndarray, "... large_row y large_column x"]:
+    """Pixels (..., large row, y, large column, x) by the larger pixel that they go to."""
     *before, rows, columns = image.shape
     return image.reshape(*before, rows // factor, factor, columns // factor, factor)

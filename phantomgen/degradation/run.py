@@ -24,6 +24,8 @@ from spectra.threads import run_parallel
 _OF_VIEWS = ("geometry", "motion", "expected", "paths")
 _BAR_AFTER = 2.0  # s
 
+Frame = tuple[str, int, list[list[bytes]]]  # what it shows, its place, and the packed image of each channel
+
 
 @dataclass(frozen=True)
 class Degraded:
@@ -180,7 +182,7 @@ def _write_images(writer: DatasetWriter, scan: DegradedScan, progress: bool) -> 
         arrays["expected"] = writer.new_expected(shape, units)
         places += [("expected", place, int(frame)) for place, frame in enumerate(numbers["data"])]
 
-    def packed(item: tuple[str, int, int]) -> tuple[str, int, list[list[bytes]]]:
+    def packed(item: tuple[str, int, int]) -> Frame:
         kind, place, frame = item
         images = scan.expected(frame) if kind == "expected" else scan.images(kind, frame)
         return kind, place, [pack_image(image, writer.compression) for image in images]
@@ -206,7 +208,7 @@ def _copy_truth(writer: DatasetWriter, scan: DegradedScan) -> None:
         writer.write_true_geometry(scan.true_geometry, poses)
 
 
-def _shown(frames: Iterator, count: int, progress: bool) -> Iterator:
+def _shown(frames: Iterator[Frame], count: int, progress: bool) -> Iterator[Frame]:
     """Yield the frames unchanged, with a progress bar on a terminal."""
     if not progress:
         yield from frames

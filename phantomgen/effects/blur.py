@@ -21,6 +21,8 @@ from spectra.errors import InputError
 _REACH = 5  # standard deviations at which the kernel ends
 _NARROWEST = 0.05  # of the sampled function [pixel]: its neighbours then get less than 1e-86
 
+_WIDEST = 10_000  # standard deviation [pixel]; no panel has as many pixels along an axis
+
 Kernel = Float[np.ndarray, " _tap"]
 
 
@@ -105,7 +107,16 @@ class Blur:
         Returns
         -------
         both kernels
+
+        Raises
+        ------
+        InputError
+            When the blur is wider than `_WIDEST` pixels.
         """
+        widest = self.sigma / min(panel.row_pitch, panel.column_pitch)
+        if widest > _WIDEST:
+            found = f"{self.sigma:g} mm = {widest:g} pixels"
+            raise InputError(f"the standard deviation of a blur must be at most {_WIDEST} pixels, got {found}")
         return sampled_gaussian(self.sigma / panel.row_pitch), sampled_gaussian(self.sigma / panel.column_pitch)
 
 
@@ -130,6 +141,8 @@ def sampled_gaussian(sigma: float) -> Kernel:
         weights = np.exp(-((steps / width) ** 2) / 2)
         return float((steps**2 * weights).sum() / weights.sum() - sigma**2)
 
+    if excess(_NARROWEST) >= 0:
+        return np.array([0.0, 1.0, 0.0])
     width = float(brentq(excess, _NARROWEST, 1.5 * sigma + 1.0))  # type: ignore[arg-type]
     weights = np.exp(-((steps / width) ** 2) / 2)
     return weights / weights.sum()

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
+from phantomgen.runtime.numpy_files import load_numpy
 from spectra.errors import InputError
 
 NAMES = ("source", "panel_center", "column_step", "row_step")
@@ -80,9 +81,9 @@ def _row(place: str, header: list[str], cells: list[str]) -> list[float]:
 def _read_npz(path: Path) -> Table:
     """From arrays of numpy."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with load_numpy(path) as file:
             return {name: _numbers(path, name, file.get(name)) for name in NAMES}
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, TypeError, AttributeError, zipfile.BadZipFile) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path} cannot be read as a table of poses: it is damaged or no .npz file") from None

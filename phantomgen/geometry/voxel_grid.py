@@ -24,6 +24,12 @@ class Grid:
     origin: tuple[float, float, float]
 
     def __post_init__(self) -> None:
+        if not len(self.shape) == len(self.spacing) == len(self.origin) == 3:
+            raise InputError(
+                f"a grid needs three numbers each, got shape {self.shape}, spacing {self.spacing}, origin {self.origin}"
+            )
+        if not all(float(n).is_integer() for n in self.shape):
+            raise InputError(f"the shape of a grid must be whole numbers, got {self.shape}")
         if not np.isfinite([*self.spacing, *self.origin]).all():
             raise InputError(f"spacing and origin of a grid must be numbers, got {self.spacing} and {self.origin} mm")
         if min(self.shape) < 1:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from phantomgen.runtime.numpy_files import load_numpy
 from phantomgen.volume_files.volume import Volume, check_size, checked, triple
 from spectra.errors import InputError
 
@@ -32,7 +33,7 @@ def read_npy(path: Path) -> Volume:
         When the file cannot be read, or holds no volume.
     """
     try:
-        found = np.load(path, mmap_mode="r", allow_pickle=False)  # only the header is read here
+        found = load_numpy(path, in_memory=False)  # only the header is read here
     except (ValueError, EOFError, OSError) as error:
         reason = "it is cut off" if "mmap length" in str(error) else _reason(error)
         raise InputError(f"{path}: the file cannot be read as an array of numbers: {reason}") from None

@@ -41,7 +41,7 @@ def edge(
     from spectra.threads import set_threads
 
     source = Path(dataset)
-    files = EdgeFiles(Path(out or f"{source.stem}-edge"), overwrite)
+    files = EdgeFiles(Path(f"{source.stem}-edge" if out is None else out), overwrite)
     set_threads(threads)
     with open_dataset(source, air) as opened:
         choice = find_edges(opened, parse_edges(edge) or ())

@@ -161,7 +161,7 @@ def fit(
     from recon.voxel.method import ViewMethod
     from spectra.threads import set_threads
 
-    if out:
+    if out is not None:
         check_run_name(Path(out))
     special = {"resume": resume, "dry-run": dry_run, "memory": memory, "held-out": held_out, "edge": edge}
     special |= {"kernel": None if kernel == "auto" else kernel, "detail": detail, "gaussians": gaussians}
@@ -191,7 +191,7 @@ def fit(
             if method == "gaussian":
                 run(opened, None, way, figures, bar)
             return
-        folder = RunFolder(Path(out) if out else Path(f"{source.stem}-run"), overwrite, resume)
+        folder = RunFolder(Path(f"{source.stem}-run" if out is None else out), overwrite, resume)
         if method != "gaussian":
             chosen = method_named(method, None if sweeps is None else max(round(sweeps), 1), seed)
             way = (ViewRun if isinstance(chosen, ViewMethod) else VoxelRun)(chosen, pipeline, asked)  # type: ignore[arg-type]

@@ -159,7 +159,7 @@ def score_start(
 
 def _in_basis_of(
     truth: Truth, volumes: Float[np.ndarray, "basis z y x"], names: tuple[str, ...]
-) -> Float[np.ndarray, "basis z y x"]:
+) -> Float[np.ndarray, "true_basis z y x"]:
     """Volumes in the order of the basis functions of the truth, zeros for those that are missing."""
     out = np.zeros((len(truth.basis_names), *truth.grid.shape), np.float32)
     for name, volume in zip(names, volumes, strict=True):

@@ -6,7 +6,9 @@
 from collections.abc import Sequence
 from typing import cast
 
+import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 TINY = 1e-15  # unit of the gradient; added to the root of the mean square, so that a gradient of 0 makes no step
@@ -26,7 +28,9 @@ class Adam:
         self.squares = [torch.zeros_like(tensor) for tensor in tensors]
 
     @torch.no_grad()
-    def step(self, lengths: Sequence[float], number: int, decays: tuple[float, float]) -> None:
+    def step(
+        self, lengths: Sequence[float] | Float[np.ndarray, " tensor"], number: int, decays: tuple[float, float]
+    ) -> None:
         """Make one step.
 
         Parameters

@@ -4,7 +4,7 @@ import json
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import torch
@@ -19,6 +19,7 @@ from recon.ops.voxelize import CUTOFF, voxelize, voxelize_tensor
 from spectra.errors import DatasetError
 
 HEADER = "gaussians"  # key of the metadata in a file
+Model = TypeVar("Model", bound="GaussianModel")  # in place of `Self`, which beartype takes in classes it decorates only
 
 
 class GaussianModel(ABC):
@@ -119,7 +120,7 @@ class GaussianModel(ABC):
         """
         return {name: getattr(self, name) for name in (*self.GEOMETRY, "coefficients")}
 
-    def with_tensors(self, tensors: dict[str, Tensor]) -> Self:
+    def with_tensors(self: Model, tensors: dict[str, Tensor]) -> Model:
         """Make the same model of other arrays.
 
         Parameters
@@ -132,7 +133,7 @@ class GaussianModel(ABC):
         """
         return replace(self, **tensors)  # type: ignore[type-var]
 
-    def with_values(self, values: Float[Tensor, "gaussian *side value"]) -> Self:
+    def with_values(self: Model, values: Float[Tensor, "gaussian *side value"]) -> Model:
         """Replace the coefficients, and hold the geometry.
 
         Parameters
@@ -146,7 +147,7 @@ class GaussianModel(ABC):
         held = {name: getattr(self, name).detach() for name in self.GEOMETRY}
         return self.with_tensors(held | {"coefficients": values})
 
-    def part(self, which: Int64[Tensor, " some"]) -> Self:
+    def part(self: Model, which: Int64[Tensor, " some"]) -> Model:
         """Select some of the Gaussians.
 
         Parameters
@@ -159,7 +160,7 @@ class GaussianModel(ABC):
         """
         return self.with_tensors({name: value.index_select(0, which) for name, value in self.tensors().items()})
 
-    def to(self, device: torch.device | str) -> Self:
+    def to(self: Model, device: torch.device | str) -> Model:
         """Copy the arrays to a device, which then computes volumes and line integrals.
 
         Parameters
@@ -172,7 +173,7 @@ class GaussianModel(ABC):
         """
         return self.with_tensors({name: value.to(device) for name, value in self.tensors().items()})
 
-    def detached(self) -> Self:
+    def detached(self: Model) -> Model:
         """Copy the model without its gradients.
 
         Returns

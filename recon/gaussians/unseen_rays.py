@@ -135,4 +135,4 @@ def certainly_larger(
     difference = one - other
     if len(difference) < 2:
         return False
-    return float(difference.mean()) > certain * float(difference.std(ddof=1)) / np.sqrt(len(difference))
+    return bool(float(difference.mean()) > certain * float(difference.std(ddof=1)) / np.sqrt(len(difference)))

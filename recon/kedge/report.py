@@ -9,7 +9,7 @@ import numpy as np
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.display.figures.style import BASIS_LINES, GRAY, figure_file, write_csv
-from phantomgen.runtime.outputs import check_output
+from phantomgen.runtime.outputs import check_name, check_output
 from phantomgen.runtime.plain_json import write_json
 from recon.kedge.choose_basis import BasisChoice
 from recon.kedge.profile_likelihood import EdgeProfile
@@ -143,6 +143,7 @@ class EdgeFiles:
     """
 
     def __init__(self, stem: Path, overwrite: bool) -> None:
+        check_name(stem)
         self.json, self.figure = (stem.with_name(stem.name + suffix) for suffix in (".json", ".png"))
         self.written: Sequence[Path] = ()
         for path in (self.json, self.figure):

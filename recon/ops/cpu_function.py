@@ -1,7 +1,7 @@
 """What makes an operator of Gaussians that runs on the CPU differentiable by torch."""
 
 from collections.abc import Callable, Iterable
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
@@ -10,6 +10,7 @@ from torch import Tensor
 Kind = TypeVar("Kind", bound=tuple[Tensor, ...])
 
 
+@runtime_checkable
 class OperatorCall(Protocol):
     """One call of an operator, with the arrays that its values and its gradients share."""
 

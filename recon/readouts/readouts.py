@@ -28,7 +28,7 @@ WATER = Material("water", composition="Water, Liquid")
 HEAVIEST = HEAVIEST_TISSUE  # atomic number; largest that is reported, as K edges of heavier elements lie within spectra
 _LEAST_MATTER = 0.02  # electron density of water; voxels below it get no atomic number; our choice
 
-Volume = Float[np.ndarray, "..."]
+Volume = Float[np.ndarray, "..."]  # without axes for the coefficients of one place
 Coefficients = Float[np.ndarray, "basis ..."]
 
 
@@ -111,7 +111,7 @@ class Readouts:
                 f"the basis ({names}) cannot show the concentration of {element}: {shown}; scan and fit with a basis "
                 f"function of {element}"
             )
-        return np.tensordot(self.agents[element].amounts, values, axes=1)
+        return np.asarray(np.tensordot(self.agents[element].amounts, values, axes=1))
 
     def without_contrast(self, values: Coefficients) -> Coefficients:
         """Subtract contrast agents from coefficients.
@@ -160,7 +160,7 @@ class Readouts:
         CT number [HU]
         """
         zero = float(self.attenuation(self.water, energy)) if water is None else water
-        return 1000.0 * (self.attenuation(values, energy) / zero - 1.0)
+        return np.asarray(1000.0 * (self.attenuation(values, energy) / zero - 1.0))
 
     def virtual_non_contrast(self, values: Coefficients, energy: float, water: float | None = None) -> Volume:
         """Compute a virtual monoenergetic image without contrast agents.
@@ -240,7 +240,7 @@ class Readouts:
         angle = np.arctan2(np.maximum(photo, 0.0), np.maximum(compton, 1e-12))
         numbers = np.arange(1, HEAVIEST + 1, dtype=np.float64)
         number = np.interp(angle, self.angles, numbers, right=np.nan)
-        density = np.hypot(photo, compton) / np.interp(angle, self.angles, self.per_electron)
+        density = np.asarray(np.hypot(photo, compton) / np.interp(angle, self.angles, self.per_electron))
         return np.where(density > _LEAST_MATTER, number, np.nan), density
 
 

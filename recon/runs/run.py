@@ -45,7 +45,7 @@ def run(dataset: Dataset, folder: Path | None, method: RunMethod, figures: bool,
     with clock("check"):
         method.check(dataset)
         for view in dataset.splits["test"]:
-            dataset.load([view])  # counts that cannot be scored are refused now; one view is in memory at a time
+            dataset.load([int(view)])  # counts that cannot be scored are refused now; one view is in memory at a time
     outcome = method.reconstruct(dataset, folder, clock, watcher)
     if folder is None:
         return {}

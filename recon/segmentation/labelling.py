@@ -21,7 +21,7 @@ DENSER = 1.5  # no unit; density over that of its label above which a point is a
 RIM = 0.9  # part of a cluster's voxels that touch other clusters above which it is a rim between them; our choice
 
 
-def rims(inner: Int[np.ndarray, "z y x"], count: int) -> Bool[np.ndarray, " cluster"]:
+def rims(inner: Integer[np.ndarray, "z y x"], count: int) -> Bool[np.ndarray, " cluster"]:
     """Find clusters that are soft edges between two materials of nearly equal coefficients, and no material.
 
     Parameters
@@ -47,7 +47,7 @@ def label_edges(
     parts: Float[np.ndarray, "mechanism z y x"],
     air: Bool[np.ndarray, "z y x"],
     centres: Float[np.ndarray, "cluster mechanism"],
-) -> Int[np.ndarray, "z y x"]:
+) -> Integer[np.ndarray, "z y x"]:
     """Label the voxels at edges.
 
     Parameters
@@ -118,7 +118,7 @@ def label_at(
     places: Float[np.ndarray, "3 point"],
     values: Float[np.ndarray, "point mechanism"],
     centres: Float[np.ndarray, "cluster mechanism"],
-) -> Int[np.ndarray, " point"]:
+) -> Integer[np.ndarray, " point"]:
     """Label points by their voxels, or by their coefficients where the voxel is air or far less dense than the point.
 
     Parameters

@@ -129,12 +129,12 @@ def _groups(
     return np.where(tail, 0, 1 + connected_components(one)[1])
 
 
-def _present(inner: Int[np.ndarray, "z y x"], count: int) -> Bool[np.ndarray, " cluster"]:
+def _present(inner: Integer[np.ndarray, "z y x"], count: int) -> Bool[np.ndarray, " cluster"]:
     """True for clusters that have a voxel."""
     return np.bincount(inner.ravel(), minlength=count + 1)[1:] > 0
 
 
-def _renumbered(inner: Int[np.ndarray, "z y x"], kept: Int[np.ndarray, " cluster"]) -> Int[np.ndarray, "z y x"]:
+def _renumbered(inner: Integer[np.ndarray, "z y x"], kept: Int[np.ndarray, " cluster"]) -> Integer[np.ndarray, "z y x"]:
     """Labels after clusters were removed or sorted: cluster ``kept[i]`` becomes cluster i; others become 0."""
     table = np.zeros(int(max(inner.max(), kept.max() + 1)) + 1, np.uint16)
     table[1 + kept] = np.arange(1, len(kept) + 1)

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.files.bit_flips import outcomes, write_scan
 
-FLIPS = 60
+FLIPS = 25
 
 
 @pytest.mark.parametrize("compression", ["gzip", "none"])

@@ -33,6 +33,7 @@ def test_names_that_are_too_long_are_shortened_in_one_sentence(program, argument
         (phantomgen, ("plan", "kedge", "--tol", "inf")),
         (recon, ("fit", "scan.h5", "--memory", "nan")),
         (recon, ("fit", "scan.h5", "--sweeps", "nan")),
+        (recon, ("volume", "run", "--energy", "nan")),
     ],
 )
 def test_options_that_are_no_numbers_are_wrong_usage(program, arguments):

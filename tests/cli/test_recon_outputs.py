@@ -222,7 +222,7 @@ def wait_for_steps(folder: Path, steps: int, process: subprocess.Popen) -> None:
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_a_run_that_was_stopped_and_killed_ends_with_the_same_bytes(dataset, tmp_path):
-    sweeps = "60"
+    sweeps = "20"
     whole, run, part = tmp_path / "whole", tmp_path / "run", tmp_path / "run.part"
     common = ("--sweeps", sweeps, "--no-figures", "--quiet")
     assert command("fit", dataset, "-o", whole, *common).exit_code == 0
@@ -245,7 +245,7 @@ def test_a_run_that_was_stopped_and_killed_ends_with_the_same_bytes(dataset, tmp
         assert (run / name).read_bytes() == (whole / name).read_bytes()
     assert sorted(p.name for p in run.iterdir()) == sorted(p.name for p in whole.iterdir())
     steps = [json.loads(line)["step"] for line in (run / "log.jsonl").read_text().splitlines()]
-    assert steps == list(range(1, 361))
+    assert steps == list(range(1, 121))
 
 
 def test_an_interrupted_fit_is_not_judged_as_a_whole_one(dataset, tmp_path, monkeypatch):

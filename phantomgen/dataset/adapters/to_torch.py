@@ -1,17 +1,15 @@
 """Views for training: a map-style dataset of torch that every worker opens for itself."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch.utils.data import Dataset as TorchDataset
 
 from phantomgen.dataset.reader import Dataset, Region, open_dataset
 from spectra.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 
 class ViewSet(TorchDataset):
@@ -27,7 +25,7 @@ class ViewSet(TorchDataset):
     air : a part of the panel that sees only air, for lack of flats
     """
 
-    def __init__(self, path: Path, views: "Sequence[int]", air: Region | None = None) -> None:
+    def __init__(self, path: Path, views: Sequence[int], air: Region | None = None) -> None:
         self.path, self.views, self.air = Path(path), tuple(int(view) for view in views), air
         self._opened: tuple[int, Dataset] | None = None
 
@@ -52,7 +50,7 @@ class ViewSet(TorchDataset):
         known = {**dataset.splits, "all": range(dataset.counts.shape[0])}
         if split not in known:
             raise InputError(f"there is no split {split!r}: choose from {', '.join(known)}")
-        return cls(dataset.path.absolute(), list(known[split]), dataset.air)
+        return cls(dataset.path.absolute(), [int(view) for view in known[split]], dataset.air)
 
     def __len__(self) -> int:
         return len(self.views)

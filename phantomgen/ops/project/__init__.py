@@ -18,17 +18,19 @@ from spectra.errors import InputError
 if TYPE_CHECKING:
     from torch import Tensor
 
-Array = TypeVar("Array", np.ndarray, "Tensor")
+    Array = TypeVar("Array", np.ndarray, Tensor)
+else:
+    Array = Any  # anything with a shape and a dtype; torch is imported where tensors come
 
 
 def project(
-    volume: "Float[Array, 'component z y x']",
+    volume: Float[Array, "component z y x"],
     grid: Grid,
     frames: "Float[np.ndarray | Tensor, 'view 4 3']",
     rows: int,
     columns: int,
     parallel: bool = False,
-) -> "Float32[Array, 'component view row column']":
+) -> Float32[Array, "component view row column"]:
     """Compute line integrals of several volumes at once.
 
     Parameters
@@ -59,11 +61,11 @@ def project(
 
 
 def project_transpose(
-    images: "Float[Array, 'component view row column']",
+    images: Float[Array, "component view row column"],
     grid: Grid,
     frames: "Float[np.ndarray | Tensor, 'view 4 3']",
     parallel: bool = False,
-) -> "Float32[Array, 'component z y x']":
+) -> Float32[Array, "component z y x"]:
     """Sum all pixels, each times the weight that `project` gives to a voxel.
 
     Parameters

@@ -79,7 +79,7 @@ def owner_at(solids: Solids, point: Float[np.ndarray, " 3"], background: int = -
     index of the material
     """
     holds = [
-        inside(kind, tube, m[:, :3] @ point + m[:, 3]) == wanted
+        inside(int(kind), tube, m[:, :3] @ point + m[:, 3]) == wanted
         for kind, tube, m, wanted in zip(solids.kinds, solids.tubes, solids.locals_, solids.inside, strict=True)
     ]
     for term in np.unique(solids.terms)[::-1]:

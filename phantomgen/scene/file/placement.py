@@ -34,7 +34,7 @@ def place(
     if any("center" in item for item in items):
         raise refuse(("center",), "is drawn by within: leave one of them out")
     reach = np.array([_reach(item) for item in items])
-    if not (reach > 0).all():
+    if not ((reach > 0) & (reach <= _LARGEST)).all():
         return  # sizes that are missing or wrong have better sentences of their own
     if "fill" in rules:
         reach = reach * _scale(items, region, rules["fill"], refuse)
@@ -101,6 +101,7 @@ def _scale(
     return factor
 
 
+_LARGEST = 1e7  # mm; shapes refuse what is larger
 # Radius of the ball around an object's centre that holds it, whichever way it is turned [mm].
 _REACH: dict[str, Callable[[dict[str, Any]], Any]] = {
     "sphere": lambda o: o["radius"],

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.runtime.numpy_files import load_numpy
 from phantomgen.scene import schema
 from spectra.detector.response_matrix import ResponseMatrix
 from spectra.errors import InputError
@@ -109,7 +110,7 @@ def _read_array(name: str, folder: Path) -> np.ndarray:
     if not path.is_file():
         raise InputError("there is no such file")
     try:
-        values = _read_hdf5(path, inside.group(2)) if inside else np.load(path, allow_pickle=False)
+        values = _read_hdf5(path, inside.group(2)) if inside else load_numpy(path)
     except InputError:
         raise
     except (ValueError, EOFError, OSError):

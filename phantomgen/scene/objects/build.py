@@ -1,8 +1,8 @@
 """From object models of a scene file to shapes with the names of their materials."""
 
 from collections.abc import Iterator
-from itertools import islice, product
-from math import radians
+from itertools import product
+from math import prod, radians
 from pathlib import Path
 
 import numpy as np
@@ -54,10 +54,30 @@ def objects_of(file: SceneFile) -> list[tuple[Shape, ObjectContent]]:
     SceneError
         With the place in the file of a material that is missing, unknown or out of place, or of an impossible shape.
     """
-    found = list(islice(_members(file, file.model.objects, ("objects",)), MOST_OBJECTS + 1))
-    if len(found) > MOST_OBJECTS:
+    if sum(map(_count, file.model.objects)) > MOST_OBJECTS:
         raise file.error(("objects",), f"has more than {MOST_OBJECTS} objects with all copies, the most that are read")
-    return found
+    return list(_members(file, file.model.objects, ("objects",)))
+
+
+def _count(model: schema.ObjectModel) -> int:
+    """Number of shapes that an object stands for, with all copies."""
+    match model:
+        case schema.GroupModel():
+            parts = model.objects
+        case schema.CombinedModel():
+            parts = model.shapes
+        case schema.DifferenceModel():
+            parts = (model.base, *model.cut)
+        case _:
+            parts = ()
+    match model.repeat:
+        case schema.RingModel(count=count):
+            copies = count
+        case schema.GridModel(count=counts):
+            copies = prod(counts)
+        case _:
+            copies = 1
+    return copies * max(sum(map(_count, parts)), 1)
 
 
 def _members(

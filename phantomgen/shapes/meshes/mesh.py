@@ -113,6 +113,9 @@ def load_mesh(path: str | Path, unit: str, name: str | None = None, fineness: in
         raise InputError(f"{path}: the file says that its unit is {declared}, not {unit}")
     if not len(triangles):
         raise InputError(f"{path}: the file holds no triangles")
+    if not 0 <= triangles.min() <= triangles.max() < len(vertices):
+        found = f"0 to {len(vertices) - 1}, got {triangles.min()} to {triangles.max()}"
+        raise InputError(f"{path}: indices of corners must lie in {found}")
     return Mesh(*merge_equal(vertices * UNITS[unit], triangles), name=name or path.name)
 
 

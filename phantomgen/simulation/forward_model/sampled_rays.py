@@ -12,8 +12,9 @@ from phantomgen.shapes import Part, Shape
 
 # Points of each object that sampled rays pass through.
 _RAYS_PER_OBJECT = 40
-# Depth below a surface, in half axes of the primitive, at which it is tested whether a point belongs to the surface.
-_SKIN = 1e-6
+# Depths below a surface, in half axes of the primitive, at which it is tested whether a point belongs to the surface;
+# the next one where a shell is thinner than the one before.
+_SKINS = (1e-6, 1e-9, 1e-12)
 # Of scenes with more objects than `_MANY`, the largest ones of each material are sampled, in some of the views.
 _MANY = 64
 _RAYS = 20_000
@@ -39,7 +40,7 @@ def sampled_lengths(scan: Scan) -> Float[np.ndarray, "ray material"]:
     many = len(objects) > _MANY
     picked = _largest(scan.scene) if many else range(len(objects))
     targets = np.concatenate([points_of(objects[i][0], _RAYS_PER_OBJECT)[0] for i in picked])
-    frames = frames[:: -(-len(frames) * len(targets) // (_RAYS if many else _MOST_RAYS))]
+    frames = frames[:: max(1, -(-len(frames) * len(targets) // (_RAYS if many else _MOST_RAYS)))]
     to_target = targets[None] - frames[:, None, 0]
     depth = on_panel(frames, targets)[..., 0]
     in_front = depth > 1e-6
@@ -82,7 +83,8 @@ def on_panel(
 def points_of(shape: Shape, count: int) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "surface 3"]]:
     """Sample points evenly inside a shape, and points of its surface.
 
-    The middle of the bounds comes first if it is inside.
+    The middle of the bounds comes first if it is inside. Where no sample hits a thin shell, points below its surface
+    stand for those inside.
 
     Parameters
     ----------
@@ -99,12 +101,18 @@ def points_of(shape: Shape, count: int) -> tuple[Float[np.ndarray, "point 3"], F
         found = found[shape.contains(found)]
         return found[:count], found
     parts = [part for term in shape.terms for part in term if part.inside and part.kind != HALFSPACE]
-    outer, inner = zip(*(_surface(part, -(-count // len(parts)), rng) for part in parts), strict=True)
-    surface = np.concatenate(outer)[shape.contains(np.concatenate(inner))]
+    for skin in _SKINS:
+        pairs = [_surface(part, -(-count // len(parts)), skin, rng) for part in parts]
+        outer, below = (np.concatenate(points) for points in zip(*pairs, strict=True))
+        found = shape.contains(below)
+        surface, below = outer[found], below[found]
+        if len(surface):
+            break
     low, high = shape.bounds
     unit = np.concatenate([np.full((1, 3), 0.5), rng.random((40 * count, 3))])
     points = low + unit * (high - low)
     inside = points[shape.contains(points)][: count + 1]
+    inside = inside if len(inside) else below
     return (inside, surface) if len(surface) else (inside, inside)
 
 
@@ -115,9 +123,9 @@ def _voxel_points(part: Part, count: int, rng: np.random.Generator) -> Float[np.
 
 
 def _surface(
-    part: Part, count: int, rng: np.random.Generator
+    part: Part, count: int, skin: float, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 3"]]:
-    """Points of a primitive's surface [mm], and the same a little further inside."""
+    """Points of a primitive's surface [mm], and the same further inside by `skin` half axes."""
     unit = rng.uniform(-1, 1, (count, 3))
     across = np.hypot(unit[:, 0], unit[:, 1])
     middle = np.zeros((count, 3))
@@ -136,5 +144,5 @@ def _surface(
     else:
         unit /= np.abs(unit).max(axis=1, keepdims=True)
     axes = np.linalg.inv(part.local[:, :3])
-    outer, inner = ((points - part.local[:, 3]) @ axes.T for points in (unit, middle + (1 - _SKIN) * (unit - middle)))
+    outer, inner = ((points - part.local[:, 3]) @ axes.T for points in (unit, middle + (1 - skin) * (unit - middle)))
     return outer, inner

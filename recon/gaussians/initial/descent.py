@@ -3,7 +3,7 @@
 Nesterov 1983; momentum is dropped where it leads uphill (O'Donoghue & Candes 2015, doi:10.1007/s10208-013-9150-3).
 """
 
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
@@ -15,6 +15,7 @@ from recon.gaussians.settings import VolumeFitSettings
 Kind = TypeVar("Kind", bound=GaussianModel)
 
 
+@runtime_checkable
 class Problem(Protocol[Kind]):
     """A function of a model that `descend` lowers by steps, each in the frame of a Gaussian's own axes.
 

@@ -206,7 +206,7 @@ def level_bodies(
         yield Material(name, i, place, values, np.zeros_like(values) if holds else None, levels[names[i]])
 
 
-def _smoothed(labels: Integer[np.ndarray, "z y x"], label: int) -> Float[np.ndarray, "z y x"]:
+def _smoothed(labels: Integer[np.ndarray, "z y x"], label: int) -> Float[np.ndarray, "padded_z padded_y padded_x"]:
     """Smoothed indicator of a label, with one empty voxel around the grid."""
     return np.pad(gaussian_filter((labels == label).astype(np.float32), _SMOOTHING, mode="constant"), 1)
 

@@ -160,12 +160,12 @@ def _half_edge(grid: Grid) -> float:
 
 
 @torch.no_grad()
-def read(field: Field, grid: Grid) -> Volumes:
+def read(field: Callable[[Tensor], Tensor], grid: Grid) -> Volumes:
     """Compute attenuation at the centres of voxels; rows of voxels along x are the lines of a transformer.
 
     Parameters
     ----------
-    field : network
+    field : network, or another function of positions
     grid : grid of the volume
 
     Returns

@@ -46,12 +46,12 @@ class CircularOrbit:
     @property
     def is_full(self) -> bool:
         """Whether the orbit is a full circle."""
-        return self.arc >= 2 * np.pi
+        return bool(self.arc >= 2 * np.pi)
 
     @property
     def is_z_aligned(self) -> bool:
         """Whether the rows of the panel are parallel to the plane of the circle."""
-        return self.tilt <= _FLAT
+        return bool(self.tilt <= _FLAT)
 
     @property
     def spare(self) -> float:

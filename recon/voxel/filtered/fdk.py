@@ -133,7 +133,7 @@ def _cosines(geometry: Geometry) -> Float[np.ndarray, "view row column"]:
 
 def _half_fan(
     images: Float[np.ndarray, "view basis row column"], geometry: Geometry, circle: CircularOrbit
-) -> tuple[Float[np.ndarray, "view basis row column"], Geometry]:
+) -> tuple[Float[np.ndarray, "view basis row wide_column"], Geometry]:
     """Weighted images on a panel made symmetric by columns of zeros, which receive the tails of the filter."""
     columns, pitch = geometry.panel.columns, geometry.panel.column_pitch
     across = (np.arange(columns) - circle.middle[:, None]) * pitch

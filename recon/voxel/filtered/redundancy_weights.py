@@ -5,8 +5,8 @@ from jaxtyping import Float
 
 
 def half_fan_weights(
-    across: Float[np.ndarray, " column"], overlap: float, distance: float
-) -> Float[np.ndarray, " column"]:
+    across: Float[np.ndarray, "*view column"], overlap: float, distance: float
+) -> Float[np.ndarray, "*view column"]:
     """Compute the weights of a panel that covers one side of the axis fully, and the other up to `overlap`.
 
     The weights rise smoothly from 0 to 2 over the part of the panel that covers both sides, and those of opposite

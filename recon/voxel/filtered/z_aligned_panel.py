@@ -13,7 +13,7 @@ from recon.voxel.filtered.circular_orbit import CircularOrbit
 
 def on_z_aligned_panel(
     images: Float[np.ndarray, "view basis row column"], geometry: Geometry, circle: CircularOrbit
-) -> tuple[Float[np.ndarray, "view basis row column"], Geometry]:
+) -> tuple[Float[np.ndarray, "view basis new_row new_column"], Geometry]:
     """Resample images to a panel normal to the central ray whose rows are parallel to the plane of the circle.
 
     A line integral belongs to a ray and not to a panel, so each pixel of the new panel takes the value where its ray

@@ -34,7 +34,9 @@ def coarser(grid: Grid, factor: int) -> Grid:
     return Grid(shape, spacing, origin)  # type: ignore[arg-type]
 
 
-def resampled(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, onto: Grid) -> Float[np.ndarray, "basis z y x"]:
+def resampled(
+    volumes: Float[np.ndarray, "basis z y x"], grid: Grid, onto: Grid
+) -> Float[np.ndarray, "basis new_z new_y new_x"]:
     """Interpolate volumes linearly on another grid; beyond the border the nearest voxel gives the value.
 
     Parameters

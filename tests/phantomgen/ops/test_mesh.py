@@ -271,6 +271,7 @@ def test_nothing_to_meet() -> None:
     assert mesh_lengths(FRAMES[0], np.zeros((3, 2)), np.empty((0, 3)), np.empty((0, 3), np.int64)).tolist() == [0, 0, 0]
 
 
+@pytest.mark.wrong_types
 def test_refuses_what_would_leave_the_arrays() -> None:
     vertices, triangles = ball_mesh(0, 1.0)
     with pytest.raises(InputError, match=r"0\.\.11, got 0\.\.12"):

@@ -180,6 +180,7 @@ def test_chords_through_averages_are_nearer_with_values_of_averages() -> None:
     assert with_values < 0.8 * plain
 
 
+@pytest.mark.wrong_types
 def test_refuses_what_does_not_fit() -> None:
     with pytest.raises(InputError, match="must end with these axes"):
         project(np.zeros((1, 2, 2, 2)), CUBE, CIRCLE, 6, 8)

@@ -19,6 +19,8 @@ materials: {water: {composition: H2O, density: 1.0}}
 objects: [{type: sphere, material: water, radius: 5}]
 """
 MANY = "{type: grid, count: [99999, 99999, 99999], step: [1, 1, 1]}"
+FEW = "{type: grid, count: [1, 1, 99999], step: [1, 1, 1]}"
+BALL = "{type: sphere, material: water, radius: 1}"
 
 
 @pytest.mark.parametrize(
@@ -35,6 +37,14 @@ MANY = "{type: grid, count: [99999, 99999, 99999], step: [1, 1, 1]}"
         ("objects.0.count=1000000000", "count - must be at most 1000000, got 1000000000"),
         (f"objects.0.repeat={{type: ring, count: {10**30}}}", "count - input should be less than or equal to 100000"),
         (f"objects.0.repeat={MANY}", "has more than 1000000 objects"),
+        (
+            f"objects=[{{type: union, material: water, shapes: [{{type: sphere, radius: 1, repeat: {MANY}}}]}}]",
+            "has more",
+        ),
+        (
+            f"objects=[{{type: group, repeat: {FEW}, objects: [{{type: group, repeat: {FEW}, objects: [{BALL}]}}]}}]",
+            "has more",
+        ),
         ("materials.water.composition=H99999999999999999999", "atoms of one kind"),
         ("name=!!int abc", "is not a YAML value"),
     ],

@@ -263,6 +263,7 @@ def test_a_shift_of_the_panel_is_in_pixels_and_poses_come_back() -> None:
     assert len(pt.TensorGeometry.of(geometry)[[0, 2]]) == 2
 
 
+@pytest.mark.wrong_types
 def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(InputError, match=r"a volume on a grid of shape \(3, 4, 5\)"):
         pt.project(random(3, 5, 4), GRID, circle())

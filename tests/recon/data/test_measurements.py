@@ -1,11 +1,13 @@
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from support.gaussian_scenes import NAMES, SDD, SOD, circular, small_model, small_scan, spectral_model
 
+from phantomgen.dataset.reader import Dataset
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
 from recon.data.measurements import matching_bin, read_measurements
@@ -112,10 +114,10 @@ def fake_dataset(model, counts, flat, dark):
         basis=basis, transmission=lambda: model, quantum=np.ones(len(model)), profile=None, dead_time=None
     )
     geometry = Geometry.circular(60, 100, np.arange(3.0), Panel(4, 5, 1.0))
-    return SimpleNamespace(
-        path=Path("scan.h5"), spectra=spectra, geometry=geometry, flat=flat, dark=dark, mask=np.zeros(flat.shape, bool),
-        dark_variance=np.zeros(len(flat)), exposure=np.arange(12.0).reshape(3, 4), load=lambda views: counts[views],
-        counts=counts,
+    return Mock(
+        spec=Dataset, path=Path("scan.h5"), spectra=spectra, geometry=geometry, flat=flat, dark=dark,
+        mask=np.zeros(flat.shape, bool), dark_variance=np.zeros(len(flat)), exposure=np.arange(12.0).reshape(3, 4),
+        load=lambda views: counts[views], counts=counts,
     )  # fmt: skip
 
 

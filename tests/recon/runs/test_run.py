@@ -1,12 +1,13 @@
 """The steps of a run, with a method that does nothing but note when it is asked."""
 
 import json
-from types import SimpleNamespace
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
+from phantomgen.dataset.reader import Dataset
+from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.stopwatch import Stopwatch
 from recon.runs.outcomes.iteration_log import IterationLog
 from recon.runs.run import run
@@ -47,7 +48,7 @@ class Noted:
 @pytest.fixture
 def dataset():
     noted = []
-    return SimpleNamespace(splits={"test": [3, 7]}, path="scan.h5", load=noted.append, noted=noted)
+    return Mock(spec=Dataset, splits={"test": [3, 7]}, path="scan.h5", load=noted.append, noted=noted)
 
 
 def test_the_truth_is_read_when_the_result_is_written_and_scores_come_before_figures(dataset, tmp_path, monkeypatch):
@@ -77,7 +78,7 @@ def test_a_process_without_a_folder_takes_part_and_writes_nothing(dataset, tmp_p
 
 
 def test_a_log_keeps_a_tenth_of_all_volumes_and_adds_their_scores(tmp_path):
-    log = IterationLog(tmp_path, SimpleNamespace(shape=(1, 1, 1)), ("compton",))
+    log = IterationLog(tmp_path, Grid.cube(1, 1.0), ("compton",))
     values = np.zeros((1, 1, 1, 1), np.float32)
     for done in range(1, 21):
         values += 1  # a method changes its volumes in place

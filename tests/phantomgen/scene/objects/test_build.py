@@ -12,6 +12,7 @@ from phantomgen.simulation.run import simulate
 from spectra.errors import SceneError
 
 ZOO = Path(__file__).parents[4] / "examples" / "shapes.yaml"
+SMALL = ("panel.rows=32", "panel.columns=32", "panel.pitch=6.4", "geometry.views=2", "geometry.test_views=0")
 HEAD = """\
 version: 1
 name: toy
@@ -31,7 +32,7 @@ def scan_of(text: str):
 
 
 def test_all_shapes_at_once(tmp_path: Path) -> None:
-    scan = load_scene(ZOO, ["panel.rows=32", "panel.columns=32", "panel.pitch=6.4", "volume.voxels=32"])
+    scan = load_scene(ZOO, [*SMALL, "volume.voxels=32"])
     assert len(scan.scene.objects) == 8 + 1 + 6 + 1 + 4 + 1
     assert scan.scene.materials[scan.scene.background].name == "air"
     error = simulate(scan, tmp_path / "zoo.h5").error

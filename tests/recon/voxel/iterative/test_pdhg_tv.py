@@ -168,6 +168,7 @@ def test_any_number_of_threads_gives_the_same_bits(small):
     assert np.array_equal(*results)
 
 
+@pytest.mark.wrong_types
 def test_weights_of_another_shape_are_refused():
     images, geometry = np.zeros((1, 3, 4, 4), np.float32), circular(4, 4, 3)
     with pytest.raises(InputError, match=r"got shape \(2, 3, 4\)"):
