@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Real
 
 from phantomgen.building.defaults import completed
 from phantomgen.building.shapes import Described
@@ -18,6 +18,7 @@ from phantomgen.runtime.outputs import check_output
 from phantomgen.scene.file.find_scene import find_scene
 from phantomgen.scene.file.scene_file import Overrides, SceneFile, plain, scene_text
 from phantomgen.scene.scan import Scan, load_scene
+from phantomgen.scene.schema import SceneModel
 from phantomgen.simulation.forward_model.energy_grids import material_coefficients
 from phantomgen.simulation.forward_model.truth import scan_truth
 from spectra.errors import InputError
@@ -30,9 +31,9 @@ Section = Mapping[str, Any]
 class Scene:
     """What is scanned and how, with the keys of a scene file; every key but the objects has a default.
 
-    Sections are mappings with the keys of scene files, such as ``geometry={"views": 30}``; keys that a section leaves
-    out have the defaults of `phantomgen.building.defaults`: a tube at 120 kV, five channels, a circular orbit, panel and
-    volume that fit the objects. A section of another ``type`` must be complete.
+    Sections are mappings with the keys of scene files, such as ``geometry={"views": 30}``. Keys that a section leaves
+    out have the defaults of `phantomgen.building.defaults`: a tube at 120 kV, five channels, a circular orbit, and a
+    panel and a volume that fit the objects. A section of another ``type`` must be complete.
 
     Parameters
     ----------
@@ -115,12 +116,15 @@ class Scene:
     def file(self) -> SceneFile:
         """The scene as `phantomgen.scene` reads it."""
         keys = [key.name for key in fields(self) if key.name != "folder" and getattr(self, key.name) is not None]
-        given = {"version": 1} | {key: getattr(self, key) for key in keys if key not in {"objects", "materials"}}
+        given: dict[str, Any] = {"version": 1} | {
+            key: getattr(self, key) for key in keys if key not in {"objects", "materials"}
+        }
         if self.materials:
             given["materials"] = {name: _material(value) for name, value in self.materials.items()}
         given["objects"] = [value.values if isinstance(value, Described) else value for value in self.objects]
         name = str(Path(self.folder, self.name))
-        return SceneFile(name, "", given=completed(plain(given), name))
+        values = completed(plain(given), name)
+        return SceneFile(name, "", given={key: values[key] for key in SceneModel.model_fields if key in values})
 
     @property
     def yaml(self) -> str:
@@ -187,7 +191,7 @@ class Scene:
         return scan_truth(self.scan if grid is None else replace(self.scan, grid=grid))
 
     def path_lengths(
-        self, starts: Float[np.ndarray, "ray 3"], ends: Float[np.ndarray, "ray 3"]
+        self, starts: Real[np.ndarray, "ray 3"], ends: Real[np.ndarray, "ray 3"]
     ) -> Float[np.ndarray, "ray material"]:
         """Compute exact path lengths of rays in each material.
 
@@ -214,8 +218,8 @@ class Scene:
 
     def line_integrals(
         self,
-        starts: Float[np.ndarray, "ray 3"],
-        ends: Float[np.ndarray, "ray 3"],
+        starts: Real[np.ndarray, "ray 3"],
+        ends: Real[np.ndarray, "ray 3"],
         energy: float | Sequence[float] | None = None,
     ) -> Float[np.ndarray, "ray part"]:
         """Compute exact line integrals of rays: of each basis volume, or of the attenuation at energies.

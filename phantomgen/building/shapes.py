@@ -138,3 +138,7 @@ class Group(Described, schema.GroupModel):
     """Objects that are scaled, then turned about x, then y, then z [degree], then moved to the centre, together."""
 
     type: Literal["group"] = "group"  # pyright: ignore
+
+
+for _kind in (Union, Intersection, Difference, Group):
+    _kind.model_rebuild(_types_namespace={"ShapeModel": schema.ShapeModel})  # named before it exists

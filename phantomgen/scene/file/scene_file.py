@@ -366,8 +366,8 @@ def _sentence(error: Any) -> str:
 
 def _choices(key: str) -> str:
     """Return the allowed values of a key that has a choice of values."""
-    for field in (model.model_fields[key] for model in _models() if key in model.model_fields):
-        options = get_args(field.annotation) if get_origin(field.annotation) is Literal else ()
+    for found in (model.model_fields[key] for model in _models() if key in model.model_fields):
+        options = get_args(found.annotation) if get_origin(found.annotation) is Literal else ()
         if len(options) > 1:
             return f": choose from {', '.join(map(str, options))}"
     return ""

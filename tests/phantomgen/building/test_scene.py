@@ -49,7 +49,7 @@ ORBIT = {"type": "circular", "sod": 500, "sdd": 800, "views": 3}
 BONE = {"bone": Material("bone", 1.9, {"Ca": 0.4, "P": 0.2, "O": 0.4})}
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.lists(objects, min_size=1, max_size=4))
 def test_a_scene_of_any_shapes_reads_back_equal_from_its_yaml(found):
     scene = Scene(objects=found, materials=BONE, geometry=ORBIT, **FIXED)
@@ -68,7 +68,7 @@ def test_presets_read_back_equal_from_their_yaml(name, tmp_path):
 
 
 def test_every_type_of_object_has_a_class_with_its_keys():
-    models = {m for m in get_args(get_args(schema.ShapeModel)[0])}
+    models = set(get_args(get_args(schema.ShapeModel)[0]))
     classes = [
         c for c in vars(shapes).values() if isinstance(c, type) and issubclass(c, Described) and c is not Described
     ]
@@ -84,7 +84,7 @@ def test_every_type_of_object_has_a_class_with_its_keys():
     [
         (lambda: shapes.Cylinder(radius=-1, length=3), "Cylinder: radius - input should be greater than 0, got -1"),
         (lambda: shapes.Cylinder(radius=1, lenght=3), "Cylinder: lenght - unknown key; did you mean 'length'"),
-        (lambda: shapes.Sphere(), "Sphere: radius - is missing"),
+        (shapes.Sphere, "Sphere: radius - is missing"),
         (lambda: Scene(objects=[shapes.Sphere(radius=1, material="watr")]), "objects.0.material - .*mean 'water'"),
         (lambda: Scene(objects=[shapes.Sphere(radius=1)]), "objects.0.material - is missing"),
         (lambda: Scene(objects=[]), "objects - needs at least 1, got 0"),
@@ -107,6 +107,7 @@ def test_orbit_panel_and_volume_fit_the_objects():
     assert half < 1.3 * model.geometry.sdd * 200 / np.sqrt(model.geometry.sod**2 - 200**2)
 
 
+@pytest.mark.wrong_types
 def test_line_integrals_are_chords_times_attenuation():
     scene = Scene(objects=[shapes.Sphere(radius=30, material="water"), shapes.Sphere(radius=10, material="Al")])
     starts, ends = np.array([[-90.0, 0, 0], [-90, 24, 0]]), np.array([[90.0, 0, 0], [90, 24, 0]])
@@ -132,19 +133,18 @@ def test_dictionaries_change_a_scan_as_texts_do():
     texts = ["geometry.views=7", "source.filters=[{composition: Cu, thickness: 0.00001}]"]
     assert load_scene("kedge-small", values).text == load_scene("kedge-small", texts).text
     assert Scene.read("kedge-small").changed(values).file.model.geometry.views == 7
-    with pytest.raises(SceneError, match="geometry.views"):
+    with pytest.raises(SceneError, match=r"geometry\.views"):
         phantomgen.load("kedge-small", {"geometry.views": -1})
 
 
 def test_a_scan_without_a_file_is_removed_when_closed_and_made_again_with_another_spectrum(monkeypatch):
     monkeypatch.setattr("phantomgen.simulation.run.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
     scene = Scene(objects=[shapes.Sphere(radius=20, material="water")], geometry=ORBIT, **FIXED)
-    softer = {"source.kvp": 90, "seed": 4}
+    softer = {"source.kvp": 90, "noise": False}
     with phantomgen.make(scene, keep_paths=True) as first, phantomgen.again(first, softer) as second:
         with phantomgen.make(scene.changed(softer)) as traced:
-            np.testing.assert_allclose(second.flat, traced.flat, rtol=1e-3)
-            away = np.abs(second.load() - traced.load()) / np.sqrt(traced.load() + 1.0)
-            assert away.max() < 1
+            np.testing.assert_allclose(second.load(), traced.load(), rtol=2e-3, atol=1)  # each errs by 1e-3
+        assert second.load()[:, -1].sum() < 0.5 * first.load()[:, -1].sum()  # above 80 keV
         folders = [dataset.path.parent for dataset in (first, second, traced)]
         with pytest.raises(InputError, match="objects"):
             phantomgen.again(first, {"objects.0.radius": 10})

@@ -23,7 +23,7 @@ def test_a_profile_of_a_plane_is_linear_between_voxels_and_unknown_outside():
 def test_regions_have_the_volume_of_their_shapes():
     grid = Grid.cube(60, 60.0)
     assert quality.ball(grid, (1, 2, 3), 20).sum() == pytest.approx(4 / 3 * np.pi * 20**3, rel=0.01)
-    assert quality.rod(grid, (1, 2, 3), 15, 30.2).sum() == pytest.approx(np.pi * 15**2 * 30, rel=0.01)
+    assert quality.rod(grid, (1, 2, 3), 15, 30.2).sum() == pytest.approx(np.pi * 15**2 * 30, rel=0.02)
     marked = np.argwhere(quality.ball(GRID, (5.25, 3.5, 1.0), 0.1))
     assert marked.tolist() == [[3, 19, 30]]
 
@@ -51,7 +51,7 @@ def test_white_noise_has_a_flat_spectrum_whose_level_is_its_variance_times_the_v
 
 
 def test_a_gaussian_edge_has_the_width_and_transfer_of_its_blur():
-    sigma, step = 0.8, 0.1
+    sigma, step = 0.8, 0.05
     distance = np.arange(-12, 12 + step / 2, step)
     response = ndtr(-distance / sigma)
     assert quality.edge_width(distance, response) == pytest.approx(2 * 1.2815515655 * sigma, rel=1e-3)
@@ -60,14 +60,15 @@ def test_a_gaussian_edge_has_the_width_and_transfer_of_its_blur():
     np.testing.assert_allclose(transfer[low], np.exp(-2 * (np.pi * sigma * frequency[low]) ** 2), atol=0.01)
 
 
+@pytest.mark.wrong_types
 @pytest.mark.parametrize(
     ("call", "words"),
     [
         (lambda: quality.ball(GRID, (0, 0, 0), -1), "radius of a region must be positive"),
         (lambda: quality.ball(GRID, (0, 0, np.nan), 1), "centre of a region"),
-        (lambda: quality.statistics(np.zeros((2, 2, 2)), np.zeros((2, 2, 2))), "at least two voxels, got 0"),
-        (lambda: quality.statistics(np.zeros((2, 2, 2)), np.ones((2, 2, 3))), "shape of the volume"),
-        (lambda: quality.statistics(np.full((2, 2, 2), np.nan), np.ones((2, 2, 2))), "8 of 8 values"),
+        (lambda: quality.statistics(np.zeros((2, 2, 2)), np.zeros((2, 2, 2), bool)), "at least two voxels, got 0"),
+        (lambda: quality.statistics(np.zeros((2, 2, 2)), np.ones((2, 2, 3), bool)), "shape of the volume"),
+        (lambda: quality.statistics(np.full((2, 2, 2), np.nan), np.ones((2, 2, 2), bool)), "8 of 8 values"),
         (lambda: quality.profile(np.zeros(GRID.shape), GRID, (0, 0, 0), (0, 0, 0)), "two different points"),
         (lambda: quality.profile(np.zeros((2, 2, 2)), GRID, (0, 0, 0), (1, 0, 0)), "shape of the grid"),
         (lambda: quality.noise_power(np.zeros((4, 8, 9)), GRID, (slice(4), slice(8), slice(9))), "must be square"),
