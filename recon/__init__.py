@@ -6,7 +6,8 @@
 
 `recon.fit(dataset)` gives a fit that renders, scores and saves itself, `recon.segment(fit)` finds its materials,
 `recon.readout(fit, "hu", energy=70)` gives CT numbers, concentrations, electron density and atomic numbers,
-`recon.score(volume, dataset, ...)` scores a volume of any program, and
+`recon.score(volume, dataset, ...)` scores a volume of any program, `recon.score_truth(truth, volumes)` basis volumes on
+the grid of the truth, `recon.quality` measures noise and resolution, and
 `recon.reconstruct(dataset, recipe)` is the computation alone. Names are imported when they are first used, so that
 importing the package takes no time.
 """
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from recon.api import Fit, fit, readout, score, segment
     from recon.callbacks import EarlyStop, ProgressBar
+    from recon.evaluation.scoring import score_truth
     from recon.gaussians.model import Gaussians
     from recon.gaussians.processes import Resources
     from recon.gaussians.recipe import Recipe, Stage
@@ -39,6 +41,7 @@ __all__ = [
     "readout",
     "reconstruct",
     "score",
+    "score_truth",
     "segment",
 ]
 
@@ -57,6 +60,7 @@ _HOMES = {
     "readout": "api",
     "reconstruct": "gaussians.reconstruct",
     "score": "api",
+    "score_truth": "evaluation.scoring",
     "segment": "api",
 }
 

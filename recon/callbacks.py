@@ -47,15 +47,17 @@ class EarlyStop:
     ----------
     patience : number of steps; their mean deviance is compared with that of as many steps before
     change : smallest part by which the mean must fall
+    after : part of all steps before which no fit ends, as the deviance may rise while steps are long
 
     Raises
     ------
     InputError
-        When the patience is no positive whole number, or the change is negative.
+        When the patience is no positive whole number, the change is negative, or the part is not one from 0 to 1.
     """
 
     patience: int = 20
     change: float = 1e-3
+    after: float = 0.5
     _deviances: list[float] = field(default_factory=list, repr=False)
 
     def __post_init__(self) -> None:
@@ -63,6 +65,8 @@ class EarlyStop:
             raise InputError(f"the patience of an early stop is a whole number of steps, got {self.patience!r}")
         if not (isfinite(self.change) and self.change >= 0):
             raise InputError(f"the change of an early stop must be finite and not negative, got {self.change!r}")
+        if not 0 <= self.after <= 1:
+            raise InputError(f"an early stop counts after a part of the steps from 0 to 1, got {self.after!r}")
 
     def on_step(self, progress: Progress) -> bool:
         """Return whether the fit has stopped improving.
@@ -78,7 +82,7 @@ class EarlyStop:
         if progress.step == 1:
             self._deviances.clear()
         self._deviances.append(progress.deviance)
-        if len(self._deviances) < 2 * self.patience:
+        if len(self._deviances) < 2 * self.patience or progress.step < self.after * progress.steps:
             return False
         last, before = self._deviances[-self.patience :], self._deviances[-2 * self.patience : -self.patience]
         return sum(last) > (1 - self.change) * sum(before)

@@ -16,6 +16,7 @@ VIEWS, TEST_VIEWS, PIXELS, VOXELS = 90, 10, 128, 64
 MAGNIFICATION = 1.6
 LEAST_SOURCE_DISTANCE = 500.0  # mm; larger objects have four times their radius
 MARGIN = 1.1  # of the volume and the panel, beyond the objects
+_AIR = 6  # pixels of the panel across, together on both sides, that see nothing but air
 _TURNS = 16  # in which the radius is measured
 
 
@@ -39,7 +40,7 @@ def completed(given: dict[str, Any], name: str) -> dict[str, Any]:
     orbit = _merged(values, {"geometry": circle(radius)})
     seen = orbit["geometry"] if {"sod", "sdd"} <= orbit["geometry"].keys() else circle(radius)
     size = {"voxels": VOXELS, "size": _round(2 * MARGIN * max(radius, half))}
-    return _merged(orbit, {"panel": panel_for(radius, half, seen), "volume": size})
+    return _merged(orbit, {"panel": panel_for(radius, half, seen, values.get("panel")), "volume": size})
 
 
 def reach(file: SceneFile) -> tuple[float, float]:
@@ -77,22 +78,32 @@ def circle(radius: float) -> dict[str, Any]:
     return {"type": "circular", "sod": sod, "sdd": MAGNIFICATION * sod, "views": VIEWS, "test_views": TEST_VIEWS}
 
 
-def panel_for(radius: float, half: float, orbit: dict[str, Any]) -> dict[str, Any]:
-    """Return the square panel that sees all of the objects.
+def panel_for(radius: float, half: float, orbit: dict[str, Any], given: Any = None) -> dict[str, Any]:
+    """Return the panel that sees all of the objects: square, unless rows, columns or the pitch are given.
 
     Parameters
     ----------
     radius, half : reach of the objects from the z axis and from the plane z = 0 [mm]
     orbit : section ``geometry``
+    given : what the scene says of the section ``panel``
 
     Returns
     -------
     section ``panel``
     """
+    said = given if isinstance(given, dict) else {}
     sod, sdd = float(orbit["sod"]), float(orbit["sdd"])
     across = sdd * radius / np.sqrt(max(sod**2 - radius**2, 1e-6 * sod**2))
     up = sdd * half / max(sod - radius, 1e-3 * sod)
-    return {"rows": PIXELS, "columns": PIXELS, "pitch": _round(2 * MARGIN * float(max(across, up)) / PIXELS)}
+    across, up = float(across), float(up)
+    width, height = 2 * MARGIN * across, 2 * MARGIN * up
+    pitch = said.get("pitch")
+    if isinstance(pitch, float | int) and pitch > 0:
+        return {"rows": max(1, ceil(height / pitch)), "columns": max(1, ceil(width / pitch)), "pitch": pitch}
+    counts = {key: said.get(key, PIXELS) for key in ("rows", "columns")}
+    rows, columns = (n if isinstance(n, int) and n > 0 else PIXELS for n in counts.values())
+    fine = max(rows / 2, rows - _AIR), max(columns / 2, columns - _AIR)
+    return {**counts, "pitch": _round(max(height / rows, width / columns, 2 * up / fine[0], 2 * across / fine[1]))}
 
 
 def _merged(given: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:

@@ -13,7 +13,17 @@ from spectra.errors import SceneError
 
 
 class Described(schema.ObjectModel):
-    """Common keys: the name of a material, the centre (x, y, z) [mm], planes that cut, and a pattern of copies."""
+    """Common keys: the name of a material, the centre (x, y, z) [mm], planes that cut, and a pattern of copies.
+
+    Parameters
+    ----------
+    **values : keys of the object in a scene file
+
+    Raises
+    ------
+    SceneError
+        With the key of what is wrong.
+    """
 
     def __init__(self, **values: Any) -> None:
         try:

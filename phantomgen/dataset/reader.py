@@ -69,6 +69,8 @@ class Dataset:
             self.on_close()
 
     def __repr__(self) -> str:
+        if not self.file:
+            return f"Dataset({self.path.name}: closed)"
         views, channels, rows, columns = self.counts.shape
         edges = self.spectra.edges
         shape = f"{views} views x {channels} channels x {rows} x {columns}"

@@ -97,6 +97,18 @@ def test_what_a_scene_file_refuses_is_refused_with_its_key(make, words):
         make()
 
 
+@pytest.mark.parametrize("panel", [{"rows": 20, "columns": 50}, {"columns": 60}, {"pitch": 3.0}])
+def test_a_panel_of_few_words_sees_all_of_the_objects(panel):
+    scene = Scene(objects=[shapes.Cylinder(radius=200, length=100, material="water")], panel=panel)
+    model = scene.file.model
+    assert panel.items() <= scene.file.template["panel"].items()
+    seen = np.abs(scene.scan.geometry.panel.pitch[1] * scene.scan.geometry.panel.columns / 2)
+    assert seen > model.geometry.sdd * 200 / np.sqrt(model.geometry.sod**2 - 200**2)
+    assert model.panel.rows * scene.scan.geometry.panel.pitch[0] / 2 > model.geometry.sdd * 50 / (
+        model.geometry.sod - 200
+    )
+
+
 def test_orbit_panel_and_volume_fit_the_objects():
     scene = Scene(objects=[shapes.Cylinder(radius=200, length=100, material="water")])
     model = scene.file.model

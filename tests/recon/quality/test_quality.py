@@ -60,12 +60,25 @@ def test_a_gaussian_edge_has_the_width_and_transfer_of_its_blur():
     np.testing.assert_allclose(transfer[low], np.exp(-2 * (np.pi * sigma * frequency[low]) ** 2), atol=0.01)
 
 
+def test_a_blurred_edge_through_voxels_has_the_transfer_of_its_blur():
+    sigma, step, grid = 1.1, 0.25, Grid.cube(48, 48.0)
+    z, y, x = np.meshgrid(*(grid.axis(axis) for axis in "zyx"), indexing="ij")
+    distance = (x + 0.31 * y - 0.17 * z) / np.sqrt(1 + 0.31**2 + 0.17**2) - 0.4
+    found, response = quality.edge_response(5 + 2 * ndtr(-distance / sigma), distance, 8, step)
+    np.testing.assert_allclose(response, ndtr(-found / sigma), atol=0.02)
+    frequency, transfer = quality.mtf(response, step)
+    low = frequency < 0.35
+    np.testing.assert_allclose(transfer[low], np.exp(-2 * (np.pi * sigma * frequency[low]) ** 2), atol=0.02)
+
+
 @pytest.mark.wrong_types
 @pytest.mark.parametrize(
     ("call", "words"),
     [
         (lambda: quality.ball(GRID, (0, 0, 0), -1), "radius of a region must be positive"),
         (lambda: quality.ball(GRID, (0, 0, np.nan), 1), "centre of a region"),
+        (lambda: quality.edge_response(np.zeros(GRID.shape), np.zeros(GRID.shape), 2, 0.5), "bins .* have no voxel"),
+        (lambda: quality.edge_response(np.zeros((2, 2, 2)), np.zeros((2, 2)), 2, 0.5), "shape of the volume"),
         (lambda: quality.statistics(np.zeros((2, 2, 2)), np.zeros((2, 2, 2), bool)), "at least two voxels, got 0"),
         (lambda: quality.statistics(np.zeros((2, 2, 2)), np.ones((2, 2, 3), bool)), "shape of the volume"),
         (lambda: quality.statistics(np.full((2, 2, 2), np.nan), np.ones((2, 2, 2), bool)), "8 of 8 values"),
