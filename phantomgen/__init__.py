@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from phantomgen.api import again, degrade, load, make, plan
+    from phantomgen.api import again, degrade, import_scan, load, make, plan
     from phantomgen.building.scene import Scene
     from phantomgen.building.shapes import (
         Box,
@@ -70,6 +70,7 @@ __all__ = [
     "Voxels",
     "again",
     "degrade",
+    "import_scan",
     "load",
     "make",
     "open",
@@ -106,6 +107,7 @@ _HOMES = {
     "Voxels": ("building.shapes", "Voxels"),
     "again": ("api", "again"),
     "degrade": ("api", "degrade"),
+    "import_scan": ("api", "import_scan"),
     "load": ("api", "load"),
     "make": ("api", "make"),
     "open": ("dataset.reader", "open_dataset"),
