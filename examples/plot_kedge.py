@@ -170,11 +170,11 @@ def draw(dataset, truth, gaussians, folder: Path) -> list[Path]:
     names, volumes = gaussians.basis_names, gaussians.volume(truth.grid)
     view = next(held_out_views(dataset, gaussians))
     channels = dataset.spectra.channels
-    return [
-        figures.basis_slices(volumes, truth.volumes, names, truth.grid, folder / "axial.png"),
-        figures.profiles({"result": volumes}, truth.volumes, names, truth.grid, folder / "profiles.png"),
-        figures.residuals(view.counts, view.expected, channels, folder / "residuals.png", view.away),
-    ]
+    paths = [folder / f"{name}.png" for name in ("axial", "profiles", "residuals")]
+    figures.basis_slices(volumes, truth.volumes, names, truth.grid, paths[0])
+    figures.profiles({"result": volumes}, truth.volumes, names, truth.grid, paths[1])
+    figures.residuals(view.counts, view.expected, channels, paths[2], view.away)
+    return paths
 
 
 if __name__ == "__main__":

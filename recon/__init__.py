@@ -17,7 +17,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from recon.api import Fit, deviation, estimate_uncertainty, fit, readout, score, segment
+    from recon.api import Fit, deviation, estimate_uncertainty, fit, readout, report_figures, score, segment
     from recon.callbacks import EarlyStop, ProgressBar
     from recon.evaluation.scoring import score_truth
     from recon.gaussians.model import Gaussians
@@ -43,6 +43,7 @@ __all__ = [
     "fit",
     "readout",
     "reconstruct",
+    "report_figures",
     "score",
     "score_truth",
     "segment",
@@ -64,6 +65,7 @@ _HOMES = {
     "fit": "api",
     "readout": "api",
     "reconstruct": "gaussians.reconstruct",
+    "report_figures": "api",
     "score": "api",
     "score_truth": "evaluation.scoring",
     "segment": "api",

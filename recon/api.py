@@ -5,7 +5,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -28,6 +29,7 @@ from recon.gaussians.reconstruct import Reconstruction, reconstruct
 from recon.kedge.basis_names import Asked, left_out, with_named
 from recon.kedge.choose_basis import BasisChoice, choose_basis
 from recon.output.render_file import rendered, views_of_geometry
+from recon.output.report.page import report_figures as figures_of_report
 from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.paper.reconstruct import reconstruct_paper
 from recon.readouts.quantity import in_pieces, quantity
@@ -48,6 +50,9 @@ from recon.segmentation.subject import Subject, open_subject
 from recon.uncertainty.estimate import Uncertainty, estimate, stored_replicates
 from spectra.basis.basis import Basis, pretty
 from spectra.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -513,6 +518,36 @@ def score(
         on_stage=lambda name: None,
         warn=lambda sentence, error: warnings.warn(sentence, RuntimeWarning, stacklevel=4),
     )
+
+
+def report_figures(
+    run: Fit | Path | str | Sequence[Path | str], dataset: Dataset | Path | str | None = None
+) -> dict[str, "Figure"]:
+    """Draw the figures of ``recon report``.
+
+    Parameters
+    ----------
+    run : a fit, a run folder of any method, or several folders of runs of one scan
+    dataset : the scan; that of the fit, or the file of its name beside the runs, where left out
+
+    Returns
+    -------
+    figures of matplotlib by their names, such as ``axial``, ``profiles``, ``edge_response`` and ``noise_power``; those
+    that runs, dataset and truth allow
+
+    Raises
+    ------
+    DatasetError
+        When a folder is no finished run, or the dataset cannot be read.
+    InputError
+        When the runs are of different scans, or the dataset is another one.
+    """
+    scan = dataset.path if isinstance(dataset, Dataset) else None if dataset is None else Path(dataset)
+    if isinstance(run, Fit):
+        with TemporaryDirectory() as folder:
+            return figures_of_report([run.save(Path(folder, "result"))], scan or run.path)
+    folders = [run] if isinstance(run, Path | str) else run
+    return figures_of_report([Path(folder) for folder in folders], scan)
 
 
 def _numbers_text(value: float | Sequence[float] | str | None) -> str | None:

@@ -25,6 +25,8 @@ def test_the_blocks_of_the_page_are_one_script_whose_results_agree_with_the_trut
     assert 14 < vial.mean < 16  # 15 mg/ml
     assert abs(water.mean) < 20  # HU
     assert names["quality"].edge_width(names["position"], names["response"]) < 3  # of voxels of 1.4 mm
+    assert {"axial", "profiles", "materials", "scatter", "sinograms", "spectrum"} <= names["drawn"].keys()
+    assert all(figure.axes for figure in names["drawn"].values())
     assert names["power"].shape == names["frequency"].shape
     assert names["scores"]["basis"]["kedge_I"]["psnr"] > 30
     assert len(names["fit"].log) < 225

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer, Real
@@ -16,6 +17,9 @@ from recon.output.report.case import LINES, Case, LeftOut, Parts
 from recon.quality.edge_response import edge_width, mtf
 from recon.quality.noise_power import noise_power
 from spectra.basis.basis import pretty
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 REACH = 3.0  # voxels; range of an edge response on both sides of the edge; our choice
 STEP = 0.25  # voxels; width of a bin of an edge response; our choice
@@ -81,9 +85,11 @@ def parts(case: Case) -> Parts:
     """
     truth = case.needs_truth()
     found: list[Part] = []
-    drawn = edge_figure(case, case.path("edge_response"))
+    path = case.path("edge_response")
+    drawn = edge_figure(case, path)
     if drawn is not None:
-        path, text = drawn
+        figure, text = drawn
+        case.drawn(path, figure)
         caption = (
             "Edge response (left) and MTF, its transform (right), at the surface of the material with the largest "
             "coefficient in each basis; distances of voxels from the surface come from the true fractions. Truth is "
@@ -94,7 +100,8 @@ def parts(case: Case) -> Parts:
     if region is not None:
         name, box = region
         side = box[1].stop - box[1].start
-        path = noise_figure(case, box, case.path("noise_power"))
+        path = case.path("noise_power")
+        case.drawn(path, noise_figure(case, box, path))
         caption = (
             f"Noise power spectrum in axial slices of {name}: {box[0].stop - box[0].start} slices of {side} x {side} "
             "voxels, their mean planes subtracted. Its area is the variance; flat is white noise."
@@ -105,17 +112,17 @@ def parts(case: Case) -> Parts:
     return tuple(found)
 
 
-def edge_figure(case: Case, path: Path) -> tuple[Path, str] | None:
+def edge_figure(case: Case, path: Path | None = None) -> tuple["Figure", str] | None:
     """Draw a row per basis that has an edge, with a CSV.
 
     Parameters
     ----------
     case : runs of the report
-    path : figure to write
+    path : figure to write, with its CSV where it has one; None for no file
 
     Returns
     -------
-    path, and the widths of the edges as text; None where no basis has an edge
+    the figure, and the widths of the edges as text; None where no basis has an edge
     """
     truth, true = case.needs_truth(), case.true
     if true is None:
@@ -151,7 +158,7 @@ def edge_figure(case: Case, path: Path) -> tuple[Path, str] | None:
         axes[-1, 1].set(xlabel="frequency [1/mm]", xlim=(0, 0.5 / voxel))
         figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=4)
     write_csv(path, table)
-    return path, "; ".join(words)
+    return figure, "; ".join(words)
 
 
 def strongest_edge(
@@ -249,18 +256,18 @@ def uniform_region(
     return None if best is None else best[1:]
 
 
-def noise_figure(case: Case, box: tuple[slice, slice, slice], path: Path) -> Path:
+def noise_figure(case: Case, box: tuple[slice, slice, slice], path: Path | None = None) -> "Figure":
     """Draw the noise power spectra of all runs, in a panel per basis, with a CSV.
 
     Parameters
     ----------
     case : runs of the report
     box : region (z, y, x) of voxels
-    path : figure to write
+    path : figure to write, with its CSV where it has one; None for no file
 
     Returns
     -------
-    path
+    the figure
     """
     table = {}
     with figure_file(path, (PAGE_WIDTH, 1.35 * len(case.names) + 0.6)) as figure:
@@ -280,4 +287,4 @@ def noise_figure(case: Case, box: tuple[slice, slice, slice], path: Path) -> Pat
             figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
         figure.align_ylabels()
     write_csv(path, table)
-    return path
+    return figure

@@ -163,7 +163,7 @@ def test_a_scan_without_a_file_is_removed_when_closed_and_made_again_with_anothe
     assert not any(folder.exists() for folder in folders)
 
 
-@pytest.mark.parametrize("package", ["phantomgen", "recon", "spectra", "recon.quality"])
+@pytest.mark.parametrize("package", ["phantomgen", "recon", "spectra", "recon.quality", "recon.figures"])
 def test_a_package_lists_public_names_only(package):
     module = __import__(package, fromlist=["x"])
     assert sorted(dir(module)) == sorted(module.__all__)
