@@ -35,6 +35,7 @@ TEXTS = {
     "phantomgen.batch": "many scans",
     "phantomgen.display": "viewer, figures, pages",
     "phantomgen.building": "scenes in Python",
+    "phantomgen.warm_up": "kernels ahead",
     "phantomgen.analysis": "spectra, thresholds",
     "phantomgen.importers": "scans of others",
     "phantomgen.simulation": "plan, counts, checks",

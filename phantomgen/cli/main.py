@@ -19,6 +19,7 @@ from phantomgen.cli.report import report
 from phantomgen.cli.spectrum import materials, optimize_thresholds, spectrum
 from phantomgen.cli.stress import stress
 from phantomgen.cli.view import view
+from phantomgen.cli.warm_up import warm_up
 
 
 @click.group(
@@ -52,5 +53,6 @@ for command in (
     spectrum,
     optimize_thresholds,
     schema,
+    warm_up,
 ):
     main.add_command(command)

@@ -14,6 +14,7 @@ from recon.cli.segment import segment
 from recon.cli.uncertainty import uncertainty
 from recon.cli.view import view
 from recon.cli.volume_and_render import render, volume
+from recon.cli.warm_up import warm_up
 
 
 @click.group(
@@ -26,5 +27,19 @@ def main() -> None:
     """Reconstruct basis volumes from spectral-CT scans, and score them."""
 
 
-for command in (fit, edge, score, compare, report, view, segment, volume, uncertainty, render, export, decompose):
+for command in (
+    fit,
+    edge,
+    score,
+    compare,
+    report,
+    view,
+    segment,
+    volume,
+    uncertainty,
+    render,
+    export,
+    decompose,
+    warm_up,
+):
     main.add_command(command)
