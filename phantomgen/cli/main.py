@@ -12,14 +12,13 @@ from phantomgen.cli.dataset import info, schema, validate
 from phantomgen.cli.degrade import degrade
 from phantomgen.cli.export import export
 from phantomgen.cli.importers import import_
-from phantomgen.cli.make import make
+from phantomgen.cli.make import make, warm_up
 from phantomgen.cli.plan import plan
 from phantomgen.cli.presets import presets
 from phantomgen.cli.report import report
 from phantomgen.cli.spectrum import materials, optimize_thresholds, spectrum
 from phantomgen.cli.stress import stress
 from phantomgen.cli.view import view
-from phantomgen.cli.warm_up import warm_up
 
 
 @click.group(

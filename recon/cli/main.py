@@ -7,14 +7,13 @@ from recon.cli.compare import compare
 from recon.cli.decompose import decompose
 from recon.cli.edge import edge
 from recon.cli.export import export
-from recon.cli.fit import fit
+from recon.cli.fit import fit, warm_up
 from recon.cli.report import report
 from recon.cli.score import score
 from recon.cli.segment import segment
 from recon.cli.uncertainty import uncertainty
 from recon.cli.view import view
 from recon.cli.volume_and_render import render, volume
-from recon.cli.warm_up import warm_up
 
 
 @click.group(
