@@ -53,29 +53,44 @@ def edge_response(
     return (edges[1:] + edges[:-1]) / 2, (mean - outside) / (inside - outside)
 
 
-def mtf(response: Float[np.ndarray, " bin"], step: float) -> tuple[np.ndarray, np.ndarray]:
+def mtf(
+    response: Float[np.ndarray, " bin"], step: float, binned: bool = True
+) -> tuple[Float[np.ndarray, " frequency"], Float[np.ndarray, " frequency"]]:
     """Compute the modulation transfer function: the spectrum of the derivative of an edge response.
 
     Parameters
     ----------
     response : edge response at equal steps
     step : distance of two values [mm, or voxel]
+    binned : whether each value is the mean over a step, as those of `edge_response`; False for values at points
 
     Returns
     -------
     frequencies [1/mm, or 1/voxel], and transfer, 1 at frequency 0
 
+    Raises
+    ------
+    InputError
+        When there are fewer than 4 values, one is not finite, or the step is not positive.
+
     References
     ----------
     ICRU Report 87, section 4.3: the MTF is the modulus of the Fourier transform of the line spread function, which is
     the derivative of the edge response. A Tukey window, which is flat in the middle half, removes noise far from the
-    edge (a Hann window would make the edge seem sharper: by 3 % where the blur is a seventh of the reach).
+    edge (a Hann window would make the edge seem sharper: by 3 % where the blur is a seventh of the reach). Differences
+    over a step multiply the spectrum by sinc(frequency step), and so do means over a step; both are divided out.
     """
+    if len(response) < 4 or not np.isfinite(response).all():
+        raise InputError(f"an MTF needs an edge response of 4 finite values or more, got {len(response)} values")
+    if not 0 < step < np.inf:
+        raise InputError(f"the step of an edge response must be positive and finite, got {step!r}")
     line = np.diff(response)
     line = line * tukey(len(line) + 2, 0.5)[1:-1]
     padded = 8 * len(line)
     transfer = np.abs(np.fft.rfft(line, padded))
-    return np.fft.rfftfreq(padded, step), transfer / (transfer[0] or 1.0)
+    frequency = np.fft.rfftfreq(padded, step)
+    transfer = transfer / np.sinc(frequency * step) ** (2 if binned else 1)
+    return frequency, transfer / (transfer[0] or 1.0)
 
 
 def edge_width(distance: Float[np.ndarray, " bin"], response: Float[np.ndarray, " bin"]) -> float:

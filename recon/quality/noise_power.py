@@ -25,15 +25,20 @@ def noise_power(
     Raises
     ------
     InputError
-        When the box is not square, or has fewer than 4 voxels along a side.
+        When the volume is not one of the grid, the box is not square or has fewer than 4 voxels along a side, or a
+        value in it is not finite.
 
     References
     ----------
     ICRU Report 87, section 4.4: NPS = dx dy / (nx ny) |DFT(noise)|^2.
     """
+    if np.shape(volume) != grid.shape:
+        raise InputError(f"the volume must have the shape of the grid, {grid.shape}, got {np.shape(volume)}")
     slices = np.asarray(volume[box], dtype=np.float64)
     if slices.ndim != 3 or min(slices.shape) < 1 or slices.shape[1] != slices.shape[2] or slices.shape[1] < 4:
         raise InputError(f"the box of a noise power spectrum must be square with 4 voxels or more, got {slices.shape}")
+    if not np.isfinite(slices).all():
+        raise InputError(f"{np.sum(~np.isfinite(slices))} of {slices.size} values in the box are not finite")
     side = slices.shape[1]
     y, x = np.mgrid[:side, :side] - (side - 1) / 2
     planes = np.stack([np.ones(side * side), y.ravel(), x.ravel()], axis=1)

@@ -55,9 +55,23 @@ def test_a_gaussian_edge_has_the_width_and_transfer_of_its_blur():
     distance = np.arange(-12, 12 + step / 2, step)
     response = ndtr(-distance / sigma)
     assert quality.edge_width(distance, response) == pytest.approx(2 * 1.2815515655 * sigma, rel=1e-3)
-    frequency, transfer = quality.mtf(response, step)
+    frequency, transfer = quality.mtf(response, step, binned=False)
     low = frequency < 0.5
-    np.testing.assert_allclose(transfer[low], np.exp(-2 * (np.pi * sigma * frequency[low]) ** 2), atol=0.01)
+    np.testing.assert_allclose(transfer[low], np.exp(-2 * (np.pi * sigma * frequency[low]) ** 2), atol=0.001)
+
+
+@pytest.mark.parametrize("binned", [True, False])
+@pytest.mark.parametrize("step", [0.25, 0.5])
+def test_large_steps_and_bins_do_not_lower_the_transfer(step, binned):
+    sigma, part = 0.8, 100
+    half = round(12 / step) * part
+    fine = np.arange(-half, half) * step / part
+    means = ndtr(-(fine + step / part / 2) / sigma).reshape(-1, part).mean(axis=1)
+    response = means if binned else ndtr(-fine[::part] / sigma)
+    frequency, transfer = quality.mtf(response, step, binned)
+    low = frequency < 0.45  # where the transfer falls to 8 %
+    expected = np.exp(-2 * (np.pi * sigma * frequency[low]) ** 2)
+    np.testing.assert_allclose(transfer[low], expected, rtol=0.01)
 
 
 def test_a_blurred_edge_through_voxels_has_the_transfer_of_its_blur():
@@ -84,7 +98,11 @@ def test_a_blurred_edge_through_voxels_has_the_transfer_of_its_blur():
         (lambda: quality.statistics(np.full((2, 2, 2), np.nan), np.ones((2, 2, 2), bool)), "8 of 8 values"),
         (lambda: quality.profile(np.zeros(GRID.shape), GRID, (0, 0, 0), (0, 0, 0)), "two different points"),
         (lambda: quality.profile(np.zeros((2, 2, 2)), GRID, (0, 0, 0), (1, 0, 0)), "shape of the grid"),
-        (lambda: quality.noise_power(np.zeros((4, 8, 9)), GRID, (slice(4), slice(8), slice(9))), "must be square"),
+        (lambda: quality.noise_power(np.zeros(GRID.shape), GRID, (slice(4), slice(8), slice(9))), "must be square"),
+        (lambda: quality.noise_power(np.zeros((4, 8, 8)), GRID, (slice(4), slice(8), slice(8))), "shape of the grid"),
+        (lambda: quality.noise_power(np.full(GRID.shape, np.nan), GRID, (slice(4), slice(8), slice(8))), "256 of 256"),
+        (lambda: quality.mtf(np.ones(3), 0.5), "4 finite values or more, got 3"),
+        (lambda: quality.mtf(np.linspace(1, 0, 9), -1.0), "step of an edge response must be positive"),
     ],
 )
 def test_impossible_regions_are_refused_in_a_sentence(call, words):
