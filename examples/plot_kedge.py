@@ -28,7 +28,7 @@ from phantomgen.geometry.orbits import spread_angles
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.scene.scan import Scan, Scene
+from phantomgen.scene.scan import Scan, SceneObjects
 from phantomgen.shapes import Cylinder
 from recon.evaluation.scoring import held_out_views, score_test_views, score_truth
 from recon.figures import run_figures as figures
@@ -72,7 +72,7 @@ def kedge_basis() -> Basis:
 # and be simulated with its tabulated attenuation.
 
 
-def kedge_scene() -> Scene:
+def kedge_scene() -> SceneObjects:
     """Bone and two K-edge cylinders in soft tissue."""
     materials = {
         "soft_tissue": {"photoelectric": 0.0015, "compton": 0.0188},
@@ -86,7 +86,7 @@ def kedge_scene() -> Scene:
         Cylinder(center=(22, -6, 0), radius=11, length=80),
         Cylinder(center=(0, -28, 0), radius=9, length=80),
     )
-    return Scene(
+    return SceneObjects(
         objects=tuple((cylinder, material) for material, cylinder in enumerate(cylinders)),
         materials=tuple(Material(name, coefficients=values) for name, values in materials.items()),
     )
@@ -170,11 +170,11 @@ def draw(dataset, truth, gaussians, folder: Path) -> list[Path]:
     names, volumes = gaussians.basis_names, gaussians.volume(truth.grid)
     view = next(held_out_views(dataset, gaussians))
     channels = dataset.spectra.channels
-    return [
-        figures.basis_slices(volumes, truth.volumes, names, truth.grid, folder / "axial.png"),
-        figures.profiles({"result": volumes}, truth.volumes, names, truth.grid, folder / "profiles.png"),
-        figures.residuals(view.counts, view.expected, channels, folder / "residuals.png", view.away),
-    ]
+    paths = [folder / f"{name}.png" for name in ("axial", "profiles", "residuals")]
+    figures.basis_slices(volumes, truth.volumes, names, truth.grid, paths[0])
+    figures.profiles({"result": volumes}, truth.volumes, names, truth.grid, paths[1])
+    figures.residuals(view.counts, view.expected, channels, paths[2], view.away)
+    return paths
 
 
 if __name__ == "__main__":

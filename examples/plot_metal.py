@@ -79,5 +79,6 @@ for method, result in results.items():
     image = in_pieces(ct_numbers, result)
     errors[method] = float(image[strip].mean())
     print(f"{method:<9} between the rods {image[strip].mean():7.1f} HU, spread {image[strip].std():.1f} HU")
-    print(slice_figure(Maps(ct_numbers, image, true), dataset.grid, FOLDER / f"{method}.png"))
+    slice_figure(Maps(ct_numbers, image, true), dataset.grid, FOLDER / f"{method}.png")
+    print(FOLDER / f"{method}.png")
 dataset.close()

@@ -1,7 +1,7 @@
 """Phantoms with known truth, and the spectral scans of them.
 
 >>> import phantomgen
->>> scan = phantomgen.load("kedge-small", ["geometry.views=9"])
+>>> scan = phantomgen.load("kedge-small", {"geometry.views": 9})
 >>> scan.geometry
 Geometry(circular: 29 views, 128 x 128 pixels of (1.6, 1.6) mm)
 
@@ -12,7 +12,26 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from phantomgen.api import degrade, import_scan, make, plan
+    from phantomgen.api import again, degrade, import_scan, load, make, plan
+    from phantomgen.building.scene import Scene
+    from phantomgen.building.shapes import (
+        Box,
+        Capsule,
+        Cone,
+        Cylinder,
+        Difference,
+        Ellipsoid,
+        Group,
+        Intersection,
+        Mesh,
+        Polygon,
+        Sphere,
+        Sweep,
+        Torus,
+        Tube,
+        Union,
+        Voxels,
+    )
     from phantomgen.dataset.reader import Dataset, open_dataset
     from phantomgen.dataset.reader import open_dataset as open  # noqa: A004
     from phantomgen.dataset.truth import Truth, read_truth
@@ -20,18 +39,36 @@ if TYPE_CHECKING:
     from phantomgen.geometry.panel import Panel
     from phantomgen.geometry.poses import Geometry
     from phantomgen.geometry.voxel_grid import Grid
-    from phantomgen.scene.scan import Scan, Scene
-    from phantomgen.scene.scan import load_scene as load
+    from phantomgen.scene.scan import Scan
+    from phantomgen.simulation.options import SimulationOptions
 
 __all__ = [
+    "Box",
+    "Capsule",
+    "Cone",
+    "Cylinder",
     "Dataset",
     "Degradation",
+    "Difference",
+    "Ellipsoid",
     "Geometry",
     "Grid",
+    "Group",
+    "Intersection",
+    "Mesh",
     "Panel",
+    "Polygon",
     "Scan",
     "Scene",
+    "SimulationOptions",
+    "Sphere",
+    "Sweep",
+    "Torus",
     "Truth",
+    "Tube",
+    "Union",
+    "Voxels",
+    "again",
     "degrade",
     "import_scan",
     "load",
@@ -43,17 +80,35 @@ __all__ = [
 ]
 
 _HOMES = {
+    "Box": ("building.shapes", "Box"),
+    "Capsule": ("building.shapes", "Capsule"),
+    "Cone": ("building.shapes", "Cone"),
+    "Cylinder": ("building.shapes", "Cylinder"),
     "Dataset": ("dataset.reader", "Dataset"),
     "Degradation": ("degradation.settings", "Degradation"),
+    "Difference": ("building.shapes", "Difference"),
+    "Ellipsoid": ("building.shapes", "Ellipsoid"),
     "Geometry": ("geometry.poses", "Geometry"),
     "Grid": ("geometry.voxel_grid", "Grid"),
+    "Group": ("building.shapes", "Group"),
+    "Intersection": ("building.shapes", "Intersection"),
+    "Mesh": ("building.shapes", "Mesh"),
     "Panel": ("geometry.panel", "Panel"),
+    "Polygon": ("building.shapes", "Polygon"),
     "Scan": ("scene.scan", "Scan"),
-    "Scene": ("scene.scan", "Scene"),
+    "Scene": ("building.scene", "Scene"),
+    "SimulationOptions": ("simulation.options", "SimulationOptions"),
+    "Sphere": ("building.shapes", "Sphere"),
+    "Sweep": ("building.shapes", "Sweep"),
+    "Torus": ("building.shapes", "Torus"),
     "Truth": ("dataset.truth", "Truth"),
+    "Tube": ("building.shapes", "Tube"),
+    "Union": ("building.shapes", "Union"),
+    "Voxels": ("building.shapes", "Voxels"),
+    "again": ("api", "again"),
     "degrade": ("api", "degrade"),
     "import_scan": ("api", "import_scan"),
-    "load": ("scene.scan", "load_scene"),
+    "load": ("api", "load"),
     "make": ("api", "make"),
     "open": ("dataset.reader", "open_dataset"),
     "open_dataset": ("dataset.reader", "open_dataset"),

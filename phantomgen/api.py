@@ -1,27 +1,56 @@
-"""Short interface for Python: scenes to plans and datasets, scans of others to datasets, datasets to worse ones."""
+"""Short interface for Python: scenes to plans and datasets, scans of others to datasets, datasets to changed ones."""
 
+import weakref
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from shutil import rmtree
+from tempfile import mkdtemp
 from typing import Any
 
+from phantomgen.building.scene import Scene
 from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.writing.writer import check_dataset_name
 from phantomgen.degradation.run import degrade_file
 from phantomgen.degradation.settings import Degradation
 from phantomgen.importers.formats import import_scan as write_imported
+from phantomgen.scene.file.scene_file import Overrides
 from phantomgen.scene.scan import Scan, load_scene
+from phantomgen.simulation.options import SimulationOptions
 from phantomgen.simulation.planning.make_plan import make_plan
 from phantomgen.simulation.planning.plan import TOLERANCE, Plan
+from phantomgen.simulation.projection_cache.cache import cached_scene
 from phantomgen.simulation.run import simulate
 
+Scannable = Scan | Scene | str | Path
 
-def plan(scan: Scan | str | Path, *, tolerance: float = TOLERANCE) -> Plan:
+
+def load(scene: Scene | str | Path, overrides: Overrides = ()) -> Scan:
+    """Read a scene and create its scan.
+
+    Parameters
+    ----------
+    scene : path of a scene file, name of a preset, or a scene built in Python
+    overrides : values by dotted path, such as ``{"geometry.views": 30}``, or texts such as ``geometry.views=30``
+
+    Returns
+    -------
+    the scan
+
+    Raises
+    ------
+    SceneError
+        With file, line, column and key of what is wrong.
+    """
+    return load_scene(scene.file if isinstance(scene, Scene) else scene, overrides)
+
+
+def plan(scan: Scannable, *, tolerance: float = TOLERANCE) -> Plan:
     """Choose how finely a scan will be computed, and measure the error.
 
     Parameters
     ----------
-    scan : what to simulate, or a preset or scene file
+    scan : what to simulate: a scan, a scene, or a preset or scene file
     tolerance : worst error of log projections that is wanted
 
     Returns
@@ -32,22 +61,28 @@ def plan(scan: Scan | str | Path, *, tolerance: float = TOLERANCE) -> Plan:
 
 
 def make(
-    scan: Scan | str | Path,
+    scan: Scannable,
     out: Path | str | None = None,
     *,
     seed: int | None = None,
-    **options: Any,
+    tolerance: float | None = None,
+    overwrite: bool = False,
+    keep_paths: bool = False,
+    progress: bool = False,
+    options: SimulationOptions | None = None,
 ) -> Dataset:
     """Simulate a scan and open its dataset.
 
     Parameters
     ----------
-    scan : what to simulate, or a preset or scene file
-    out : name of the dataset; ``<name of the scene>.h5`` where left out
+    scan : what to simulate: a scan, a scene, or a preset or scene file
+    out : name of the dataset; a temporary file, removed when the dataset is closed, where left out
     seed : of the noise; that of the scene where left out
-    **options : fields of `phantomgen.simulation.options.SimulationOptions`, such as ``tolerance=1e-4`` or
-        ``overwrite=True``; `phantomgen.simulation.run.simulate` takes them as well, and returns the time of the
-        simulation and the error of its counts
+    tolerance : worst error of log projections that is wanted
+    overwrite : replace a file that exists
+    keep_paths : keep what `again` needs to scan with other spectra, doses and seeds without tracing rays
+    progress : show a progress bar
+    options : further options, such as ``SimulationOptions(keep_expected=True)``
 
     Returns
     -------
@@ -56,9 +91,41 @@ def make(
     scan = _scan(scan)
     if seed is not None:
         scan = replace(scan, seed=seed)
-    path = Path(out or f"{scan.name}.h5")
-    check_dataset_name(path)
-    return open_dataset(simulate(scan, path, **options).path)
+    given = {"tolerance": tolerance, "overwrite": overwrite, "keep_paths": keep_paths, "progress": progress}
+    asked = {name: value for name, value in given.items() if value not in (None, False)}
+    return _made(scan, out, replace(options or SimulationOptions(), **asked))
+
+
+def again(
+    dataset: Dataset | str | Path,
+    changes: Overrides,
+    out: Path | str | None = None,
+    *,
+    overwrite: bool = False,
+) -> Dataset:
+    """Scan once more with another spectrum, dose, thresholds or seed, without tracing rays again.
+
+    Parameters
+    ----------
+    dataset : made with ``keep_paths=True``, or its name
+    changes : values by dotted path, such as ``{"source.kvp": 100, "seed": 1}``
+    out : name of the new dataset; a temporary file, removed when the dataset is closed, where left out
+    overwrite : replace a file that exists
+
+    Returns
+    -------
+    the new dataset, to be closed or used in a ``with`` statement
+
+    Raises
+    ------
+    DatasetError
+        When the dataset does not keep its projections.
+    InputError
+        When objects, materials, geometry or panel are changed, which need rays.
+    """
+    path = dataset.path if isinstance(dataset, Dataset) else Path(dataset)
+    scan = load_scene(cached_scene(path).changed(changes))
+    return _made(scan, out, SimulationOptions(paths=path, overwrite=overwrite))
 
 
 def degrade(
@@ -118,5 +185,21 @@ def import_scan(
     return open_dataset(done.path)
 
 
-def _scan(scan: Scan | str | Path) -> Scan:
-    return scan if isinstance(scan, Scan) else load_scene(scan)
+def _scan(scan: Scannable) -> Scan:
+    if isinstance(scan, Scan):
+        return scan
+    return scan.scan if isinstance(scan, Scene) else load_scene(scan)
+
+
+def _made(scan: Scan, out: Path | str | None, options: SimulationOptions) -> Dataset:
+    """The dataset of a scan, in a named or in a temporary file."""
+    if out is not None:
+        check_dataset_name(Path(out))
+        return open_dataset(simulate(scan, out, **vars(options)).path)
+    folder = mkdtemp(prefix="phantomgen-")
+    try:
+        dataset = open_dataset(simulate(scan, Path(folder, f"{scan.name}.h5"), **vars(options)).path)
+    except BaseException:
+        rmtree(folder, ignore_errors=True)
+        raise
+    return replace(dataset, on_close=weakref.finalize(dataset.file, rmtree, folder, ignore_errors=True))

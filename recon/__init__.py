@@ -7,7 +7,8 @@
 `recon.fit(dataset)` gives a fit that renders, scores and saves itself, `recon.segment(fit)` finds its materials,
 `recon.readout(fit, "hu", energy=70)` gives CT numbers, concentrations, electron density and atomic numbers,
 `recon.estimate_uncertainty(run, dataset)` and `recon.deviation(run, "hu", energy=70)` give standard deviations,
-`recon.score(volume, dataset, ...)` scores a volume of any program, and
+`recon.score(volume, dataset, ...)` scores a volume of any program, `recon.score_truth(truth, volumes)` basis volumes on
+the grid of the truth, `recon.quality` measures noise and resolution, and
 `recon.reconstruct(dataset, recipe)` is the computation alone. Names are imported when they are first used, so that
 importing the package takes no time.
 """
@@ -16,7 +17,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from recon.api import Fit, deviation, estimate_uncertainty, fit, readout, score, segment
+    from recon.api import Fit, deviation, estimate_uncertainty, fit, readout, report_figures, score, segment
+    from recon.callbacks import EarlyStop, ProgressBar
+    from recon.evaluation.scoring import score_truth
     from recon.gaussians.model import Gaussians
     from recon.gaussians.processes import Resources
     from recon.gaussians.recipe import Recipe, Stage
@@ -25,8 +28,10 @@ if TYPE_CHECKING:
     from recon.voxel.filtered.fdk import fdk
 
 __all__ = [
+    "EarlyStop",
     "Fit",
     "Gaussians",
+    "ProgressBar",
     "Readouts",
     "Recipe",
     "Reconstruction",
@@ -38,13 +43,17 @@ __all__ = [
     "fit",
     "readout",
     "reconstruct",
+    "report_figures",
     "score",
+    "score_truth",
     "segment",
 ]
 
 _HOMES = {
+    "EarlyStop": "callbacks",
     "Fit": "api",
     "Gaussians": "gaussians.model",
+    "ProgressBar": "callbacks",
     "Readouts": "readouts.readouts",
     "Recipe": "gaussians.recipe",
     "Reconstruction": "gaussians.reconstruct",
@@ -56,13 +65,19 @@ _HOMES = {
     "fit": "api",
     "readout": "api",
     "reconstruct": "gaussians.reconstruct",
+    "report_figures": "api",
     "score": "api",
+    "score_truth": "evaluation.scoring",
     "segment": "api",
 }
+
+_FOLDERS = ("figures", "quality")  # whose functions are typed as `recon.quality.mtf`
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used."""
+    if name in _FOLDERS:
+        return import_module(f"recon.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module 'recon' has no attribute {name!r}")
     return getattr(import_module(f"recon.{_HOMES[name]}"), name)

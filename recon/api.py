@@ -3,9 +3,10 @@
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +19,7 @@ from phantomgen.runtime.guarded import Guard, WarnOnFailure, unguarded
 from phantomgen.runtime.plain_json import to_json, write_json
 from phantomgen.runtime.stopwatch import peak_memory_mib
 from phantomgen.runtime.thumbnails import thumbnails
+from recon.callbacks import ProgressBar
 from recon.evaluation.stated_volume import Statement
 from recon.evaluation.verdict import Verdict
 from recon.gaussians.model import GaussianModel
@@ -27,6 +29,7 @@ from recon.gaussians.reconstruct import Reconstruction, reconstruct
 from recon.kedge.basis_names import Asked, left_out, with_named
 from recon.kedge.choose_basis import BasisChoice, choose_basis
 from recon.output.render_file import rendered, views_of_geometry
+from recon.output.report.page import report_figures as figures_of_report
 from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.paper.reconstruct import reconstruct_paper
 from recon.readouts.quantity import in_pieces, quantity
@@ -40,12 +43,16 @@ from recon.runs.run_folder import Run
 from recon.runs.run_gaussians import outcome_of_fit
 from recon.runs.unfinished_run import LOG, log_entry
 from recon.runs.write_run import RunFolder
-from recon.segmentation.result import Options, Segmentation
+from recon.segmentation.clustering import BANDWIDTH
+from recon.segmentation.result import ENERGY, FEATURES, Options, Segmentation
 from recon.segmentation.segment import segment_subject
 from recon.segmentation.subject import Subject, open_subject
 from recon.uncertainty.estimate import Uncertainty, estimate, stored_replicates
 from spectra.basis.basis import Basis, pretty
 from spectra.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,6 +245,7 @@ def fit(
     bases: Asked = None,
     edges: Sequence[float] | None = None,
     callbacks: Sequence[Any] = (),
+    progress: bool = False,
 ) -> Fit:
     """Fit Gaussians to the training views of a dataset; its truth is not read.
 
@@ -249,7 +257,9 @@ def fit(
         that the counts warrant where left out
     edges : where to look for K edges [keV], see `recon.kedge.choose_basis.choose_basis`; None to believe the dataset
     callbacks : functions, or objects with a method ``on_step``, that get a `recon.gaussians.optimize.Progress` after
-        every step and end the fit by returning True; objects may have a method ``on_end`` that gets the finished `Fit`
+        every step and end the fit by returning True; objects may have a method ``on_end`` that gets the finished `Fit`;
+        see `recon.EarlyStop`
+    progress : show a progress bar, in notebooks as a widget where they have one
 
     Returns
     -------
@@ -262,13 +272,14 @@ def fit(
     """
     if not isinstance(dataset, Dataset):
         with open_dataset(dataset) as opened:
-            return fit(opened, recipe, bases=bases, edges=edges, callbacks=callbacks)
+            return fit(opened, recipe, bases=bases, edges=edges, callbacks=callbacks, progress=progress)
+    callbacks = [*callbacks, ProgressBar()] if progress else callbacks
     how, log, stated = _recipe(recipe), [], dataset.spectra.basis.names
     after_step = [_on_step(callback) for callback in callbacks]
 
-    def on_step(progress: Progress) -> bool:
-        log.append(log_entry(progress, dataset.spectra.channels))
-        return any([bool(callback(progress)) for callback in after_step])  # noqa: C419 - all callbacks are called
+    def on_step(step: Progress) -> bool:
+        log.append(log_entry(step, dataset.spectra.channels))
+        return any([bool(callback(step)) for callback in after_step])  # noqa: C419 - all callbacks are called
 
     if isinstance(how, PaperRecipe):
         chosen, count = with_named(dataset, bases)
@@ -286,13 +297,25 @@ def fit(
     return finished
 
 
-def segment(run: Fit | Path | str, **options: Any) -> Segmentation:
+def segment(
+    run: Fit | Path | str,
+    *,
+    domain: str | None = None,
+    features: str = FEATURES[0],
+    bandwidth: float = BANDWIDTH,
+    energies: Sequence[float] = (ENERGY,),
+    seed: int = 0,
+) -> Segmentation:
     """Find the materials of a finished fit, or of a run folder that ``recon fit`` wrote; their truth is not read.
 
     Parameters
     ----------
     run : a fit, or a folder of any method
-    **options : fields of `recon.segmentation.result.Options`, such as ``energies=(50, 70)`` or ``domain="voxels"``
+    domain : ``gaussians`` or ``voxels``; None for Gaussians where a run has them
+    features : features of the values at each Gaussian (``local``), or of its own coefficients (``own``)
+    bandwidth : bandwidth of the mean shift, in units of `recon.segmentation.clustering.unit_of`
+    energies : energies of virtual monoenergetic images [keV]
+    seed : seed of the choice of samples
 
     Returns
     -------
@@ -303,13 +326,9 @@ def segment(run: Fit | Path | str, **options: Any) -> Segmentation:
     DatasetError
         When the folder is not a complete run of this version.
     InputError
-        When there is no such option, its value is not possible, the run has no Gaussians to segment, or only air.
+        When a value is not possible, the run has no Gaussians to segment, or only air.
     """
-    known = [field.name for field in fields(Options)]
-    for name in options:
-        if name not in known:
-            raise InputError(f"there is no option {name!r} of a segmentation: choose from {', '.join(known)}")
-    chosen = Options(**options)
+    chosen = Options(domain, features, bandwidth, tuple(energies), seed)
     if not isinstance(run, Fit):
         return segment_subject(open_subject(Path(run)), chosen)
     stored, name = _stored(run), run.path.name
@@ -499,6 +518,36 @@ def score(
         on_stage=lambda name: None,
         warn=lambda sentence, error: warnings.warn(sentence, RuntimeWarning, stacklevel=4),
     )
+
+
+def report_figures(
+    run: Fit | Path | str | Sequence[Path | str], dataset: Dataset | Path | str | None = None
+) -> dict[str, "Figure"]:
+    """Draw the figures of ``recon report``.
+
+    Parameters
+    ----------
+    run : a fit, a run folder of any method, or several folders of runs of one scan
+    dataset : the scan; that of the fit, or the file of its name beside the runs, where left out
+
+    Returns
+    -------
+    figures of matplotlib by their names, such as ``axial``, ``profiles``, ``edge_response`` and ``noise_power``; those
+    that runs, dataset and truth allow
+
+    Raises
+    ------
+    DatasetError
+        When a folder is no finished run, or the dataset cannot be read.
+    InputError
+        When the runs are of different scans, or the dataset is another one.
+    """
+    scan = dataset.path if isinstance(dataset, Dataset) else None if dataset is None else Path(dataset)
+    if isinstance(run, Fit):
+        with TemporaryDirectory() as folder:
+            return figures_of_report([run.save(Path(folder, "result"))], scan or run.path)
+    folders = [run] if isinstance(run, Path | str) else run
+    return figures_of_report([Path(folder) for folder in folders], scan)
 
 
 def _numbers_text(value: float | Sequence[float] | str | None) -> str | None:

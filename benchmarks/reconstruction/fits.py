@@ -45,7 +45,9 @@ def datasets(preset: str, folder: Path, seeds: int) -> Iterator[tuple[int, Path]
     yield SEEDS[0], first
     for seed in SEEDS[1:seeds]:
         other = folder / f"{preset}-{seed}.h5"
-        phantomgen.make(scan, other, seed=seed, paths=first, overwrite=True).close()
+        phantomgen.make(
+            scan, other, seed=seed, overwrite=True, options=phantomgen.SimulationOptions(paths=first)
+        ).close()
         yield seed, other
         other.unlink()
 

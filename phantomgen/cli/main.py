@@ -12,7 +12,7 @@ from phantomgen.cli.dataset import info, schema, validate
 from phantomgen.cli.degrade import degrade
 from phantomgen.cli.export import export
 from phantomgen.cli.importers import import_
-from phantomgen.cli.make import make
+from phantomgen.cli.make import make, warm_up
 from phantomgen.cli.plan import plan
 from phantomgen.cli.presets import presets
 from phantomgen.cli.report import report
@@ -53,5 +53,6 @@ for command in (
     spectrum,
     optimize_thresholds,
     schema,
+    warm_up,
 ):
     main.add_command(command)

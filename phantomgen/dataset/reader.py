@@ -4,7 +4,7 @@ Errors are sentences, also for files that are cut off, of a newer schema, or wit
 of its own, so that a reconstructor which imports this one cannot see it by accident.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
@@ -48,11 +48,13 @@ class Dataset:
     ----------
     path, file : the file
     air : rows and columns of the panel that see nothing but air, used in place of flats
+    on_close : called after the file is closed, such as to remove a temporary one
     """
 
     path: Path
     file: h5py.File = field(repr=False)
     air: Region | None = None
+    on_close: Callable[[], object] | None = field(default=None, repr=False)
 
     def __enter__(self) -> "Dataset":
         return self
@@ -63,8 +65,12 @@ class Dataset:
     def close(self) -> None:
         """Close the file."""
         self.file.close()
+        if self.on_close is not None:
+            self.on_close()
 
     def __repr__(self) -> str:
+        if not self.file:
+            return f"Dataset({self.path.name}: closed)"
         views, channels, rows, columns = self.counts.shape
         edges = self.spectra.edges
         shape = f"{views} views x {channels} channels x {rows} x {columns}"

@@ -18,7 +18,7 @@ from phantomgen.scene.beam_profile import Profile
 from phantomgen.scene.detector import scene_dead_time, scene_detector
 from phantomgen.scene.effects import scene_effects
 from phantomgen.scene.file.find_scene import find_scene
-from phantomgen.scene.file.scene_file import SceneFile, closest
+from phantomgen.scene.file.scene_file import Overrides, SceneFile, closest
 from phantomgen.scene.geometry import scene_geometry
 from phantomgen.scene.materials import check_material, scene_materials
 from phantomgen.scene.objects.build import ObjectContent, has_curves, objects_of
@@ -34,7 +34,7 @@ from spectra.source.source import Source
 
 
 @dataclass(frozen=True)
-class Scene:
+class SceneObjects:
     """Objects of a scene; later ones override earlier ones where they overlap.
 
     Parameters
@@ -82,7 +82,7 @@ class Scan:
     """
 
     name: str
-    scene: Scene
+    scene: SceneObjects
     geometry: Geometry
     splits: Mapping[str, Int[np.ndarray, " _view"]]
     source: Source
@@ -140,13 +140,13 @@ class Scan:
         return f"sparse{len(self.splits['train'])}"
 
 
-def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> Scan:
+def load_scene(scene: str | Path | SceneFile, overrides: Overrides = ()) -> Scan:
     """Read a scene file or preset and create its scan.
 
     Parameters
     ----------
     scene : path of a scene file, or name of a preset
-    overrides : ``path=value`` with dotted paths, such as ``geometry.views=180``
+    overrides : values by dotted paths, as ``{"geometry.views": 180}`` or as texts ``geometry.views=180``
 
     Returns
     -------
@@ -157,7 +157,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
     SceneError
         With file, line, column and key of what is wrong.
     """
-    file = scene if isinstance(scene, SceneFile) else find_scene(scene, overrides)
+    file = scene.changed(overrides) if isinstance(scene, SceneFile) else find_scene(scene).changed(overrides)
     model = file.model
     objects = objects_of(file)
     source, detector = _source_and_detector(file)
@@ -174,7 +174,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Sequence[str] = ()) -> 
     geometry = scene_geometry(file)
     return Scan(
         name=model.name,
-        scene=Scene(
+        scene=SceneObjects(
             objects=tuple((shape, _indices(content, used)) for shape, content in objects),
             materials=tuple(materials[name] for name in used),
             background=-1 if background is None else used.index(background),

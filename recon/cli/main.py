@@ -15,6 +15,7 @@ from recon.cli.segment import segment
 from recon.cli.uncertainty import uncertainty
 from recon.cli.view import view
 from recon.cli.volume_and_render import render, volume
+from recon.cli.warm_up import warm_up
 
 
 @click.group(
@@ -41,5 +42,6 @@ for command in (
     render,
     export,
     decompose,
+    warm_up,
 ):
     main.add_command(command)

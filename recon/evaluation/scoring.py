@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Real
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import Truth
@@ -21,6 +21,7 @@ from recon.evaluation.metrics import (
 from recon.gaussians.model import GaussianModel
 from recon.voxel.model import Voxels
 from recon.voxel.unreliable import Unreliable
+from spectra.errors import InputError
 
 FULL_FRACTION = 65535  # value of a voxel that one material fills, in the truth of a dataset
 VIEWS_AT_ONCE = 2  # views; predicted together, which bounds the memory
@@ -86,21 +87,32 @@ def score_test_views(
     return score_projections(held_out_views(dataset, model, unreliable), dataset.spectra.channels)
 
 
-def score_truth(truth: Truth, model: GaussianModel | Voxels, unreliable: Unreliable | None = None) -> dict[str, Any]:
-    """Score a model against the truth, on the grid and in the basis of the truth.
+def score_truth(
+    truth: Truth,
+    model: GaussianModel | Voxels | Real[np.ndarray, "..."],
+    unreliable: Unreliable | None = None,
+) -> dict[str, Any]:
+    """Score a model, or an array of basis volumes, against the truth, on the grid and in the basis of the truth.
 
     A basis that the model lacks is scored as a volume of zeros.
 
     Parameters
     ----------
     truth : truth of the dataset
-    model : Gaussians or voxels
+    model : Gaussians or voxels, or an array of the shape of ``truth.volumes`` [1/mm]
     unreliable : voxels without which bases are scored as well; None where there are none
 
     Returns
     -------
     ``basis``, ``materials`` and ``cross_talk``, see `recon.evaluation.metrics`
+
+    Raises
+    ------
+    InputError
+        When an array has another shape than the volumes of the truth, or values that are not finite.
     """
+    if not isinstance(model, GaussianModel | Voxels):
+        model = _as_model(truth, model)
     volumes = _in_basis_of(truth, model.volume(truth.grid), model.basis_names)
     materials = score_materials(
         volumes, truth.fractions, truth.coefficients, truth.material_names, truth.basis_names, FULL_FRACTION
@@ -110,6 +122,17 @@ def score_truth(truth: Truth, model: GaussianModel | Voxels, unreliable: Unrelia
         elsewhere = score_elsewhere(volumes, truth.volumes, truth.basis_names, unreliable.marked)
         basis = {name: scores | elsewhere[name] for name, scores in basis.items()}
     return {"basis": basis, **materials}
+
+
+def _as_model(truth: Truth, volumes: Real[np.ndarray, "..."]) -> Voxels:
+    """An array as basis volumes on the grid of the truth."""
+    values = np.asarray(volumes)
+    if values.shape != truth.volumes.shape:
+        what = f"{truth.volumes.shape}: basis functions {', '.join(truth.basis_names)}, then z, y, x"
+        raise InputError(f"an array to score must have the shape of the true volumes, {what}; got {values.shape}")
+    if not np.isfinite(values).all():
+        raise InputError(f"{np.sum(~np.isfinite(values))} of {values.size} values to score are not finite")
+    return Voxels(values.astype(np.float32), truth.grid, truth.basis_names)
 
 
 def psnr_of_bases(truth: Truth, model: GaussianModel | Voxels) -> dict[str, float]:

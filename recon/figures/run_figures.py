@@ -1,6 +1,7 @@
 """Figures of a run, each with its numbers as CSV beside it where it has curves.
 
-Every function takes arrays, writes a PNG and returns its path; matplotlib is imported when the first one is drawn.
+Every function takes arrays and returns a figure of matplotlib, which it writes where a path is given; matplotlib is
+imported when the first one is drawn.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,12 +44,12 @@ def basis_slices(
     truth: Real[np.ndarray, "basis z y x"] | None,
     names: Sequence[str],
     grid: Grid,
-    path: Path,
+    path: Path | None = None,
     plane: str = "axial",
     width: float = WIDTH,
     left_out: Sequence[str] = (),
     unit: str = UNIT,
-) -> Path:
+) -> "Figure":
     """Draw the middle slice of every basis: truth, result and their difference, or the result alone.
 
     Parameters
@@ -56,7 +57,7 @@ def basis_slices(
     volumes, truth : coefficients [1/mm]; the truth is NaN for a basis that it lacks, and None where there is none
     names : names of the bases
     grid : grid of the volumes
-    path : figure to write
+    path : figure to write, with its CSV where it has one; None for no file
     plane : ``axial`` (x, y), ``coronal`` (x, z) or ``sagittal`` (y, z)
     width : width of the figure where there is a truth [inch]
     left_out : bases that were not fitted, which the title names
@@ -64,7 +65,7 @@ def basis_slices(
 
     Returns
     -------
-    path
+    the figure
     """
     axis, across, up = _PLANES[plane]
     middle = grid.shape[axis] // 2
@@ -90,7 +91,7 @@ def basis_slices(
             bottom.set_xlabel(f"{across} [mm]")
         missing = ", ".join(map(pretty, left_out))
         figure.suptitle(f"{plane} slice, {place}" + (f"\nnot fitted: {missing}" if missing else ""), fontsize=9.0)
-    return path
+    return figure
 
 
 def _draw_row(
@@ -125,11 +126,11 @@ def profiles(
     truth: Real[np.ndarray, "basis z y x"] | None,
     names: Sequence[str],
     grid: Grid,
-    path: Path,
+    path: Path | None = None,
     line: Float[np.ndarray, "2 3"] | None = None,
     width: float = WIDTH,
     unit: str = UNIT,
-) -> Path:
+) -> "Figure":
     """Draw every basis along one line, with a CSV.
 
     Parameters
@@ -138,14 +139,14 @@ def profiles(
     truth : true coefficients [1/mm]; None where there is none
     names : names of the bases
     grid : grid of the volumes
-    path : figure to write
+    path : figure to write, with its CSV where it has one; None for no file
     line : two points (x, y, z) [mm] that the line joins; None for `profile_line` of the last basis of the first result
     width : width of the figure [inch]
     unit : thousandth of the unit of the volumes
 
     Returns
     -------
-    path
+    the figure
     """
     first = next(iter(results.values()))
     line = profile_line(first[-1], grid) if line is None else np.asarray(line, dtype=np.float64)
@@ -178,7 +179,7 @@ def profiles(
         axes[0].set_title(f"from (x, y, z) = {ends} mm", loc="left")
         axes[-1].set_xlabel("position along the line [mm]")
         figure.align_ylabels()
-    return path
+    return figure
 
 
 def profile_line(volume: Real[np.ndarray, "z y x"], grid: Grid) -> Float[np.ndarray, "2 3"]:
@@ -218,23 +219,23 @@ def residuals(
     counts: Real[np.ndarray, "channel row column"],
     expected: Real[np.ndarray, "channel row column"],
     channel_names: Sequence[str],
-    path: Path,
+    path: Path | None = None,
     away: Bool[np.ndarray, "row column"] | None = None,
     width: float = WIDTH,
-) -> Path:
+) -> "Figure":
     """Draw (y - Y) / sqrt(Y) of one test view per channel, and its histograms beside the unit normal, with a CSV.
 
     Parameters
     ----------
     counts, expected : measured counts y and expected counts Y of one view
     channel_names : names of the channels
-    path : figure to write
+    path : figure to write, with its CSV where it has one; None for no file
     away : True for rays away from edges, drawn as a second histogram; None for one histogram
     width : width of the figure where there are several channels [inch]
 
     Returns
     -------
-    path
+    the figure
 
     Notes
     -----
@@ -274,21 +275,23 @@ def residuals(
         figure.colorbar(shown, ax=axes[0], extend="both", pad=0.01, aspect=14).set_label("(y − Y) / √Y  [σ]")
         figure.legend(*axes[1, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     write_csv(path, columns)
-    return path
+    return figure
 
 
-def convergence(seconds: Float[np.ndarray, " step"], deviance: Float[np.ndarray, " step"], path: Path) -> Path:
+def convergence(
+    seconds: Float[np.ndarray, " step"], deviance: Float[np.ndarray, " step"], path: Path | None = None
+) -> "Figure":
     """Draw deviance over that of noise alone against time: every step, and a running mean; with a CSV.
 
     Parameters
     ----------
     seconds : time since the fit began [s]
     deviance : deviance of the views of each step, over that of noise alone
-    path : figure to write
+    path : figure to write, with its CSV where it has one; None for no file
 
     Returns
     -------
-    path
+    the figure
     """
     seconds, deviance = np.asarray(seconds, dtype=np.float64), np.asarray(deviance, dtype=np.float64)
     window = max(len(deviance) // 20, 1)
@@ -304,7 +307,7 @@ def convergence(seconds: Float[np.ndarray, " step"], deviance: Float[np.ndarray,
         ax.set(xlabel="time [s]", ylabel="deviance / noise alone")
         decades_or_zero(ax, mean)
         ax.legend(loc="upper right")
-    return path
+    return figure
 
 
 def borders(grid: Grid, axis: str) -> tuple[float, float]:

@@ -118,6 +118,24 @@ def test_materials_of_a_fit_are_those_of_its_folder(path, tmp_path):
     assert found.options.energies == (60,)
 
 
-def test_options_that_no_segmentation_has_are_refused(tmp_path):
-    with pytest.raises(InputError, match=r"no option 'energy'.*energies"):
-        recon.segment(tmp_path, energy=70)
+def test_impossible_options_of_a_segmentation_are_refused(tmp_path):
+    with pytest.raises(InputError, match="the domain must be one of"):
+        recon.segment(tmp_path, domain="pixels")
+
+
+def test_an_early_stop_ends_a_fit_that_no_longer_improves(path):
+    fit = recon.fit(path, SHORT, callbacks=[recon.EarlyStop(patience=2, change=10.0, after=0.0)], progress=True)
+    assert [entry["step"] for entry in fit.log] == [1, 2, 3, 4]
+    with pytest.raises(InputError, match="patience of an early stop"):
+        recon.EarlyStop(patience=0)
+    with pytest.raises(InputError, match="part of the steps from 0 to 1"):
+        recon.EarlyStop(after=2)
+
+
+def test_an_array_scores_as_the_model_that_it_comes_from(fit, path):
+    truth = phantomgen.read_truth(path)
+    of_array, of_fit = recon.score_truth(truth, fit.volume())["basis"], fit.score()["basis"]
+    assert {name: of_array[name]["psnr"] for name in of_fit} == {name: of_fit[name]["psnr"] for name in of_fit}
+    assert recon.score_truth(truth, truth.volumes)["basis"]["compton"]["rmse"] == 0
+    with pytest.raises(InputError, match=r"shape of the true volumes.*photoelectric, compton"):
+        recon.score_truth(truth, truth.volumes[0])

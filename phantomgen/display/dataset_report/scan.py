@@ -84,11 +84,13 @@ def view_parts(dataset: Dataset, folder: Path) -> list[Part]:
         ("mean flat", (dataset.flat * seen)[shown]),
         ("−log", dataset.line_integrals(0)[shown]),
     ]
-    path = view_images(images, s.channels[shown], folder / "view.svg")
+    path, lines = folder / "view.svg", folder / "sinograms.svg"
+    view_images(images, s.channels[shown], path)
+    sinograms(dataset, lines)
     return [
         picture(path, f"View 0 in each channel: {s.units}, the mean flat field, and log projections."),
         picture(
-            sinograms(dataset, folder / "sinograms.svg"),
+            lines,
             "Sinograms: log projections of the middle row of pixels in the training views. The table has their mean in "
             "the first channel.",
         ),

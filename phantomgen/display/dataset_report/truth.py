@@ -1,6 +1,7 @@
 """Parts of the page about the truth: true volumes and materials."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from phantomgen.display.figures.style import MILLI, PAGE_WIDTH, UNIT, few_ticks,
 from phantomgen.display.html import Code, Part, Table, picture
 from phantomgen.display.html.content import csv_of
 from spectra.basis.basis import pretty
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 PLANES = (("axial", "x", "y"), ("coronal", "x", "z"), ("sagittal", "y", "z"))
 
@@ -26,23 +30,24 @@ def truth_parts(truth: Truth, folder: Path) -> list[Part]:
     -------
     parts of the page
     """
-    path = truth_slices(truth, folder / "truth.svg")
+    path = folder / "truth.svg"
+    truth_slices(truth, path)
     caption = "Middle slices of the true basis volumes, in 1/mm at 70 keV. The table has the range of each."
     found: list[Part] = [picture(path, caption), _materials(truth)]
     return [*found, Code("Scene", truth.scene)] if truth.scene else found
 
 
-def truth_slices(truth: Truth, path: Path) -> Path:
+def truth_slices(truth: Truth, path: Path | None = None) -> "Figure":
     """Draw slices of the true basis volumes: a row per basis, a column per plane, one scale per row; with a CSV.
 
     Parameters
     ----------
     truth : the truth
-    path : the picture
+    path : figure to write, with its CSV where it has one; None for no file
 
     Returns
     -------
-    path of the picture
+    the figure
     """
     names, grid = truth.basis_names, truth.grid
     middle = [n // 2 for n in grid.shape]
@@ -72,7 +77,7 @@ def truth_slices(truth: Truth, path: Path) -> Path:
             bar.locator = few_ticks()
     flat = truth.volumes.reshape(len(names), -1)
     write_csv(path, {"basis": np.arange(len(names)), "lowest_per_mm": flat.min(1), "highest_per_mm": flat.max(1)})
-    return path
+    return figure
 
 
 _ENDS = ((np.min, -1), (np.max, 1))

@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,19 +10,22 @@ from phantomgen.dataset.spectral_model import Spectra
 from phantomgen.display.figures.style import BASIS_LINES, WIDTH, channel_colours, figure_file, write_csv
 from spectra.basis.basis import pretty
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def spectrum(spectra: Spectra, path: Path, width: float = WIDTH) -> Path:
+
+def spectrum(spectra: Spectra, path: Path | None = None, width: float = WIDTH) -> "Figure":
     """Draw source and counts of each channel, per keV, above the basis functions; with a CSV of all bins.
 
     Parameters
     ----------
     spectra : energies of the dataset
-    path : the picture
+    path : figure to write, with its CSV where it has one; None for no file
     width : of the picture [inch]
 
     Returns
     -------
-    path of the picture
+    the figure
     """
     energy, edges, source = spectra.energy, spectra.edges, spectra.source
     basis_names, basis_values, counted = spectra.basis.names, spectra.basis_values, spectra.weights
@@ -60,7 +64,7 @@ def spectrum(spectra: Spectra, path: Path, width: float = WIDTH) -> Path:
         bottom.legend(loc="upper right")
         bottom.yaxis.set_major_formatter("{x:g}")
         figure.align_ylabels()
-    return path
+    return figure
 
 
 def _display_bins(edges: np.ndarray, response: np.ndarray) -> np.ndarray:

@@ -91,27 +91,33 @@ def styled_figure(inches: tuple[float, float], **style: Any) -> Iterator["Figure
     """
     from matplotlib import rc_context  # noqa: PLC0415 - half a second
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
-    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    from phantomgen.display.figures.notebook_figure import NotebookFigure  # noqa: PLC0415
 
     with rc_context(_STYLE | style):
-        figure = Figure(figsize=inches, dpi=150, layout="constrained")
+        figure = NotebookFigure(figsize=inches, dpi=150, layout="constrained")
         FigureCanvasAgg(figure)
         yield figure
 
 
 @contextmanager
-def figure_file(path: Path, inches: tuple[float, float]) -> Iterator["Figure"]:
+def figure_file(path: Path | None, inches: tuple[float, float]) -> Iterator["Figure"]:
     """Yield a figure that is written at the end: PNG, PDF, or SVG without a background, for pages.
 
     Parameters
     ----------
-    path : the picture
+    path : the picture; None for no file
     inches : width and height [inch]
 
     Yields
     ------
     the figure
     """
+    if path is None:
+        with styled_figure(inches) as figure:
+            yield figure
+            figure.draw_without_rendering()  # ticks are made in the common style
+        return
     kind = _kind_of(Path(path))
     with styled_figure(inches, **(_SCALABLE if kind == "svg" else {})) as figure:
         yield figure
@@ -121,14 +127,16 @@ def figure_file(path: Path, inches: tuple[float, float]) -> Iterator["Figure"]:
             figure.savefig(beside, format=kind, transparent=kind == "svg", metadata=dict.fromkeys(_STAMPS[kind]))
 
 
-def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
+def write_csv(path: Path | None, columns: dict[str, np.ndarray]) -> None:
     """Write columns of equal length as CSV beside the picture.
 
     Parameters
     ----------
-    path : the picture or the CSV file
+    path : the picture or the CSV file; None for no file
     columns : values by name
     """
+    if path is None:
+        return
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     table = np.column_stack(list(columns.values()))

@@ -19,8 +19,10 @@ LOG = "−log(counts / open beam)"
 
 
 def view_images(
-    columns: Sequence[tuple[str, Real[np.ndarray, "channel row column"]]], channels: Sequence[str], path: Path
-) -> Path:
+    columns: Sequence[tuple[str, Real[np.ndarray, "channel row column"]]],
+    channels: Sequence[str],
+    path: Path | None = None,
+) -> "Figure":
     """Draw one view, a row of images per channel; with a CSV of ranges.
 
     Images of the same title have one scale within a row.
@@ -29,11 +31,11 @@ def view_images(
     ----------
     columns : titles and images, such as counts and log projections; NaN where a pixel does not measure
     channels : names
-    path : of the picture
+    path : figure to write, with its CSV where it has one; None for no file
 
     Returns
     -------
-    path of the picture
+    the figure
     """
     titles = [title for title, _ in columns]
     groups = {title.partition(", ")[0]: None for title in titles}
@@ -57,10 +59,10 @@ def view_images(
             for word, value in (("lowest", np.nanmin), ("mean", np.nanmean), ("highest", np.nanmax)):
                 table[f"{key}_{word}"] = np.array([_or_nan(value, image[c]) for c in range(len(channels))])
     write_csv(path, {"channel": np.arange(len(channels)), **table})
-    return path
+    return figure
 
 
-def sinograms(dataset: Dataset, path: Path) -> Path:
+def sinograms(dataset: Dataset, path: Path | None = None) -> "Figure":
     """Draw log projections of the middle row of pixels in the training views, per channel.
 
     A CSV of the first channel lies beside the picture.
@@ -68,11 +70,11 @@ def sinograms(dataset: Dataset, path: Path) -> Path:
     Parameters
     ----------
     dataset : open dataset
-    path : the picture
+    path : figure to write, with its CSV where it has one; None for no file
 
     Returns
     -------
-    path of the picture
+    the figure
     """
     views, up, label = _ordered(dataset)
     row = dataset.counts.shape[2] // 2
@@ -97,7 +99,7 @@ def sinograms(dataset: Dataset, path: Path) -> Path:
             ax.set_ylabel(label)
         figure.colorbar(shown, ax=axes, extend="both", pad=0.02, aspect=30).set_label(LOG)
     write_csv(path, {"view": views, label.replace(" ", "_"): up, "mean_log": np.nanmean(images[0], axis=1)})
-    return path
+    return figure
 
 
 def _ordered(dataset: Dataset) -> tuple[np.ndarray, np.ndarray, str]:

@@ -2,9 +2,10 @@
 
 import difflib
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -20,6 +21,7 @@ from phantomgen.scene.schema import SceneModel
 from spectra.errors import Error, SceneError, shortened
 
 Location = tuple[str | int, ...]
+Overrides = Sequence[str] | Mapping[str, Any]  # ``path=value``, or values by path
 # More objects are written as one line of JSON each, which is YAML too: PyYAML takes half a millisecond for each.
 _MANY = 1000
 
@@ -33,11 +35,13 @@ class SceneFile:
     name : shown in messages
     text : YAML
     overrides : ``path=value`` with a dotted path, such as ``geometry.views=180`` or ``objects.0.radius=40``
+    given : the mapping, where Python gives it in place of a text; messages then name no line
     """
 
     name: str
     text: str
     overrides: tuple[str, ...] = ()
+    given: dict[str, Any] | None = field(default=None, hash=False)
 
     @classmethod
     def read(cls, path: Path | str, overrides: Sequence[str] = ()) -> "SceneFile":
@@ -87,15 +91,26 @@ class SceneFile:
         text = resources.files("phantomgen").joinpath("scene", "presets", f"{name}.yaml").read_text(encoding="utf-8")
         return cls(f"{name}.yaml", text, tuple(overrides))
 
+    def changed(self, overrides: Overrides) -> "SceneFile":
+        """Return the scene file with more values that override it.
+
+        Parameters
+        ----------
+        overrides : values by dotted path, or texts ``path=value``
+
+        Returns
+        -------
+        the scene file
+        """
+        return replace(self, overrides=(*self.overrides, *override_texts(overrides)))
+
     @cached_property
     def model(self) -> SceneModel:
         """The checked scene."""
         try:
             model = SceneModel.model_validate(self.values)
         except ValidationError as error:
-            found = min(error.errors(), key=_rank)
-            location = (*found["loc"], "type") if found["type"].startswith("union_tag") else found["loc"]
-            raise self.error(location, _sentence(found)) from None
+            raise self.error(*_worst(error.errors())) from None
         return model
 
     @cached_property
@@ -106,9 +121,12 @@ class SceneFile:
     @cached_property
     def template(self) -> dict[str, Any]:
         """The mapping in the file, with the overrides put in."""
-        if not isinstance(self._root, yaml.MappingNode):
+        if self.given is not None:
+            values = deepcopy(self.given)
+        elif isinstance(self._root, yaml.MappingNode):
+            values = self._parsed.values
+        else:
             raise SceneError(f"{self.name}:1:1: a scene is a mapping of keys to values that starts with 'version: 1'")
-        values = self._parsed.values
         for override in self.overrides:
             _override(values, override)
         return values
@@ -116,14 +134,7 @@ class SceneFile:
     @property
     def resolved(self) -> str:
         """The scene as YAML, overrides and defaults included."""
-        data = self.model.model_dump(mode="json", exclude_none=True)
-        if len(data["objects"]) <= _MANY:
-            return _dump(data)
-        lines = "".join(f"- {json.dumps(values)}\n" for values in data["objects"])
-        keys = list(data)
-        head, tail = keys[: keys.index("objects")], keys[keys.index("objects") + 1 :]
-        rest = yaml.safe_dump({key: data[key] for key in tail}, sort_keys=False)
-        return f"{_dump({key: data[key] for key in head})}objects:\n{lines}{rest}"
+        return scene_text(self.model.model_dump(mode="json", exclude_none=True))
 
     def error(self, location: Location, message: str) -> SceneError:
         """Create an error that names the place of its cause in the file, or the override that caused it.
@@ -151,7 +162,8 @@ class SceneFile:
                 return SceneError(f"--set {shortened(override)}: {key} - {message}")
         parts = [f"--set {override}" for override, path in paths.items() if key and path.startswith(f"{key}.")]
         where = f"{key} (with {', '.join(parts)})" if parts else key
-        return SceneError(f"{self.name}:{_mark(self._root, location)}: {where}{' - ' if where else ''}{message}")
+        place = self.name if self.given is not None else f"{self.name}:{_mark(self._root, location)}"
+        return SceneError(f"{place}: {where}{' - ' if where else ''}{message}")
 
     @contextmanager
     def at(self, *location: str | int) -> Iterator[None]:
@@ -191,6 +203,71 @@ class SceneFile:
             return parse_yaml(self.text)
         except YamlTextError as problem:
             raise SceneError(f"{self.name}:{problem.line}:{problem.column}: {problem.reason}") from None
+
+
+def scene_text(data: dict[str, Any]) -> str:
+    """Write the mapping of a scene as YAML.
+
+    Parameters
+    ----------
+    data : keys of a scene file, with plain values
+
+    Returns
+    -------
+    text of a scene file
+    """
+    if len(data["objects"]) <= _MANY:
+        return _dump(data)
+    lines = "".join(f"- {json.dumps(values)}\n" for values in data["objects"])
+    keys = list(data)
+    head, tail = keys[: keys.index("objects")], keys[keys.index("objects") + 1 :]
+    rest = yaml.safe_dump({key: data[key] for key in tail}, sort_keys=False) if tail else ""
+    return f"{_dump({key: data[key] for key in head})}objects:\n{lines}{rest}"
+
+
+def override_texts(overrides: Overrides) -> tuple[str, ...]:
+    """Return overrides as texts.
+
+    Parameters
+    ----------
+    overrides : values by dotted path, or texts ``path=value``
+
+    Returns
+    -------
+    texts ``path=value``
+    """
+    if isinstance(overrides, str):
+        return (overrides,)
+    if not isinstance(overrides, Mapping):
+        return tuple(overrides)
+    return tuple(f"{path}={_flow(path, value)}" for path, value in overrides.items())
+
+
+def plain(value: Any) -> Any:
+    """Return a value as YAML has it: mappings, lists, texts and numbers, in place of tuples and those of NumPy.
+
+    Parameters
+    ----------
+    value : any value
+
+    Returns
+    -------
+    the plain value; what is none is returned as it is
+    """
+    if isinstance(value, Mapping):
+        return {plain(key): plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(part) for part in value]
+    return plain(value.tolist()) if hasattr(value, "tolist") else value
+
+
+def _flow(path: str, value: Any) -> str:
+    """A value as YAML in one line."""
+    try:
+        text = yaml.safe_dump(plain(value), default_flow_style=True, width=float("inf"), sort_keys=False)
+    except yaml.YAMLError:
+        raise SceneError(f"{path}: write numbers, texts, lists or mappings, got {shortened(repr(value))}") from None
+    return text.removesuffix("\n").removesuffix("\n...")
 
 
 def preset_names() -> list[str]:
@@ -236,6 +313,31 @@ def closest(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {near[0]!r}?" if near else choice
 
 
+def validation_sentence(error: ValidationError, kind: str, values: dict[str, Any]) -> str:
+    """Return the key and the sentence of what is wrong in one object.
+
+    Parameters
+    ----------
+    error : of the object's model
+    kind : type of the object
+    values : its keys
+
+    Returns
+    -------
+    one sentence
+    """
+    found = [problem | {"loc": (kind, *problem["loc"])} for problem in error.errors()]
+    location, sentence = _worst(found)
+    return f"{'.'.join(map(str, _keys(values, location[1:])))} - {sentence}"
+
+
+def _worst(errors: Iterable[Any]) -> tuple[Location, str]:
+    """Place and sentence of the error that is nearest to the point."""
+    found = min(errors, key=_rank)
+    location = (*found["loc"], "type") if found["type"].startswith("union_tag") else found["loc"]
+    return location, _sentence(found)
+
+
 def _rank(error: Any) -> tuple[bool, bool]:
     """Order of errors: a misspelt key explains the rest, and a wrong value is nearer the point than a wrong type."""
     return error["type"] != "extra_forbidden", error["type"].endswith("_type")
@@ -264,8 +366,8 @@ def _sentence(error: Any) -> str:
 
 def _choices(key: str) -> str:
     """Return the allowed values of a key that has a choice of values."""
-    for field in (model.model_fields[key] for model in _models() if key in model.model_fields):
-        options = get_args(field.annotation) if get_origin(field.annotation) is Literal else ()
+    for found in (model.model_fields[key] for model in _models() if key in model.model_fields):
+        options = get_args(found.annotation) if get_origin(found.annotation) is Literal else ()
         if len(options) > 1:
             return f": choose from {', '.join(map(str, options))}"
     return ""

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from phantomgen.ops.primitives import BALL, CONE, CYLINDER, HALFSPACE, TORUS
 from phantomgen.ops.trace import trace
-from phantomgen.scene.scan import Scan, Scene
+from phantomgen.scene.scan import Scan, SceneObjects
 from phantomgen.shapes import Part, Shape
 
 # Points of each object that sampled rays pass through.
@@ -49,7 +49,7 @@ def sampled_lengths(scan: Scan) -> Float[np.ndarray, "ray material"]:
     return trace(origins, directions, scan.scene.solids, len(scan.scene.materials), scan.scene.background)
 
 
-def _largest(scene: Scene) -> list[int]:
+def _largest(scene: SceneObjects) -> list[int]:
     """Numbers of the largest objects of each material, `_MANY` in all or one of each."""
     solids = scene.solids
     size = np.where(solids.inside & (solids.kinds != HALFSPACE), solids.balls[:, 3], 0.0)

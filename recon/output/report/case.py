@@ -1,10 +1,10 @@
 """Content of a report: runs, and where they are available the scan that they reconstruct and its truth."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float, Integer
@@ -16,6 +16,9 @@ from phantomgen.display.html import Part
 from phantomgen.geometry.voxel_grid import Grid
 from recon.output.report.finished_run import FinishedRun
 from spectra.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Parts = tuple[Part, ...]
 LINES = ((RESULT, "-"), *BASIS_LINES)  # colour and dashes of each run
@@ -35,12 +38,14 @@ class Case:
     dataset : the scan, open; None where it was not found
     truth : truth of the scan; None where it is not known
     folder : folder for figures
+    figures : of matplotlib, by the names of their files
     """
 
     runs: tuple[FinishedRun, ...]
     dataset: Dataset | None
     truth: Truth | None
     folder: Path
+    figures: dict[str, "Figure"] = field(default_factory=dict)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -104,6 +109,21 @@ class Case:
         name and a colon; empty where there is one run only
         """
         return f"{run.name}: " if len(self.runs) > 1 else ""
+
+    def drawn(self, path: Path, figure: "Figure") -> Path:
+        """Keep a figure beside its file.
+
+        Parameters
+        ----------
+        path : of the figure
+        figure : that was written there
+
+        Returns
+        -------
+        path
+        """
+        self.figures[path.stem] = figure
+        return path
 
     def path(self, name: str) -> Path:
         """Return the path of a figure.

@@ -1,6 +1,7 @@
 """Energies of a scan: photons, channels, K edges, and basis functions, raw and conditioned."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from recon.output.report.case import Case, Parts
 from spectra.basis.basis import pretty
 from spectra.basis.conditioning import conditioning_of
 from spectra.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def parts(case: Case) -> Parts:
@@ -31,29 +35,31 @@ def parts(case: Case) -> Parts:
         When the dataset was not found.
     """
     s = case.needs_dataset().spectra
-    path = spectrum(s, case.path("spectrum"), PAGE_WIDTH)
+    path = case.path("spectrum")
+    case.drawn(path, spectrum(s, path, PAGE_WIDTH))
     found = [picture(path, "Incident photons and the part that each channel counts, above the raw basis functions.")]
-    drawn = conditioned_basis(s, case.path("conditioned_basis"))
-    if drawn is not None:
+    path = case.path("conditioned_basis")
+    conditioned = conditioned_basis(s, path)
+    if conditioned is not None:
         caption = (
             "The same functions made orthonormal over all detected photons, as solvers use them. Functions that are "
             "nearly equal above have coefficients whose noise is strongly correlated."
         )
-        found.append(picture(drawn, caption))
+        found.append(picture(case.drawn(path, conditioned), caption))
     return tuple(found)
 
 
-def conditioned_basis(spectra: Spectra, path: Path) -> Path | None:
+def conditioned_basis(spectra: Spectra, path: Path | None = None) -> "Figure | None":
     """Draw the basis functions after whitening over the detected spectrum, with a CSV.
 
     Parameters
     ----------
     spectra : spectra of the dataset
-    path : figure to write
+    path : figure to write, with its CSV where it has one; None for no file
 
     Returns
     -------
-    path; None where the basis functions cannot be distinguished
+    the figure; None where the basis functions cannot be distinguished
     """
     seen = spectra.weights.sum(axis=0)
     kept = seen > 0
@@ -73,4 +79,4 @@ def conditioned_basis(spectra: Spectra, path: Path) -> Path | None:
         ax.axhline(0, color="0.6", linewidth=0.7, zorder=0)
         ax.set(xlabel="energy [keV]", ylabel="conditioned functions [no unit]", ylim=(-limit, limit))
         figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=3)
-    return path
+    return figure

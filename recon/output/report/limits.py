@@ -1,7 +1,7 @@
 """Errors of materials compared with the Cramér-Rao limit, the least that any estimate from the counts can reach."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -21,6 +21,9 @@ from recon.output.report.materials import MARKERS
 from spectra.basis.basis import pretty
 from spectra.cramer_rao import least_deviations
 from spectra.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MOST_VIEWS = 12  # views; largest number whose information is computed, as others have nearly the same; our choice
 COARSE = 2.0  # voxels; largest pixel to which views are binned; our choice
@@ -52,7 +55,8 @@ def parts(case: Case) -> Parts:
         limits = material_limits(dataset, truth)
     except InputError as error:
         raise LeftOut(f"the counts do not determine the bases: {error}") from None
-    path = limit_figure(tables, limits, case.names, case.path("limits"))
+    path = case.path("limits")
+    case.drawn(path, limit_figure(tables, limits, case.names, path))
     caption = (
         "Error of each material's mean against its Cramér-Rao limit: the least standard deviation that the counts of "
         "the training views allow an unbiased estimate that knows every shape. An error well above its limit is not "
@@ -118,8 +122,11 @@ def _spread(exposure: Float[np.ndarray, "view channel"]) -> Int[np.ndarray, " fe
 
 
 def limit_figure(
-    tables: dict[str, dict[str, Any]], limits: dict[str, dict[str, float]], names: tuple[str, ...], path: Path
-) -> Path:
+    tables: dict[str, dict[str, Any]],
+    limits: dict[str, dict[str, float]],
+    names: tuple[str, ...],
+    path: Path | None = None,
+) -> "Figure":
     """Draw limits as ticks and absolute errors of means as points, in a panel per basis with a logarithmic axis.
 
     Parameters
@@ -127,11 +134,11 @@ def limit_figure(
     tables : scores per material of each run, by the names of the runs
     limits : limits by material and basis [1/mm]
     names : names of the bases
-    path : figure to write
+    path : figure to write, with its CSV where it has one; None for no file
 
     Returns
     -------
-    path
+    the figure
     """
     materials = list(limits)
     places = np.arange(len(materials))[::-1]
@@ -149,7 +156,7 @@ def limit_figure(
             ax.grid(axis="x", color="0.9", linewidth=0.5)
             ax.set_yticks(places, materials)
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    return path
+    return figure
 
 
 def _numbers(tables: dict[str, dict[str, Any]], limits: dict[str, dict[str, float]]) -> str:

@@ -1,7 +1,7 @@
 """Bias and noise inside every material, cross-talk, and scatter plots of materials in the plane of two bases."""
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer
@@ -11,6 +11,9 @@ from phantomgen.display.html import Part, Table, picture
 from phantomgen.display.html.content import csv_of
 from recon.output.report.case import LINES, Case, LeftOut, Parts, number
 from spectra.basis.basis import pretty
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MARKERS = ("o", "s", "^", "D", "v")  # marker of each run
 MOST_POINTS = 6000  # voxels; largest number in a scatter plot, which limits the size of the page
@@ -39,8 +42,9 @@ def parts(case: Case) -> Parts:
     if not tables:
         raise LeftOut("no truth: the runs have no scores per material")
     numbers = _numbers(tables)
-    identity = identity_figure(tables, case.names, case.path("materials"))
-    errors = error_figure(tables, case.names, case.path("material_errors"))
+    identity, errors = case.path("materials"), case.path("material_errors")
+    case.drawn(identity, identity_figure(tables, case.names, identity))
+    case.drawn(errors, error_figure(tables, case.names, errors))
     found: list[Part] = [
         picture(
             identity,
@@ -80,7 +84,9 @@ def scatter_parts(case: Case) -> Parts:
     for i, run in enumerate(case.runs):
         path = case.path("scatter" if i == 0 else f"scatter_{i}")
         values = case.volumes(run)[:2]
-        text = scatter_figure(values, case.labels, truth.material_names, truth.coefficients[:, places], names, path)
+        true = truth.coefficients[:, places]
+        figure, text = scatter_figure(values, case.labels, truth.material_names, true, names, path)
+        case.drawn(path, figure)
         caption = (
             f"{case.who(run)}Voxels in the plane of {pretty(names[0])} and {pretty(names[1])}, coloured by the "
             "material that fills most of each; crosses are the true materials, and points between them voxels at edges."
@@ -89,18 +95,18 @@ def scatter_parts(case: Case) -> Parts:
     return tuple(found)
 
 
-def identity_figure(tables: dict[str, dict[str, Any]], names: tuple[str, ...], path: Path) -> Path:
+def identity_figure(tables: dict[str, dict[str, Any]], names: tuple[str, ...], path: Path | None = None) -> "Figure":
     """Draw mean against true coefficient, in a panel per basis.
 
     Parameters
     ----------
     tables : scores per material of each run, by the names of the runs
     names : names of the bases
-    path : figure to write
+    path : figure to write, with its CSV where it has one; None for no file
 
     Returns
     -------
-    path
+    the figure
     """
     across = min(len(names), 3)
     down = -(-len(names) // across)
@@ -124,21 +130,21 @@ def identity_figure(tables: dict[str, dict[str, Any]], names: tuple[str, ...], p
             ax.set_ylabel(f"mean [{UNIT}]")
         if len(tables) > 1:
             figure.legend(*axes.flat[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
-    return path
+    return figure
 
 
-def error_figure(tables: dict[str, dict[str, Any]], names: tuple[str, ...], path: Path) -> Path:
+def error_figure(tables: dict[str, dict[str, Any]], names: tuple[str, ...], path: Path | None = None) -> "Figure":
     """Draw bias with noise, in a panel per basis with a line per material.
 
     Parameters
     ----------
     tables : scores per material of each run, by the names of the runs
     names : names of the bases
-    path : figure to write
+    path : figure to write, with its CSV where it has one; None for no file
 
     Returns
     -------
-    path
+    the figure
     """
     materials = list(dict.fromkeys(material for table in tables.values() for material in table))
     places = np.arange(len(materials))[::-1]
@@ -161,7 +167,7 @@ def error_figure(tables: dict[str, dict[str, Any]], names: tuple[str, ...], path
             ax.xaxis.set_major_locator(few_ticks(3))
         if len(tables) > 1:
             figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
-    return path
+    return figure
 
 
 def scatter_figure(
@@ -170,8 +176,8 @@ def scatter_figure(
     materials: tuple[str, ...],
     true: Float[np.ndarray, "material 2"],
     names: tuple[str, ...],
-    path: Path,
-) -> str:
+    path: Path | None = None,
+) -> tuple["Figure", str]:
     """Draw some voxels of every material, and its true coefficients.
 
     Parameters
@@ -181,11 +187,11 @@ def scatter_figure(
     materials : names of the materials
     true : true coefficients of the materials [1/mm]
     names : names of the two bases
-    path : figure to write
+    path : figure to write, with its CSV where it has one; None for no file
 
     Returns
     -------
-    the voxels that are drawn, as CSV
+    the figure, and the voxels that are drawn as CSV
     """
     rng, table = np.random.default_rng(0), []
     with figure_file(path, (PAGE_WIDTH, 3.7)) as figure:
@@ -204,7 +210,7 @@ def scatter_figure(
         ax.plot(*(MILLI * true.T), "x", color="black", markersize=8, markeredgewidth=1.4)
         ax.set(xlabel=f"{pretty(names[0])} [{UNIT}]", ylabel=f"{pretty(names[1])} [{UNIT}]")
         figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    return csv_of(("material", f"{names[0]}_per_mm", f"{names[1]}_per_mm"), table)
+    return figure, csv_of(("material", f"{names[0]}_per_mm", f"{names[1]}_per_mm"), table)
 
 
 class _Point(NamedTuple):

@@ -1,9 +1,11 @@
 """Page of a report: the topics that runs, dataset and truth allow, and the reasons why others are missing."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from datetime import date
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.truth import read_truth
@@ -29,6 +31,9 @@ from recon.output.report.progress_and_cost import memory, seconds, size
 from recon.runs.read_run import find_dataset
 from spectra.basis.basis import pretty
 from spectra.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Topic = Callable[[Case], Parts]
 CHAPTERS: dict[str, dict[str, Topic]] = {
@@ -78,15 +83,42 @@ def run_report(
     InputError
         When the runs are of different scans, or the dataset is another one.
     """
+    with _opened(folders, dataset, air) as (case, scan):
+        return _page(case, scan, on_chapter)
+
+
+def report_figures(folders: Sequence[Path], dataset: Path | None = None, air: str | None = None) -> dict[str, "Figure"]:
+    """Draw the figures of a report.
+
+    Parameters
+    ----------
+    folders, dataset, air : see `run_report`
+
+    Returns
+    -------
+    figures of matplotlib by their names, in the order of the page, such as ``axial`` and ``edge_response``
+    """
+    with _opened(folders, dataset, air) as (case, _):
+        for topics in CHAPTERS.values():
+            for topic in topics.values():
+                with suppress(LeftOut):
+                    topic(case)
+        return case.figures
+
+
+@contextmanager
+def _opened(folders: Sequence[Path], dataset: Path | None, air: str | None) -> Iterator[tuple[Case, str]]:
+    """Runs with their scan, and its name; the folder for figures is removed at the end."""
     runs = tuple(map(open_finished_run, folders, names_of(folders)))
     scan = check_same_scan(runs)
     found = dataset or find_dataset(scan, folders)
     with TemporaryDirectory() as folder:
         if found is None:
-            return _page(Case(runs, None, None, Path(folder)), scan, on_chapter)
+            yield Case(runs, None, None, Path(folder)), scan
+            return
         with open_dataset(found, air) as opened:
             check_fits(opened, runs)
-            return _page(Case(runs, opened, read_truth(found), Path(folder)), scan, on_chapter)
+            yield Case(runs, opened, read_truth(found), Path(folder)), scan
 
 
 def names_of(folders: Sequence[Path]) -> list[str]:

@@ -1,7 +1,7 @@
 """Error against time and iteration of all runs, and their cost: Gaussians or voxels, seconds, memory."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -12,6 +12,9 @@ from phantomgen.display.html.content import csv_of
 from recon.output.report.case import LINES, Case, LeftOut, Parts, number
 from recon.output.report.finished_run import FinishedRun
 from spectra.basis.basis import pretty
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MISFIT = ("deviance", "residual")  # names of the misfit to the counts in a log
 
@@ -36,7 +39,8 @@ def progress_parts(case: Case) -> Parts:
     if not logs:
         raise LeftOut("the runs have no log")
     rows = [n for n in case.names if any(f"psnr_{n}" in entry for log in logs.values() for entry in log)]
-    path = progress_figure(logs, rows, case.path("progress"))
+    path = case.path("progress")
+    case.drawn(path, progress_figure(logs, rows, path))
     caption = (
         "Error against time and against steps or iterations: PSNR of intermediate models, and their misfit to the "
         "counts of the views of each step: for Gaussians the deviance over that of noise alone, else the residual of "
@@ -45,18 +49,20 @@ def progress_parts(case: Case) -> Parts:
     return (picture(path, caption, _table(logs)),)
 
 
-def progress_figure(logs: dict[str, tuple[dict[str, Any], ...]], names: list[str], path: Path) -> Path:
+def progress_figure(
+    logs: dict[str, tuple[dict[str, Any], ...]], names: list[str], path: Path | None = None
+) -> "Figure":
     """Draw PSNR of each basis, and the misfit, against seconds and steps.
 
     Parameters
     ----------
     logs : entries of the log of each run, by the names of the runs
     names : names of the bases
-    path : figure to write
+    path : figure to write, with its CSV where it has one; None for no file
 
     Returns
     -------
-    path
+    the figure
     """
     with figure_file(path, (PAGE_WIDTH, 1.15 * (len(names) + 1) + 0.7)) as figure:
         axes = figure.subplots(len(names) + 1, 2, sharex="col", sharey="row", squeeze=False)
@@ -83,7 +89,7 @@ def progress_figure(logs: dict[str, tuple[dict[str, Any], ...]], names: list[str
         if len(logs) > 1:
             figure.legend(*axes[-1, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
         figure.align_ylabels()
-    return path
+    return figure
 
 
 def _seconds(entries: list[dict[str, Any]]) -> np.ndarray:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +19,9 @@ from recon.readouts.spectrum import detected_spectrum
 from recon.runs.run_folder import SCAN, open_scan
 from spectra.basis.basis import Basis
 from spectra.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _TITLES = {
     "HU": "[HU]",
@@ -69,7 +73,7 @@ def parts(case: Case) -> Parts:
         ]
         for each in maps:
             path = case.path(f"{each.chosen.name}{'' if i == 0 else f'_{i}'}")
-            slice_figure(each, case.grid, path)
+            case.drawn(path, slice_figure(each, case.grid, path))
             unit = f" {_TITLES[each.chosen.unit]}".rstrip()
             about = each.chosen.about
             found.append(picture(path, f"{case.who(run)}{about[0].upper()}{about[1:]}{unit}, middle axial slice."))
@@ -98,18 +102,18 @@ def shown_quantities(conversion: Readouts) -> list[Quantity]:
     return found
 
 
-def slice_figure(maps: Maps, grid: Grid, path: Path) -> Path:
+def slice_figure(maps: Maps, grid: Grid, path: Path | None = None) -> "Figure":
     """Draw the middle axial slice: truth, result and difference, or the result alone, with the central row as CSV.
 
     Parameters
     ----------
     maps : quantity of result and truth
     grid : grid of the volumes
-    path : figure to write
+    path : figure to write, with its CSV where it has one; None for no file
 
     Returns
     -------
-    path
+    the figure
     """
     middle, unit = grid.shape[0] // 2, maps.chosen.unit
     images = {"result": maps.result[middle]}
@@ -141,7 +145,7 @@ def slice_figure(maps: Maps, grid: Grid, path: Path) -> Path:
     row = grid.shape[1] // 2
     suffix = "" if unit == "1" else "_" + unit.replace("/", "_per_")
     write_csv(path, {"x_mm": grid.axis("x"), **{f"{name}{suffix}": image[row] for name, image in images.items()}})
-    return path
+    return figure
 
 
 def _range(maps: Maps) -> tuple[float, float]:

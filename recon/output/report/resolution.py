@@ -1,8 +1,8 @@
 """Resolution and noise of a reconstruction: edge response, MTF, and noise power spectrum."""
 
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer, Real
@@ -11,11 +11,15 @@ from scipy.special import erfinv
 
 from phantomgen.display.figures.style import PAGE_WIDTH, TRUTH, figure_file, write_csv
 from phantomgen.display.html import Part, picture
-from phantomgen.geometry.voxel_grid import Grid
 from recon.evaluation.metrics import pure_voxels
 from recon.evaluation.scoring import FULL_FRACTION
 from recon.output.report.case import LINES, Case, LeftOut, Parts
+from recon.quality.edge_response import edge_width, mtf
+from recon.quality.noise_power import noise_power
 from spectra.basis.basis import pretty
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 REACH = 3.0  # voxels; range of an edge response on both sides of the edge; our choice
 STEP = 0.25  # voxels; width of a bin of an edge response; our choice
@@ -81,9 +85,11 @@ def parts(case: Case) -> Parts:
     """
     truth = case.needs_truth()
     found: list[Part] = []
-    drawn = edge_figure(case, case.path("edge_response"))
+    path = case.path("edge_response")
+    drawn = edge_figure(case, path)
     if drawn is not None:
-        path, text = drawn
+        figure, text = drawn
+        case.drawn(path, figure)
         caption = (
             "Edge response (left) and MTF, its transform (right), at the surface of the material with the largest "
             "coefficient in each basis; distances of voxels from the surface come from the true fractions. Truth is "
@@ -94,7 +100,8 @@ def parts(case: Case) -> Parts:
     if region is not None:
         name, box = region
         side = box[1].stop - box[1].start
-        path = noise_figure(case, box, case.path("noise_power"))
+        path = case.path("noise_power")
+        case.drawn(path, noise_figure(case, box, path))
         caption = (
             f"Noise power spectrum in axial slices of {name}: {box[0].stop - box[0].start} slices of {side} x {side} "
             "voxels, their mean planes subtracted. Its area is the variance; flat is white noise."
@@ -105,17 +112,17 @@ def parts(case: Case) -> Parts:
     return tuple(found)
 
 
-def edge_figure(case: Case, path: Path) -> tuple[Path, str] | None:
+def edge_figure(case: Case, path: Path | None = None) -> tuple["Figure", str] | None:
     """Draw a row per basis that has an edge, with a CSV.
 
     Parameters
     ----------
     case : runs of the report
-    path : figure to write
+    path : figure to write, with its CSV where it has one; None for no file
 
     Returns
     -------
-    path, and the widths of the edges as text; None where no basis has an edge
+    the figure, and the widths of the edges as text; None where no basis has an edge
     """
     truth, true = case.needs_truth(), case.true
     if true is None:
@@ -151,7 +158,7 @@ def edge_figure(case: Case, path: Path) -> tuple[Path, str] | None:
         axes[-1, 1].set(xlabel="frequency [1/mm]", xlim=(0, 0.5 / voxel))
         figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=4)
     write_csv(path, table)
-    return path, "; ".join(words)
+    return figure, "; ".join(words)
 
 
 def strongest_edge(
@@ -218,46 +225,6 @@ def edge_of(fraction: Float[np.ndarray, "z y x"], labels: Integer[np.ndarray, "z
     return Edge(distance[used], voxels)
 
 
-def mtf(response: Float[np.ndarray, " bin"], step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the modulation transfer function: the spectrum of the derivative of an edge response.
-
-    Parameters
-    ----------
-    response : edge response at equal steps
-    step : distance of two values [voxel]
-
-    Returns
-    -------
-    frequencies [1/voxel], and transfer, 1 at frequency 0
-    """
-    line = np.diff(response) * np.hanning(len(response) + 1)[1:-1]
-    padded = 8 * len(line)
-    transfer = np.abs(np.fft.rfft(line, padded))
-    return np.fft.rfftfreq(padded, step), transfer / (transfer[0] or 1.0)
-
-
-def edge_width(distance: Float[np.ndarray, " bin"], response: Float[np.ndarray, " bin"]) -> float:
-    """Compute the distance over which an edge falls from 90 to 10 % of its height.
-
-    Parameters
-    ----------
-    distance : distances from the surface [voxel]
-    response : edge response, from 1 to 0
-
-    Returns
-    -------
-    distance [voxel]; NaN where it does not fall so
-    """
-
-    def crossing(level: float) -> float:
-        for (a, ya), (b, yb) in pairwise(zip(distance, response, strict=True)):
-            if ya >= level > yb:
-                return a + (b - a) * (ya - level) / (ya - yb)
-        return float("nan")
-
-    return crossing(0.1) - crossing(0.9)
-
-
 def uniform_region(
     fractions: Integer[np.ndarray, "material z y x"], names: tuple[str, ...]
 ) -> tuple[str, tuple[slice, slice, slice]] | None:
@@ -289,51 +256,18 @@ def uniform_region(
     return None if best is None else best[1:]
 
 
-def noise_power(
-    volume: Real[np.ndarray, "z y x"], grid: Grid, box: tuple[slice, slice, slice]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the noise power spectrum of axial slices, with their mean planes subtracted.
-
-    Parameters
-    ----------
-    volume : values of all voxels
-    grid : grid of the volume
-    box : region (z, y, x) of voxels, square in y and x
-
-    Returns
-    -------
-    radial frequencies [1/mm], and mean power of the slices [value^2 mm^2]
-
-    References
-    ----------
-    ICRU Report 87, section 4.4: NPS = dx dy / (nx ny) |DFT(noise)|^2.
-    """
-    slices = np.asarray(volume[box], dtype=np.float64)
-    side = slices.shape[1]
-    y, x = np.mgrid[:side, :side] - (side - 1) / 2
-    planes = np.stack([np.ones(side * side), y.ravel(), x.ravel()], axis=1)
-    flat = slices.reshape(len(slices), -1).T
-    noise = (flat - planes @ np.linalg.lstsq(planes, flat, rcond=None)[0]).T.reshape(slices.shape)
-    power = (np.abs(np.fft.fft2(noise)) ** 2).mean(axis=0) * grid.spacing[1] * grid.spacing[2] / side**2
-    frequency = np.hypot(np.fft.fftfreq(side, grid.spacing[1])[:, None], np.fft.fftfreq(side, grid.spacing[2])[None])
-    edges = np.arange(0.5, side // 2 + 1) / (side * max(grid.spacing[1:]))
-    number = np.histogram(frequency, edges)[0]
-    total = np.histogram(frequency, edges, weights=power)[0]
-    return (edges[1:] + edges[:-1]) / 2, total / np.maximum(number, 1)
-
-
-def noise_figure(case: Case, box: tuple[slice, slice, slice], path: Path) -> Path:
+def noise_figure(case: Case, box: tuple[slice, slice, slice], path: Path | None = None) -> "Figure":
     """Draw the noise power spectra of all runs, in a panel per basis, with a CSV.
 
     Parameters
     ----------
     case : runs of the report
     box : region (z, y, x) of voxels
-    path : figure to write
+    path : figure to write, with its CSV where it has one; None for no file
 
     Returns
     -------
-    path
+    the figure
     """
     table = {}
     with figure_file(path, (PAGE_WIDTH, 1.35 * len(case.names) + 0.6)) as figure:
@@ -353,4 +287,4 @@ def noise_figure(case: Case, box: tuple[slice, slice, slice], path: Path) -> Pat
             figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
         figure.align_ylabels()
     write_csv(path, table)
-    return path
+    return figure

@@ -28,7 +28,8 @@ def parts(case: Case) -> Parts:
         volumes, suffix = case.volumes(run), "" if i == 0 else f"_{i}"
         for plane in PLANES:
             path = case.path(f"{plane}{suffix}")
-            figures.basis_slices(volumes, case.true, case.names, case.grid, path, plane, PAGE_WIDTH)
+            figure = figures.basis_slices(volumes, case.true, case.names, case.grid, path, plane, PAGE_WIDTH)
+            case.drawn(path, figure)
             _write_numbers(volumes, case, plane, path)
             what = "truth, result and difference" if case.true is not None else "result"
             found.append(
@@ -53,7 +54,8 @@ def profile_parts(case: Case) -> Parts:
     results = {case.label(run): case.volumes(run) for run in case.runs}
     strongest = results[case.label(case.runs[0])] if case.true is None else case.true
     line = figures.profile_line(strongest[-1], case.grid)
-    path = figures.profiles(results, case.true, case.names, case.grid, case.path("profiles"), line, PAGE_WIDTH)
+    path = case.path("profiles")
+    case.drawn(path, figures.profiles(results, case.true, case.names, case.grid, path, line, PAGE_WIDTH))
     caption = "Every basis along one line through the regions where the last one is strongest."
     return (picture(path, caption),)
 

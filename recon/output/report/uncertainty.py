@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +19,9 @@ from recon.uncertainty.spread import Replicates
 from recon.uncertainty.summary import main_quantities
 from spectra.basis.basis import pretty
 from spectra.errors import DatasetError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class Deviation(NamedTuple):
@@ -58,7 +61,7 @@ def parts(case: Case) -> Parts:
         except DatasetError:
             continue
         path = case.path(f"uncertainty{'' if i == 0 else f'_{i}'}")
-        draw_deviations(_deviations(run.folder, replicates), replicates.grid, path)
+        case.drawn(path, draw_deviations(_deviations(run.folder, replicates), replicates.grid, path))
         found.append(
             picture(
                 path,
@@ -81,18 +84,18 @@ def _deviations(folder: Path, replicates: Replicates) -> list[Deviation]:
     return bases + [Deviation(q.about, q.unit, replicates.quantity(q).deviation) for q in shown]
 
 
-def draw_deviations(deviations: Sequence[Deviation], grid: Grid, path: Path) -> Path:
+def draw_deviations(deviations: Sequence[Deviation], grid: Grid, path: Path | None = None) -> "Figure":
     """Draw the middle axial slice of standard deviations, with the central row as CSV.
 
     Parameters
     ----------
     deviations : of each volume
     grid : of the volumes
-    path : figure to write
+    path : figure to write, with its CSV where it has one; None for no file
 
     Returns
     -------
-    path
+    the figure
     """
     middle, columns = grid.shape[0] // 2, 2 if len(deviations) in (2, 4) else 3
     rows = -(-len(deviations) // columns)
@@ -118,7 +121,7 @@ def draw_deviations(deviations: Sequence[Deviation], grid: Grid, path: Path) -> 
     row = grid.shape[1] // 2
     columns_of = {f"{each.title} [{each.unit}]": each.values[middle, row] for each in deviations}
     write_csv(path, {"x_mm": grid.axis("x"), **columns_of})
-    return path
+    return figure
 
 
 def _table(case: Case, folder: Path, replicates: Replicates, run: int) -> Table:

@@ -39,7 +39,8 @@ def parts(case: Case) -> Parts:
         "Sinograms: log projections of the middle row of pixels in the training views, which the fit used. The "
         "table has their mean in the first channel."
     )
-    return (*found, picture(sinograms(dataset, case.path("sinograms")), caption))
+    path = case.path("sinograms")
+    return (*found, picture(case.drawn(path, sinograms(dataset, path)), caption))
 
 
 def _view_of(case: Case, run: FinishedRun, number: int) -> list[Part]:
@@ -57,10 +58,10 @@ def _view_of(case: Case, run: FinishedRun, number: int) -> list[Part]:
         logs = [np.log(view.open_beam[taken] / np.maximum(v[taken], 0.5)) * seen for v in (view.counts, view.expected)]
     suffix = "" if number == 0 else f"_{number}"
     images = [(s.units, view.counts[taken] * seen), ("−log, measured", logs[0]), ("−log, expected", logs[1])]
-    shown = view_images(images, channels, case.path(f"view{suffix}"))
-    residuals = figures.residuals(
-        view.counts[taken], view.expected[taken], channels, case.path(f"residuals{suffix}"), view.away, PAGE_WIDTH
-    )
+    shown, residuals = case.path(f"view{suffix}"), case.path(f"residuals{suffix}")
+    case.drawn(shown, view_images(images, channels, shown))
+    counts, expected = view.counts[taken], view.expected[taken]
+    case.drawn(residuals, figures.residuals(counts, expected, channels, residuals, view.away, PAGE_WIDTH))
     return [
         picture(
             shown,

@@ -44,12 +44,14 @@ def volumes(truth):
 
 @pytest.mark.parametrize("plane", ["axial", "coronal"])
 def test_slices_with_truth_are_one_column_wide(tmp_path, volumes, truth, plane):
-    path = figures.basis_slices(volumes, truth, NAMES, GRID, tmp_path / "new" / "slices.png", plane)
+    path = tmp_path / "new" / "slices.png"
+    figures.basis_slices(volumes, truth, NAMES, GRID, path, plane)
     assert read_png_size(path)[0] == 1050
 
 
 def test_slices_without_truth_and_of_nothing_are_drawn(tmp_path, volumes):
-    assert read_png_size(figures.basis_slices(volumes, None, NAMES, GRID, tmp_path / "a.png"))[1] > 300
+    figures.basis_slices(volumes, None, NAMES, GRID, tmp_path / "a.png")
+    assert read_png_size(tmp_path / "a.png")[1] > 300
     empty = np.zeros((1, 1, 1, 1))
     figures.basis_slices(empty, empty, ("compton",), Grid.cube(1, 2.0), tmp_path / "b.png")
     figures.profiles({"result": empty}, empty, ("compton",), Grid.cube(1, 2.0), tmp_path / "c.png")
@@ -58,7 +60,8 @@ def test_slices_without_truth_and_of_nothing_are_drawn(tmp_path, volumes):
 def test_a_basis_that_the_truth_lacks_is_drawn_without_it(tmp_path, volumes, truth):
     some = truth.copy()
     some[2] = np.nan
-    path = figures.basis_slices(volumes, some, NAMES, GRID, tmp_path / "a.png", left_out=("kedge_50.2",))
+    path = tmp_path / "a.png"
+    figures.basis_slices(volumes, some, NAMES, GRID, path, left_out=("kedge_50.2",))
     assert read_png_size(path)[0] == 1050
     figures.profiles({"result": volumes}, some, NAMES, GRID, tmp_path / "b.png")
 
@@ -70,7 +73,8 @@ def test_profiles_pass_through_both_regions_of_the_last_basis(tmp_path, volumes,
         offset = np.array([*centre, start[2]]) - start
         assert np.linalg.norm(offset - offset @ along * along) < 1.5
     assert np.abs(np.stack([start, stop])[:, :2]).max() == pytest.approx(24.0)
-    table = read_csv(figures.profiles({"result": volumes}, truth, NAMES, GRID, tmp_path / "profile.png"))
+    figures.profiles({"result": volumes}, truth, NAMES, GRID, tmp_path / "profile.png")
+    table = read_csv(tmp_path / "profile.png")
     assert table["kedge_63.3_truth"].max() == pytest.approx(0.02)
     assert np.abs(table["kedge_63.3_result"] - table["kedge_63.3_truth"]).mean() < 2e-3
     assert table["position_mm"][0] == 0
@@ -80,7 +84,8 @@ def test_a_profile_without_two_regions_runs_along_x(tmp_path, volumes):
     line = figures.profile_line(volumes[1], GRID)
     np.testing.assert_allclose(line[:, 0], [-24, 24])
     assert line[0, 1] == line[1, 1]
-    table = read_csv(figures.profiles({"result": volumes}, None, NAMES, GRID, tmp_path / "p.png", line))
+    figures.profiles({"result": volumes}, None, NAMES, GRID, tmp_path / "p.png", line)
+    table = read_csv(tmp_path / "p.png")
     assert set(table.dtype.names) >= {"x_mm", "compton_result"}
     assert "compton_truth" not in table.dtype.names
     x = GRID.axis("x")
@@ -95,7 +100,8 @@ def test_residuals_of_poisson_counts_follow_the_unit_normal(tmp_path, channels):
     expected = np.tile(np.linspace(900.0, 1200.0, 64 * 96).reshape(64, 96), (channels, 1, 1))
     counts = np.random.default_rng(1).poisson(expected)
     away = np.arange(96) * np.ones((64, 1)) > 20
-    table = read_csv(figures.residuals(counts, expected, names, tmp_path / "r.png", away))
+    figures.residuals(counts, expected, names, tmp_path / "r.png", away)
+    table = read_csv(tmp_path / "r.png")
     assert np.abs(table["bin0_all_rays"] - table["unit_normal"]).max() < 0.05
     assert table["bin0_away_from_edges"].sum() * 0.2 == pytest.approx(1, abs=1e-4)
     figures.residuals(np.zeros_like(counts), np.zeros_like(expected), names, tmp_path / "z.png", ~away & away)
@@ -108,7 +114,8 @@ def test_the_spectrum_keeps_its_photons(tmp_path):
     basis = Basis((BasisFunction("photoelectric"), BasisFunction("step", edge_energy=63.3)))
     limits = np.array([20.0, 63.3]), np.array([63.3, 120.0])
     spectra = Spectra(energy, edges, source, response, basis, basis.evaluate(energy), ("low", "high"), *limits)
-    table = read_csv(figures.spectrum(spectra, tmp_path / "s.png"))
+    figures.spectrum(spectra, tmp_path / "s.png")
+    table = read_csv(tmp_path / "s.png")
     np.testing.assert_allclose(table["low_counts"] + table["high_counts"], source * response.sum(axis=0))
     display = channel_figure._display_bins(edges, response)
     assert 63.3 in display
@@ -127,16 +134,29 @@ def test_a_single_energy_is_drawn(tmp_path):
 
 def test_convergence_writes_every_step(tmp_path):
     seconds = np.linspace(0, 10, 60)
-    path = figures.convergence(seconds, 1 + np.exp(-seconds), tmp_path / "c.png")
+    path = tmp_path / "c.png"
+    figures.convergence(seconds, 1 + np.exp(-seconds), path)
     table = read_csv(path)
     np.testing.assert_allclose(table["seconds"], seconds, rtol=1e-5)
     np.testing.assert_allclose(table["running_mean"][5:-5], 1 + np.exp(-seconds[5:-5]), rtol=0.02)
     figures.convergence(np.ones(1), np.ones(1), tmp_path / "one.png")
 
 
+def test_a_figure_without_a_file_is_shown_by_notebooks(tmp_path, volumes, truth, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    figure = figures.basis_slices(volumes, truth, NAMES, GRID)
+    assert figure._repr_png_().startswith(b"\x89PNG")
+    assert [ax.get_title() for ax in figure.axes[:4] if ax.get_title()] == ["truth", "result", "result − truth"]
+    assert len(figures.profiles({"result": volumes}, truth, NAMES, GRID).axes) == len(NAMES)
+    assert figures.convergence(np.ones(9), np.ones(9)).axes[0].get_xlabel() == "time [s]"
+    assert not list(tmp_path.iterdir())
+
+
 def test_the_same_numbers_give_the_same_file(tmp_path):
     seconds = np.linspace(0, 1, 9)
-    first, second = (figures.convergence(seconds, seconds + 1, tmp_path / f"{i}.png") for i in range(2))
+    first, second = (tmp_path / f"{i}.png" for i in range(2))
+    for path in (first, second):
+        figures.convergence(seconds, seconds + 1, path)
     assert first.read_bytes() == second.read_bytes()
 
 

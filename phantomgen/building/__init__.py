@@ -1,0 +1,1 @@
+"""Scenes that are built in Python, with the keys of scene files."""
