@@ -19,6 +19,7 @@ TEXTS = {
     "recon.output": "files, report, viewer",
     "recon.segmentation": "material maps",
     "recon.runs": "one whole run and its folder",
+    "recon.calibration": "spectrum, thresholds",
     "recon.figures": "figures of a run",
     "recon.evaluation": "scores, verdict",
     "recon.kedge": "K edges in the counts",

@@ -83,6 +83,19 @@ class Dataset:
         """
         return self._with(spectra=in_basis(self.spectra, basis))
 
+    def with_spectra(self, spectra: Spectra) -> "Dataset":
+        """Return the same open file with another spectral model than the stored one.
+
+        Parameters
+        ----------
+        spectra : of the same channels
+
+        Returns
+        -------
+        the dataset
+        """
+        return self._with(spectra=spectra)
+
     def with_training_views(self, count: int) -> "Dataset":
         """Return the same open file with some of the training views, evenly spread.
 

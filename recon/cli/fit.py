@@ -88,6 +88,11 @@ if TYPE_CHECKING:
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all that is random.")
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
+@click.option(
+    "--spectrum",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Channel sensitivities of `recon calibrate`, in place of those of the dataset.",
+)
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
 @click.option(
     "--held-out", type=click.IntRange(min=0), default=0, help="Number of training views that only tell when to stop."
@@ -124,6 +129,7 @@ def fit(
     pipeline: str,
     seed: int,
     air: str | None,
+    spectrum: Path | None,
     figures: bool,
     held_out: int,
     memory: float | None,
@@ -144,6 +150,7 @@ def fit(
     """
     from phantomgen.dataset.reader import open_dataset
     from phantomgen.runtime.plain_json import to_json
+    from recon.calibration.spectrum_file import read_spectrum, with_sensitivities
     from recon.data.devices import device_named
     from recon.evaluation import verdict
     from recon.gaussians.processes import joined
@@ -179,12 +186,14 @@ def fit(
     source, edges, asked = Path(dataset), parse_edges(edge), parse_bases(bases)
     set_threads(threads)
     if dry_run and not isinstance(how, PaperRecipe):
-        with open_dataset(source, air) as opened:
+        with open_dataset(source, air) as stored:
+            opened = stored if spectrum is None else with_sensitivities(stored, read_spectrum(spectrum))
             named, count = with_named(opened, asked)
             found = expected_cost(named, how, count, memory, device)
         click.echo(json.dumps(found.to_dict()) if as_json else str(found))
         return
-    with joined() as processes, open_dataset(source, air) as opened:
+    with joined() as processes, open_dataset(source, air) as stored:
+        opened = stored if spectrum is None else with_sensitivities(stored, read_spectrum(spectrum))
         bar = ProgressBar(quiet or as_json or not processes.first)
         way: RunMethod = GaussianRun(how, asked, edges, memory, processes, device)
         if not processes.first:

@@ -3,6 +3,7 @@
 import click
 
 from phantomgen.cli.common import Commands, version_option
+from recon.cli.calibrate import calibrate
 from recon.cli.compare import compare
 from recon.cli.decompose import decompose
 from recon.cli.edge import edge
@@ -25,5 +26,5 @@ def main() -> None:
     """Reconstruct basis volumes from spectral-CT scans, and score them."""
 
 
-for command in (fit, edge, score, compare, report, view, segment, volume, render, export, decompose):
+for command in (fit, edge, score, compare, report, view, segment, volume, render, export, decompose, calibrate):
     main.add_command(command)
