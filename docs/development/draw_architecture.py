@@ -45,6 +45,7 @@ TEXTS = {
     "phantomgen.ops": "trace, project, expected counts, ...",
     "phantomgen.geometry": "poses, orbits, grids",
     "phantomgen.runtime": "time, memory, versions",
+    "spectra.channel_model": "channels of any voltage and threshold",
     "spectra.detector": "channels",
     "spectra.quadrature": "energy nodes by tolerance",
     "spectra.source": "tubes, lines, filters",

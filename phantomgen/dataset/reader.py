@@ -302,6 +302,16 @@ class Dataset:
             dead_time=self._dead_time(),
         )
 
+    @property
+    def tube(self) -> tuple[str | None, float | None]:
+        """Material of the anode and voltage [kV] that the file states; None for what it does not."""
+        fields = ("target_material", "voltage")
+        there = [has(self.file, f"/entry/instrument/source/{name}") for name in fields]
+        anode, voltage = (
+            self._value(f"/entry/instrument/source/{n}") if t else None for n, t in zip(fields, there, strict=True)
+        )
+        return None if anode is None else text_of(anode), None if voltage is None else float(voltage)
+
     def _dead_time(self) -> DeadTime | None:
         """Dead time of the pixels, where the file has one."""
         if not has(self.file, f"{DETECTOR}/dead_time"):

@@ -9,8 +9,9 @@ from jaxtyping import Float
 
 from spectra.errors import InputError
 
-# Steps end where the likelihood can rise by less than this [no unit; half a deviance].
-_CONVERGED = 1e-4
+# Steps end where the log likelihood can rise by less than this, or a step has lowered the deviance by less than that
+# [no unit]: 0.05 of an uncertainty at most.
+_CONVERGED, _LITTLE = 1e-4, 2e-3
 _MOST_STEPS = 60
 # Damping of the first step relative to the diagonal of the information, its factors, and where it gives up.
 _DAMPING, _LESS, _MORE, _LARGEST = 1e-3, 0.2, 8.0, 1e8
@@ -179,9 +180,11 @@ def maximise(
             return Maximum(values, here.information, known, here.deviance, step)
         trial = np.maximum(values + move, least)
         there = _tried(evaluate, trial)
-        rises = there is not None and _cost(there, trial, start, known) < _cost(here, values, start, known)
-        if there is not None and rises:
+        gain = -np.inf if there is None else _cost(here, values, start, known) - _cost(there, trial, start, known)
+        if there is not None and gain > 0:
             values, here, damping = trial, there, damping * _LESS
+            if gain < _LITTLE:
+                return Maximum(values, here.information, known, here.deviance, step)
         elif damping > _LARGEST:
             return Maximum(values, here.information, known, here.deviance, step)
         else:

@@ -5,8 +5,7 @@ from pathlib import Path
 import click
 
 from phantomgen.cli.common import debug_option, json_option
-
-PARAMETERS = ("voltage", "filter", "thresholds", "resolution")
+from recon.cli.common import PARAMETERS, parse_priors
 
 
 @click.command(
@@ -22,13 +21,14 @@ PARAMETERS = ("voltage", "filter", "thresholds", "resolution")
     "--prior",
     metavar="NAME=NUMBER",
     multiple=True,
+    callback=parse_priors,
     help="Standard deviation of what is known beforehand of a parameter, about its value in the file; repeatable.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace a file that exists.")
 @json_option
 @debug_option
 def calibrate(
-    wedge: Path, out: Path | None, free: str | None, prior: tuple[str, ...], overwrite: bool, as_json: bool
+    wedge: Path, out: Path | None, free: str | None, prior: dict[str, float], overwrite: bool, as_json: bool
 ) -> None:
     """Estimate tube voltage, filter, thresholds and resolution from the counts in WEDGE.
 
@@ -44,7 +44,7 @@ def calibrate(
     path = Path(f"{wedge.stem}-calibrated.yaml") if out is None else out
     check_output(path, overwrite, example="calibrated.yaml", kind=("a file of channel sensitivities", is_spectrum))
     names = tuple(name.strip() for name in free.split(",")) if free else ()
-    found = Calibration.of(*read_calibration(wedge, names, _priors(prior)))
+    found = Calibration.of(*read_calibration(wedge, names, prior))
     found.write(path)
     if as_json:
         click.echo(to_json({"file": str(path), **found.record()}))
@@ -55,17 +55,3 @@ def calibrate(
     freedom = found.model.freedom
     click.echo(f"deviance {found.found.deviance:.4g} for {freedom} degrees of freedom")
     click.echo(f"Wrote {path}; next: recon fit scan.h5 --spectrum {path}")
-
-
-def _priors(given: tuple[str, ...]) -> dict[str, float]:
-    """Standard deviations by name."""
-    priors = {}
-    for text in given:
-        name, _, number = text.partition("=")
-        try:
-            priors[name.strip()] = float(number)
-        except ValueError:
-            raise click.BadParameter(f"{text!r} is not of the form voltage=1.", param_hint="--prior") from None
-        if name.strip() not in PARAMETERS:
-            raise click.BadParameter(f"{name!r} is none of {', '.join(PARAMETERS)}.", param_hint="--prior")
-    return priors

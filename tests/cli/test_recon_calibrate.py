@@ -137,3 +137,17 @@ def test_other_files_are_no_spectra_and_are_not_replaced(folder, calibrated, tmp
     (tmp_path / "cut.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
     with pytest.raises(InputError, match=r"spectra\.source is missing"):
         read_spectrum(tmp_path / "cut.yaml")
+
+
+def test_a_fit_refines_its_spectrum(tmp_path):
+    scan = make(tmp_path / "scan.h5", "--set", "geometry.views=12", rows=64, columns=64)
+    command = ["fit", str(scan), "-o", str(tmp_path / "run"), "--method", "fdk", "--no-figures"]
+    result = CliRunner().invoke(recon, [*command, "--refine", "spectrum+air", "--prior", "voltage=1"])
+    assert result.exit_code == 0, result.output
+    assert "Refined the spectrum on" in result.stderr
+    content = yaml.safe_load((tmp_path / "run" / "spectrum.yaml").read_text(encoding="utf-8"))
+    assert content["errors"]["voltage"]["prior"] == 1
+    assert len(read_spectrum(tmp_path / "run" / "spectrum.yaml").response) == 4
+    result = CliRunner().invoke(recon, [*command, "--prior", "voltage=1", "--overwrite"])
+    assert result.exit_code == 2
+    assert "add --refine" in result.stderr
