@@ -112,4 +112,4 @@ class RayLikelihood:
 
 def _sum(one: Likelihood, other: Likelihood) -> Likelihood:
     """Likelihood of independent data."""
-    return Likelihood(*(a + b for a, b in zip(one, other, strict=True)))
+    return Likelihood(one.deviance + other.deviance, one.score + other.score, one.information + other.information)
