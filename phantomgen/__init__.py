@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from phantomgen.api import degrade, make, plan
+    from phantomgen.api import degrade, import_scan, make, plan
     from phantomgen.dataset.reader import Dataset, open_dataset
     from phantomgen.dataset.reader import open_dataset as open  # noqa: A004
     from phantomgen.dataset.truth import Truth, read_truth
@@ -33,6 +33,7 @@ __all__ = [
     "Scene",
     "Truth",
     "degrade",
+    "import_scan",
     "load",
     "make",
     "open",
@@ -51,6 +52,7 @@ _HOMES = {
     "Scene": ("scene.scan", "Scene"),
     "Truth": ("dataset.truth", "Truth"),
     "degrade": ("api", "degrade"),
+    "import_scan": ("api", "import_scan"),
     "load": ("scene.scan", "load_scene"),
     "make": ("api", "make"),
     "open": ("dataset.reader", "open_dataset"),

@@ -1,5 +1,6 @@
-"""Short interface for Python: from a scene to its plan, or to an open dataset; from a dataset to a worse one."""
+"""Short interface for Python: scenes to plans and datasets, scans of others to datasets, datasets to worse ones."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.writing.writer import check_dataset_name
 from phantomgen.degradation.run import degrade_file
 from phantomgen.degradation.settings import Degradation
+from phantomgen.importers.formats import import_scan as write_imported
 from phantomgen.scene.scan import Scan, load_scene
 from phantomgen.simulation.planning.make_plan import make_plan
 from phantomgen.simulation.planning.plan import TOLERANCE, Plan
@@ -85,6 +87,35 @@ def degrade(
     path = dataset.path if isinstance(dataset, Dataset) else Path(dataset)
     wanted = replace(settings or Degradation(), **options)
     return open_dataset(degrade_file(path, out, wanted, overwrite=overwrite).path)
+
+
+def import_scan(
+    name: str,
+    paths: Path | str | Sequence[Path | str],
+    out: Path | str,
+    *,
+    overwrite: bool = False,
+    **options: Any,
+) -> Dataset:
+    """Write the dataset of a scan of another program or of a scanner, and open it.
+
+    Parameters
+    ----------
+    name : of the format, one of those of `phantomgen import`, such as ``nikon``
+    paths : of the scan; several are channels, where the format has one file per channel
+    out : name of the dataset
+    overwrite : replace a file that exists
+    **options : ``title``; facts that no file states, fields of `phantomgen.importers.scans.stated.Stated` such as
+        ``kvp=90``, ``filters="0.5 mm Cu"`` and ``photons=20000``; what is to be written, fields of
+        `phantomgen.importers.scans.finish.Wanted` such as ``bin=4``
+
+    Returns
+    -------
+    the dataset, to be closed or used in a ``with`` statement
+    """
+    listed = [paths] if isinstance(paths, Path | str) else paths
+    done = write_imported(name, [Path(path) for path in listed], Path(out), overwrite=overwrite, **options)
+    return open_dataset(done.path)
 
 
 def _scan(scan: Scan | str | Path) -> Scan:

@@ -6,6 +6,7 @@
 
 `recon.fit(dataset)` gives a fit that renders, scores and saves itself, `recon.segment(fit)` finds its materials,
 `recon.readout(fit, "hu", energy=70)` gives CT numbers, concentrations, electron density and atomic numbers,
+`recon.estimate_uncertainty(run, dataset)` and `recon.deviation(run, "hu", energy=70)` give standard deviations,
 `recon.score(volume, dataset, ...)` scores a volume of any program, and
 `recon.reconstruct(dataset, recipe)` is the computation alone. Names are imported when they are first used, so that
 importing the package takes no time.
@@ -15,7 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from recon.api import Fit, fit, readout, score, segment
+    from recon.api import Fit, deviation, estimate_uncertainty, fit, readout, score, segment
     from recon.gaussians.model import Gaussians
     from recon.gaussians.processes import Resources
     from recon.gaussians.recipe import Recipe, Stage
@@ -31,6 +32,8 @@ __all__ = [
     "Reconstruction",
     "Resources",
     "Stage",
+    "deviation",
+    "estimate_uncertainty",
     "fdk",
     "fit",
     "readout",
@@ -47,6 +50,8 @@ _HOMES = {
     "Reconstruction": "gaussians.reconstruct",
     "Resources": "gaussians.processes",
     "Stage": "gaussians.recipe",
+    "deviation": "api",
+    "estimate_uncertainty": "api",
     "fdk": "voxel.filtered.fdk",
     "fit": "api",
     "readout": "api",

@@ -32,6 +32,7 @@ from recon.published_methods.paper.reconstruct import reconstruct_paper
 from recon.readouts.quantity import in_pieces, quantity
 from recon.readouts.readouts import Readouts
 from recon.readouts.spectrum import detected_spectrum
+from recon.runs.interfaces import Unwatched
 from recon.runs.outcomes.score_volume import score_volume
 from recon.runs.outcomes.volume_outcome import VolumeOutcome
 from recon.runs.read_run import StoredModel, open_model
@@ -42,6 +43,7 @@ from recon.runs.write_run import RunFolder
 from recon.segmentation.result import Options, Segmentation
 from recon.segmentation.segment import segment_subject
 from recon.segmentation.subject import Subject, open_subject
+from recon.uncertainty.estimate import Uncertainty, estimate, stored_replicates
 from spectra.basis.basis import Basis, pretty
 from spectra.errors import InputError
 
@@ -360,6 +362,67 @@ def readout(
         warnings.warn(chosen.caution, stacklevel=2)
     place = grid or stored.grid
     return QuantityMap(chosen.name, in_pieces(chosen, stored.model.volume(place)), chosen.unit, place)
+
+
+def estimate_uncertainty(
+    run: Path | str,
+    dataset: Dataset | Path | str,
+    replicates: int = 8,
+    seed: int = 0,
+    on_replicate: Callable[[int], None] = lambda number: None,
+) -> Uncertainty:
+    """Reconstruct a run anew with other noise, and compute standard deviations, as ``recon uncertainty`` does.
+
+    Parameters
+    ----------
+    run : run folder of any method with volumes, where the replicates are written
+    dataset : its scan, open or its file
+    replicates : number of reconstructions; those that the folder has already are not made again
+    seed : of the noise
+    on_replicate : called with the number of each replicate before it is made
+
+    Returns
+    -------
+    standard deviation and bias of each basis, and the replicates for regions and quantities
+
+    Raises
+    ------
+    DatasetError
+        When the folder is no run, or the dataset is another one.
+    InputError
+        When the method of the run cannot be repeated.
+    """
+    if not isinstance(dataset, Dataset):
+        with open_dataset(dataset) as opened:
+            return estimate_uncertainty(run, opened, replicates, seed, on_replicate)
+    return estimate(Path(run), dataset, replicates, seed, Unwatched(), on_replicate)
+
+
+def deviation(run: Path | str, what: str, energy: float | None = None, water: str | float | None = None) -> QuantityMap:
+    """Compute the standard deviation of a quantity in every voxel, from the replicates of a run.
+
+    Parameters
+    ----------
+    run : run folder, for which `estimate_uncertainty` was called
+    what, energy, water : the quantity, as for `readout`
+
+    Returns
+    -------
+    standard deviation with the unit of the quantity, on the grid of the run
+
+    Raises
+    ------
+    DatasetError
+        When the run has no replicates.
+    InputError
+        When there is no such quantity, or the basis of the run cannot show it.
+    """
+    folder = Path(run)
+    stored = open_model(folder)
+    spectrum = detected_spectrum(stored.basis, stored.transmission)
+    chosen = quantity(Readouts.of(stored.basis, *spectrum), what, energy, water)
+    replicates = stored_replicates(folder)
+    return QuantityMap(f"{chosen.name}_deviation", replicates.quantity(chosen).deviation, chosen.unit, replicates.grid)
 
 
 def _stored(run: Fit) -> StoredModel:

@@ -34,7 +34,7 @@ TEXTS = {
     "phantomgen.batch": "many scans",
     "phantomgen.display": "viewer, figures, pages",
     "phantomgen.analysis": "spectra, thresholds",
-    "phantomgen.importers": "phantom files",
+    "phantomgen.importers": "scans of others",
     "phantomgen.simulation": "plan, counts, checks",
     "phantomgen.scene": "from the YAML file to a scan",
     "phantomgen.dataset": "the HDF5 format",

@@ -94,6 +94,9 @@ LEVELS = Parsed("levels", _levels, "is no list of different doses such as 1,0.5,
 @click.option("--dead", type=PART, default=0.0, metavar="PART", help="Pixels that die and are marked: 0.1%.")
 @click.option("--shift", type=PIXELS, default=0.0, metavar="PIXELS", help="State the panel so far from the true one.")
 @click.option(
+    "--tilt", type=FiniteRange(), default=0.0, metavar="DEG", help="State the panel turned so far in its plane."
+)
+@click.option(
     "--kv-error", type=FiniteRange(), default=0.0, metavar="KV", help="State a tube voltage so far from the true one."
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of photons and dead pixels.")

@@ -15,6 +15,9 @@ from phantomgen.dataset.truth import read_fit
 from phantomgen.dataset.validate import newer_minor
 from phantomgen.geometry.poses import distances
 
+# What a step of the history is called when it is done; others are shown by their name.
+_DONE = {"degrade": "degraded", "import": "imported"}
+
 
 def describe(path: Path) -> dict[str, Any]:
     """Describe the content of a dataset with values that JSON knows; ``warnings`` contains sentences.
@@ -95,7 +98,11 @@ def describe_text(info: dict[str, Any]) -> str:
         *_material_lines(info["materials"]),
         f"NXtomo     {', '.join(info['nxtomo']) or _why_no_nxtomo(info)}",
         f"made by    {info['made_by']}",
-        *(f"{step['step'] + 'd':<10} {phrase}" for step in info["history"] for phrase in step["done"]),
+        *(
+            f"{_DONE.get(step['step'], step['step']):<10} {phrase}"
+            for step in info["history"]
+            for phrase in step["done"]
+        ),
     ]
     return "\n".join(lines)
 
@@ -173,7 +180,9 @@ def _frames(dataset: Dataset, name: str) -> int:
 
 def _made_by(dataset: Dataset) -> str:
     """Program, version, date and seed of the first process."""
-    process = find_group(dataset.file, "entry/process_1_simulate")
+    entry = group_at(dataset.file, "entry")
+    first = next((name for name in entry if str(name).startswith("process_1_")), "process_1_simulate")
+    process = find_group(entry, str(first))
     if process is None:
         return "unknown"
     program, version, date = (text_of(value_at(process, name)) for name in ("program", "version", "date"))

@@ -8,7 +8,9 @@ from jaxtyping import Float
 from phantomgen.dataset.beam_profile import StoredProfile
 from spectra.basis.basis import Basis
 from spectra.detector.dead_time import DeadTime
+from spectra.detector.detector import AnyDetector
 from spectra.energy.bin_split import split_bins
+from spectra.source.source import Source
 from spectra.transmission import Transmission
 
 
@@ -45,6 +47,35 @@ class Spectra:
     variance: Float[np.ndarray, "channel energy"] | None = None
     profile: StoredProfile | None = None
     dead_time: DeadTime | None = None
+
+    @classmethod
+    def of(cls, source: Source, detector: AnyDetector, basis: Basis, bins: int = 128) -> "Spectra":
+        """Create the spectral model of a source and a detector.
+
+        Parameters
+        ----------
+        source, detector, basis : of the scan
+        bins : number of energy bins, to which edges and thresholds add some
+
+        Returns
+        -------
+        the spectral model, without a profile and without dead time
+        """
+        grid = source.grid(detector.lowest, bins, (*detector.breaks, *basis.breaks))
+        energies, photons = source.sampled(grid)
+        return cls(
+            energy=energies.nodes,
+            edges=energies.edges,
+            source=photons,
+            response=detector.response(energies),
+            basis=basis,
+            basis_values=basis.evaluate(energies.nodes),
+            channels=detector.names,
+            lower=np.array([channel.lower for channel in detector.channels]),
+            upper=np.array([channel.upper for channel in detector.channels]),
+            units=detector.units,
+            variance=detector.variance(energies),
+        )
 
     @property
     def weights(self) -> Float[np.ndarray, "channel energy"]:

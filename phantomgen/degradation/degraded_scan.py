@@ -23,13 +23,12 @@ from phantomgen.degradation.panel import (
     binned_sum,
     check_bin,
     columns_left,
-    moved_panel,
-    smaller_panel,
 )
 from phantomgen.degradation.settings import Degradation
 from phantomgen.degradation.views import Splits, evenly_spread, renumbered, within_arc
 from phantomgen.effects.defects import DEAD, Defects, stuck
 from phantomgen.effects.random_streams import Stream, generator
+from phantomgen.geometry.panel_changes import moved_panel, smaller_panel
 from phantomgen.geometry.poses import Geometry
 from spectra.errors import InputError
 
@@ -124,13 +123,14 @@ class DegradedScan:
     def geometry(self) -> Geometry:
         """Poses that the file states."""
         nominal = smaller_panel(self.dataset.geometry[self.kept[0]], self.columns, self.settings.bin)
-        return moved_panel(nominal, self.settings.shift) if self.settings.shift else nominal
+        wish = self.settings
+        return moved_panel(nominal, wish.shift, wish.tilt) if wish.shift or wish.tilt else nominal
 
     @property
     def has_true_geometry(self) -> bool:
         """True where poses that were used are not those that are stated, and the file has a truth."""
-        file = self.dataset.file
-        return has(file, "truth") and (has(file, "truth/geometry") or self.settings.shift != 0)
+        file, wish = self.dataset.file, self.settings
+        return has(file, "truth") and (has(file, "truth/geometry") or bool(wish.shift or wish.tilt))
 
     @cached_property
     def exposure(self) -> np.ndarray:
@@ -357,6 +357,8 @@ def _statement_phrase(scan: DegradedScan) -> str:
     if wish.shift:
         moved = wish.shift * scan.geometry.panel.column_pitch
         phrases.append(f"stated panel {wish.shift:+g} pixel ({moved:+g} mm) along its columns from the true one")
+    if wish.tilt:
+        phrases.append(f"stated panel turned by {wish.tilt:+g} degrees in its plane from the true one")
     if wish.kv_error:
         left_out = scan.stated[1]
         phrases.append(

@@ -1,12 +1,8 @@
-"""A panel with fewer columns or larger pixels: images, masks, beam profiles and poses."""
-
-from dataclasses import replace
+"""A panel with fewer columns or larger pixels: images, masks and beam profiles."""
 
 import numpy as np
 from jaxtyping import Float, Shaped, UInt32
 
-from phantomgen.geometry.panel import Panel
-from phantomgen.geometry.poses import Geometry
 from spectra.errors import InputError
 
 Image = Shaped[np.ndarray, "... row column"]
@@ -100,51 +96,6 @@ def binned_mean(
     means
     """
     return _blocks(values, factor).mean(axis=(-3, -1))
-
-
-def smaller_panel(geometry: Geometry, columns: slice, factor: int) -> Geometry:
-    """Return the poses of some of the columns of a panel, with pixels summed.
-
-    Parameters
-    ----------
-    geometry : poses of the whole panel
-    columns : those that are left
-    factor : pixels along each side that are summed; divides what is left
-
-    Returns
-    -------
-    poses whose pixel centres are the middles of the old pixels that each consists of
-    """
-    panel = geometry.panel
-    first, last = columns.start, columns.stop
-    cropped = replace(
-        geometry,
-        panel_center=geometry.panel_center + (first + last - panel.columns) / 2 * geometry.column_step,
-        panel=Panel(panel.rows, last - first, panel.pitch),
-    )
-    moved = cropped if geometry.ray_direction is None else _same_rays(geometry, cropped)
-    return moved.binned(factor)
-
-
-def moved_panel(geometry: Geometry, shift: float) -> Geometry:
-    """Move the panel along its columns, the source staying where it is.
-
-    Parameters
-    ----------
-    geometry : poses
-    shift : by so many columns
-
-    Returns
-    -------
-    moved poses
-    """
-    moved = replace(geometry, panel_center=geometry.panel_center + shift * geometry.column_step)
-    return moved if geometry.ray_direction is None else _same_rays(geometry, moved)
-
-
-def _same_rays(geometry: Geometry, moved: Geometry) -> Geometry:
-    """Geometry of a parallel beam with the panel of `moved`: its far source moves along."""
-    return replace(moved, source=geometry.source + moved.panel_center - geometry.panel_center)
 
 
 def _blocks(image: Image, factor: int) -> Shaped[np.ndarray, "... large_row y large_column x"]:

@@ -25,6 +25,7 @@ class Degradation:
     bin : pixels along each side that are summed into one
     dead : part of the pixels that are dead afterwards, in addition to those that are
     shift : how far the stated panel lies from the true one along its columns [pixel of the result]
+    tilt : how far the stated panel is turned in its plane from the true one, from columns towards rows [degree]
     kv_error : stated tube voltage less the true one [kV]
     seed : of photons and of dead pixels
 
@@ -44,6 +45,7 @@ class Degradation:
     bin: int = 1
     dead: float = 0.0
     shift: float = 0.0
+    tilt: float = 0.0
     kv_error: float = 0.0
     seed: int = 0
 
@@ -67,7 +69,7 @@ class Degradation:
             raise InputError(f"the part of the columns to cut off must lie in 0 .. 1, got {self.truncate:g}")
         if self.bin < 1:
             raise InputError(f"pixels are binned by 1, 2 or more, got {self.bin}")
-        for name in ("shift", "kv_error"):
+        for name in ("shift", "tilt", "kv_error"):
             if not isfinite(getattr(self, name)):
                 raise InputError(f"{name} must be finite, got {getattr(self, name)}")
         if not 0 <= self.seed < 2**64:

@@ -41,6 +41,33 @@ class _ArraysOnly(pickle.Unpickler):
         return super().find_class(module, name)
 
 
+def read_naf(path: Path) -> Any:
+    """Read what a pickle holds.
+
+    Parameters
+    ----------
+    path : of the pickle
+
+    Returns
+    -------
+    arrays and plain values
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, or holds anything else.
+    """
+    try:
+        with path.open("rb") as file:
+            return _ArraysOnly(file).load()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
+    except pickle.UnpicklingError as error:
+        raise InputError(f"{path} holds more than arrays and numbers, which is not read ({error})") from None
+    except Exception:
+        raise InputError(f"{path} cannot be read: it is no pickle") from None
+
+
 def read_naf_geometry(path: Path) -> FolderGeometry:
     """Read the poses and the grid of a pickle.
 
@@ -57,15 +84,7 @@ def read_naf_geometry(path: Path) -> FolderGeometry:
     InputError
         When the file cannot be read, holds anything but arrays and plain values, or lacks a key.
     """
-    try:
-        with path.open("rb") as file:
-            values = _ArraysOnly(file).load()
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}") from None
-    except pickle.UnpicklingError as error:
-        raise InputError(f"{path} holds more than arrays and numbers, which is not read ({error})") from None
-    except Exception:
-        raise InputError(f"{path} cannot be read: it is no pickle") from None
+    values = read_naf(path)
     try:
         angles = [np.asarray(values[part]["angles"], dtype=np.float64) for part in ("train", "val") if part in values]
         geometry, grid = from_naf(values, np.concatenate(angles))

@@ -12,6 +12,7 @@ from recon.cli.fit import fit
 from recon.cli.report import report
 from recon.cli.score import score
 from recon.cli.segment import segment
+from recon.cli.uncertainty import uncertainty
 from recon.cli.view import view
 from recon.cli.volume_and_render import render, volume
 
@@ -26,5 +27,20 @@ def main() -> None:
     """Reconstruct basis volumes from spectral-CT scans, and score them."""
 
 
-for command in (fit, edge, score, compare, report, view, segment, volume, render, export, decompose, calibrate):
+COMMANDS = (
+    fit,
+    edge,
+    score,
+    compare,
+    report,
+    view,
+    segment,
+    volume,
+    uncertainty,
+    render,
+    export,
+    decompose,
+    calibrate,
+)
+for command in COMMANDS:
     main.add_command(command)

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from phantomgen.cli.common import FiniteRange, debug_option, json_option
+from recon.cli.common import refuse_options
 from recon.cli.run_argument import RunFolder
 
 _RUN = RunFolder()
@@ -41,7 +42,8 @@ def _common(command: Callable) -> Callable:
     "\b\nExamples:\n  recon volume kedge-run --voxel 0.5 --size 160 -o fine.h5\n"
     "  recon volume kedge-run --as hu --energy 60 -o hu60.nii.gz\n"
     "  recon volume vials-run --as iodine -o iodine.vti\n"
-    "  recon volume vials-run --as vnc -o vnc-dicom"
+    "  recon volume vials-run --as vnc -o vnc-dicom\n"
+    "  recon volume vials-run --as iodine --deviation -o sd.nii.gz"
 )
 @click.argument("run", type=_RUN)
 @click.option(
@@ -56,6 +58,7 @@ def _common(command: Callable) -> Callable:
     metavar="QUANTITY",
     help="In place of basis volumes: vmi, hu, vnc, electron-density, zeff, or an element such as iodine.",
 )
+@click.option("--deviation", is_flag=True, help="In place of the quantity its standard deviation, on the grid of RUN.")
 @click.option("--grid", metavar="N|Z,Y,X", help="Number of voxels along each axis.")
 @click.option("--voxel", type=_POSITIVE, metavar="MM", help="Edge of a voxel [default: as in the scan].")
 @click.option("--size", metavar="MM|Z,Y,X", help="Size of the volume, in place of --grid.")
@@ -72,6 +75,7 @@ def volume(
     run: Path,
     out: Path | None,
     what: str | None,
+    deviation: bool,
     grid: str | None,
     voxel: float | None,
     size: str | None,
@@ -87,9 +91,10 @@ def volume(
     """Write the basis volumes of RUN, or a quantity that follows from them, on any grid.
 
     Without options for a grid it is that of the scan. HDF5 files are like volumes.h5 and are written slab by slab. An
-    energy outside of the detected spectrum gets a warning.
+    energy outside of the detected spectrum gets a warning. Standard deviations follow from the replicates that `recon
+    uncertainty` made.
     """
-    from recon.output.volume_file import checked_target, chosen_grid, write_volume
+    from recon.output.volume_file import checked_target, chosen_grid, deviation_of, write_volume
     from recon.readouts.quantity import CT_NUMBERS, quantity
     from recon.readouts.readouts import Readouts
     from recon.readouts.spectrum import detected_spectrum
@@ -98,6 +103,8 @@ def volume(
     from spectra.threads import set_threads
 
     asked = what or (None if energy is None else "vmi")
+    if deviation:
+        _check_deviation(run, asked, {"grid": grid, "voxel": voxel, "size": size, "center": center, "like": like})
     if asked is None and water is not None:
         raise InputError("--water is for CT numbers: add --as hu or --as vnc")
     target = checked_target(out or Path(f"{run.resolve().name}-volume.h5"), overwrite, asked in CT_NUMBERS)
@@ -108,6 +115,8 @@ def volume(
     if wanted is not None and wanted.caution:
         click.echo(f"Warning: {wanted.caution}.", err=True)
     set_threads(threads)
+    if deviation and wanted is not None:
+        stored, wanted = deviation_of(run, stored, wanted)
     bar = ProgressBar("voxelize", "slice", quiet or as_json)
     write_volume(target, stored, chosen, wanted, bar.update)
     bar.close()
@@ -118,6 +127,16 @@ def volume(
     if wanted is not None:
         found |= {"quantity": wanted.name, "unit": wanted.unit, "caution": wanted.caution}
     _report(as_json, found, f"Wrote {target.path}: {said}, {shape} voxels")
+
+
+def _check_deviation(run: Path, asked: str | None, places: dict[str, Any]) -> None:
+    """Refuse a standard deviation of the bases, which the run has, or on another grid."""
+    from recon.uncertainty.estimate import DEVIATIONS
+    from spectra.errors import InputError
+
+    if asked is None:
+        raise InputError(f"--deviation needs a quantity by --as; those of the bases are in {run / DEVIATIONS}")
+    refuse_options("--deviation", places)
 
 
 @click.command(

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +21,8 @@ from phantomgen.runtime.hdf5_output import hdf5_output
 from phantomgen.runtime.outputs import check_name, check_output
 from recon.readouts.quantity import Quantity, in_pieces
 from recon.runs.read_run import StoredModel
+from recon.uncertainty.estimate import stored_replicates
+from recon.voxel.model import Voxels
 from spectra.errors import InputError
 
 HDF5 = (".h5", ".hdf5")
@@ -189,6 +192,30 @@ def write_volume(
         write_volumes(target.path, basis_volumes(grid, names, whole))
     else:
         write_volumes(target.path, Volumes(grid, {chosen.name: whole[0]}, f"{chosen.about} [{chosen.unit}]"))
+
+
+def deviation_of(run: Path, stored: StoredModel, chosen: Quantity) -> tuple[StoredModel, Quantity]:
+    """Compute the standard deviation of a quantity from the replicates of a run.
+
+    Parameters
+    ----------
+    run : run folder
+    stored : its result
+    chosen : quantity
+
+    Returns
+    -------
+    the standard deviation as a volume and a quantity that `write_volume` takes
+
+    Raises
+    ------
+    DatasetError
+        When the run has no replicates.
+    """
+    found = stored_replicates(run).quantity(chosen).deviation[None].astype(np.float32)
+    about = f"standard deviation of {chosen.about}"
+    quantity = Quantity(f"{chosen.name}_deviation", chosen.unit, about, lambda values: values[0], chosen.caution)
+    return replace(stored, model=Voxels(found, stored.grid, (quantity.name,))), quantity
 
 
 def _write_hdf5(

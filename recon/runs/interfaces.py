@@ -1,5 +1,6 @@
 """Interfaces between a run, its method of reconstruction, and the program that shows its progress."""
 
+import warnings
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -55,6 +56,52 @@ class Watcher(Protocol):
         sentence : for the user
         error : its cause
         """
+
+
+class Unwatched:
+    """A `Watcher` that shows nothing but warnings."""
+
+    def stage(self, name: str) -> None:
+        """Show nothing.
+
+        Parameters
+        ----------
+        name : of the stage
+        """
+
+    def step(self, progress: Progress) -> None:
+        """Show nothing.
+
+        Parameters
+        ----------
+        progress : of a fit
+        """
+
+    def iterated(self, iteration: Iteration) -> None:
+        """Show nothing.
+
+        Parameters
+        ----------
+        iteration : of a method
+        """
+
+    def note(self, sentence: str) -> None:
+        """Show nothing.
+
+        Parameters
+        ----------
+        sentence : for the user
+        """
+
+    def warn(self, sentence: str, error: Exception) -> None:
+        """Warn that a score or a figure failed.
+
+        Parameters
+        ----------
+        sentence : for the user
+        error : its cause
+        """
+        warnings.warn(f"{sentence} ({error})", RuntimeWarning, stacklevel=3)
 
 
 @runtime_checkable

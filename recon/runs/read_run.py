@@ -1,6 +1,7 @@
 """Reading a run folder of any method: volumes, and Gaussians where the method has them."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -232,3 +233,19 @@ def dataset_name(folder: Path) -> str:
         return Path(content["dataset"]).name
     except (OSError, ValueError, KeyError, TypeError):
         return ""
+
+
+def find_dataset(name: str, folders: Sequence[Path]) -> Path | None:
+    """Find a dataset beside a run or in the current folder.
+
+    Parameters
+    ----------
+    name : file name of the dataset
+    folders : run folders
+
+    Returns
+    -------
+    path; None where there is none
+    """
+    places = [*(folder.resolve().parent for folder in folders), Path()]
+    return next((place / name for place in places if name and (place / name).is_file()), None)

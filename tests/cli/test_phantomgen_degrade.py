@@ -21,7 +21,7 @@ def scan(tmp_path_factory):
 
 def test_all_options_and_what_is_said(scan, tmp_path):
     out = tmp_path / "low.h5"
-    wish = "--dose 0.25 --views 4 --arc 0:200 --truncate 25% --bin 2 --dead 1% --shift 0.5px --kv-error 2"
+    wish = "--dose 0.25 --views 4 --arc 0:200 --truncate 25% --bin 2 --dead 1% --shift 0.5px --tilt 0.3 --kv-error 2"
     result = run(scan, "-o", out, *wish.split())
     assert result.exit_code == 0, result.output
     first, *phrases = result.stdout.splitlines()

@@ -252,7 +252,7 @@ class DatasetWriter:
         self._write_program("process_1_simulate", 1, command, seed)
 
     def write_step(self, what: str, number: int, seed: int, done: Sequence[str], settings: str) -> None:
-        """Write one more step of the history of the file.
+        """Write one more step of the history of the file, or its first one where it was not simulated.
 
         Parameters
         ----------
@@ -263,6 +263,10 @@ class DatasetWriter:
         settings : all settings as JSON
         """
         process = self._write_program(f"process_{number}_{what}", number, f"phantomgen {what}", seed)
+        if number == 1:
+            entry = group_at(self.file, "entry")
+            del entry["start_time"]
+            entry["start_time"] = h5py.SoftLink(f"{process.name}/date")
         put(process, "done", np.array(done, dtype=object))
         put_note(process, "settings", settings, "application/json")
 

@@ -57,7 +57,7 @@ def write(folder: Path, projections: Projections) -> dict[str, Any]:
     try:
         import_module("pydicom")
     except ImportError:
-        raise NotInstalledError("writing DICOM-CT-PD needs pydicom: pip install pydicom") from None
+        raise NotInstalledError("writing DICOM-CT-PD needs pydicom: pip install 'spectral-ct[dicom]'") from None
     tags = poses_as_tags(projections.geometry)
     uid = import_module("pydicom.uid").generate_uid
     names = projections.names

@@ -5,6 +5,7 @@ only gets bins and basis functions. Where all materials are explicit coefficient
 basis functions, which has fewer dimensions, and then translated.
 """
 
+from dataclasses import replace
 from itertools import pairwise
 from math import ceil
 
@@ -222,25 +223,11 @@ def reconstructor_spectra(scan: Scan) -> Spectra:
     -------
     the spectral model on a coarse grid
     """
-    energies, source, response = _sampled(scan, RECONSTRUCTOR_BINS, scan.basis.breaks)
+    spectra = Spectra.of(scan.source, scan.detector, scan.basis, RECONSTRUCTOR_BINS)
     profile = None
     if scan.profile is not None:
-        profile = StoredProfile(scan.profile.names, scan.profile.lengths, scan.profile.attenuation(energies.nodes))
-    return Spectra(
-        energy=energies.nodes,
-        edges=energies.edges,
-        source=source,
-        response=response,
-        basis=scan.basis,
-        basis_values=scan.basis.evaluate(energies.nodes),
-        channels=scan.detector.names,
-        lower=np.array([channel.lower for channel in scan.detector.channels]),
-        upper=np.array([channel.upper for channel in scan.detector.channels]),
-        units=scan.detector.units,
-        variance=scan.detector.variance(energies),
-        profile=profile,
-        dead_time=scan.dead_time,
-    )
+        profile = StoredProfile(scan.profile.names, scan.profile.lengths, scan.profile.attenuation(spectra.energy))
+    return replace(spectra, profile=profile, dead_time=scan.dead_time)
 
 
 def material_coefficients(scan: Scan) -> Float[np.ndarray, "material basis"]:

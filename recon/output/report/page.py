@@ -11,20 +11,22 @@ from phantomgen.display.html import Page, Paragraph, Part, Section
 from phantomgen.runtime.versions import program_version
 from recon.evaluation import verdict
 from recon.output.report import (
-    cost,
     energies,
     limits,
     materials,
-    progress,
+    progress_and_cost,
     quantities,
     resolution,
     scores,
     segments,
     slices,
+    uncertainty,
     views,
 )
 from recon.output.report.case import Case, LeftOut, Parts, check_same_scan, number
 from recon.output.report.finished_run import FinishedRun, open_finished_run
+from recon.output.report.progress_and_cost import memory, seconds, size
+from recon.runs.read_run import find_dataset
 from spectra.basis.basis import pretty
 from spectra.errors import InputError
 
@@ -43,9 +45,10 @@ CHAPTERS: dict[str, dict[str, Topic]] = {
         "Segmentation": segments.parts,
     },
     "Resolution and noise": {"Edge response, MTF and noise power": resolution.parts},
+    "Uncertainty": {"Standard deviations": uncertainty.parts},
     "Views": {"Views, residuals and sinograms": views.parts},
     "Energies": {"Spectrum and bases": energies.parts},
-    "Progress and cost": {"Progress": progress.parts, "Cost": cost.parts},
+    "Progress and cost": {"Progress": progress_and_cost.progress_parts, "Cost": progress_and_cost.cost_parts},
 }
 
 
@@ -109,22 +112,6 @@ def names_of(folders: Sequence[Path]) -> list[str]:
             return names
     twice = next(str(path) for path in paths if paths.count(path) > 1)
     raise InputError(f"the run {twice} is named twice")
-
-
-def find_dataset(name: str, folders: Sequence[Path]) -> Path | None:
-    """Find a dataset beside a run or in the current folder.
-
-    Parameters
-    ----------
-    name : file name of the dataset
-    folders : run folders
-
-    Returns
-    -------
-    path; None where there is none
-    """
-    places = [*(folder.resolve().parent for folder in folders), Path()]
-    return next((place / name for place in places if name and (place / name).is_file()), None)
 
 
 def check_fits(dataset: Dataset, runs: Sequence[FinishedRun]) -> None:
@@ -203,7 +190,7 @@ def _facts(case: Case) -> tuple[tuple[str, str], ...]:
         (f"{number(s.get('psnr'), '.1f')} dB", f"PSNR, {pretty(name)}{who}")
         for name, s in run.metrics.get("basis", {}).items()
     ]
-    facts.append((cost.size(run).split(" Gauss")[0], f"{'Gaussians' if 'gaussians' in run.metrics else 'volume'}{who}"))
-    facts.append((f"{number(cost.seconds(run), '.0f')} s", f"time{who}"))
-    facts.append((f"{number(cost.memory(run), '.0f')} MiB", f"peak memory{who}"))
+    facts.append((size(run).split(" Gauss")[0], f"{'Gaussians' if 'gaussians' in run.metrics else 'volume'}{who}"))
+    facts.append((f"{number(seconds(run), '.0f')} s", f"time{who}"))
+    facts.append((f"{number(memory(run), '.0f')} MiB", f"peak memory{who}"))
     return tuple(facts)

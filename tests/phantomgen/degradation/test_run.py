@@ -10,9 +10,9 @@ from phantomgen.dataset.describe import describe
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.dataset.true_poses import read_true_geometry
 from phantomgen.dataset.validate import validate
-from phantomgen.degradation.panel import smaller_panel
 from phantomgen.degradation.run import degrade_file
 from phantomgen.degradation.settings import Degradation
+from phantomgen.geometry.panel_changes import smaller_panel
 from spectra.errors import InputError
 from spectra.threads import set_threads
 
@@ -44,7 +44,17 @@ def counts(path):
 
 def test_everything_at_once_is_a_valid_dataset_with_the_same_truth(scan, tmp_path):
     path = degraded(
-        scan, tmp_path, dose=0.25, views=4, arc=(0, 180), truncate=0.25, bin=2, dead=0.05, shift=0.5, kv_error=2.0
+        scan,
+        tmp_path,
+        dose=0.25,
+        views=4,
+        arc=(0, 180),
+        truncate=0.25,
+        bin=2,
+        dead=0.05,
+        shift=0.5,
+        tilt=0.3,
+        kv_error=2.0,
     )
     assert validate(path) == []
     with open_dataset(path) as low, open_dataset(scan) as full:
@@ -56,8 +66,9 @@ def test_everything_at_once_is_a_valid_dataset_with_the_same_truth(scan, tmp_pat
         test = full.splits["test"]
         whole = smaller_panel(full.geometry[test], slice(4, 28), 2)
         assert read_true_geometry(path)[low.splits["test"]] == whole
-        nominal = low.geometry[low.splits["test"]]
+        nominal, cosine = low.geometry[low.splits["test"]], np.cos(np.deg2rad(0.3))
         assert nominal.panel_center - whole.panel_center == pytest.approx(0.5 * whole.column_step)
+        assert np.sum(nominal.column_step * whole.column_step) == pytest.approx(cosine * np.sum(whole.column_step**2))
         assert low.file["entry/instrument/source/voltage"][()] == full.file["entry/instrument/source/voltage"][()] + 2
     steps = describe(path)["history"]
     assert [(step["number"], step["step"], step["seed"]) for step in steps] == [(2, "degrade", 0)]

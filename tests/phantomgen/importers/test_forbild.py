@@ -43,7 +43,7 @@ skull */
 
 
 def scene_of(folder: Path, text: str, name: str = "phantom.pha") -> SceneFile:
-    (folder / name).write_text(text)
+    (folder / name).write_text(text, encoding="utf-8")
     return SceneFile("phantom.yaml", forbild_scene(folder / name))
 
 
@@ -70,7 +70,9 @@ def test_the_head_is_the_preset(tmp_path: Path) -> None:
 
 
 def test_includes_macros_and_tissues(tmp_path: Path) -> None:
-    (tmp_path / "Tissues").write_text("// a table\n#define SPONGIOSA 1.180 // HU\n#define LIVER   1.05\n")
+    (tmp_path / "Tissues").write_text(
+        "// a table\n#define SPONGIOSA 1.180 // HU\n#define LIVER   1.05\n", encoding="utf-8"
+    )
     text = """\
 # 1 "Body.pha"
 # 1 "<command-line>" 1 3 4
@@ -122,7 +124,7 @@ VERTEBRA(1,-(2+3),2)
     ],
 )
 def test_mistakes_are_one_sentence(tmp_path: Path, text: str, words: str) -> None:
-    (tmp_path / "f.pha").write_text(text)
+    (tmp_path / "f.pha").write_text(text, encoding="utf-8")
     with pytest.raises(SceneError) as caught:
         forbild_scene(tmp_path / "f.pha")
     assert words in str(caught.value)
@@ -130,7 +132,7 @@ def test_mistakes_are_one_sentence(tmp_path: Path, text: str, words: str) -> Non
 
 
 def test_the_command_writes_a_scene(tmp_path: Path) -> None:
-    (tmp_path / "ball.pha").write_text("{ [Sphere: r=5] formula=H2O rho=1 }")
+    (tmp_path / "ball.pha").write_text("{ [Sphere: r=5] formula=H2O rho=1 }", encoding="utf-8")
     command = ["import", "forbild", str(tmp_path / "ball.pha"), "-o", str(tmp_path / "ball.yaml")]
     result = CliRunner().invoke(main, command)
     assert result.exit_code == 0, result.output

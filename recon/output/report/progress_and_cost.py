@@ -1,4 +1,4 @@
-"""Error against time and against iteration, of all runs."""
+"""Error against time and iteration of all runs, and their cost: Gaussians or voxels, seconds, memory."""
 
 from pathlib import Path
 from typing import Any
@@ -7,15 +7,16 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from phantomgen.display.figures.style import PAGE_WIDTH, decades_or_zero, figure_file
-from phantomgen.display.html import picture
+from phantomgen.display.html import Code, Part, Table, picture
 from phantomgen.display.html.content import csv_of
-from recon.output.report.case import LINES, Case, LeftOut, Parts
+from recon.output.report.case import LINES, Case, LeftOut, Parts, number
+from recon.output.report.finished_run import FinishedRun
 from spectra.basis.basis import pretty
 
 MISFIT = ("deviance", "residual")  # names of the misfit to the counts in a log
 
 
-def parts(case: Case) -> Parts:
+def progress_parts(case: Case) -> Parts:
     """Draw one row per basis, and one for the misfit to the counts.
 
     Parameters
@@ -100,3 +101,101 @@ def _table(logs: dict[str, tuple[dict[str, Any], ...]]) -> str:
     keys = list(dict.fromkeys(key for log in logs.values() for entry in log for key in entry))
     rows = [(label, *(entry.get(key, "") for key in keys)) for label, log in logs.items() for entry in log]
     return csv_of(("run", *keys), rows)
+
+
+def cost_parts(case: Case) -> Parts:
+    """Create the table of costs, and the recipe and versions of each run.
+
+    Parameters
+    ----------
+    case : runs of the report
+
+    Returns
+    -------
+    parts of the page
+    """
+    header = ("run", "method", "unknowns", "time [s]", "longest stages [s]", "peak memory [MiB]", "program")
+    table = csv_of(
+        ("run", "method", "gaussians", "voxels", "peak_memory_mib", "stage", "seconds"),
+        [
+            (run.name, run.method, run.metrics.get("gaussians", ""), voxels(run), memory(run), stage, seconds)
+            for run in case.runs
+            for stage, seconds in run.metrics.get("seconds", {}).items()
+        ],
+    )
+    caption = "Wall time on the machine of the run, with its longest stages; figures and scores are included."
+    found: list[Part] = [Table(header, tuple(_row(run) for run in case.runs), caption, "cost", table)]
+    found += [Code(f"Recipe of {run.name}", run.recipe) for run in case.runs if run.recipe]
+    found += [Code(f"Versions of {run.name}", _versions(run)) for run in case.runs if run.metrics.get("versions")]
+    return tuple(found)
+
+
+def seconds(run: FinishedRun) -> float:
+    """Add up the time of all stages of a run.
+
+    Parameters
+    ----------
+    run : a run
+
+    Returns
+    -------
+    wall time [s]
+    """
+    return float(sum(run.metrics.get("seconds", {}).values()))
+
+
+def memory(run: FinishedRun) -> float | None:
+    """Return the peak memory of a run.
+
+    Parameters
+    ----------
+    run : a run
+
+    Returns
+    -------
+    peak memory [MiB]; None where it is not known
+    """
+    return run.metrics.get("peak_memory_mib")
+
+
+def voxels(run: FinishedRun) -> int:
+    """Return the number of voxels of a run.
+
+    Parameters
+    ----------
+    run : a run
+
+    Returns
+    -------
+    number of voxels
+    """
+    return int(np.prod(run.grid.shape))
+
+
+def size(run: FinishedRun) -> str:
+    """Describe the size of a model.
+
+    Parameters
+    ----------
+    run : a run
+
+    Returns
+    -------
+    number of Gaussians, or shape of the grid of voxels, as text
+    """
+    if "gaussians" in run.metrics:
+        return f"{run.metrics['gaussians']:,} Gaussians"
+    return f"{' x '.join(map(str, run.grid.shape))} voxels"
+
+
+def _row(run: FinishedRun) -> tuple[str, ...]:
+    """Cells of a run."""
+    stages = sorted(run.metrics.get("seconds", {}).items(), key=lambda item: -item[1])
+    longest = ", ".join(f"{name} {value:.1f}" for name, value in stages[:3])
+    program = run.metrics.get("versions", {}).get("spectral-ct", "")
+    return (run.name, run.method, size(run), number(seconds(run), ".0f"), longest, number(memory(run), ".0f"), program)
+
+
+def _versions(run: FinishedRun) -> str:
+    """Versions of the packages of a run, one per line."""
+    return "\n".join(f"{name} {version}" for name, version in run.metrics["versions"].items())

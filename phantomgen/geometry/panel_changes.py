@@ -1,0 +1,65 @@
+"""Poses of a part of a panel, of a panel with larger pixels, and of one that was moved in its own plane."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.poses import Geometry
+
+
+def smaller_panel(geometry: Geometry, columns: slice, factor: int, rows: slice | None = None) -> Geometry:
+    """Return the poses of some of the columns and rows of a panel, with pixels summed.
+
+    Parameters
+    ----------
+    geometry : poses of the whole panel
+    columns : those that are left
+    factor : pixels along each side that are summed; divides what is left
+    rows : those that are left, all by default
+
+    Returns
+    -------
+    poses whose pixel centres are the middles of the old pixels that each consists of
+    """
+    panel = geometry.panel
+    rows = rows or slice(0, panel.rows)
+    right = (columns.start + columns.stop - panel.columns) / 2
+    down = (rows.start + rows.stop - panel.rows) / 2
+    cropped = replace(
+        geometry,
+        panel_center=geometry.panel_center + right * geometry.column_step + down * geometry.row_step,
+        panel=Panel(rows.stop - rows.start, columns.stop - columns.start, panel.pitch),
+    )
+    return _same_rays(geometry, cropped).binned(factor)
+
+
+def moved_panel(geometry: Geometry, shift: float, turn: float = 0.0) -> Geometry:
+    """Move the panel along its columns and turn it in its plane, the source staying where it is.
+
+    Parameters
+    ----------
+    geometry : poses
+    shift : by so many columns
+    turn : about the centre of the panel, from its columns towards its rows [degree]
+
+    Returns
+    -------
+    moved poses
+    """
+    c, s = np.cos(np.deg2rad(turn)), np.sin(np.deg2rad(turn))
+    normal = geometry.normals() if turn else np.zeros_like(geometry.column_step)
+    moved = replace(
+        geometry,
+        panel_center=geometry.panel_center + shift * geometry.column_step,
+        column_step=c * geometry.column_step + s * np.cross(normal, geometry.column_step),
+        row_step=c * geometry.row_step + s * np.cross(normal, geometry.row_step),
+    )
+    return _same_rays(geometry, moved)
+
+
+def _same_rays(geometry: Geometry, moved: Geometry) -> Geometry:
+    """Geometry with the panel of `moved`; the far source of a parallel beam moves along."""
+    if geometry.ray_direction is None:
+        return moved
+    return replace(moved, source=geometry.source + moved.panel_center - geometry.panel_center)
