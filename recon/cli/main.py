@@ -3,10 +3,9 @@
 import click
 
 from phantomgen.cli.common import Commands, version_option
-from recon.cli.calibrate import calibrate
 from recon.cli.compare import compare
 from recon.cli.decompose import decompose
-from recon.cli.edge import edge
+from recon.cli.edge_and_calibrate import calibrate, edge
 from recon.cli.export import export
 from recon.cli.fit import fit
 from recon.cli.report import report
