@@ -89,6 +89,19 @@ class Dataset:
         """
         return self._with(spectra=in_basis(self.spectra, basis))
 
+    def with_spectra(self, spectra: Spectra) -> "Dataset":
+        """Return the same open file with another spectral model than the stored one.
+
+        Parameters
+        ----------
+        spectra : of the same channels
+
+        Returns
+        -------
+        the dataset
+        """
+        return self._with(spectra=spectra)
+
     def with_training_views(self, count: int) -> "Dataset":
         """Return the same open file with some of the training views, evenly spread.
 
@@ -294,6 +307,16 @@ class Dataset:
             profile=read_profile(self.file),
             dead_time=self._dead_time(),
         )
+
+    @property
+    def tube(self) -> tuple[str | None, float | None]:
+        """Material of the anode and voltage [kV] that the file states; None for what it does not."""
+        fields = ("target_material", "voltage")
+        there = [has(self.file, f"/entry/instrument/source/{name}") for name in fields]
+        anode, voltage = (
+            self._value(f"/entry/instrument/source/{n}") if t else None for n, t in zip(fields, there, strict=True)
+        )
+        return None if anode is None else text_of(anode), None if voltage is None else float(voltage)
 
     def _dead_time(self) -> DeadTime | None:
         """Dead time of the pixels, where the file has one."""

@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     from recon.gaussians.optimize import Progress
     from recon.voxel.method import Iteration
 
+# Parameters of a spectral model, as options name them.
+PARAMETERS = ("voltage", "filter", "thresholds", "resolution")
+
 
 def finite_number(context: click.Context, parameter: click.Parameter, value: float | None) -> float | None:
     """Refuse NaN and infinity as the value of an option; a callback of click.
@@ -28,6 +31,34 @@ def finite_number(context: click.Context, parameter: click.Parameter, value: flo
     if value is not None and not isfinite(value):
         raise click.BadParameter(f"{value} is not a finite number.")
     return value
+
+
+def parse_priors(context: click.Context, parameter: click.Parameter, given: tuple[str, ...]) -> dict[str, float]:
+    """Read the values of ``--prior``; a callback of click.
+
+    Parameters
+    ----------
+    context, parameter : of click, not used
+    given : texts such as ``voltage=1``
+
+    Returns
+    -------
+    standard deviations by the name of a spectral parameter
+    """
+    del context, parameter
+    priors = {}
+    for text in given:
+        name, _, number = text.partition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            value = 0.0
+        if name.strip() not in PARAMETERS:
+            raise click.BadParameter(f"{name!r} is none of {', '.join(PARAMETERS)}.")
+        if not (isfinite(value) and value > 0):
+            raise click.BadParameter(f"{text!r} needs a positive number, as in voltage=1.")
+        priors[name.strip()] = value
+    return priors
 
 
 def exit_where_failed(metrics: dict[str, Any], strict: bool) -> None:

@@ -13,6 +13,7 @@ from recon.cli.common import (
     finite_number,
     gaussians_text,
     memory_text,
+    parse_priors,
     refuse_options,
     seconds_text,
 )
@@ -88,6 +89,24 @@ if TYPE_CHECKING:
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all that is random.")
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
+@click.option(
+    "--spectrum",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Channel sensitivities of `recon calibrate`, in place of those of the dataset.",
+)
+@click.option(
+    "--refine",
+    type=click.Choice(["spectrum", "spectrum+air"]),
+    help="Correct small errors of voltage, filter and thresholds by counts; +air: also by ratios of open-beam counts.",
+)
+@click.option(
+    "--prior",
+    metavar="NAME=NUMBER",
+    multiple=True,
+    callback=parse_priors,
+    help="Standard deviation of these errors [default: voltage=2 (kV), filter=0.25 (mm Al), thresholds=1 (keV)]; "
+    "repeatable.",
+)
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
 @click.option(
     "--held-out", type=click.IntRange(min=0), default=0, help="Number of training views that only tell when to stop."
@@ -124,6 +143,9 @@ def fit(
     pipeline: str,
     seed: int,
     air: str | None,
+    spectrum: Path | None,
+    refine: str | None,
+    prior: dict[str, float],
     figures: bool,
     held_out: int,
     memory: float | None,
@@ -144,6 +166,7 @@ def fit(
     """
     from phantomgen.dataset.reader import open_dataset
     from phantomgen.runtime.plain_json import to_json
+    from recon.calibration.refine import SPECTRUM, ChosenSpectrum
     from recon.data.devices import device_named
     from recon.evaluation import verdict
     from recon.gaussians.processes import joined
@@ -161,6 +184,7 @@ def fit(
     from recon.voxel.method import ViewMethod
     from spectra.threads import set_threads
 
+    refuse_options("a spectrum that is not refined: add --refine", {"prior": not refine and bool(prior)})
     if out is not None:
         check_run_name(Path(out))
     special = {"resume": resume, "dry-run": dry_run, "memory": memory, "held-out": held_out, "edge": edge}
@@ -179,13 +203,16 @@ def fit(
     source, edges, asked = Path(dataset), parse_edges(edge), parse_bases(bases)
     set_threads(threads)
     if dry_run and not isinstance(how, PaperRecipe):
-        with open_dataset(source, air) as opened:
-            named, count = with_named(opened, asked)
+        with open_dataset(source, air) as stored:
+            named, count = with_named(ChosenSpectrum.of(stored, spectrum).dataset, asked)
             found = expected_cost(named, how, count, memory, device)
         click.echo(json.dumps(found.to_dict()) if as_json else str(found))
         return
-    with joined() as processes, open_dataset(source, air) as opened:
+    with joined() as processes, open_dataset(source, air) as stored:
         bar = ProgressBar(quiet or as_json or not processes.first)
+        energies = ChosenSpectrum.of(stored, spectrum, refine, prior)
+        energies.note(bar.note)
+        opened = energies.dataset
         way: RunMethod = GaussianRun(how, asked, edges, memory, processes, device)
         if not processes.first:
             if method == "gaussian":
@@ -196,6 +223,7 @@ def fit(
             chosen = method_named(method, None if sweeps is None else max(round(sweeps), 1), seed)
             way = (ViewRun if isinstance(chosen, ViewMethod) else VoxelRun)(chosen, pipeline, asked)  # type: ignore[arg-type]
         with folder as part:
+            energies.write(part / SPECTRUM)
             metrics = run(opened, part, way, figures, bar)
     if as_json:
         click.echo(to_json({"run": str(folder.path), **metrics}))

@@ -3,6 +3,7 @@
 import click
 
 from phantomgen.cli.common import Commands, version_option
+from recon.cli.calibrate import calibrate
 from recon.cli.decompose import decompose
 from recon.cli.edge import edge
 from recon.cli.evaluation.compare import compare
@@ -28,7 +29,7 @@ def main() -> None:
     """Reconstruct basis volumes from spectral-CT scans, and score them."""
 
 
-for command in (
+COMMANDS = (
     fit,
     edge,
     score,
@@ -43,5 +44,7 @@ for command in (
     export,
     decompose,
     warm_up,
-):
+    calibrate,
+)
+for command in COMMANDS:
     main.add_command(command)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from phantomgen.dataset.reader import Dataset
 from phantomgen.runtime.output_lock import acquire
 from phantomgen.runtime.stopwatch import Stopwatch
+from recon.calibration.refine import ChosenSpectrum
 from recon.runs.interfaces import Watcher
 from recon.runs.outcomes.volume_outcome import VolumeOutcome
 from recon.runs.read_run import StoredModel, open_model, read_run
@@ -124,7 +125,7 @@ def stored_replicates(folder: Path) -> Replicates:
 
 
 def _scan_of(stored: StoredModel, dataset: Dataset, folder: Path) -> Dataset:
-    """Dataset in the basis functions of a run; refuses another scan."""
+    """Dataset with the basis functions and the spectral model of a run; refuses another scan."""
     if stored.grid != dataset.grid or stored.transmission.channel_names != dataset.spectra.channels:
         raise DatasetError(f"{dataset.path} has another grid or other channels than the scan of {folder}")
-    return dataset.with_basis(stored.basis)
+    return ChosenSpectrum.of_run(dataset, folder).dataset.with_basis(stored.basis)

@@ -11,6 +11,7 @@ from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.truth import read_truth
 from phantomgen.display.html import Page, Paragraph, Part, Section
 from phantomgen.runtime.versions import program_version
+from recon.calibration.refine import SPECTRUM, ChosenSpectrum
 from recon.evaluation import verdict
 from recon.output.report import (
     energies,
@@ -118,7 +119,14 @@ def _opened(folders: Sequence[Path], dataset: Path | None, air: str | None) -> I
             return
         with open_dataset(found, air) as opened:
             check_fits(opened, runs)
-            yield Case(runs, opened, read_truth(found), Path(folder)), scan
+            known = ChosenSpectrum.of_run(opened, folders[0]).dataset if _same_spectrum(folders) else opened
+            yield Case(runs, known, read_truth(found), Path(folder)), scan
+
+
+def _same_spectrum(folders: Sequence[Path]) -> bool:
+    """Whether all runs used one spectral model; else sections of the scan show that of the dataset."""
+    paths = [folder / SPECTRUM for folder in folders]
+    return len({path.read_bytes() if path.is_file() else b"" for path in paths}) == 1
 
 
 def names_of(folders: Sequence[Path]) -> list[str]:
