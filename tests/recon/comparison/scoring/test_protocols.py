@@ -47,8 +47,10 @@ def test_psnr_of_volumes_is_that_of_the_fits_own_scores(name):
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)
-def test_a_truth_of_zeros_has_no_scores(name):
-    assert set(PROTOCOLS[name].volume(np.ones((12, 12, 12)), np.zeros((12, 12, 12))).values()) == {None}
+def test_a_truth_of_zeros_has_an_error_and_no_scores(name):
+    scores = PROTOCOLS[name].volume(np.ones((12, 12, 12)), np.zeros((12, 12, 12)))
+    assert scores.pop("rmse") == 1.0
+    assert set(scores.values()) == {None}
 
 
 def test_image_ssim_is_that_of_scikit_image_away_from_the_border():
