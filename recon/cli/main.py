@@ -4,12 +4,11 @@ import click
 
 from phantomgen.cli.common import Commands, version_option
 from recon.cli.calibrate import calibrate
-from recon.cli.decompose import decompose
 from recon.cli.edge import edge
 from recon.cli.evaluation.compare import compare
 from recon.cli.evaluation.score import score
 from recon.cli.evaluation.suite import suite
-from recon.cli.export import export
+from recon.cli.export import decompose, export
 from recon.cli.fit import fit
 from recon.cli.report import report
 from recon.cli.segment import segment
