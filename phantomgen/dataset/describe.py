@@ -16,7 +16,7 @@ from phantomgen.dataset.validate import newer_minor
 from phantomgen.geometry.poses import distances
 
 # What a step of the history is called when it is done; others are shown by their name.
-_DONE = {"degrade": "degraded", "import": "imported"}
+_DONE = {"align": "aligned", "correct": "corrected", "degrade": "degraded", "import": "imported"}
 
 
 def describe(path: Path) -> dict[str, Any]:

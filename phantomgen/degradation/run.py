@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from hashlib import sha256
 from pathlib import Path
 
 from phantomgen.dataset.checks.door import find_array, group_at, has, value_at
@@ -13,6 +12,7 @@ from phantomgen.dataset.layout import pack_image, text_of, write_image
 from phantomgen.dataset.pixel_mask import write_mask
 from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.truth import truth_group
+from phantomgen.dataset.writing.corrected_copy import file_digest
 from phantomgen.dataset.writing.writer import DatasetWriter, check_dataset_name
 from phantomgen.degradation.degraded_scan import DegradedScan, history
 from phantomgen.degradation.settings import Degradation
@@ -165,7 +165,7 @@ def _write_history(writer: DatasetWriter, scan: DegradedScan, done: tuple[str, .
         if str(name).startswith("process_"):
             scan.dataset.file.copy(entry[name], group_at(writer.file, "entry"), name)
     settings = json.dumps(
-        {**asdict(scan.settings), "scan": scan.dataset.path.name, "sha256": _digest(scan.dataset.path)}
+        {**asdict(scan.settings), "scan": scan.dataset.path.name, "sha256": file_digest(scan.dataset.path)}
     )
     writer.write_step("degrade", scan.step, scan.settings.seed, done, settings)
 
@@ -220,11 +220,3 @@ def _shown(frames: Iterator[Frame], count: int, progress: bool) -> Iterator[Fram
             yield frame
             bar.update()
 
-
-def _digest(path: Path) -> str:
-    """SHA-256 of a file."""
-    digest = sha256()
-    with path.open("rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()

@@ -34,14 +34,15 @@ def smaller_panel(geometry: Geometry, columns: slice, factor: int, rows: slice |
     return _same_rays(geometry, cropped).binned(factor)
 
 
-def moved_panel(geometry: Geometry, shift: float, turn: float = 0.0) -> Geometry:
-    """Move the panel along its columns and turn it in its plane, the source staying where it is.
+def moved_panel(geometry: Geometry, shift: float, turn: float = 0.0, down: float = 0.0) -> Geometry:
+    """Move the panel in its plane and turn it there, the source staying where it is.
 
     Parameters
     ----------
     geometry : poses
     shift : by so many columns
     turn : about the centre of the panel, from its columns towards its rows [degree]
+    down : by so many rows
 
     Returns
     -------
@@ -51,7 +52,7 @@ def moved_panel(geometry: Geometry, shift: float, turn: float = 0.0) -> Geometry
     normal = geometry.normals() if turn else np.zeros_like(geometry.column_step)
     moved = replace(
         geometry,
-        panel_center=geometry.panel_center + shift * geometry.column_step,
+        panel_center=geometry.panel_center + (shift * geometry.column_step + down * geometry.row_step),
         column_step=c * geometry.column_step + s * np.cross(normal, geometry.column_step),
         row_step=c * geometry.row_step + s * np.cross(normal, geometry.row_step),
     )

@@ -66,14 +66,19 @@ class DatasetWriter:
             self._lock = acquire(self.path)
             try:
                 reserve(self.reserved)
-                self.file = h5py.File(self.part, "w")
-                _write_root(self.file)
+                self.file = self._opened()
             except (OSError, RuntimeError) as error:
                 if is_full(error):
                     self._discard()
                 self._lock.unlink(missing_ok=True)
                 raise
         return self
+
+    def _opened(self) -> h5py.File:
+        """Open the file that is written; an empty one here."""
+        file = h5py.File(self.part, "w")
+        _write_root(file)
+        return file
 
     def __exit__(self, kind: type | None, error: BaseException | None, *trace: object) -> None:
         with one_sentence(self.part):
@@ -251,18 +256,21 @@ class DatasetWriter:
         """
         self._write_program("process_1_simulate", 1, command, seed)
 
-    def write_step(self, what: str, number: int, seed: int, done: Sequence[str], settings: str) -> None:
+    def write_step(
+        self, what: str, number: int, seed: int, done: Sequence[str], settings: str, program: str = "phantomgen"
+    ) -> None:
         """Write one more step of the history of the file, or its first one where it was not simulated.
 
         Parameters
         ----------
-        what : command of `phantomgen`, which becomes a part of the name
+        what : command, which becomes a part of the name
         number : place in the history, counted from 1
         seed : of the random numbers
         done : what was done, one phrase each
         settings : all settings as JSON
+        program : that has the command
         """
-        process = self._write_program(f"process_{number}_{what}", number, f"phantomgen {what}", seed)
+        process = self._write_program(f"process_{number}_{what}", number, f"{program} {what}", seed)
         if number == 1:
             entry = group_at(self.file, "entry")
             del entry["start_time"]
@@ -273,7 +281,7 @@ class DatasetWriter:
     def _write_program(self, name: str, number: int, command: str, seed: int) -> h5py.Group:
         """Write program, version, date and environment of a step."""
         process = new_group(group_at(self.file, "entry"), name, "NXprocess")
-        put(process, "program", "phantomgen")
+        put(process, "program", command.split()[0])
         put(process, "version", program_version())
         put(process, "date", _date())
         put(process, "sequence_index", number)
