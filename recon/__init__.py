@@ -7,6 +7,7 @@
 `recon.fit(dataset)` gives a fit that renders, scores and saves itself, `recon.segment(fit)` finds its materials,
 `recon.readout(fit, "hu", energy=70)` gives CT numbers, concentrations, electron density and atomic numbers,
 `recon.estimate_uncertainty(run, dataset)` and `recon.deviation(run, "hu", energy=70)` give standard deviations,
+`recon.align(scan, out)` corrects the stated panel of a scan,
 `recon.score(volume, dataset, ...)` scores a volume of any program, `recon.score_truth(truth, volumes)` basis volumes on
 the grid of the truth, `recon.quality` measures noise and resolution, and
 `recon.reconstruct(dataset, recipe)` is the computation alone. Names are imported when they are first used, so that
@@ -17,6 +18,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from recon.alignment.interface import align
     from recon.api import Fit, deviation, estimate_uncertainty, fit, readout, report_figures, score, segment
     from recon.callbacks import EarlyStop, ProgressBar
     from recon.evaluation.scoring import score_truth
@@ -37,6 +39,7 @@ __all__ = [
     "Reconstruction",
     "Resources",
     "Stage",
+    "align",
     "deviation",
     "estimate_uncertainty",
     "fdk",
@@ -59,6 +62,7 @@ _HOMES = {
     "Reconstruction": "gaussians.reconstruct",
     "Resources": "gaussians.processes",
     "Stage": "gaussians.recipe",
+    "align": "alignment.interface",
     "deviation": "api",
     "estimate_uncertainty": "api",
     "fdk": "voxel.filtered.fdk",

@@ -7,17 +7,15 @@ from pathlib import Path
 
 from phantomgen.dataset.checks.door import find_array, group_at, has, value_at
 from phantomgen.dataset.compression import Compression, check_compression
-from phantomgen.dataset.file import DATASET, FLAT
+from phantomgen.dataset.file import FLAT
 from phantomgen.dataset.layout import pack_image, text_of, write_image
 from phantomgen.dataset.pixel_mask import write_mask
 from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.truth import truth_group
-from phantomgen.dataset.writing.corrected_copy import file_digest
-from phantomgen.dataset.writing.writer import DatasetWriter, check_dataset_name
+from phantomgen.dataset.writing.corrected_copy import check_copy, file_digest
+from phantomgen.dataset.writing.writer import DatasetWriter
 from phantomgen.degradation.degraded_scan import DegradedScan, history
 from phantomgen.degradation.settings import Degradation
-from phantomgen.runtime.outputs import check_output
-from spectra.errors import InputError
 from spectra.threads import run_parallel
 
 # Parts of the truth that belong to views and pixels: written anew, or left out where they cannot be.
@@ -102,10 +100,7 @@ def check_writable(path: Path, out: Path, overwrite: bool) -> None:
     InputError
         When it cannot be written.
     """
-    check_dataset_name(out)
-    if out.exists() and path.exists() and out.samefile(path):
-        raise InputError(f"the output {out} is the scan itself: choose another name by --out")
-    check_output(out, overwrite, kind=DATASET)
+    check_copy(path, out, overwrite)
 
 
 def level_path(out: Path, level: float) -> Path:
@@ -219,4 +214,3 @@ def _shown(frames: Iterator[Frame], count: int, progress: bool) -> Iterator[Fram
         for frame in frames:
             yield frame
             bar.update()
-

@@ -11,15 +11,14 @@ from jaxtyping import Float
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.writing.corrected_copy import CorrectedCopy
 from phantomgen.geometry.poses import Geometry
-from recon.alignment.estimate import Estimate, gauss_newton, misfit
+from recon.alignment.estimate import Estimate, gauss_newton, misfit, shift_along_rows
 from recon.alignment.levels import Level, factors
 from recon.alignment.log_projections import SummedCounts
-from recon.alignment.panel_errors import ERRORS, NAMES, Change, changed, checked_names
+from recon.alignment.panel_errors import COLUMNS, ERRORS, NAMES, ROWS, Change, changed, checked_names
 from spectra.errors import InputError
 
 SEARCHED = 0.15  # of the columns, to both sides: shifts along the columns that are tried first; chosen by hand
 FEWEST_VIEWS = 8  # views below which no alignment is tried; chosen by hand
-LEAST_CHANGE = 2.0  # standard uncertainties; smaller corrections are called insignificant
 
 OnLevel = Callable[[int, int], object]  # number of the level, and of all levels
 
@@ -35,7 +34,6 @@ class Alignment:
     geometry : corrected poses of all views
     stated : poses that the scan states
     sentences : what was left alone and why
-    seen : part of the squared derivative in each number that no volume explains; NaN where it was not estimated
     misfit : mean weighted squared difference between data and reprojections, before and after
     block : pixels along each side of the smallest blocks
     """
@@ -45,7 +43,6 @@ class Alignment:
     geometry: Geometry
     stated: Geometry
     sentences: tuple[str, ...]
-    seen: Float[np.ndarray, " error"]
     misfit: tuple[float, float]
     block: int
 
@@ -56,10 +53,10 @@ class Alignment:
         -------
         lines
         """
-        lines = [f"{'correction of the panel':<34}{'value':>10}{'uncertainty':>14}"]
+        lines = [f"{'correction of the panel':<36}{'value':>10}{'uncertainty':>13}"]
         for error, value, spread in zip(ERRORS, self.change, self.uncertainty, strict=True):
             about, spread_text = f"{error.about} [{error.unit}]", "-" if np.isnan(spread) else f"{spread:.2g}"
-            lines.append(f"{about:<34}{value:>+10.4f}{spread_text:>14}")
+            lines.append(f"{about:<36}{value:>+10.4f}{spread_text:>13}")
         before, after = self.misfit
         lines.append(f"mean squared misfit of reprojections: {before:.3g} before, {after:.3g} after")
         return lines
@@ -136,7 +133,7 @@ def align(
     ----------
     scan : open dataset
     free : what is estimated, of ``columns``, ``rows`` and ``tilt``
-    block : pixels along each side of the smallest blocks; so many that 64 blocks lie along a row where left out
+    block : pixels along each side of the smallest blocks; so many that 40 blocks at most lie along a row where left out
     on_level : called before each level, with its number and the number of levels
 
     Returns
@@ -148,72 +145,88 @@ def align(
     InputError
         When the scan has too few views, or the data do not determine the panel.
     """
-    places, sentences = checked_names(free), []
+    places = checked_names(free)
     views = scan.splits["train"]
     if len(views) < FEWEST_VIEWS:
         raise InputError(f"{scan.path} has {len(views)} training views: an alignment needs at least {FEWEST_VIEWS}")
-    if scan.geometry.is_parallel and NAMES.index("rows") in places:
-        sentences.append("shift along the rows: not seen in a parallel beam, as a shifted object looks the same")
-        places = tuple(place for place in places if NAMES[place] != "rows")
     counts = SummedCounts.of(scan, views)
     levels = factors(counts.geometry.panel.columns, counts.geometry.panel.rows, block)
-    found, before = _through_levels(counts, levels, places, on_level)
-    change, uncertainty, seen = _spread(found)
-    for place in places:
-        error, spread = ERRORS[place], uncertainty[place]
-        if not spread <= error.largest:
-            sentences.append(f"{error.about}: left alone, as these views tell it only within {spread:.2g} {error.unit}")
-    kept = np.where(uncertainty <= [error.largest for error in ERRORS], change, 0.0)
-    if NAMES.index("columns") in places and not uncertainty[NAMES.index("columns")] <= ERRORS[0].largest:
-        raise InputError(
-            f"{scan.path}: the views do not determine the panel (columns within {uncertainty[0]:.2g} pixel): they "
-            "see too little of the object, or too few of the same rays"
-        )
-    sentences.append("distances, and rotations of the panel out of its plane: not estimated, left as stated")
+    found, level = _through_levels(counts, levels, places, on_level)
+    change, uncertainty = _with_uncertainty(found, level, places)
+    kept, sentences = _worth_applying(change, uncertainty, places, scan)
+    before = misfit(level, np.zeros(len(ERRORS)))
     return Alignment(
         kept,
         uncertainty,
         changed(scan.geometry, kept),
         scan.geometry,
-        tuple(sentences),
-        seen,
-        (before, found[-1].misfit),
+        (*sentences, "distances, and rotations of the panel out of its plane: not estimated, left as stated"),
+        (before, misfit(level, kept)),
         levels[-1],
     )
 
 
 def _through_levels(
-    counts: SummedCounts, levels: list[int], free: tuple[int, ...], on_level: OnLevel
-) -> tuple[list[Estimate], float]:
-    """Estimates of all levels, and the misfit of the stated poses at the last one."""
-    change, found, level = np.zeros(len(ERRORS)), [], None
+    counts: SummedCounts, levels: list[int], places: tuple[int, ...], on_level: OnLevel
+) -> tuple[list[Estimate], Level]:
+    """Estimates of all levels but for a shift along the rows, and the last level."""
+    change, found, level = np.zeros(len(ERRORS)), [], Level.of(counts, levels[0])
+    free = tuple(place for place in places if place != ROWS)
     for number, factor in enumerate(levels):
         on_level(number, len(levels))
         level = Level.of(counts, factor)
-        if number == 0 and 0 in free:
-            change[0] = _searched(level)
-        found.append(gauss_newton(level, change, free, number == len(levels) - 1))
-        change = found[-1].change
-    assert level is not None  # there is always a level
-    return found, misfit(level, np.zeros(len(ERRORS)))
+        if number == 0 and COLUMNS in free:
+            change[COLUMNS] = _searched(level)
+        if free:
+            found.append(gauss_newton(level, change, free))
+            change = found[-1].change
+    return found, level
+
+
+def _with_uncertainty(found: list[Estimate], level: Level, places: tuple[int, ...]) -> tuple[Change, Change]:
+    """Numbers and their standard uncertainties, NaN where they were not estimated.
+
+    The difference of the last two levels stands for what the size of blocks and voxels does.
+    """
+    change, uncertainty = np.zeros(len(ERRORS)), np.full(len(ERRORS), np.nan)
+    if found:
+        last, free = found[-1], list(found[-1].free)
+        change = last.change.copy()
+        step = change[free] - found[-2].change[free] if len(found) > 1 else np.zeros(len(free))
+        uncertainty[free] = np.sqrt(last.uncertainty**2 + step**2)
+    if ROWS in places and not level.full.geometry.is_parallel:
+        change[ROWS], uncertainty[ROWS] = shift_along_rows(level, change, ROWS)
+    return change, uncertainty
+
+
+def _worth_applying(
+    change: Change, uncertainty: Change, places: tuple[int, ...], scan: Dataset
+) -> tuple[Change, list[str]]:
+    """Numbers that are known well enough, 0 for the others, and a sentence about each of those."""
+    kept, sentences = np.zeros(len(ERRORS)), []
+    for place in places:
+        error, value, spread = ERRORS[place], change[place], uncertainty[place]
+        if np.isnan(spread):
+            sentences.append(f"{error.about}: not seen in a parallel beam, as a shifted object looks the same")
+        elif spread > error.largest:
+            sentences.append(f"{error.about}: left alone, as these views tell it within {spread:.2g} {error.unit} only")
+        elif abs(value) < error.significant * spread:
+            sentences.append(
+                f"{error.about}: left alone, as {value:+.2g} {error.unit} is less than {error.significant:g} standard "
+                f"uncertainties"
+            )
+        else:
+            kept[place] = value
+    if COLUMNS in places and uncertainty[COLUMNS] > ERRORS[COLUMNS].largest:
+        raise InputError(
+            f"{scan.path}: the views tell the shift along the columns within {uncertainty[COLUMNS]:.2g} pixel only: "
+            "they see too little of the object, or too few rays twice"
+        )
+    return kept, sentences
 
 
 def _searched(level: Level) -> float:
     """Shift along the columns with the least misfit, in steps of a block."""
     most = int(SEARCHED * level.blocks.geometry.panel.columns)
-    tried = [level.factor * n for n in sorted(range(-most, most + 1), key=abs)]
-    return float(min(tried, key=lambda columns: misfit(level, np.array([columns, 0.0, 0.0]))))
-
-
-def _spread(found: list[Estimate]) -> tuple[Change, Change, Change]:
-    """Change, standard uncertainty and part that is seen of all numbers; NaN where they were not estimated.
-
-    The difference of the last two levels stands for what the size of blocks and voxels does.
-    """
-    last = found[-1]
-    free = list(last.free)
-    step = found[-1].change[free] - found[-2].change[free] if len(found) > 1 else np.zeros(len(free))
-    uncertainty, seen = (np.full(len(ERRORS), np.nan) for _ in range(2))
-    uncertainty[free] = np.sqrt(last.uncertainty**2 + step**2)
-    seen[free] = last.seen
-    return last.change, uncertainty, seen
+    tried = [float(level.factor * n) for n in sorted(range(-most, most + 1), key=abs)]
+    return min(tried, key=lambda columns: misfit(level, np.array([columns, 0.0, 0.0])))

@@ -5,8 +5,8 @@ that takes away what volumes explain (`recon.alignment.projected_out`), and J th
 
     dt = (J' Q' W Q J)^-1 J' Q' W Q p.
 
-Q J says how well the data determine t without knowing x: an error that a change of the volume explains as well, such
-as a shift along the rows in a parallel beam, has Q J = 0.
+Q J says how well the data determine t without knowing x: an error that a change of the volume explains as well has
+Q J = 0, and the more of it a volume explains, the less certain it is.
 """
 
 from dataclasses import dataclass
@@ -21,8 +21,11 @@ from recon.alignment.projected_out import explain
 
 ITERATIONS = 20  # steps of the inner solver; chosen by hand
 MOST_STEPS = 8  # Gauss-Newton steps of a level
-CONVERGED = 0.02  # of a block; steps below end a level that a finer one follows
-FINISHED = 0.1  # of the uncertainty; steps below end the last level
+CONVERGED = 0.005  # of a block; steps below end a level
+SAME_SLOPES = 0.05  # of a block; the derivatives are not computed anew after smaller steps
+# Shifts of the voxels, whose mean is the estimate: an edge of the object between two voxels moves the shift along the
+# rows by a part of a block, one way or the other as the edge lies (`docs/explanation/alignment.md`).
+PHASES = (0.0, 0.25, 0.5, 0.75)
 RUNS = 12  # runs of neighbouring views, whose scatter gives an uncertainty
 
 
@@ -36,21 +39,19 @@ class Estimate:
     free : places of those that were estimated
     noise : covariance by the noise of counts
     scatter : covariance by how much runs of views differ
-    seen : part of the squared derivative in each free number that no volume and no other number explains
-    misfit : mean weighted squared difference of data and reprojections
+    voxels : covariance by how much estimates on shifted voxels differ
     """
 
     change: Change
     free: tuple[int, ...]
     noise: Float[np.ndarray, "free free"]
     scatter: Float[np.ndarray, "free free"]
-    seen: Float[np.ndarray, " free"]
-    misfit: float
+    voxels: Float[np.ndarray, "free free"]
 
     @property
     def uncertainty(self) -> Float[np.ndarray, " free"]:
-        """Standard uncertainty of the free numbers by noise and by the scatter of views."""
-        return np.sqrt(np.diag(self.noise) + np.diag(self.scatter))
+        """Standard uncertainty of the free numbers."""
+        return np.sqrt(np.diag(self.noise + self.scatter + self.voxels))
 
 
 def misfit(level: Level, change: Change) -> float:
@@ -65,12 +66,24 @@ def misfit(level: Level, change: Change) -> float:
     -------
     mean weighted squared difference
     """
-    logs, weights = level.data
-    rest = explain(logs[None], level.pair(change), weights, ITERATIONS).rest[0]
+    weights = level.data[1]
+    rest = _rest(level, change)
     return float(np.sum(weights * rest**2, dtype=np.float64) / np.count_nonzero(weights))
 
 
-def gauss_newton(level: Level, change: Change, free: tuple[int, ...], last: bool) -> Estimate:
+def _rest(level: Level, change: Change, phase: float = 0.0) -> Float[np.ndarray, "view row column"]:
+    """What volumes do not explain of the data after a change of the panel."""
+    logs, weights = level.data
+    return explain(logs[None], level.pair(change, phase), weights, ITERATIONS).rest[0]
+
+
+def _covariance_of_phases(steps: Float[np.ndarray, "phase free"]) -> Float[np.ndarray, "free free"]:
+    """Covariance of the mean over the phases, by the two pairs of grids that are half a voxel apart."""
+    half = (steps[::2].mean(axis=0) - steps[1::2].mean(axis=0)) / 2
+    return np.outer(half, half)
+
+
+def gauss_newton(level: Level, change: Change, free: tuple[int, ...]) -> Estimate:
     """Take Gauss-Newton steps until they are small.
 
     Parameters
@@ -78,40 +91,76 @@ def gauss_newton(level: Level, change: Change, free: tuple[int, ...], last: bool
     level : the scan
     change : where to start
     free : places of the numbers to estimate
-    last : whether no finer level follows, so that steps must be small against the uncertainty
 
     Returns
     -------
     the estimate
     """
-    logs, weights = level.data
-    system = None
+    (logs, weights), some = level.data, list(free)
+    block = 4 * steps_of(level.full.geometry, level.factor)[some]  # what moves the edge of the panel by a block
+    system: _System | None = None
+    moved = np.inf
     for _ in range(MOST_STEPS):
-        pair = level.pair(change)
-        found = explain(logs[None], pair, weights, ITERATIONS)
-        if system is None or not last:
+        found = explain(logs[None], level.pair(change), weights, ITERATIONS)
+        if system is None or moved > SAME_SLOPES:
             system = _System.of(level, found.volumes, change, free)
-        by_view = system.slopes(weights * found.rest[0])
-        step = system.inverse @ by_view.sum(axis=1)
+        step = system.step(found.rest[0])
         change = change.copy()
-        change[list(free)] += step
-        scatter = system.scatter(by_view)
-        in_blocks = np.abs(step) / (4 * steps_of(level.full.geometry, level.factor)[list(free)])
-        finished = np.abs(step) <= FINISHED * np.sqrt(np.diag(system.noise) + np.diag(scatter))
-        if finished.all() or (not last and in_blocks.max() < CONVERGED):
+        change[some] += step
+        moved = float(np.max(np.abs(step) / block))
+        if moved < CONVERGED:
             break
-    size = float(np.sum(weights * found.rest[0] ** 2, dtype=np.float64) / max(int(np.count_nonzero(weights)), 1))
-    return Estimate(change, free, system.noise, scatter, system.seen, size)
+    assert system is not None  # there is at least one step
+    rests = [_rest(level, change, phase) for phase in PHASES]
+    steps = np.stack([system.step(rest) for rest in rests])
+    change = change.copy()
+    change[some] += steps.mean(axis=0)
+    return Estimate(change, free, system.noise, system.scatter(rests[0]), _covariance_of_phases(steps))
+
+
+def shift_along_rows(level: Level, change: Change, place: int) -> tuple[float, float]:
+    """Estimate a shift along the rows from the misfit before, at and after its present value.
+
+    Derivatives do not serve here: a shift of the object along the axis explains nearly all of them, and what is left
+    is smaller than the error of voxels at the ends of the object.
+
+    Parameters
+    ----------
+    level : the scan
+    change : the rest of the pose, and where to start
+    place : of the shift in `change`
+
+    Returns
+    -------
+    shift and its standard uncertainty, by leaving out runs of views one after the other [pixel]; an infinite
+    uncertainty where the misfit has no minimum
+    """
+    width = float(level.factor)
+    weights, by_view = level.data[1], []
+    for sign in (-1, 0, 1):
+        tried = change.copy()
+        tried[place] += sign * width
+        rests = [_rest(level, tried, phase) for phase in PHASES]
+        by_view.append(np.mean([np.sum(weights * rest**2, axis=(1, 2), dtype=np.float64) for rest in rests], axis=0))
+    runs = np.array_split(np.arange(len(weights)), min(RUNS, len(weights)))
+    left_out = [np.delete(np.stack(by_view), run, axis=1).sum(axis=1) for run in runs]
+    curvatures = np.array([before + after - 2 * here for before, here, after in left_out])
+    if curvatures.min() <= 0:
+        return float(change[place]), np.inf
+    shifts = np.array([(before - after) / 2 for before, _, after in left_out]) / curvatures * width
+    count = len(shifts)
+    spread = np.sqrt((count - 1) / count * np.sum((shifts - shifts.mean()) ** 2))
+    return float(change[place] + shifts.mean()), float(spread)
 
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Normal equations of a step: derivatives without what volumes explain, and what follows from them."""
+    """Normal equations of a step: derivatives without what volumes explain, weights, inverse, covariance by noise."""
 
     derivatives: Float[np.ndarray, "free view row column"]
+    weights: Float[np.ndarray, "view row column"]
     inverse: Float[np.ndarray, "free free"]
     noise: Float[np.ndarray, "free free"]
-    seen: Float[np.ndarray, " free"]
 
     @classmethod
     def of(
@@ -128,16 +177,19 @@ class _System:
         left = explain(slopes, level.pair(change), weights, ITERATIONS).rest
         inverse = np.linalg.pinv(_products(left, weights), hermitian=True)
         by_noise = _products(left, weights**2 / np.maximum(level.blocks.counts, LEAST_COUNTS))
-        whole = np.diag(_products(slopes, weights)) * np.diag(inverse)
-        seen = np.divide(1.0, whole, out=np.zeros_like(whole), where=whole > 0)
-        return cls(left, inverse, inverse @ by_noise @ inverse, seen)
+        return cls(left, weights, inverse, inverse @ by_noise @ inverse)
 
     def slopes(self, rest: Float[np.ndarray, "view row column"]) -> Float[np.ndarray, "free view"]:
         """Slope of the squared misfit in each free number, view by view."""
-        return np.einsum("fvrc,vrc->fv", self.derivatives, rest, dtype=np.float64)
+        return np.einsum("fvrc,vrc->fv", self.derivatives, self.weights * rest, dtype=np.float64)
 
-    def scatter(self, by_view: Float[np.ndarray, "free view"]) -> Float[np.ndarray, "free free"]:
+    def step(self, rest: Float[np.ndarray, "view row column"]) -> Float[np.ndarray, " free"]:
+        """Gauss-Newton step of the free numbers."""
+        return self.inverse @ self.slopes(rest).sum(axis=1)
+
+    def scatter(self, rest: Float[np.ndarray, "view row column"]) -> Float[np.ndarray, "free free"]:
         """Covariance of a step by the scatter of runs of views about their mean (the sandwich estimate)."""
+        by_view = self.slopes(rest)
         runs = np.array_split(by_view, min(RUNS, by_view.shape[1]), axis=1)
         sums = np.stack([run.sum(axis=1) for run in runs], axis=1)
         sums -= sums.mean(axis=1, keepdims=True)

@@ -1,6 +1,6 @@
 """A scan at one resolution: blocks of pixels, voxels as large as these at the axis, and poses after a change."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,8 +14,8 @@ from recon.alignment.panel_errors import Change, changed
 from recon.voxel.projector_pair import ProjectorPair
 
 # All chosen by hand.
-COARSEST = 16  # columns of blocks at the coarsest level, about
-FINEST = 64  # columns of blocks at the finest level, at most
+COARSEST = 12  # columns of blocks at the coarsest level, about
+FINEST = 40  # columns of blocks at the finest level, at most
 MOST_VIEWS = 2  # views at a level, over its columns of blocks
 MOST_VOXELS = 2_000_000  # voxels of a level; more make them larger
 ATTENUATED = 0.1  # log projection at the border of the panel that shows an object beyond it
@@ -80,18 +80,23 @@ class Level:
         )
         return smaller_panel(moved, columns, self.factor, rows)
 
-    def pair(self, change: Change) -> ProjectorPair:
+    def pair(self, change: Change, phase: float = 0.0) -> ProjectorPair:
         """Create the projector after a change of the panel.
 
         Parameters
         ----------
         change : see `recon.alignment.panel_errors.changed`
+        phase : shift of the voxels along all axes, in voxels
 
         Returns
         -------
         the projector
         """
-        return ProjectorPair(self.geometry(change), self.grid)
+        grid = self.grid
+        shifted = replace(
+            grid, origin=tuple(first - phase * size for first, size in zip(grid.origin, grid.spacing, strict=True))
+        )
+        return ProjectorPair(self.geometry(change), shifted)
 
     @cached_property
     def grid(self) -> Grid:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Float32, Int
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.geometry.panel_changes import smaller_panel

@@ -20,20 +20,23 @@ class PanelError:
     unit : of the number
     about : what it is, for tables
     largest : standard uncertainty above which a correction is not applied, in `unit`; chosen by hand
+    significant : standard uncertainties that a correction must exceed to be applied; chosen by hand
     """
 
     name: str
     unit: str
     about: str
     largest: float
+    significant: float = 0.0
 
 
 # In the order of the vectors of numbers below.
 ERRORS = (
     PanelError("columns", "pixel", "shift along the columns", 0.5),
-    PanelError("rows", "pixel", "shift along the rows", 0.5),
+    PanelError("rows", "pixel", "shift along the rows", 0.5, 3.0),
     PanelError("tilt", "degree", "turn in the panel's plane", 0.5),
 )
+COLUMNS, ROWS, TILT = range(3)  # places in ERRORS
 NAMES = tuple(error.name for error in ERRORS)
 Change = Float[np.ndarray, " error"]
 

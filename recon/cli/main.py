@@ -3,6 +3,7 @@
 import click
 
 from phantomgen.cli.common import Commands, version_option
+from recon.cli.align import align
 from recon.cli.calibrate import calibrate
 from recon.cli.edge import edge
 from recon.cli.evaluation.compare import compare
@@ -44,6 +45,7 @@ COMMANDS = (
     decompose,
     warm_up,
     calibrate,
+    align,
 )
 for command in COMMANDS:
     main.add_command(command)

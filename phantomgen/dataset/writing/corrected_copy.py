@@ -13,7 +13,7 @@ from jaxtyping import Float, Shaped, UInt32
 
 from phantomgen.dataset.checks.digest import seal
 from phantomgen.dataset.checks.door import find_array, group_at, has, names_in
-from phantomgen.dataset.file import FLAT, open_file
+from phantomgen.dataset.file import DATASET, FLAT, open_file
 from phantomgen.dataset.geometry import write_geometry
 from phantomgen.dataset.layout import new_frames, new_group, pack_image, put, write_image
 from phantomgen.dataset.pixel_mask import mask_of, write_mask
@@ -23,6 +23,7 @@ from phantomgen.dataset.truth import truth_group
 from phantomgen.dataset.writing.nxtomo import write_aliases
 from phantomgen.dataset.writing.writer import DatasetWriter, check_dataset_name
 from phantomgen.geometry.poses import Geometry
+from phantomgen.runtime.outputs import check_output
 from spectra.errors import InputError
 
 
@@ -42,10 +43,7 @@ class CorrectedCopy(DatasetWriter):
     """
 
     def __init__(self, source: Path, path: Path | str, overwrite: bool = False) -> None:
-        path = Path(path)
-        check_dataset_name(path)
-        if path.exists() and source.exists() and path.samefile(source):
-            raise InputError(f"the output {path} is the scan itself: choose another name by --out")
+        check_copy(source, Path(path), overwrite)
         super().__init__(path, overwrite)
         self.source = source
 
@@ -140,6 +138,26 @@ class CorrectedCopy(DatasetWriter):
         if find_array(self.file, FLAT) is not None:
             write_aliases(self.file, spectra)
         seal(self.file)
+
+
+def check_copy(source: Path, path: Path, overwrite: bool) -> None:
+    """Refuse a name of a copy, before any work is done.
+
+    Parameters
+    ----------
+    source : dataset that is copied
+    path : name of the copy
+    overwrite : whether a file may be replaced
+
+    Raises
+    ------
+    InputError
+        When the copy would be the dataset itself, exists, or has a name that is none of a dataset.
+    """
+    check_dataset_name(path)
+    if path.exists() and source.exists() and path.samefile(source):
+        raise InputError(f"the output {path} is the scan itself: choose another name by --out")
+    check_output(path, overwrite, kind=DATASET)
 
 
 def file_digest(path: Path) -> str:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import h5py
 import numpy as np
@@ -61,7 +61,7 @@ class DatasetWriter:
         """File that takes some room on the disk while the dataset is written."""
         return self.part.with_name(self.part.name + ".room")
 
-    def __enter__(self) -> "DatasetWriter":
+    def __enter__(self) -> Self:
         with one_sentence(self.part):
             self._lock = acquire(self.path)
             try:
@@ -281,7 +281,7 @@ class DatasetWriter:
     def _write_program(self, name: str, number: int, command: str, seed: int) -> h5py.Group:
         """Write program, version, date and environment of a step."""
         process = new_group(group_at(self.file, "entry"), name, "NXprocess")
-        put(process, "program", command.split()[0])
+        put(process, "program", command.split(maxsplit=1)[0])
         put(process, "version", program_version())
         put(process, "date", _date())
         put(process, "sequence_index", number)
