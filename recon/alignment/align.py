@@ -18,6 +18,9 @@ from recon.alignment.panel_errors import COLUMNS, ERRORS, NAMES, ROWS, Change, c
 from spectra.errors import InputError
 
 SEARCHED = 0.15  # of the columns, to both sides: shifts along the columns that are tried first; chosen by hand
+# Of a block: a shift along the rows is estimated once more around its new value when it moved by so much, and not when
+# it moved far beyond the shifts that were tried; and how often at most. Chosen by hand.
+FAR_ROWS, LOST_ROWS, MOST_ROWS = 0.25, 2.0, 3
 FEWEST_VIEWS = 8  # views below which no alignment is tried; chosen by hand
 
 OnLevel = Callable[[int, int], object]  # number of the level, and of all levels
@@ -112,7 +115,7 @@ class Alignment:
         done = [
             f"{error.about}: {value:+.4g} +- {spread:.2g} {error.unit}"
             for error, value, spread in zip(ERRORS, self.change, self.uncertainty, strict=True)
-            if not np.isnan(spread)
+            if value != 0 and not np.isnan(spread)
         ]
         return [*done, *self.sentences]
 
@@ -195,7 +198,11 @@ def _with_uncertainty(found: list[Estimate], level: Level, places: tuple[int, ..
         step = change[free] - found[-2].change[free] if len(found) > 1 else np.zeros(len(free))
         uncertainty[free] = np.sqrt(last.uncertainty**2 + step**2)
     if ROWS in places and not level.full.geometry.is_parallel:
-        change[ROWS], uncertainty[ROWS] = shift_along_rows(level, change, ROWS)
+        for _ in range(MOST_ROWS):
+            before = change[ROWS]
+            change[ROWS], uncertainty[ROWS] = shift_along_rows(level, change, ROWS)
+            if not FAR_ROWS * level.factor < abs(change[ROWS] - before) < LOST_ROWS * level.factor:
+                break
     return change, uncertainty
 
 

@@ -1,0 +1,138 @@
+"""Gains of pixels that flats do not show, from the views: what makes rings in volumes.
+
+The sum over a run of views, over that of the open beam, is a smooth image of the object times the gain of each pixel. A
+local polynomial takes the smooth part away (Savitzky & Golay 1964, doi:10.1021/ac60214a047); what is left in all runs
+alike is the gain. Edges of the object move from run to run: the median over runs leaves them out, and where runs differ
+the estimate shrinks towards 1. An object that is round about the axis has edges that stay: along rows of the panel
+that look through the object, what neighbouring rows have in common is therefore left to the object; columns get a gain
+of their own from rows that see air.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import ndimage, signal
+
+# All chosen by hand.
+WINDOW, ORDER = 9, 2  # pixels and order of the local polynomial along each axis
+ROUNDS = 4  # of taking the smooth part away, as some of a gain leaks into it
+HEIGHT = 15  # rows whose median is what an object may have in common
+EDGE = 5.0  # robust standard deviations; what exceeds them is no gain
+AIR = 0.97  # transmission of air
+FEWEST_ROWS = 6  # rows in air from which a column gets a gain
+FEWEST_RUNS = 4  # runs of views
+
+Image = Float[np.ndarray, "row column"]
+
+
+@dataclass(frozen=True, eq=False)
+class PixelGains:
+    """Gains of the pixels of a channel.
+
+    Parameters
+    ----------
+    gain : relative to the flats; 1 where nothing is known
+    spread : standard deviation of the gains that were found, noise taken away [no unit]
+    noise : typical standard uncertainty of a gain [no unit]
+    """
+
+    gain: Image
+    spread: float
+    noise: float
+
+
+def pixel_gains(
+    transmissions: Float[np.ndarray, "run row column"], measures: Bool[np.ndarray, "row column"]
+) -> PixelGains:
+    """Estimate the gains of a channel.
+
+    Parameters
+    ----------
+    transmissions : counts of a run of views over those of the open beam, at most a run for each view
+    measures : pixels that measure
+
+    Returns
+    -------
+    the gains
+    """
+    nothing = PixelGains(np.ones(measures.shape), 0.0, np.inf)
+    if len(transmissions) < FEWEST_RUNS or min(measures.shape) < 2 or measures.sum() < WINDOW**2:
+        return nothing
+    usable = measures & (transmissions > 0).all(axis=0)
+    logs = np.log(np.where(usable, np.maximum(transmissions, 1e-12), 1.0))
+    rough = np.stack([_rough(image, usable) for image in logs])
+    in_air = usable & (np.exp(logs.mean(axis=0)) > AIR)
+    columns = _column_gains(rough, in_air, usable)
+    pixels = rough - columns - _common_to_rows(np.median(rough, axis=0) - columns, usable)
+    found = np.median(pixels, axis=0)
+    variance = np.var(pixels, axis=0, ddof=1) * (np.pi / 2) / len(pixels)  # of a median
+    variance = _local_mean(variance, usable)
+    known = usable & (np.abs(found) < EDGE * max(_spread(found[usable]), 1e-12))
+    typical = float(np.median(variance[usable]))
+    spread = max(_spread(found[known]) ** 2 - typical, 0.0)
+    shrunk = np.where(known, found * spread / np.maximum(spread + variance, 1e-30), 0.0)
+    return PixelGains(np.exp(shrunk + np.where(usable, columns, 0.0)), float(np.sqrt(spread)), float(np.sqrt(typical)))
+
+
+def _rough(image: Image, usable: Bool[np.ndarray, "row column"]) -> Image:
+    """What a local polynomial in both directions leaves of an image; 0 where a pixel does not measure."""
+    gain = np.zeros_like(image)
+    for _ in range(ROUNDS):
+        flat = _filled(image - gain, usable)
+        gain += np.where(usable, flat - _smooth(flat), 0.0)
+    return gain
+
+
+def _smooth(image: Image) -> Image:
+    """Local polynomials along both axes."""
+    for axis, count in enumerate(image.shape):
+        width = min(WINDOW, count - 1 + count % 2)
+        if width > ORDER:
+            image = signal.savgol_filter(image, width, ORDER, axis=axis, mode="interp")
+    return image
+
+
+def _filled(image: Image, usable: Bool[np.ndarray, "row column"]) -> Image:
+    """Image with the values of the nearest pixel that measures in place of those that do not."""
+    if usable.all():
+        return image
+    nearest = ndimage.distance_transform_edt(~usable, return_distances=False, return_indices=True)
+    return image[tuple(nearest)]
+
+
+def _column_gains(
+    rough: Float[np.ndarray, "run row column"],
+    in_air: Bool[np.ndarray, "row column"],
+    usable: Bool[np.ndarray, "row column"],
+) -> Image:
+    """What all rows in air have in common in a column; 0 for columns with few rows in air."""
+    mean = np.median(rough, axis=0)
+    rows = in_air.sum(axis=0)
+    common = np.array([np.median(mean[air, c]) if air.any() else 0.0 for c, air in enumerate(in_air.T)])
+    spread = np.array([_spread(mean[air, c]) if air.sum() > 1 else np.inf for c, air in enumerate(in_air.T)])
+    variance = np.pi / 2 * spread**2 / np.maximum(rows, 1)
+    known = (rows >= FEWEST_ROWS) & np.isfinite(variance)
+    if not known.any():
+        return np.zeros(mean.shape)
+    wanted = max(float(np.var(common[known]) - np.mean(variance[known])), 0.0)
+    shrunk = np.where(known, common * wanted / np.maximum(wanted + np.where(known, variance, 0), 1e-30), 0.0)
+    return np.where(usable, shrunk[None, :], 0.0)
+
+
+def _common_to_rows(image: Image, usable: Bool[np.ndarray, "row column"]) -> Image:
+    """Median over neighbouring rows of each column, which may be an edge of the object."""
+    height = min(HEIGHT, image.shape[0] - 1 + image.shape[0] % 2)
+    return ndimage.median_filter(np.where(usable, image, 0.0), size=(height, 1), mode="nearest")
+
+
+def _local_mean(image: Image, usable: Bool[np.ndarray, "row column"]) -> Image:
+    """Mean over 3 x 3 pixels that measure."""
+    weights = ndimage.uniform_filter(usable.astype(float), 3)
+    total = ndimage.uniform_filter(np.where(usable, image, 0.0), 3)
+    return np.divide(total, weights, out=np.full(image.shape, np.inf), where=weights > 1e-9)
+
+
+def _spread(values: np.ndarray) -> float:
+    """Robust standard deviation."""
+    return float(1.4826 * np.median(np.abs(values - np.median(values)))) if values.size else 0.0
