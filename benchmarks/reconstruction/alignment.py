@@ -4,7 +4,7 @@
 
 Scans of presets with small panels. Poses are stated with an error: so many columns, so many rows, so many degrees in
 the panel's plane. Of each number: the error that was stated, what is left of it after the alignment, in the axes of the
-true panel, and the standard uncertainty that the alignment states, a dash where it left the number alone. Then the
+true panel, and the standard uncertainty that the alignment states; a shift along the rows is not estimated. Then the
 difference of an FDK volume of all channels together from that of the true poses, before and after, relative to the
 standard deviation of the latter, and the processor time [s] of the alignment.
 Rows take the place of those in `results/alignment.txt`.
@@ -22,11 +22,11 @@ import numpy as np
 import phantomgen
 from benchmarks.result_rows import store
 from phantomgen.dataset.reader import Dataset
+from phantomgen.geometry.panel_changes import moved_panel
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.alignment.align import Alignment, align
 from recon.alignment.log_projections import SummedCounts
-from recon.alignment.panel_errors import changed
 from recon.voxel.filtered.fdk import fdk
 from spectra.errors import GeometryError
 from spectra.threads import set_threads, thread_count, without_other_pools
@@ -34,7 +34,7 @@ from spectra.threads import set_threads, thread_count, without_other_pools
 TABLE = Path(__file__).parents[1] / "results" / "alignment.txt"
 NAMED = 30  # characters of a row for its case
 HEADER = (
-    f"{'case':<{NAMED}}{'columns [pixel]':<31}{'rows [pixel]':<31}{'tilt [degree]':<33}{'FDK before, after':<20}CPU s"
+    f"{'case':<{NAMED}}{'columns [pixel]':<31}{'rows [pixel]':<22}{'tilt [degree]':<33}{'FDK before, after':<20}CPU s"
 )
 
 
@@ -123,18 +123,19 @@ def volume_errors(dataset: Dataset, found: Alignment) -> str:
 def row(name: str, case: Case, folder: Path) -> str:
     """One line of the results."""
     with scanned(case, folder / f"{name.replace(' ', '').replace(',', '-').replace('%', '')}.h5") as dataset:
-        wrong = dataset._with(geometry=changed(dataset.geometry, np.array(case.error)))
+        columns, rows, tilt = case.error
+        wrong = dataset._with(geometry=moved_panel(dataset.geometry, columns, tilt, rows))
         began = time.process_time()
         found = align(wrong)
         seconds = time.process_time() - began
         errors = volume_errors(dataset, found)
         remaining = left(dataset.geometry, found.geometry)
-    numbers = []
-    for stated, rest, value, spread in zip(case.error, remaining, found.change, found.uncertainty, strict=True):
-        estimated = value != 0 and np.isfinite(spread)
-        known = f"+- {spread:.4f}" if estimated else "-"
-        numbers.append(f"{stated:+7.2f} {rest:+9.4f} {known}")
-    return f"{name:<{NAMED}}{numbers[0]:<31}{numbers[1]:<31}{numbers[2]:<33}{errors:<20}{seconds:5.0f}"
+    spreads = (f"+- {found.uncertainty[0]:.4f}", "", f"+- {found.uncertainty[1]:.4f}")
+    columns, rows, tilt = (
+        f"{stated:+7.2f} {rest:+9.4f} {known}"
+        for stated, rest, known in zip(case.error, remaining, spreads, strict=True)
+    )
+    return f"{name:<{NAMED}}{columns:<31}{rows:<22}{tilt:<33}{errors:<20}{seconds:5.0f}"
 
 
 @without_other_pools()

@@ -1,7 +1,7 @@
 """Pixels that do not measure, found by their flats, their darks and their changes from view to view.
 
 A pixel that works varies between views at least as photons do, reads more in the open beam than without it, and reads
-in the flats about what its neighbours read. Bits are those of the field ``pixel_mask`` of NXdetector (NeXus definitions).
+in the flats about what its neighbours read. Bits are those of ``pixel_mask`` of NXdetector (NeXus definitions).
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ SILENT = 0.05  # of the open beam of the neighbours; a pixel that reads less is 
 STILL = 0.2  # of the variance of photons; a pixel that varies less between views is stuck
 UNLIKE = 0.3  # relative difference of the open beam from that of the neighbours; a larger one is no matter of gain
 CERTAIN = 6.0  # robust standard deviations of such differences over the panel; a defect must exceed these, too
-RESTLESS = 10.0  # times the variance between views of the neighbours; a pixel that varies more is noisy
+RESTLESS = 4.0  # times the largest variance between views of the neighbours; a pixel that varies more is noisy
 NEAR = 5  # pixels along each side of the neighbourhood
 WHOLE_LINE = 0.5  # of a row or column; more bad pixels than that make all of it bad
 FEW = 4  # bad pixels that touch each other and are a cluster
@@ -73,7 +73,7 @@ def find_bad_pixels(found: PixelStatistics) -> UInt32[np.ndarray, "row column"]:
         mask[still & (photons > 0)] = HOT
         mask[still & (photons <= SILENT * level)] = DEAD
         mask[(found.variance == 0) & (photons <= 0)] = DEAD
-        restless = found.variance > RESTLESS * np.maximum(_median_around(found.variance), photons)
+        restless = found.variance > RESTLESS * np.maximum(_largest_around(found.variance, mask > 0), photons)
         mask[restless & (mask == 0)] = NOISY
     return _with_lines_and_clusters(mask)
 
@@ -81,6 +81,13 @@ def find_bad_pixels(found: PixelStatistics) -> UInt32[np.ndarray, "row column"]:
 def _median_around(image: Image) -> Image:
     """Median of the neighbourhood of each pixel, at borders of what is there."""
     return ndimage.median_filter(image, size=NEAR, mode="nearest")
+
+
+def _largest_around(image: Image, bad: Bool[np.ndarray, "row column"]) -> Image:
+    """Largest value of the neighbours of each pixel, itself and bad ones left out."""
+    ring = np.ones((NEAR, NEAR), bool)
+    ring[NEAR // 2, NEAR // 2] = False
+    return ndimage.maximum_filter(np.where(bad, 0.0, image), footprint=ring, mode="constant")
 
 
 def _spread(values: Image) -> float:

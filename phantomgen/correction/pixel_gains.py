@@ -3,9 +3,9 @@
 The sum over a run of views, over that of the open beam, is a smooth image of the object times the gain of each pixel. A
 local polynomial takes the smooth part away (Savitzky & Golay 1964, doi:10.1021/ac60214a047); what is left in all runs
 alike is the gain. Edges of the object move from run to run: the median over runs leaves them out, and where runs differ
-the estimate shrinks towards 1. An object that is round about the axis has edges that stay: along rows of the panel
-that look through the object, what neighbouring rows have in common is therefore left to the object; columns get a gain
-of their own from rows that see air.
+the estimate shrinks towards 1. Ends of the object along the axis, and edges of one that is round about it, stay where
+they are: what a pixel has in common with its neighbours along the row or along the column is therefore left to the
+object, and columns get a gain of their own only from rows that see air.
 """
 
 from dataclasses import dataclass
@@ -15,9 +15,10 @@ from jaxtyping import Bool, Float
 from scipy import ndimage, signal
 
 # All chosen by hand.
-WINDOW, ORDER = 9, 2  # pixels and order of the local polynomial along each axis
+WINDOW, ORDER = 5, 2  # pixels and order of the local polynomial along each axis
 ROUNDS = 4  # of taking the smooth part away, as some of a gain leaks into it
-HEIGHT = 15  # rows whose median is what an object may have in common
+LINE = 15  # pixels along a row or column, whose median is what an object may have in common
+CERTAIN = 2.5  # standard deviations of such a median, by the scatter of single pixels; smaller ones are gains
 EDGE = 5.0  # robust standard deviations; what exceeds them is no gain
 AIR = 0.97  # transmission of air
 FEWEST_ROWS = 6  # rows in air from which a column gets a gain
@@ -62,9 +63,11 @@ def pixel_gains(
     usable = measures & (transmissions > 0).all(axis=0)
     logs = np.log(np.where(usable, np.maximum(transmissions, 1e-12), 1.0))
     rough = np.stack([_rough(image, usable) for image in logs])
-    in_air = usable & (np.exp(logs.mean(axis=0)) > AIR)
-    columns = _column_gains(rough, in_air, usable)
-    pixels = rough - columns - _common_to_rows(np.median(rough, axis=0) - columns, usable)
+    in_air = ndimage.binary_erosion(
+        _filled(logs.mean(axis=0), usable) > np.log(AIR), np.ones((WINDOW, WINDOW)), border_value=1
+    )
+    columns = _column_gains(rough, in_air & usable, usable)
+    pixels = rough - columns - _common_to_lines(np.median(rough, axis=0) - columns, usable)
     found = np.median(pixels, axis=0)
     variance = np.var(pixels, axis=0, ddof=1) * (np.pi / 2) / len(pixels)  # of a median
     variance = _local_mean(variance, usable)
@@ -120,10 +123,14 @@ def _column_gains(
     return np.where(usable, shrunk[None, :], 0.0)
 
 
-def _common_to_rows(image: Image, usable: Bool[np.ndarray, "row column"]) -> Image:
-    """Median over neighbouring rows of each column, which may be an edge of the object."""
-    height = min(HEIGHT, image.shape[0] - 1 + image.shape[0] % 2)
-    return ndimage.median_filter(np.where(usable, image, 0.0), size=(height, 1), mode="nearest")
+def _common_to_lines(image: Image, usable: Bool[np.ndarray, "row column"]) -> Image:
+    """Medians along columns and rows, which may be an edge of the object."""
+    common, left = np.zeros_like(image), np.where(usable, image, 0.0)
+    for size in ((LINE, 1), (1, LINE)):
+        lines = ndimage.median_filter(left - common, size=size, mode="nearest")
+        scatter = np.sqrt(np.pi / 2 / LINE) * _spread((left - common - lines)[usable])
+        common = common + np.where(np.abs(lines) > CERTAIN * scatter, lines, 0.0)
+    return common
 
 
 def _local_mean(image: Image, usable: Bool[np.ndarray, "row column"]) -> Image:

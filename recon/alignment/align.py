@@ -11,17 +11,16 @@ from jaxtyping import Float
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.writing.corrected_copy import CorrectedCopy
 from phantomgen.geometry.poses import Geometry
-from recon.alignment.estimate import Estimate, gauss_newton, misfit, shift_along_rows
+from recon.alignment.estimate import Estimate, gauss_newton, misfit
 from recon.alignment.levels import Level, factors
 from recon.alignment.log_projections import SummedCounts
-from recon.alignment.panel_errors import COLUMNS, ERRORS, NAMES, ROWS, Change, changed, checked_names
+from recon.alignment.panel_errors import COLUMNS, ERRORS, NAMES, Change, changed, checked_names
 from spectra.errors import InputError
 
 SEARCHED = 0.15  # of the columns, to both sides: shifts along the columns that are tried first; chosen by hand
-# Of a block: a shift along the rows is estimated once more around its new value when it moved by so much, and not when
-# it moved far beyond the shifts that were tried; and how often at most. Chosen by hand.
-FAR_ROWS, LOST_ROWS, MOST_ROWS = 0.25, 2.0, 3
 FEWEST_VIEWS = 8  # views below which no alignment is tried; chosen by hand
+
+_LEFT_ALONE = "shift along the rows, distances, and rotations of the panel out of its plane: not estimated, left as stated"
 
 OnLevel = Callable[[int, int], object]  # number of the level, and of all levels
 
@@ -32,7 +31,7 @@ class Alignment:
 
     Parameters
     ----------
-    change : correction that was applied: columns [pixel], rows [pixel], turn [degree]; 0 where nothing was
+    change : correction that was applied: columns [pixel], turn [degree]; 0 where nothing was
     uncertainty : standard uncertainty of each number; NaN where it was not estimated
     geometry : corrected poses of all views
     stated : poses that the scan states
@@ -125,17 +124,19 @@ def align(
     free: tuple[str, ...] = NAMES,
     *,
     block: int | None = None,
-    on_level: OnLevel = lambda number, count: None,
+    on_level: _LEFT_ALONE = "shift along the rows, distances, and rotations of the panel out of its plane: not estimated, left as stated"
+
+OnLevel = lambda number, count: None,
 ) -> Alignment:
     """Estimate errors of the stated pose of the panel from the training views; no truth is read.
 
     Coarse shifts along the columns are tried first; Gauss-Newton steps follow at finer and finer resolution
-    (`recon.alignment.estimate`). Distances, and rotations of the panel out of its plane, are left as they are.
+    (`recon.alignment.estimate`). All else of the poses is left as it is stated.
 
     Parameters
     ----------
     scan : open dataset
-    free : what is estimated, of ``columns``, ``rows`` and ``tilt``
+    free : what is estimated, of ``columns`` and ``tilt``
     block : pixels along each side of the smallest blocks; so many that 40 blocks at most lie along a row where left out
     on_level : called before each level, with its number and the number of levels
 
@@ -155,7 +156,7 @@ def align(
     counts = SummedCounts.of(scan, views)
     levels = factors(counts.geometry.panel.columns, counts.geometry.panel.rows, block)
     found, level = _through_levels(counts, levels, places, on_level)
-    change, uncertainty = _with_uncertainty(found, level, places)
+    change, uncertainty = _with_uncertainty(found)
     kept, sentences = _worth_applying(change, uncertainty, places, scan)
     before = misfit(level, np.zeros(len(ERRORS)))
     return Alignment(
@@ -163,47 +164,37 @@ def align(
         uncertainty,
         changed(scan.geometry, kept),
         scan.geometry,
-        (*sentences, "distances, and rotations of the panel out of its plane: not estimated, left as stated"),
+        (*sentences, _LEFT_ALONE),
         (before, misfit(level, kept)),
         levels[-1],
     )
 
 
 def _through_levels(
-    counts: SummedCounts, levels: list[int], places: tuple[int, ...], on_level: OnLevel
+    counts: SummedCounts, levels: list[int], free: tuple[int, ...], on_level: OnLevel
 ) -> tuple[list[Estimate], Level]:
-    """Estimates of all levels but for a shift along the rows, and the last level."""
+    """Estimates of all levels, and the last level."""
     change, found, level = np.zeros(len(ERRORS)), [], Level.of(counts, levels[0])
-    free = tuple(place for place in places if place != ROWS)
     for number, factor in enumerate(levels):
         on_level(number, len(levels))
         level = Level.of(counts, factor)
         if number == 0 and COLUMNS in free:
             change[COLUMNS] = _searched(level)
-        if free:
-            found.append(gauss_newton(level, change, free))
-            change = found[-1].change
+        found.append(gauss_newton(level, change, free))
+        change = found[-1].change
     return found, level
 
 
-def _with_uncertainty(found: list[Estimate], level: Level, places: tuple[int, ...]) -> tuple[Change, Change]:
+def _with_uncertainty(found: list[Estimate]) -> tuple[Change, Change]:
     """Numbers and their standard uncertainties, NaN where they were not estimated.
 
     The difference of the last two levels stands for what the size of blocks and voxels does.
     """
-    change, uncertainty = np.zeros(len(ERRORS)), np.full(len(ERRORS), np.nan)
-    if found:
-        last, free = found[-1], list(found[-1].free)
-        change = last.change.copy()
-        step = change[free] - found[-2].change[free] if len(found) > 1 else np.zeros(len(free))
-        uncertainty[free] = np.sqrt(last.uncertainty**2 + step**2)
-    if ROWS in places and not level.full.geometry.is_parallel:
-        for _ in range(MOST_ROWS):
-            before = change[ROWS]
-            change[ROWS], uncertainty[ROWS] = shift_along_rows(level, change, ROWS)
-            if not FAR_ROWS * level.factor < abs(change[ROWS] - before) < LOST_ROWS * level.factor:
-                break
-    return change, uncertainty
+    last, free = found[-1], list(found[-1].free)
+    step = last.change[free] - found[-2].change[free] if len(found) > 1 else np.zeros(len(free))
+    uncertainty = np.full(len(ERRORS), np.nan)
+    uncertainty[free] = np.sqrt(last.uncertainty**2 + step**2)
+    return last.change, uncertainty
 
 
 def _worth_applying(
@@ -212,23 +203,16 @@ def _worth_applying(
     """Numbers that are known well enough, 0 for the others, and a sentence about each of those."""
     kept, sentences = np.zeros(len(ERRORS)), []
     for place in places:
-        error, value, spread = ERRORS[place], change[place], uncertainty[place]
-        if np.isnan(spread):
-            sentences.append(f"{error.about}: not seen in a parallel beam, as a shifted object looks the same")
-        elif spread > error.largest:
-            sentences.append(f"{error.about}: left alone, as these views tell it within {spread:.2g} {error.unit} only")
-        elif abs(value) < error.significant * spread:
-            sentences.append(
-                f"{error.about}: left alone, as {value:+.2g} {error.unit} is less than {error.significant:g} standard "
-                f"uncertainties"
+        error, spread = ERRORS[place], uncertainty[place]
+        if spread <= error.largest:
+            kept[place] = change[place]
+        elif place == COLUMNS:
+            raise InputError(
+                f"{scan.path}: the views tell the shift along the columns within {spread:.2g} pixel only: they see too "
+                "little of the object, or too few rays twice"
             )
         else:
-            kept[place] = value
-    if COLUMNS in places and uncertainty[COLUMNS] > ERRORS[COLUMNS].largest:
-        raise InputError(
-            f"{scan.path}: the views tell the shift along the columns within {uncertainty[COLUMNS]:.2g} pixel only: "
-            "they see too little of the object, or too few rays twice"
-        )
+            sentences.append(f"{error.about}: left alone, as these views tell it within {spread:.2g} {error.unit} only")
     return kept, sentences
 
 
@@ -236,4 +220,4 @@ def _searched(level: Level) -> float:
     """Shift along the columns with the least misfit, in steps of a block."""
     most = int(SEARCHED * level.blocks.geometry.panel.columns)
     tried = [float(level.factor * n) for n in sorted(range(-most, most + 1), key=abs)]
-    return min(tried, key=lambda columns: misfit(level, np.array([columns, 0.0, 0.0])))
+    return min(tried, key=lambda columns: misfit(level, np.array([columns, 0.0])))

@@ -23,8 +23,7 @@ ITERATIONS = 20  # steps of the inner solver; chosen by hand
 MOST_STEPS = 8  # Gauss-Newton steps of a level
 CONVERGED = 0.005  # of a block; steps below end a level
 SAME_SLOPES = 0.05  # of a block; the derivatives are not computed anew after smaller steps
-# Shifts of the voxels, whose mean is the estimate: an edge of the object between two voxels moves the shift along the
-# rows by a part of a block, one way or the other as the edge lies (`docs/explanation/alignment.md`).
+# Shifts of the voxels, whose mean is the estimate: where an edge of the object lies between voxels moves it a little.
 PHASES = (0.0, 0.25, 0.5, 0.75)
 RUNS = 12  # runs of neighbouring views, whose scatter gives an uncertainty
 
@@ -35,7 +34,7 @@ class Estimate:
 
     Parameters
     ----------
-    change : columns, rows, turn
+    change : columns, turn
     free : places of those that were estimated
     noise : covariance by the noise of counts
     scatter : covariance by how much runs of views differ
@@ -116,41 +115,6 @@ def gauss_newton(level: Level, change: Change, free: tuple[int, ...]) -> Estimat
     change = change.copy()
     change[some] += steps.mean(axis=0)
     return Estimate(change, free, system.noise, system.scatter(rests[0]), _covariance_of_phases(steps))
-
-
-def shift_along_rows(level: Level, change: Change, place: int) -> tuple[float, float]:
-    """Estimate a shift along the rows from the misfit before, at and after its present value.
-
-    Derivatives do not serve here: a shift of the object along the axis explains nearly all of them, and what is left
-    is smaller than the error of voxels at the ends of the object.
-
-    Parameters
-    ----------
-    level : the scan
-    change : the rest of the pose, and where to start
-    place : of the shift in `change`
-
-    Returns
-    -------
-    shift and its standard uncertainty, by leaving out runs of views one after the other [pixel]; an infinite
-    uncertainty where the misfit has no minimum
-    """
-    width = float(level.factor)
-    weights, by_view = level.data[1], []
-    for sign in (-1, 0, 1):
-        tried = change.copy()
-        tried[place] += sign * width
-        rests = [_rest(level, tried, phase) for phase in PHASES]
-        by_view.append(np.mean([np.sum(weights * rest**2, axis=(1, 2), dtype=np.float64) for rest in rests], axis=0))
-    runs = np.array_split(np.arange(len(weights)), min(RUNS, len(weights)))
-    left_out = [np.delete(np.stack(by_view), run, axis=1).sum(axis=1) for run in runs]
-    curvatures = np.array([before + after - 2 * here for before, here, after in left_out])
-    if curvatures.min() <= 0:
-        return float(change[place]), np.inf
-    shifts = np.array([(before - after) / 2 for before, _, after in left_out]) / curvatures * width
-    count = len(shifts)
-    spread = np.sqrt((count - 1) / count * np.sum((shifts - shifts.mean()) ** 2))
-    return float(change[place] + shifts.mean()), float(spread)
 
 
 @dataclass(frozen=True, eq=False)

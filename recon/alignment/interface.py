@@ -23,7 +23,7 @@ def align(
     ----------
     scan : open dataset, or its file
     out : dataset to write; none is written where left out
-    free : what is estimated, of ``columns``, ``rows`` and ``tilt``
+    free : what is estimated, of ``columns`` and ``tilt``
     block : pixels along each side of the smallest blocks; chosen where left out
     overwrite : replace a file that exists
 
@@ -40,7 +40,7 @@ def align(
     --------
     >>> import recon
     >>> found = recon.align("scan.h5", "aligned.h5")  # doctest: +SKIP
-    >>> found.change  # columns [pixel], rows [pixel], turn [degree]  # doctest: +SKIP
+    >>> found.change  # columns [pixel], turn [degree]  # doctest: +SKIP
     """
     if not isinstance(scan, Dataset):
         with open_dataset(scan) as opened:

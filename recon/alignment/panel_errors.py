@@ -1,4 +1,9 @@
-"""Errors of the panel's pose that an alignment estimates: shifts along columns and rows, and a turn in its plane."""
+"""Errors of the panel's pose that an alignment estimates: a shift along its columns, and a turn in its plane.
+
+A shift along the rows is left out. A shift of the object along the axis explains all but a ten-thousandth of it on a
+circular orbit (`docs/explanation/alignment.md`), less than voxels err at the ends of the object; what it does to a volume
+is that shift.
+"""
 
 from dataclasses import dataclass
 
@@ -20,23 +25,20 @@ class PanelError:
     unit : of the number
     about : what it is, for tables
     largest : standard uncertainty above which a correction is not applied, in `unit`; chosen by hand
-    significant : standard uncertainties that a correction must exceed to be applied; chosen by hand
     """
 
     name: str
     unit: str
     about: str
     largest: float
-    significant: float = 0.0
 
 
 # In the order of the vectors of numbers below.
 ERRORS = (
     PanelError("columns", "pixel", "shift along the columns", 0.5),
-    PanelError("rows", "pixel", "shift along the rows", 0.5, 3.0),
     PanelError("tilt", "degree", "turn in the panel's plane", 0.5),
 )
-COLUMNS, ROWS, TILT = range(3)  # places in ERRORS
+COLUMNS, TILT = range(2)  # places in ERRORS
 NAMES = tuple(error.name for error in ERRORS)
 Change = Float[np.ndarray, " error"]
 
@@ -47,14 +49,14 @@ def changed(geometry: Geometry, change: Change) -> Geometry:
     Parameters
     ----------
     geometry : poses
-    change : columns [pixel], rows [pixel], turn from columns towards rows about the panel's centre [degree]
+    change : columns [pixel], turn from columns towards rows about the panel's centre [degree]
 
     Returns
     -------
     moved poses
     """
-    columns, rows, tilt = (float(number) for number in change)
-    return moved_panel(geometry, columns, tilt, rows)
+    columns, tilt = (float(number) for number in change)
+    return moved_panel(geometry, columns, tilt)
 
 
 def steps_of(geometry: Geometry, factor: int) -> Change:
@@ -71,7 +73,7 @@ def steps_of(geometry: Geometry, factor: int) -> Change:
     """
     pixels = 0.25 * factor
     half = max(geometry.panel.columns, geometry.panel.rows) / 2
-    return np.array([pixels, pixels, np.rad2deg(pixels / half)])
+    return np.array([pixels, np.rad2deg(pixels / half)])
 
 
 def checked_names(names: tuple[str, ...]) -> tuple[int, ...]:

@@ -14,9 +14,7 @@ from phantomgen.cli.common import debug_option, json_option
 )
 @click.argument("scan", type=click.Path(dir_okay=False, path_type=Path))
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Scan to write; none is written where left out.")
-@click.option(
-    "--free", default="columns,rows,tilt", metavar="NAME[,NAME]", help="What to estimate [default: columns,rows,tilt]."
-)
+@click.option("--free", default="columns,tilt", metavar="NAME[,NAME]", help="What to estimate [default: columns,tilt].")
 @click.option(
     "--block",
     type=click.IntRange(min=1),
@@ -41,8 +39,8 @@ def align(
 ) -> None:
     """Estimate how far the panel of SCAN lies from where the file states it, and correct it.
 
-    From the projections alone: shifts along columns (centre of rotation) and rows, and the turn of the panel in its
-    plane, each with its standard uncertainty. OUT is SCAN with the corrected poses; its counts stay as they are.
+    From the projections alone: the shift along the columns (centre of rotation) and the turn of the panel in its plane,
+    each with its standard uncertainty. OUT is SCAN with the corrected poses; its counts stay as they are.
     """
     from phantomgen.dataset.reader import open_dataset
     from phantomgen.dataset.writing.corrected_copy import check_copy
