@@ -20,7 +20,7 @@ from spectra.errors import InputError
 SEARCHED = 0.15  # of the columns, to both sides: shifts along the columns that are tried first; chosen by hand
 FEWEST_VIEWS = 8  # views below which no alignment is tried; chosen by hand
 
-_LEFT_ALONE = "shift along the rows, distances, and rotations of the panel out of its plane: not estimated, left as stated"
+_LEFT_ALONE = "shift along the rows, distances, rotations of the panel out of its plane: not estimated, left as stated"
 
 OnLevel = Callable[[int, int], object]  # number of the level, and of all levels
 
@@ -124,9 +124,7 @@ def align(
     free: tuple[str, ...] = NAMES,
     *,
     block: int | None = None,
-    on_level: _LEFT_ALONE = "shift along the rows, distances, and rotations of the panel out of its plane: not estimated, left as stated"
-
-OnLevel = lambda number, count: None,
+    on_level: OnLevel = lambda number, count: None,
 ) -> Alignment:
     """Estimate errors of the stated pose of the panel from the training views; no truth is read.
 

@@ -1,8 +1,7 @@
 """Errors of the panel's pose that an alignment estimates: a shift along its columns, and a turn in its plane.
 
-A shift along the rows is left out. A shift of the object along the axis explains all but a ten-thousandth of it on a
-circular orbit (`docs/explanation/alignment.md`), less than voxels err at the ends of the object; what it does to a volume
-is that shift.
+A shift along the rows is left out. On a circular orbit a shift of the object along the axis explains nearly all of it:
+what is left is less than voxels err at the ends of the object (`docs/explanation/alignment.md`).
 """
 
 from dataclasses import dataclass
