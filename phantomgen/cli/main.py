@@ -9,7 +9,7 @@ import click
 from phantomgen.cli.batch import batch, suite
 from phantomgen.cli.common import Commands, version_option
 from phantomgen.cli.dataset import info, schema, validate
-from phantomgen.cli.degrade import degrade
+from phantomgen.cli.degrade_and_correct import correct, degrade
 from phantomgen.cli.export import export
 from phantomgen.cli.importers import import_
 from phantomgen.cli.make import make, warm_up
@@ -40,6 +40,7 @@ for command in (
     plan,
     batch,
     degrade,
+    correct,
     suite,
     info,
     validate,

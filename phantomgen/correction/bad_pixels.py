@@ -107,8 +107,9 @@ def _with_lines_and_clusters(mask: UInt32[np.ndarray, "row column"]) -> UInt32[n
     if not rows.all() and not columns.all():
         mask[rows[:, None] & ~bad] = DEAD
         mask[columns[None, :] & ~bad] = DEAD
-    labels, count = ndimage.label(mask > 0)
-    sizes = np.bincount(np.ravel(labels), minlength=count + 1)
+    labels = np.zeros(mask.shape, np.int64)
+    count = int(ndimage.label(mask > 0, output=labels))  # type: ignore[arg-type]
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)
     sizes[0] = 0
     clustered: Bool[np.ndarray, "row column"] = (sizes >= FEW)[labels]
     mask[clustered] |= CLUSTER

@@ -63,9 +63,8 @@ def pixel_gains(
     usable = measures & (transmissions > 0).all(axis=0)
     logs = np.log(np.where(usable, np.maximum(transmissions, 1e-12), 1.0))
     rough = np.stack([_rough(image, usable) for image in logs])
-    in_air = ndimage.binary_erosion(
-        _filled(logs.mean(axis=0), usable) > np.log(AIR), np.ones((WINDOW, WINDOW)), border_value=1
-    )
+    in_air = _filled(logs.mean(axis=0), usable) > np.log(AIR)
+    in_air = np.asarray(ndimage.binary_erosion(in_air, np.ones((WINDOW, WINDOW)), border_value=1), bool)
     columns = _column_gains(rough, in_air & usable, usable)
     pixels = rough - columns - _common_to_lines(np.median(rough, axis=0) - columns, usable)
     found = np.median(pixels, axis=0)
@@ -92,7 +91,7 @@ def _smooth(image: Image) -> Image:
     for axis, count in enumerate(image.shape):
         width = min(WINDOW, count - 1 + count % 2)
         if width > ORDER:
-            image = signal.savgol_filter(image, width, ORDER, axis=axis, mode="interp")
+            image = np.asarray(signal.savgol_filter(image, width, ORDER, axis=axis, mode="interp"))
     return image
 
 
@@ -100,8 +99,8 @@ def _filled(image: Image, usable: Bool[np.ndarray, "row column"]) -> Image:
     """Image with the values of the nearest pixel that measures in place of those that do not."""
     if usable.all():
         return image
-    nearest = ndimage.distance_transform_edt(~usable, return_distances=False, return_indices=True)
-    return image[tuple(nearest)]
+    row, column = np.asarray(ndimage.distance_transform_edt(~usable, return_distances=False, return_indices=True))
+    return image[row, column]
 
 
 def _column_gains(

@@ -72,8 +72,10 @@ class ScanSums:
         mean = total / count
         variance = np.maximum(squares / count - mean**2, 0) * count / np.maximum(count - 1, 1)
         air, dark = dataset.flat / self.unit, dataset.dark / self.unit
+        mean = mean + first
         return [
-            PixelStatistics(*known, int(n)) for *known, n in zip(air, dark, mean + first, variance, views, strict=True)
+            PixelStatistics(air[channel], dark[channel], mean[channel], variance[channel], int(count))
+            for channel, count in enumerate(views)
         ]
 
     def blocks_and_runs(

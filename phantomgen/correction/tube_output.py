@@ -68,7 +68,7 @@ def tube_output(sums: BlockSums) -> TubeOutput:
     -------
     the output; not known where too few blocks see air
     """
-    usable = (sums.air > 0).all(axis=0) & (sums.counts > 0).all(axis=0)
+    usable = np.asarray((sums.air > 0).all(axis=0) & (sums.counts > 0).all(axis=0))
     views = len(sums.counts)
     nothing = TubeOutput(np.ones(views), np.full(views, np.inf), np.zeros(sums.air.shape[1], bool))
     if not usable.any():

@@ -1,4 +1,4 @@
-"""``phantomgen degrade``: a scan with less dose, fewer views, a worse panel, or wrong statements."""
+"""``phantomgen degrade`` makes a scan worse; ``phantomgen correct`` prepares a raw one for reconstruction."""
 
 import json
 import sys
@@ -154,3 +154,61 @@ def degrade(
         click.echo(f"{one.path}: {views} views x {channels} channels x {rows} x {columns}")
         for phrase in one.history:
             click.echo(f"  {phrase}")
+
+
+@click.command(
+    epilog="\b\nExamples:\n  phantomgen correct raw.h5 -o scan.h5\n"
+    "  phantomgen correct raw.h5 -o scan.h5 --flats flat_low.tif --flats flat_high.tif\n"
+    "  phantomgen correct raw.h5 -o scan.h5 --steps defects,drift"
+)
+@click.argument("scan", type=click.Path(dir_okay=False, path_type=Path))
+@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Dataset to write.")
+@click.option(
+    "--flats",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Open-beam frames in place of those of SCAN: a TIFF stack per channel, or one .npy with all channels.",
+)
+@click.option(
+    "--darks", multiple=True, type=click.Path(path_type=Path), metavar="FILE", help="Frames without beam, likewise."
+)
+@click.option(
+    "--steps",
+    default="defects,drift,rings",
+    metavar="STEP[,STEP]",
+    help="What is corrected [default: defects,drift,rings].",
+)
+@click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
+@json_option
+@debug_option
+def correct(
+    scan: Path,
+    out: Path,
+    flats: tuple[Path, ...],
+    darks: tuple[Path, ...],
+    steps: str,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Mask bad pixels of SCAN, and correct its tube output and the gains of its pixels.
+
+    Counts stay as they are, so that their noise stays that of photons: masks, the exposure of the views and the flats
+    change. Bad pixels are found by flats and by changes between views, the tube output by parts of the panel that see
+    only air, gains by what all views have in common. What was done is printed, and stands in the file.
+    """
+    from phantomgen.correction.run import Wanted, correct_file
+    from phantomgen.importers.files.frames import read_frames
+
+    wanted = Wanted(
+        tuple(step.strip() for step in steps.split(",") if step.strip()),
+        read_frames(flats) if flats else None,
+        read_frames(darks) if darks else None,
+    )
+    done = correct_file(scan, out, wanted, overwrite=overwrite)
+    if as_json:
+        click.echo(json.dumps({"file": str(done.path), **done.record()}))
+        return
+    click.echo(f"{done.path}")
+    for phrase in done.done:
+        click.echo(f"  {phrase}")
