@@ -14,11 +14,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage, signal
 
+from phantomgen.dataset.inpainting import inpainted
+
 # All chosen by hand.
 WINDOW, ORDER = 5, 2  # pixels and order of the local polynomial along each axis
 ROUNDS = 4  # of taking the smooth part away, as some of a gain leaks into it
 LINE = 15  # pixels along a row or column, whose median is what an object may have in common
 CERTAIN = 2.5  # standard deviations of such a median, by the scatter of single pixels; smaller ones are gains
+SURE = 5.0  # the same, of edges so large that gains beside them are not known
 EDGE = 5.0  # robust standard deviations; what exceeds them is no gain
 AIR = 0.97  # transmission of air
 FEWEST_ROWS = 6  # rows in air from which a column gets a gain
@@ -63,14 +66,15 @@ def pixel_gains(
     usable = measures & (transmissions > 0).all(axis=0)
     logs = np.log(np.where(usable, np.maximum(transmissions, 1e-12), 1.0))
     rough = np.stack([_rough(image, usable) for image in logs])
-    in_air = _filled(logs.mean(axis=0), usable) > np.log(AIR)
+    in_air = inpainted(logs.mean(axis=0), ~usable) > np.log(AIR)
     in_air = np.asarray(ndimage.binary_erosion(in_air, np.ones((WINDOW, WINDOW)), border_value=1), bool)
     columns = _column_gains(rough, in_air & usable, usable)
-    pixels = rough - columns - _common_to_lines(np.median(rough, axis=0) - columns, usable)
+    common, edges = _common_to_lines(np.median(rough, axis=0) - columns, usable)
+    pixels = rough - columns - common
     found = np.median(pixels, axis=0)
     variance = np.var(pixels, axis=0, ddof=1) * (np.pi / 2) / len(pixels)  # of a median
     variance = _local_mean(variance, usable)
-    known = usable & (np.abs(found) < EDGE * max(_spread(found[usable]), 1e-12))
+    known = usable & ~edges & (np.abs(found) < EDGE * max(_spread(found[usable]), 1e-12))
     typical = float(np.median(variance[usable]))
     spread = max(_spread(found[known]) ** 2 - typical, 0.0)
     shrunk = np.where(known, found * spread / np.maximum(spread + variance, 1e-30), 0.0)
@@ -79,10 +83,12 @@ def pixel_gains(
 
 def _rough(image: Image, usable: Bool[np.ndarray, "row column"]) -> Image:
     """What a local polynomial in both directions leaves of an image; 0 where a pixel does not measure."""
+    whole = inpainted(image, ~usable)
     gain = np.zeros_like(image)
     for _ in range(ROUNDS):
-        flat = _filled(image - gain, usable)
-        gain += np.where(usable, flat - _smooth(flat), 0.0)
+        smooth = _smooth(whole - gain)
+        gain += np.where(usable, whole - gain - smooth, 0.0)
+        whole = np.where(usable, whole, smooth)
     return gain
 
 
@@ -93,14 +99,6 @@ def _smooth(image: Image) -> Image:
         if width > ORDER:
             image = np.asarray(signal.savgol_filter(image, width, ORDER, axis=axis, mode="interp"))
     return image
-
-
-def _filled(image: Image, usable: Bool[np.ndarray, "row column"]) -> Image:
-    """Image with the values of the nearest pixel that measures in place of those that do not."""
-    if usable.all():
-        return image
-    row, column = np.asarray(ndimage.distance_transform_edt(~usable, return_distances=False, return_indices=True))
-    return image[row, column]
 
 
 def _column_gains(
@@ -122,14 +120,18 @@ def _column_gains(
     return np.where(usable, shrunk[None, :], 0.0)
 
 
-def _common_to_lines(image: Image, usable: Bool[np.ndarray, "row column"]) -> Image:
-    """Medians along columns and rows, which may be an edge of the object."""
+def _common_to_lines(
+    image: Image, usable: Bool[np.ndarray, "row column"]
+) -> tuple[Image, Bool[np.ndarray, "row column"]]:
+    """Medians along columns and rows that exceed the scatter of gains, and where edges make them large."""
     common, left = np.zeros_like(image), np.where(usable, image, 0.0)
+    edges = np.zeros(image.shape, bool)
     for size in ((LINE, 1), (1, LINE)):
         lines = ndimage.median_filter(left - common, size=size, mode="nearest")
         scatter = np.sqrt(np.pi / 2 / LINE) * _spread((left - common - lines)[usable])
         common = common + np.where(np.abs(lines) > CERTAIN * scatter, lines, 0.0)
-    return common
+        edges |= np.abs(lines) > SURE * scatter
+    return common, np.asarray(ndimage.binary_dilation(edges, np.ones((WINDOW, WINDOW))), bool)
 
 
 def _local_mean(image: Image, usable: Bool[np.ndarray, "row column"]) -> Image:

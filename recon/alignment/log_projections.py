@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float32, Int
+from jaxtyping import Bool, Float, Float32, Int
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.geometry.panel_changes import smaller_panel
@@ -47,15 +47,16 @@ class SummedCounts:
         shape = (len(views), *dataset.counts.shape[2:])
         counts, air = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         dead_time, unit = dataset.spectra.dead_time, dataset.spectra.quantum[:, None, None]
-        beam = dataset.flat if dead_time is None else dead_time.corrected(dataset.flat)
+        beam = (dataset.flat if dead_time is None else dead_time.corrected(dataset.flat)) / unit
         measures = ~dataset.mask & (beam > 0)
+        even = _evened(beam, measures)
         for place, view in enumerate(views):
             seen = dataset.load([int(view)])[0] - dataset.dark
             seen = seen if dead_time is None else dead_time.corrected(seen)
             exposed = dataset.exposure[view][:, None, None]
             used = measures & (exposed > 0)
-            counts[place] = np.sum(seen / unit, axis=0, where=used)
-            air[place] = np.sum(beam * exposed / unit, axis=0, where=used)
+            counts[place] = np.sum(seen / unit * even, axis=0, where=used)
+            air[place] = np.sum(beam * exposed * even, axis=0, where=used)
         return cls(counts, air, dataset.geometry[views])
 
     def some_views(self, views: Int[np.ndarray, " some"]) -> "SummedCounts":
@@ -107,6 +108,19 @@ class SummedCounts:
         logs = np.where(seen, np.log(np.where(seen, self.air, 1) / counts), 0)
         weights = np.where(seen & (self.counts >= LEAST_COUNTS), 1 / (1 / counts + MODEL_ERROR**2), 0)
         return logs.astype(np.float32), weights.astype(np.float32)
+
+
+def _evened(
+    beam: Float[np.ndarray, "channel row column"], measures: Bool[np.ndarray, "channel row column"]
+) -> Float[np.ndarray, "channel row column"]:
+    """Factors that give the channels of every pixel the same shares of the open beam, with its sum unchanged.
+
+    Channels with gains of their own would otherwise make up another spectrum in every pixel.
+    """
+    shares = np.array([np.median(one[used]) if used.any() else 0.0 for one, used in zip(beam, measures, strict=True)])
+    share = shares[:, None, None] * measures
+    whole = np.sum(beam, axis=0, where=measures) / np.maximum(share.sum(axis=0), 1e-30)
+    return np.divide(share * whole, beam, out=np.zeros_like(beam), where=measures)
 
 
 def _middle(count: int, factor: int) -> slice:
