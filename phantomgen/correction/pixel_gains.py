@@ -22,6 +22,7 @@ ROUNDS = 4  # of taking the smooth part away, as some of a gain leaks into it
 LINE = 15  # pixels along a row or column, whose median is what an object may have in common
 CERTAIN = 2.5  # standard deviations of such a median, by the scatter of single pixels; smaller ones are gains
 SURE = 5.0  # the same, of edges so large that gains beside them are not known
+LEAST = 1e-3  # standard deviation of gains below which they stay as they are: objects leave as much
 EDGE = 5.0  # robust standard deviations; what exceeds them is no gain
 AIR = 0.97  # transmission of air
 FEWEST_ROWS = 6  # rows in air from which a column gets a gain
@@ -37,7 +38,7 @@ class PixelGains:
     Parameters
     ----------
     gain : relative to the flats; 1 where nothing is known
-    spread : standard deviation of the gains that were found, noise taken away [no unit]
+    spread : standard deviation of the gains that were found, noise taken away; below `LEAST` they are left at 1
     noise : typical standard uncertainty of a gain [no unit]
     """
 
@@ -77,6 +78,8 @@ def pixel_gains(
     known = usable & ~edges & (np.abs(found) < EDGE * max(_spread(found[usable]), 1e-12))
     typical = float(np.median(variance[usable]))
     spread = max(_spread(found[known]) ** 2 - typical, 0.0)
+    if np.sqrt(spread) < LEAST:
+        return PixelGains(np.ones(measures.shape), float(np.sqrt(spread)), float(np.sqrt(typical)))
     shrunk = np.where(known, found * spread / np.maximum(spread + variance, 1e-30), 0.0)
     return PixelGains(np.exp(shrunk + np.where(usable, columns, 0.0)), float(np.sqrt(spread)), float(np.sqrt(typical)))
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt32
 
 from phantomgen.correction.bad_pixels import find_bad_pixels
-from phantomgen.correction.pixel_gains import PixelGains, pixel_gains
+from phantomgen.correction.pixel_gains import LEAST, PixelGains, pixel_gains
 from phantomgen.correction.sums import ScanSums
 from phantomgen.correction.tube_output import TubeOutput, tube_output
 from phantomgen.dataset.checks.door import array_at, find_array
@@ -215,8 +215,8 @@ def _about_views(dataset: Dataset, output: TubeOutput, gains: tuple[PixelGains, 
     for name, one in zip(dataset.spectra.channels, gains, strict=False):
         if not np.isfinite(one.noise):
             done.append(f"gains of {name}: left alone, as there are too few views or pixels")
-        elif one.spread == 0:
-            done.append(f"gains of {name}: even within their noise of {one.noise:.1e}")
+        elif one.spread < LEAST:
+            done.append(f"gains of {name}: left as in the flats, as they differ by {one.spread:.2%} rms only")
         else:
             done.append(f"gains of {name}: {one.spread:.2%} rms beyond the flats, each known to {one.noise:.2%}")
     return done

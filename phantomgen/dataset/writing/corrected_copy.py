@@ -47,6 +47,10 @@ class CorrectedCopy(DatasetWriter):
         super().__init__(path, overwrite)
         self.source = source
 
+    def __enter__(self) -> "CorrectedCopy":
+        super().__enter__()
+        return self
+
     def _opened(self) -> h5py.File:
         """Open the copy."""
         open_file(self.source).close()  # a damaged file is refused before it is copied

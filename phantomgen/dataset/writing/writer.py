@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import h5py
 import numpy as np
@@ -61,7 +61,7 @@ class DatasetWriter:
         """File that takes some room on the disk while the dataset is written."""
         return self.part.with_name(self.part.name + ".room")
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "DatasetWriter":
         with one_sentence(self.part):
             self._lock = acquire(self.path)
             try:
