@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from phantomgen.api import again, degrade, import_scan, load, make, plan
+    from phantomgen.api import again, correct, degrade, import_scan, load, make, plan
     from phantomgen.building.scene import Scene
     from phantomgen.building.shapes import (
         Box,
@@ -69,6 +69,7 @@ __all__ = [
     "Union",
     "Voxels",
     "again",
+    "correct",
     "degrade",
     "import_scan",
     "load",
@@ -106,6 +107,7 @@ _HOMES = {
     "Union": ("building.shapes", "Union"),
     "Voxels": ("building.shapes", "Voxels"),
     "again": ("api", "again"),
+    "correct": ("api", "correct"),
     "degrade": ("api", "degrade"),
     "import_scan": ("api", "import_scan"),
     "load": ("api", "load"),

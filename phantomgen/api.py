@@ -8,6 +8,9 @@ from shutil import rmtree
 from tempfile import mkdtemp
 from typing import Any
 
+import numpy as np
+from jaxtyping import Shaped
+
 from phantomgen.building.scene import Scene
 from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.writing.writer import check_dataset_name
@@ -154,6 +157,35 @@ def degrade(
     path = dataset.path if isinstance(dataset, Dataset) else Path(dataset)
     wanted = replace(settings or Degradation(), **options)
     return open_dataset(degrade_file(path, out, wanted, overwrite=overwrite).path)
+
+
+def correct(
+    dataset: Dataset | str | Path,
+    out: Path | str,
+    steps: Sequence[str] = ("defects", "drift", "rings"),
+    *,
+    flats: Shaped[np.ndarray, "frame channel row column"] | None = None,
+    darks: Shaped[np.ndarray, "frame channel row column"] | None = None,
+    overwrite: bool = False,
+) -> Dataset:
+    """Write a raw scan with bad pixels masked, and tube output and gains of pixels corrected, and open it.
+
+    Parameters
+    ----------
+    dataset : the scan, or its name
+    out : name of the new dataset
+    steps : what is corrected: ``defects``, ``drift`` and ``rings``
+    flats, darks : frames that replace those of the scan, (frame, channel, row, column)
+    overwrite : replace a file that exists
+
+    Returns
+    -------
+    the new dataset, to be closed or used in a ``with`` statement; its counts are those of the scan
+    """
+    from phantomgen.correction.run import Wanted, correct_file  # noqa: PLC0415 - scipy takes half a second
+
+    path = dataset.path if isinstance(dataset, Dataset) else Path(dataset)
+    return open_dataset(correct_file(path, out, Wanted(tuple(steps), flats, darks), overwrite=overwrite).path)
 
 
 def import_scan(
