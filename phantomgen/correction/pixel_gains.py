@@ -66,10 +66,8 @@ def pixel_gains(
         return nothing
     usable = measures & (transmissions > 0).all(axis=0)
     logs = np.log(np.where(usable, np.maximum(transmissions, 1e-12), 1.0))
+    columns = _column_gains(np.median(logs, axis=0), usable)
     rough = np.stack([_rough(image, usable) for image in logs])
-    in_air = inpainted(logs.mean(axis=0), ~usable) > np.log(AIR)
-    in_air = np.asarray(ndimage.binary_erosion(in_air, np.ones((WINDOW, WINDOW)), border_value=1), bool)
-    columns = _column_gains(rough, in_air & usable, usable)
     common, edges = _common_to_lines(np.median(rough, axis=0) - columns, usable)
     pixels = rough - columns - common
     found = np.median(pixels, axis=0)
@@ -78,47 +76,50 @@ def pixel_gains(
     known = usable & ~edges & (np.abs(found) < EDGE * max(_spread(found[usable]), 1e-12))
     typical = float(np.median(variance[usable]))
     spread = max(_spread(found[known]) ** 2 - typical, 0.0)
-    if np.sqrt(spread) < LEAST:
-        return PixelGains(np.ones(measures.shape), float(np.sqrt(spread)), float(np.sqrt(typical)))
     shrunk = np.where(known, found * spread / np.maximum(spread + variance, 1e-30), 0.0)
-    return PixelGains(np.exp(shrunk + np.where(usable, columns, 0.0)), float(np.sqrt(spread)), float(np.sqrt(typical)))
+    if np.sqrt(spread) < LEAST:
+        shrunk = np.zeros_like(shrunk)
+    whole = spread + float(np.var(columns[usable]))
+    return PixelGains(np.exp(shrunk + columns), float(np.sqrt(whole)), float(np.sqrt(typical)))
 
 
-def _rough(image: Image, usable: Bool[np.ndarray, "row column"]) -> Image:
-    """What a local polynomial in both directions leaves of an image; 0 where a pixel does not measure."""
+def _rough(image: Image, usable: Bool[np.ndarray, "row column"], axes: tuple[int, ...] = (0, 1)) -> Image:
+    """What a local polynomial along some axes leaves of an image; 0 where a pixel does not measure."""
     whole = inpainted(image, ~usable)
     gain = np.zeros_like(image)
     for _ in range(ROUNDS):
-        smooth = _smooth(whole - gain)
+        smooth = _smooth(whole - gain, axes)
         gain += np.where(usable, whole - gain - smooth, 0.0)
         whole = np.where(usable, whole, smooth)
     return gain
 
 
-def _smooth(image: Image) -> Image:
-    """Local polynomials along both axes."""
-    for axis, count in enumerate(image.shape):
+def _smooth(image: Image, axes: tuple[int, ...]) -> Image:
+    """Local polynomials along some axes."""
+    for axis in axes:
+        count = image.shape[axis]
         width = min(WINDOW, count - 1 + count % 2)
         if width > ORDER:
             image = np.asarray(signal.savgol_filter(image, width, ORDER, axis=axis, mode="interp"))
     return image
 
 
-def _column_gains(
-    rough: Float[np.ndarray, "run row column"],
-    in_air: Bool[np.ndarray, "row column"],
-    usable: Bool[np.ndarray, "row column"],
-) -> Image:
+def _column_gains(image: Image, usable: Bool[np.ndarray, "row column"]) -> Image:
     """What all rows in air have in common in a column; 0 for columns with few rows in air."""
-    mean = np.median(rough, axis=0)
+    reach = np.ones((3, 2 * ROUNDS * (WINDOW // 2) + 1))  # pixels that `_rough` takes a value from
+    bright = inpainted(image, ~usable) > np.log(AIR)
+    in_air = usable & np.asarray(ndimage.binary_erosion(bright, reach, border_value=1), bool)
+    mean = _rough(image, usable, (1,))
     rows = in_air.sum(axis=0)
     common = np.array([np.median(mean[air, c]) if air.any() else 0.0 for c, air in enumerate(in_air.T)])
     spread = np.array([_spread(mean[air, c]) if air.sum() > 1 else np.inf for c, air in enumerate(in_air.T)])
     variance = np.pi / 2 * spread**2 / np.maximum(rows, 1)
     known = (rows >= FEWEST_ROWS) & np.isfinite(variance)
     if not known.any():
-        return np.zeros(mean.shape)
+        return np.zeros(image.shape)
     wanted = max(float(np.var(common[known]) - np.mean(variance[known])), 0.0)
+    if np.sqrt(wanted) < LEAST:
+        return np.zeros(image.shape)
     shrunk = np.where(known, common * wanted / np.maximum(wanted + np.where(known, variance, 0), 1e-30), 0.0)
     return np.where(usable, shrunk[None, :], 0.0)
 
