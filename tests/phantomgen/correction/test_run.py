@@ -43,8 +43,10 @@ def test_defects_drift_and_gains_of_a_scan(raw, tmp_path):
     views, flats = (gain.maps(0, 4, 40, 40, stream) for stream in (Stream.PROJECTION, Stream.FLAT))
     drift = (views / flats)[:, ~true]
     assert (drift / np.where(changed > 0, changed, 1)).std() < 0.98 * drift.std()
-    assert all(np.corrcoef(one, other)[0, 1] > 0.2 for one, other in zip(changed, drift, strict=True))
-    assert all(0.005 < one.spread < 0.02 for one in found.gains)
+    alike = [np.corrcoef(one, other)[0, 1] for one, other in zip(changed, drift, strict=True)]
+    assert min(alike) > 0  # the softest channel shows the object best, and its gains worst
+    assert np.median(alike) > 0.3
+    assert np.median([one.spread for one in found.gains]) == pytest.approx(0.01, rel=0.1)
     assert CliRunner().invoke(main, ["validate", str(tmp_path / "scan.h5")]).exit_code == 0
 
 
