@@ -47,7 +47,7 @@ def held_out_views(
     test = dataset.splits["test"]
     for first in range(0, len(test), VIEWS_AT_ONCE):
         views = test[first : first + VIEWS_AT_ONCE]
-        measured = read_measurements(dataset, views, len(model.basis_names))
+        measured = read_measurements(dataset, views, len(model.basis_names), separable=False)
         yield from run_parallel(lambda view: view(), _predict(measured, model, unreliable))
 
 
