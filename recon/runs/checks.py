@@ -3,10 +3,10 @@
 from phantomgen.dataset.reader import Dataset
 from recon.voxel.filtered.circular_orbit import circular_orbit_of
 from recon.voxel.filtered.fdk import Fdk
-from recon.voxel.filtered.nmar import Nmar
-from recon.voxel.filtered.water_correction import FdkWater
 from recon.voxel.initial_volumes import check_directions
 from recon.voxel.method import CountsMethod, Method, ViewMethod
+from recon.voxel.one_channel.nmar import Nmar
+from recon.voxel.one_channel.water_correction import FdkWater
 from spectra.errors import InputError
 
 PIPELINES = ("two-step", "image")

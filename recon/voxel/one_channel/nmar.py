@@ -17,9 +17,9 @@ from scipy.ndimage import gaussian_filter
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements
-from recon.voxel.filtered.water_correction import filtered, known, lines_of_water
 from recon.voxel.iterative.likelihood import forward
 from recon.voxel.method import Iteration, OnIteration, Volumes, no_callback
+from recon.voxel.one_channel.water_correction import filtered, known, lines_of_water
 from spectra.materials.material_curve import MaterialCurve
 
 
@@ -29,7 +29,7 @@ class Nmar:
 
     Parameters
     ----------
-    curve : materials of the object, water among them, see `recon.voxel.filtered.water_correction.FdkWater`
+    curve : materials of the object, water among them, see `recon.voxel.one_channel.water_correction.FdkWater`
     metal : attenuation of the thinnest metal over that of water; 4 is 3000 HU
     bone : attenuation above which the prior image keeps what the first image has; 1.3 is 300 HU
     air : attenuation below which the prior image is empty; 0.5 is -500 HU
