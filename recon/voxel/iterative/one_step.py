@@ -163,7 +163,7 @@ class OneStep:
             volumes = _descend(volumes, data, level, self, passes, report)
         return self.coefficients(_voxel_means(resampled(volumes, here, grid), self))
 
-    def coefficients(self, unknowns: Volumes) -> Volumes:
+    def coefficients(self, unknowns: Float[np.ndarray, "unknown z y x"]) -> Volumes:
         """Compute the coefficients of the bases.
 
         Parameters

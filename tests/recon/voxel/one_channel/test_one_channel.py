@@ -23,11 +23,9 @@ def cupping(volume, grid, radius=34.0):
 
 def test_counts_behind_water_become_its_line_integrals(water):
     lines, data = lines_of_water(water.measured, water.grid, water.curve)
-    row, angle = data.geometry.panel.rows // 2, np.arcsin(0)
-    del angle
-    source, centre = data.geometry.source[0], data.geometry.panel_center[0]
+    row, source, centre = data.geometry.panel.rows // 2, data.geometry.source[0], data.geometry.panel_center[0]
     ray = centre - source
-    nearest = np.linalg.norm(np.cross(ray[:2], source[:2]) / np.linalg.norm(ray[:2]))
+    nearest = abs(ray[0] * source[1] - ray[1] * source[0]) / np.hypot(ray[0], ray[1])
     chord = 2 * np.sqrt(34.0**2 - nearest**2)
     middle = lines[0, row - 1 : row + 1, data.geometry.panel.columns // 2 - 1 : data.geometry.panel.columns // 2 + 1]
     assert middle.mean() == pytest.approx(chord * water.curve.attenuations[1], rel=2e-3)
@@ -45,7 +43,7 @@ def test_a_water_correction_takes_the_cupping_away(water):
 def test_water_has_the_attenuation_of_the_tables(water, method):
     how = {"fdk-water": FdkWater(water.curve), "one-step": OneStep(curve=water.curve)}[method]
     volume = water.mono(how.reconstruct_counts(water.measured, water.grid))
-    assert volume[2:-2, 14:26, 14:26].mean() == pytest.approx(WATER_AT_70, rel=0.01)
+    assert volume[10:-10, 14:26, 14:26].mean() == pytest.approx(WATER_AT_70, rel=0.01)
     assert abs(cupping(volume, water.grid)) < 0.005
 
 
