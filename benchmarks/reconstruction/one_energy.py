@@ -8,9 +8,9 @@ mean attenuation of water), with a water correction (`fdk-water`), with normalis
 and one-step voxels along the standard curve of materials (`curve`), as `recon fit --bases curve` has it.
 
 A row states the PSNR [dB] of the attenuation at 70 keV over all voxels; the same where the true attenuation is below
-0.1 per mm, which leaves out metal, with the attenuation of bone (0.05 per mm) as the peak; the root mean square error there
-[HU]; cupping of the cylinder of water [%], the mean below its surface less that in its middle over the whole mean; and
-processor seconds. Rows take the place of those in `results/one_energy.txt`.
+0.1 per mm, which leaves out metal, with the attenuation of bone (0.05 per mm) as the peak; the root mean square error
+of matter there [HU]; cupping of the cylinder of water [%], the mean below its surface less that in its middle over the
+whole mean; and processor seconds. Rows take the place of those in `results/one_energy.txt`.
 """
 
 import argparse
