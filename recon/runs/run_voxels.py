@@ -75,7 +75,7 @@ class VoxelRun:
         dataset, count = with_named(dataset, self.bases)
         method, on_curve = self.method, isinstance(self.bases, OnCurve)
         if isinstance(self.bases, OnCurve):
-            method = replace(method, curve=self.bases.curve(dataset))
+            method = replace(method, curve=self.bases.curve(dataset))  # type: ignore[type-var] - methods are dataclasses
         log = IterationLog(folder, dataset.grid, dataset.spectra.basis.names[:count])
         with clock("read"):
             measured = read_measurements(dataset, dataset.splits["train"], count, separable=not on_curve)
