@@ -18,7 +18,7 @@ from recon.cli.common import (
     seconds_text,
 )
 from recon.cli.run_argument import check_run_name
-from recon.runs.methods import METHODS
+from recon.runs.methods import METHODS, ON_CURVE
 
 if TYPE_CHECKING:
     from recon.runs.interfaces import RunMethod
@@ -31,8 +31,9 @@ if TYPE_CHECKING:
     "--bases",
     default="auto",
     show_default=True,
-    metavar="auto|NUMBER|NAME[,NAME]",
-    help="Basis functions to fit: those that the counts warrant, the first ones of the file, or those named.",
+    metavar="auto|NUMBER|NAME[,NAME]|curve[:MATERIAL,...]",
+    help="Basis functions to fit: those that the counts warrant, the first ones of the file, or those named; or, for "
+    "one channel, a curve of materials [default: adipose, water, cortical bone, Ti, Fe].",
 )
 @click.option(
     "--edge",
@@ -76,9 +77,8 @@ if TYPE_CHECKING:
 @click.option(
     "--method",
     type=click.Choice(["gaussian", *METHODS]),
-    default="gaussian",
-    show_default=True,
-    help="Gaussians, or a classical or learned method for comparison; `--sweeps` are then its iterations.",
+    help="Gaussians, or a classical or learned method for comparison; `--sweeps` are then its iterations "
+    "[default: gaussian, but one-step with --bases curve].",
 )
 @click.option(
     "--pipeline",
@@ -139,7 +139,7 @@ def fit(
     gaussians: int | None,
     steps: int | None,
     without: tuple[str, ...],
-    method: str,
+    method: str | None,
     pipeline: str,
     seed: int,
     air: str | None,
@@ -170,7 +170,7 @@ def fit(
     from recon.data.devices import device_named
     from recon.evaluation import verdict
     from recon.gaussians.processes import joined
-    from recon.kedge.basis_names import parse_bases, with_named
+    from recon.kedge.basis_names import OnCurve, parse_bases, with_named
     from recon.kedge.report import parse_edges
     from recon.published_methods.paper.recipe import PAPER_STEPS, PaperRecipe
     from recon.runs.expected_cost import expected_cost
@@ -182,11 +182,16 @@ def fit(
     from recon.runs.run_voxels import VoxelRun
     from recon.runs.write_run import RunFolder, score_table
     from recon.voxel.method import ViewMethod
+    from spectra.errors import InputError
     from spectra.threads import set_threads
 
     refuse_options("a spectrum that is not refined: add --refine", {"prior": not refine and bool(prior)})
     if out is not None:
         check_run_name(Path(out))
+    source, edges, asked = Path(dataset), parse_edges(edge), parse_bases(bases)
+    method = method or ("one-step" if isinstance(asked, OnCurve) else "gaussian")
+    if isinstance(asked, OnCurve) and method not in ON_CURVE:
+        raise InputError(f"--method {method} takes no curve of materials: take {', '.join(ON_CURVE)}, or other --bases")
     special = {"resume": resume, "dry-run": dry_run, "memory": memory, "held-out": held_out, "edge": edge}
     special |= {"kernel": None if kernel == "auto" else kernel, "detail": detail, "gaussians": gaussians}
     special |= {"device": None if device == "cpu" else device_named(device).type}
@@ -200,7 +205,6 @@ def fit(
         chosen = ("interface" if device == "cpu" else "gaussian") if kernel == "auto" else kernel
         refuse_options("--gaussians", {"detail": gaussians and detail})
         how = chosen_recipe(recipe, sweeps, seed, held_out, chosen, detail or 1.0, gaussians or 0)
-    source, edges, asked = Path(dataset), parse_edges(edge), parse_bases(bases)
     set_threads(threads)
     if dry_run and not isinstance(how, PaperRecipe):
         with open_dataset(source, air) as stored:

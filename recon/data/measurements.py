@@ -271,7 +271,11 @@ class Measurements:
 
 
 def read_measurements(
-    dataset: Dataset, views: Int[np.ndarray, " view"], bases: int | None = None, store: ArrayStore = IN_MEMORY
+    dataset: Dataset,
+    views: Int[np.ndarray, " view"],
+    bases: int | None = None,
+    store: ArrayStore = IN_MEMORY,
+    separable: bool = True,
 ) -> Measurements:
     """Read some views of a dataset, and prepare their counts and spectral model.
 
@@ -283,6 +287,7 @@ def read_measurements(
     views : indices of the views
     bases : number of basis functions, the first ones of the dataset; all by default
     store : storage of the counts
+    separable : whether channels must tell the basis functions apart, as they need not where the materials are known
 
     Returns
     -------
@@ -299,7 +304,7 @@ def read_measurements(
     if count > len(names):
         raise InputError(f"{dataset.path} has the bases {', '.join(names)}: {count} were asked for")
     whole = dataset.spectra.transmission()
-    if len(whole) < count:
+    if separable and len(whole) < count:
         channels = f"{len(whole)} channel{'s' if len(whole) > 1 else ''}"
         hint = f": use --bases {min(len(whole), 3)}" if len(whole) > 1 else ": a scan needs a channel for each"
         raise InputError(f"{channels} cannot tell {count} bases apart{hint}")
@@ -312,7 +317,8 @@ def read_measurements(
     unit = quantum[:, None, None]
     columns = np.delete(whole.columns, np.s_[count : len(names)], axis=0)
     transmission = replace(in_quanta(whole, quantum), columns=columns)
-    _check_independent(transmission, names[:count])
+    if separable:
+        _check_independent(transmission, names[:count])
     profile = dataset.spectra.profile
     flat, dead_time = dataset.flat, dataset.spectra.dead_time
     if dead_time is not None:

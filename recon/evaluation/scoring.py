@@ -1,6 +1,7 @@
 """Scores of a finished fit: against the truth where a dataset has one, against its test views in any case."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from recon.gaussians.model import GaussianModel
 from recon.voxel.model import Voxels
 from recon.voxel.unreliable import Unreliable
 from spectra.errors import InputError
+from spectra.threads import run_parallel
 
 FULL_FRACTION = 65535  # value of a voxel that one material fills, in the truth of a dataset
 VIEWS_AT_ONCE = 2  # views; predicted together, which bounds the memory
@@ -45,13 +47,14 @@ def held_out_views(
     test = dataset.splits["test"]
     for first in range(0, len(test), VIEWS_AT_ONCE):
         views = test[first : first + VIEWS_AT_ONCE]
-        measured = read_measurements(dataset, views, len(model.basis_names))
-        yield from _predict(measured, model, unreliable)
+        measured = read_measurements(dataset, views, len(model.basis_names), separable=False)
+        yield from run_parallel(lambda view: view(), _predict(measured, model, unreliable))
 
 
 def _predict(
     measured: Measurements, model: GaussianModel | Voxels, unreliable: Unreliable | None
-) -> Iterator[HeldOutView]:
+) -> Iterator[Callable[[], HeldOutView]]:
+    """Predict some views together; the edges of each are found when its function is called."""
     lengths = model.line_integrals(measured.geometry).numpy()
     lengths = measured.with_profile(np.moveaxis(lengths, 1, -1))
     expected = np.moveaxis(measured.transmission.expected(lengths), -1, 1)
@@ -60,7 +63,8 @@ def _predict(
     for view, (counts, exposure) in enumerate(zip(measured.counts, measured.exposure, strict=True)):
         scale = exposure[:, None, None]
         through = None if marked is None else marked[view]
-        yield HeldOutView.of(counts, expected[view] * measured.gains * scale, open_beam * scale, marked=through)
+        now = expected[view] * measured.gains * scale
+        yield partial(HeldOutView.of, counts, now, open_beam * scale, marked=through)
 
 
 def _rays_through(unreliable: Unreliable, measured: Measurements) -> Bool[np.ndarray, "view row column"]:

@@ -52,6 +52,7 @@ class Reconstruction:
     notes : sentences for the user about the course of the fit
     coverage : what the scan covers of its object; None where it was not computed
     unreliable : voxels whose bases the counts do not determine; None where there are none or they were not computed
+    volumes : of the model on the grid of the dataset, (M, Z, Y, X) [1/mm]; None where they were not computed
     """
 
     gaussians: GaussianModel
@@ -63,6 +64,7 @@ class Reconstruction:
     notes: tuple[str, ...] = ()
     coverage: Coverage | None = None
     unreliable: Unreliable | None = None
+    volumes: Float[np.ndarray, "basis z y x"] | None = None
 
 
 @runtime_checkable
@@ -155,10 +157,11 @@ def reconstruct(
             rays = UnseenRays.of(measured, voxel, recipe.dispersion, recipe.unseen_rays)
             gaussians, notes = rays.better_of(state.initial, gaussians, Voxels(volumes, grid, measured.basis_names))
     volumes = np.ascontiguousarray(volumes[:, *inner_box(dataset.grid, grid)])
-    gaussians, unreliable = gaussians.to("cpu"), None
+    gaussians, unreliable, result = gaussians.to("cpu"), None, None
     if processes.first:
         with stage("mark"):
-            unreliable = unreliable_voxels(gaussians.volume(dataset.grid), measured, dataset.grid, recipe.dispersion)
+            result = gaussians.volume(dataset.grid)
+            unreliable = unreliable_voxels(result, measured, dataset.grid, recipe.dispersion)
     return Reconstruction(
         gaussians,
         start_method(measured, grid, recipe).name,
@@ -169,6 +172,7 @@ def reconstruct(
         notes,
         scan.coverage,
         unreliable,
+        result,
     )
 
 

@@ -1,25 +1,59 @@
 """Basis functions of a dataset that a user asks for, by number or by name, and those that are left out."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TypeAlias
 
 from phantomgen.dataset.reader import Dataset
+from recon.readouts.spectrum import detected_spectrum
 from spectra.basis.basis import Basis
 from spectra.errors import InputError
+from spectra.materials.material import Material
+from spectra.materials.material_curve import MaterialCurve
 
-Asked: TypeAlias = int | Sequence[str] | None  # number of functions, their names, or None: those that the data warrant
+CURVE = "curve"  # word of ``--bases`` for `OnCurve`
 
 
-def parse_bases(text: str) -> int | tuple[str, ...] | None:
+@dataclass(frozen=True)
+class OnCurve:
+    """Bases whose coefficients lie on a curve of materials (`spectra.materials.material_curve`).
+
+    Parameters
+    ----------
+    materials : named materials, formulas or NIST compounds, in any order
+    """
+
+    materials: tuple[str, ...] = ("adipose", "water", "cortical bone", "Ti", "Fe")
+
+    def curve(self, dataset: Dataset) -> MaterialCurve:
+        """Compute the curve in the bases of a dataset, over its detected spectrum.
+
+        Parameters
+        ----------
+        dataset : open dataset, of which counts are not read
+
+        Returns
+        -------
+        the curve
+        """
+        spectra = dataset.spectra
+        materials = [Material(name, composition=name) for name in self.materials]
+        return MaterialCurve.of(materials, spectra.basis, *detected_spectrum(spectra.basis, spectra.transmission()))
+
+
+Asked: TypeAlias = int | Sequence[str] | OnCurve | None  # number, names, curve, or None: those that the data warrant
+
+
+def parse_bases(text: str) -> int | tuple[str, ...] | OnCurve | None:
     """Read the value of ``--bases``.
 
     Parameters
     ----------
-    text : ``auto``, a number, or names with commas between
+    text : ``auto``, a number, names with commas between, or ``curve``, also with materials: ``curve:water,Ti``
 
     Returns
     -------
-    None for ``auto``, the number, or the names
+    None for ``auto``, the number, the names, or the materials of the curve
 
     Raises
     ------
@@ -28,6 +62,14 @@ def parse_bases(text: str) -> int | tuple[str, ...] | None:
     """
     if text.strip() == "auto":
         return None
+    word, colon, materials = text.strip().partition(":")
+    if word == CURVE:
+        names = tuple(part.strip() for part in materials.split(","))
+        if colon and not all(names):
+            raise InputError(
+                f"--bases curve: takes materials with commas between, such as curve:water,Ti, got {text!r}"
+            )
+        return OnCurve(names) if colon else OnCurve()
     try:
         count = int(text)
     except ValueError:
@@ -74,7 +116,7 @@ def with_named(dataset: Dataset, bases: Asked) -> tuple[Dataset, int | None]:
     Parameters
     ----------
     dataset : an open dataset
-    bases : number or names of functions
+    bases : number or names of functions, or a curve, which K edges have no part in
 
     Returns
     -------
@@ -82,6 +124,14 @@ def with_named(dataset: Dataset, bases: Asked) -> tuple[Dataset, int | None]:
     """
     if bases is None or isinstance(bases, int):
         return dataset, bases
+    if isinstance(bases, OnCurve):
+        stated = dataset.spectra.basis
+        smooth = tuple(f for f in stated.functions if f.edge_energy is None)
+        if len(smooth) < 2:
+            raise InputError(
+                f"{dataset.path} has the bases {', '.join(stated.names)}: a curve needs two without a K edge"
+            )
+        return dataset.with_basis(Basis(smooth, stated.reference_energy)), None
     return dataset.with_basis(named_basis(dataset.spectra.basis, bases, dataset.path)), None
 
 

@@ -1,10 +1,12 @@
-"""Check of a voxel or view method before a run: its pipeline, and the orbit of the scan."""
+"""Check of a voxel or view method before a run: its pipeline, its curve of materials, and the orbit of the scan."""
 
 from phantomgen.dataset.reader import Dataset
 from recon.voxel.filtered.circular_orbit import circular_orbit_of
 from recon.voxel.filtered.fdk import Fdk
 from recon.voxel.initial_volumes import check_directions
 from recon.voxel.method import CountsMethod, Method, ViewMethod
+from recon.voxel.one_channel.nmar import Nmar
+from recon.voxel.one_channel.water_correction import FdkWater
 from spectra.errors import InputError
 
 PIPELINES = ("two-step", "image")
@@ -35,3 +37,29 @@ def check_method(method: Method | ViewMethod, pipeline: str, dataset: Dataset) -
     check_directions(train)
     if isinstance(method, Fdk):
         circular_orbit_of(train, dataset.grid)
+
+
+def check_curve(method: Method, on_curve: bool, dataset: Dataset) -> None:
+    """Refuse a curve of materials for a method that takes none, and methods of one channel without one.
+
+    Parameters
+    ----------
+    method : voxel method
+    on_curve : whether a curve is asked for
+    dataset : open dataset, of which counts are not read
+
+    Raises
+    ------
+    InputError
+        When the method takes no curve, or needs one, or the scan has more channels than it takes.
+    GeometryError
+        When the orbit is not one that filtered back-projection can reconstruct.
+    """
+    if on_curve and not hasattr(method, "curve"):
+        raise InputError(f"the method {method.name} takes no curve of materials: take --method one-step")
+    if isinstance(method, FdkWater | Nmar):
+        if not on_curve:
+            raise InputError(f"the method {method.name} needs a curve of materials: add --bases curve")
+        if (channels := len(dataset.spectra.channels)) > 1:
+            raise InputError(f"the method {method.name} takes one channel, and {dataset.path} has {channels}")
+        circular_orbit_of(dataset.geometry[dataset.splits["train"]], dataset.grid)

@@ -20,12 +20,15 @@ METHODS = {  # name -> module below recon, and class
     "cgls": ("voxel.iterative.cgls", "Cgls"),
     "pdhg-tv": ("voxel.iterative.pdhg_tv", "PdhgTv"),
     "one-step": ("voxel.iterative.one_step", "OneStep"),
+    "fdk-water": ("voxel.one_channel.water_correction", "FdkWater"),
+    "nmar": ("voxel.one_channel.nmar", "Nmar"),
     "gaussian-mono": ("published_methods.splatting.r2_gaussian", "GaussianMono"),
     "ellipsoid": ("published_methods.splatting.x_field", "Ellipsoid"),
     "x-gaussian": ("published_methods.splatting.x_gaussian", "XGaussian"),
     "neural": ("published_methods.neural.naf", "Neural"),
     "sax-nerf": ("published_methods.neural.sax_nerf", "SaxNerf"),
 }
+ON_CURVE = ("one-step", "fdk-water", "nmar")  # methods that take ``--bases curve``; the last two need it
 
 
 def method_named(name: str, iterations: int | None = None, seed: int | None = None) -> "Method | ViewMethod":

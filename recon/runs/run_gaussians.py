@@ -238,7 +238,7 @@ def outcome_of_fit(
     return VolumeOutcome(
         dataset, result.gaussians, result.transmission, about, settings, result.node_error,
         coverage=result.coverage, unreliable=result.unreliable, left_out=left_out, notes=result.notes,
-        start={result.start: result.initial_volumes},
+        start={result.start: result.initial_volumes}, computed=result.volumes,
     )  # fmt: skip
 
 

@@ -5,7 +5,7 @@ the line integrals of each basis are reconstructed. `image`: each channel is rec
 voxel. A `recon.voxel.method.CountsMethod` reconstructs all bases from counts.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +20,8 @@ from recon.data.material_decomposition import decompose_views
 from recon.data.measured_rays import ray_weights
 from recon.data.measurements import Measurements, matching_bin, read_measurements
 from recon.gaussians.recipe import Recipe
-from recon.kedge.basis_names import Asked, left_out, with_named
-from recon.runs.checks import PIPELINES, check_method
+from recon.kedge.basis_names import Asked, OnCurve, left_out, with_named
+from recon.runs.checks import PIPELINES, check_curve, check_method
 from recon.runs.interfaces import Watcher
 from recon.runs.outcomes.iteration_log import IterationLog
 from recon.runs.outcomes.volume_outcome import VolumeOutcome
@@ -55,6 +55,7 @@ class VoxelRun:
         dataset : open dataset, of which counts are not read
         """
         check_method(self.method, self.pipeline, dataset)
+        check_curve(self.method, isinstance(self.bases, OnCurve), dataset)
 
     def reconstruct(self, dataset: Dataset, folder: Path | None, clock: Stopwatch, watcher: Watcher) -> VolumeOutcome:
         """Reconstruct volumes from the training views.
@@ -72,25 +73,30 @@ class VoxelRun:
         """
         stated = dataset.spectra.basis.names
         dataset, count = with_named(dataset, self.bases)
+        method, on_curve = self.method, isinstance(self.bases, OnCurve)
+        if isinstance(self.bases, OnCurve):
+            method = replace(method, curve=self.bases.curve(dataset))  # type: ignore[type-var] - methods are dataclasses
         log = IterationLog(folder, dataset.grid, dataset.spectra.basis.names[:count])
         with clock("read"):
-            measured = read_measurements(dataset, dataset.splits["train"], count)
+            measured = read_measurements(dataset, dataset.splits["train"], count, separable=not on_curve)
             covered = coverage(measured, dataset.grid)
             measured, node_error = measured.without_partial_volume().compressed(Recipe().node_tolerance)
-            covered = with_margin_found(measured, covered) if isinstance(self.method, CountsMethod) else covered
-        grid = covered.grid if isinstance(self.method, CountsMethod) else dataset.grid
+            covered = with_margin_found(measured, covered) if isinstance(method, CountsMethod) else covered
+        grid = covered.grid if isinstance(method, CountsMethod) else dataset.grid
 
         def on_iteration(iteration: Iteration) -> None:
             log.add(iteration)
             watcher.iterated(iteration)
 
-        with_margin = reconstruct_volumes(measured, grid, self.method, self.pipeline, clock, on_iteration)
+        with_margin = reconstruct_volumes(measured, grid, method, self.pipeline, clock, on_iteration)
         volumes = np.ascontiguousarray(with_margin[:, *inner_box(dataset.grid, grid)])
+        unreliable = None
         with clock("mark"):
-            unreliable = unreliable_voxels(volumes, measured, dataset.grid, Recipe().dispersion)
+            if not on_curve:  # on a curve, one number per voxel determines all bases
+                unreliable = unreliable_voxels(volumes, measured, dataset.grid, Recipe().dispersion)
         log.write()
-        way = {} if isinstance(self.method, CountsMethod) else {"pipeline": self.pipeline}
-        settings = {"method": self.method.name} | way | asdict(self.method)  # type: ignore[call-overload] - methods are dataclasses
+        way = {} if isinstance(method, CountsMethod) else {"pipeline": self.pipeline}
+        settings = {"method": method.name} | way | asdict(method)  # type: ignore[call-overload] - methods are dataclasses
         names = measured.basis_names
         return VolumeOutcome(
             dataset, Voxels(volumes, dataset.grid, names), measured.transmission,

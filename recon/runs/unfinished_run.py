@@ -185,13 +185,13 @@ class PartialRun:
         return {step: path for step, path in found.items() if path.is_file()}
 
     def models(self) -> Iterator[tuple[int, GaussianModel]]:
-        """Load the models that were kept between steps.
+        """Load every other one of the models that were kept between steps, with the last one.
 
         Yields
         ------
         number of the step, and the model after it
         """
-        for step, path in self.snapshots().items():
+        for step, path in list(self.snapshots().items())[::-2][::-1]:
             yield step, load_model(path)
 
     def add_scores(self, scores: dict[int, dict[str, float]]) -> None:

@@ -17,6 +17,7 @@ from recon.gaussians.divided.surfaces import surfaces_of
 from recon.gaussians.initial.initialize import neighbour_distance, places_of, random_of_places
 from recon.gaussians.initial.wanted_count import places_for
 from recon.gaussians.settings import SurfaceSettings
+from spectra.threads import thread_count
 
 BEYOND = 8.0  # standard deviations; where the plane of a plain Gaussian is put, further than any line meets it
 
@@ -50,7 +51,7 @@ def place_on_surfaces(
     inside = _places_inside(volumes, weights, grid, seed, settings)
     apart_inside = np.full(len(inside), settings.coarsest)
     if len(apart):
-        distance, nearest = KDTree(surfaces.points).query(inside)
+        distance, nearest = KDTree(surfaces.points).query(inside, workers=thread_count())
         apart_inside = np.minimum(apart_inside, apart[nearest] + settings.growth * distance)
     places, distances = np.concatenate([surfaces.points, inside]), np.concatenate([apart, apart_inside])
     on_surface = np.arange(len(places)) < len(apart)

@@ -15,6 +15,7 @@ from recon.gaussians.initial.wanted_count import places_for
 from recon.gaussians.model import Gaussians
 from recon.gaussians.settings import PlacementSettings
 from recon.ops.voxelize import voxelize
+from spectra.threads import thread_count
 
 DEFAULT = PlacementSettings()
 BLOCK = 8  # voxels; edge of blocks that order Gaussians; measured: unordered, the fit to volumes takes 3 times as long
@@ -228,5 +229,5 @@ def neighbour_distance(
     neighbours = min(nearest, len(points) - 1)
     if neighbours == 0:
         return np.full(len(points), default)
-    distances = KDTree(points).query(points, k=neighbours + 1)[0][:, 1:]
+    distances = KDTree(points).query(points, k=neighbours + 1, workers=thread_count())[0][:, 1:]
     return np.sqrt((distances**2).mean(axis=1))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+import torch
 import yaml
 from jaxtyping import Float
 
@@ -71,6 +72,7 @@ class VolumeOutcome:
     notes : sentences of the reconstruction for the verdict
     start : volumes that the reconstruction began with [1/mm], by the name of their method
     log : models that were kept between the steps; None for no scores of them
+    computed : volumes of the model on the grid of the dataset [1/mm]; None to compute them where they are needed
     figures : functions that draw more than `recon.figures.model_figures.draw_model`, by the name of the file
     """
 
@@ -87,12 +89,13 @@ class VolumeOutcome:
     notes: tuple[str, ...] = ()
     start: Mapping[str, Float[np.ndarray, "basis z y x"]] = field(default_factory=dict)
     log: Log | None = None
+    computed: Float[np.ndarray, "basis z y x"] | None = None
     figures: Mapping[str, Callable[[Path], Any]] = field(default_factory=dict)
 
     @cached_property
     def volumes(self) -> Float[np.ndarray, "basis z y x"]:
         """The result on the grid of the dataset [1/mm]."""
-        return self.model.volume(self.dataset.grid)
+        return self.model.volume(self.dataset.grid) if self.computed is None else self.computed
 
     def _volumes_on(self, grid: Grid) -> GaussianModel | Voxels:
         """The volumes, where they are on this grid; else the model, whose volumes take seconds."""
@@ -160,10 +163,21 @@ class VolumeOutcome:
             metrics["verdict"] = verdict.record(self.verdict(metrics["channels"]))
         if self.log is not None:
             with guard("scoring the models between the steps"):
-                models = () if truth is None else self.log.models()
-                self.log.add_scores({step: psnr_of_bases(truth, model) for step, model in models})  # type: ignore[arg-type]
+                self.log.add_scores({} if truth is None else self._scores_between(truth, self.log))
         about = {"node_error": self.node_error, "bases_left_out": list(self.left_out), "versions": environment()}
         return metrics | about
+
+    def _scores_between(self, truth: Truth, log: Log) -> dict[int, dict[str, float]]:
+        """Score the models that were kept; of the last one, which is the result in most fits, volumes are known."""
+        known = self._volumes_on(truth.grid)
+        return {step: psnr_of_bases(truth, known if self._is_result(model) else model) for step, model in log.models()}
+
+    def _is_result(self, model: GaussianModel | Voxels) -> bool:
+        """Whether a model holds the same numbers as the result."""
+        if isinstance(model, Voxels) or isinstance(self.model, Voxels):
+            return model is self.model
+        one, other = model.tensors(), self.model.tensors()
+        return one.keys() == other.keys() and all(torch.equal(one[name], other[name]) for name in one)
 
     def score_test_views(self) -> dict[str, Any]:
         """Score the prediction of the test views.

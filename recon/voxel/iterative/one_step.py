@@ -37,6 +37,7 @@ from recon.voxel.iterative.likelihood import curvature, deviance_and_gradient
 from recon.voxel.iterative.multigrid import coarser, occupied, resampled, sharpened
 from recon.voxel.method import OnIteration, Report, Volumes, no_callback
 from spectra.errors import InputError
+from spectra.materials.material_curve import MaterialCurve
 from spectra.threads import without_other_pools
 
 # views of a kind; distance of two views whose curvature is computed, as that of the others is similar; no whole number,
@@ -92,6 +93,8 @@ class OneStep:
     strength : weight of the total variation; at 1 its bound equals the standard deviation of the gradient of a voxel
     dual_steps : steps on the dual of the total variation per step of the likelihood
     momentum : whether to use Nesterov's momentum
+    curve : materials of the object; then the attenuation at one energy is the only unknown of a voxel, and one channel
+        determines it; None for coefficients of all bases
     """
 
     levels: tuple[tuple[int, int], ...] = ((4, 8), (2, 8), (1, 16))
@@ -101,6 +104,7 @@ class OneStep:
     strength: float = 1.5
     dual_steps: int = 3
     momentum: bool = True
+    curve: MaterialCurve | None = None
 
     @property
     def name(self) -> str:
@@ -142,7 +146,8 @@ class OneStep:
         -------
         volumes of the bases [1/mm]
         """
-        volumes, here = np.zeros((len(measurements.basis_names), *grid.shape), np.float32), grid
+        unknowns = len(measurements.basis_names) if self.curve is None else 1
+        volumes, here = np.zeros((unknowns, *grid.shape), np.float32), grid
         if start is not None:
             volumes = start.astype(np.float32)
         levels = [(factor, _passes(passes, len(measurements))) for factor, passes in self.levels]
@@ -156,7 +161,20 @@ class OneStep:
             data = measurements.binned(matching_bin(measurements.geometry, self.pixel * min(level.spacing)))
             data = data.weighted(self.dispersion)
             volumes = _descend(volumes, data, level, self, passes, report)
-        return _voxel_means(resampled(volumes, here, grid), self)
+        return self.coefficients(_voxel_means(resampled(volumes, here, grid), self))
+
+    def coefficients(self, unknowns: Float[np.ndarray, "unknown z y x"]) -> Volumes:
+        """Compute the coefficients of the bases.
+
+        Parameters
+        ----------
+        unknowns : of each voxel [1/mm]: the coefficients, or with a curve the attenuation at its energy
+
+        Returns
+        -------
+        coefficients [1/mm]
+        """
+        return unknowns if self.curve is None else self.curve.values(unknowns[0])
 
 
 def means_in_metal(volumes: Volumes) -> Volumes:
@@ -206,7 +224,7 @@ def _descend(
         elif deviance < least:
             best, least = state.volumes, deviance
         whole[:, *box] = _voxel_means(state.volumes, settings)
-        report(whole, deviance / counts, grid)
+        report(settings.coefficients(whole), deviance / counts, grid)
     whole[:, *box] = state.volumes
     return whole
 
@@ -245,7 +263,7 @@ def _pass(state: _State, data: Measurements, grid: Grid, settings: OneStep, metr
     for number in golden_section_order(len(subsets)):
         some = data[subsets[number]]
         point = state.volumes if state.point is None else state.point
-        deviance, gradient = deviance_and_gradient(point, some, grid, settings.dispersion)
+        deviance, gradient = _deviance_and_gradient(point, some, grid, settings)
         gradient *= np.float32(len(data) / len(some))
         new = _proximal(point, gradient, state.field, metric, grid, settings)
         step = new - state.volumes
@@ -274,6 +292,31 @@ class _Metric:
     empty: Volumes | None = None
 
 
+def _deviance_and_gradient(
+    unknowns: Volumes, data: Measurements, grid: Grid, settings: OneStep
+) -> tuple[float, Volumes]:
+    """Deviance of the counts, and the gradient of half of it in the unknowns."""
+    deviance, gradient = deviance_and_gradient(settings.coefficients(unknowns), data, grid, settings.dispersion)
+    if settings.curve is None:
+        return deviance, gradient
+    return deviance, np.einsum("mzyx,mzyx->zyx", settings.curve.slopes(unknowns[0]), gradient)[None]
+
+
+def _curvature(
+    unknowns: Volumes, data: Measurements, grid: Grid, settings: OneStep
+) -> tuple[Float[np.ndarray, "pair z y x"], Float[np.ndarray, "unknown unknown"]]:
+    """`recon.voxel.iterative.likelihood.curvature` in the unknowns; along a curve, its bend is left out."""
+    blocks, covariance = curvature(settings.coefficients(unknowns), data, grid, settings.dispersion)
+    if settings.curve is None:
+        return blocks, covariance
+    slopes = settings.curve.slopes(unknowns[0])
+    pairs = zip(*np.triu_indices(len(slopes)), strict=True)
+    along = sum((1 + (m != n)) * slopes[m] * slopes[n] * block for (m, n), block in zip(pairs, blocks, strict=True))
+    weights = unknowns[0] + np.float32(1e-30)
+    typical = np.einsum("mzyx,zyx->m", slopes, weights / weights.sum())
+    return np.asarray(along)[None], np.array([[typical @ covariance @ typical]])
+
+
 def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep) -> _Metric:
     """Compute the metric at volumes.
 
@@ -283,13 +326,14 @@ def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep)
     step = min(CURVATURE_STEP, max(len(data) / LEAST_CURVATURE_VIEWS, 1.0))
     some = data[every_nth_view(view_groups(data.exposure), step)]
     share = len(data) / len(some)
-    blocks, covariance = curvature(volumes, some, grid, settings.dispersion)
+    blocks, covariance = _curvature(volumes, some, grid, settings)
     upper = np.triu_indices(len(volumes))
     own = blocks[upper[0] == upper[1]]
     diagonal = share * own.mean(axis=(1, 2, 3))
     blocks *= np.float32(share)
-    edges, over = metal_without_agents(volumes, data.basis_names)
-    empty = None
+    empty, edges, over = None, np.zeros(1), np.ones(1)
+    if settings.curve is None:
+        edges, over = metal_without_agents(volumes, data.basis_names)
     if over.max(initial=1) > 1:
         empty = edges[:, None, None, None] * (blocks[upper[0] == upper[1]] * np.float32(AGENT_PRIOR) * (over - 1))
         empty = empty.astype(np.float32)

@@ -1,0 +1,79 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from recon.voxel.image_domain import log_projections
+from recon.voxel.iterative.one_step import OneStep, _deviance_and_gradient
+from recon.voxel.one_channel.nmar import Nmar
+from recon.voxel.one_channel.water_correction import FdkWater, filtered, lines_of_water
+from spectra.errors import InputError
+
+WATER_AT_70 = 0.0193  # 1/mm; 0.1929 cm^2/g of NIST XCOM
+
+
+def cupping(volume, grid, radius=34.0):
+    """Mean in the middle of a cylinder less that below its surface, over the mean."""
+    y, x = np.meshgrid(grid.axis("y"), grid.axis("x"), indexing="ij")
+    away = np.hypot(x, y)
+    middle = volume[len(volume) // 2]
+    inner, outer = middle[away < 0.3 * radius].mean(), middle[(away > 0.7 * radius) & (away < 0.85 * radius)].mean()
+    return (outer - inner) / middle[away < 0.85 * radius].mean()
+
+
+def test_counts_behind_water_become_its_line_integrals(water):
+    lines, data = lines_of_water(water.measured, water.grid, water.curve)
+    row, source, centre = data.geometry.panel.rows // 2, data.geometry.source[0], data.geometry.panel_center[0]
+    ray = centre - source
+    nearest = abs(ray[0] * source[1] - ray[1] * source[0]) / np.hypot(ray[0], ray[1])
+    chord = 2 * np.sqrt(34.0**2 - nearest**2)
+    middle = lines[0, row - 1 : row + 1, data.geometry.panel.columns // 2 - 1 : data.geometry.panel.columns // 2 + 1]
+    assert middle.mean() == pytest.approx(chord * water.curve.attenuations[1], rel=2e-3)
+
+
+def test_a_water_correction_takes_the_cupping_away(water):
+    lines, data = lines_of_water(water.measured, water.grid, water.curve)
+    plain = filtered(log_projections(data)[0], data, water.grid)
+    corrected = filtered(lines, data, water.grid)
+    assert cupping(plain, water.grid) > 0.02
+    assert abs(cupping(corrected, water.grid)) < 0.005
+
+
+@pytest.mark.parametrize("method", ["fdk-water", "one-step"])
+def test_water_has_the_attenuation_of_the_tables(water, method):
+    how = {"fdk-water": FdkWater(water.curve), "one-step": OneStep(curve=water.curve)}[method]
+    volume = water.mono(how.reconstruct_counts(water.measured, water.grid))
+    assert volume[10:-10, 14:26, 14:26].mean() == pytest.approx(WATER_AT_70, rel=0.01)
+    assert abs(cupping(volume, water.grid)) < 0.005
+
+
+def test_metal_leaves_fewer_artefacts_from_method_to_method(rod):
+    methods = FdkWater(rod.curve), Nmar(rod.curve), OneStep(curve=rod.curve)
+    corrected, reduced, along = (rod.decibels(m.reconstruct_counts(rod.measured, rod.grid)) for m in methods)
+    assert corrected + 1 < reduced
+    assert max(corrected, reduced) + 3 < along
+
+
+def test_without_metal_nmar_is_the_water_correction(water):
+    heard = []
+    one, other = (m(water.curve).reconstruct_counts(water.measured, water.grid, heard.append) for m in (FdkWater, Nmar))
+    np.testing.assert_array_equal(one, other)
+    assert [(i.done, i.total) for i in heard] == [(1, 1), (1, 2), (2, 2)]
+
+
+def test_the_gradient_along_the_curve_is_that_of_finite_differences(rod):
+    settings = OneStep(curve=rod.curve)
+    some = rod.measured[[0, 20, 40]]
+    unknowns = rod.mono(rod.truth.volumes)[None].astype(np.float32) * np.float32(1.03) + np.float32(1e-3)
+    direction = np.random.default_rng(0).normal(size=unknowns.shape).astype(np.float32) * np.float32(1e-4)
+    slope = float(np.sum(_deviance_and_gradient(unknowns, some, rod.grid, settings)[1] * direction, dtype=np.float64))
+    high, low = (_deviance_and_gradient(unknowns + s * direction, some, rod.grid, settings)[0] for s in (1, -1))
+    assert slope == pytest.approx((high - low) / 4, rel=0.02)
+
+
+@pytest.mark.parametrize("method", [FdkWater(), Nmar()])
+def test_a_curve_with_water_is_needed(water, method):
+    without = replace(water.curve, materials=("a", "b", "c", "d", "e"))
+    for how in (method, replace(method, curve=without)):
+        with pytest.raises(InputError, match=f"{method.name} needs a curve of materials with water: add --bases curve"):
+            how.reconstruct_counts(water.measured, water.grid)
