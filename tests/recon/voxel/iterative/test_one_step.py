@@ -147,6 +147,13 @@ def test_the_occupied_box_has_all_that_volumes_hold_and_a_margin():
     assert found == Grid((10, 17, 10), (1.0, 2.0, 3.0), (4.0, 5.0, 10.0))
 
 
+def test_soft_tissue_around_gold_is_occupied():
+    volumes = np.zeros((1, 30, 30, 30), np.float32)
+    volumes[:, 5:25, 5:25, 5:25] = 0.02
+    volumes[:, 14:16, 14:16, 14:16] = 7.0
+    assert occupied(volumes) == (slice(5 - 1 - MARGIN, 25 + 1 + MARGIN),) * 3
+
+
 def test_empty_volumes_are_occupied_everywhere():
     assert occupied(np.zeros((1, 4, 5, 6), np.float32)) == (slice(0, 4), slice(0, 5), slice(0, 6))
 
