@@ -5,13 +5,14 @@ from jaxtyping import Float
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter, uniform_filter
 
 from phantomgen.geometry.voxel_grid import Grid
-from recon.data.volume_edges import over_metal
+from recon.data.volume_edges import relative_density
 
 # Unsharp mask of `sharpened`; both values were chosen on benchmarks/scenes/development.yaml.
 SHARPENING = 2.0  # no unit; factor of the difference between a volume and the blurred volume
 BLUR = 1.5  # voxels; standard deviation of the Gaussian that blurs
 # no unit, over the largest value of a basis; a mean over 3 x 3 x 3 voxels below is empty; chosen by hand, not measured
 EMPTY = 1e-2
+DENSEST = 10.0  # no unit, over the typical density; denser voxels count as this dense; chosen by hand, not measured
 MARGIN = 3  # voxels; border around what is not empty; chosen by hand, not measured
 
 Box = tuple[slice, slice, slice]
@@ -85,8 +86,8 @@ def occupied(volumes: Float[np.ndarray, "basis z y x"]) -> Box:
     """Find the smallest box that holds all voxels that are not empty, with a margin.
 
     A voxel is empty where the mean over 3 x 3 x 3 voxels is below a hundredth of the largest value in every basis:
-    there is nothing but noise. Metal counts as the least dense metal, as soft tissue has less than a hundredth of the
-    attenuation of gold.
+    there is nothing but noise. What is denser than `DENSEST` counts as that dense, as soft tissue has less than a
+    hundredth of the attenuation of gold.
 
     Parameters
     ----------
@@ -96,8 +97,8 @@ def occupied(volumes: Float[np.ndarray, "basis z y x"]) -> Box:
     -------
     ranges of voxels along z, y, x; all voxels if all are empty
     """
-    over = over_metal(volumes)
-    something = np.any([uniform_filter(v, 3, mode="nearest") > EMPTY * (v / over).max() for v in volumes], axis=0)
+    denser = np.maximum(relative_density(volumes) / DENSEST, 1)
+    something = np.any([uniform_filter(v, 3, mode="nearest") > EMPTY * (v / denser).max() for v in volumes], axis=0)
     box = []
     for axis, size in enumerate(something.shape):
         found = np.flatnonzero(something.any(axis=tuple({0, 1, 2} - {axis})))
