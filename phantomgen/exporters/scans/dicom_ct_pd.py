@@ -30,7 +30,7 @@ source = np.stack([-rho * np.sin(phi), rho * np.cos(phi), z], axis=1)  # (x, y, 
 print("line integrals", data.shape, "from", data.min(), "to", data.max(), "first source", source[0])
 """
 IMPORTS = "from pathlib import Path\n\nimport pydicom"
-_SAME = 1e-6  # of the distance to the panel; poses may be so far from what the format can say
+_SAME = 1e-6  # of the distance to the panel; poses may be so far from what the format can describe
 _STORAGE = "1.2.840.10008.5.1.4.1.1.66"  # raw data
 _STEPS = 65535
 
@@ -103,7 +103,7 @@ def poses_as_tags(geometry: Geometry) -> list[dict[tuple[int, int], tuple[str, A
     apart = np.maximum(*(np.linalg.norm(a - b, axis=1) for a, b in zip((column, row), wanted, strict=True)))
     if apart.max(initial=0) > _SAME:
         raise GeometryError(
-            f"DICOM-CT-PD can only say upright panels across the ray from the source to the axis: that of view "
+            f"DICOM-CT-PD can only describe upright panels across the ray from the source to the axis: that of view "
             f"{apart.argmax()} is turned or tilted ({geometry.kind} geometry)"
         )
     ray = geometry.panel_center - source

@@ -44,7 +44,7 @@ def write(folder: Path, projections: Projections) -> dict[str, Any]:
     """
     if not projections.geometry.is_parallel:
         raise GeometryError(
-            f"Data Exchange has no distances and can only say parallel beams, this scan has a cone beam "
+            f"Data Exchange has no distances and can only describe parallel beams, this scan has a cone beam "
             f"({projections.geometry.kind} geometry): nxtomo says cone beams"
         )
     angles = central_circle_of(projections.geometry, "Data Exchange").angles

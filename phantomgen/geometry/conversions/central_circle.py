@@ -1,4 +1,4 @@
-"""Circular scans of an ideal panel: all that data folders of neural and Gaussian methods can say."""
+"""Circular scans of an ideal panel: all that data folders of neural and Gaussian methods can describe."""
 
 from typing import NamedTuple
 
@@ -69,7 +69,7 @@ def central_circle_of(geometry: Geometry, program: str) -> CentralCircle:
             view = int(apart.argmax())
             unit = "" if name == "ray_direction" else f" by {apart[view]:.4g} mm"
             raise GeometryError(
-                f"{program} can only say circular scans with a centred upright panel: view {view} is not one, "
+                f"{program} can only describe circular scans with a centred upright panel: view {view} is not one, "
                 f"{said[name]}{unit} ({geometry.kind} geometry)"
             )
     return circle

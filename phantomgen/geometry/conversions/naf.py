@@ -41,7 +41,7 @@ def to_naf(geometry: Geometry, grid: Grid) -> tuple[dict[str, Any], Float[np.nda
     """
     panel = geometry.panel
     if geometry.is_parallel:
-        raise GeometryError("NAF's pickle can only say cone beams: this beam is parallel")
+        raise GeometryError("NAF's pickle can only describe cone beams: this beam is parallel")
     if panel.rows != panel.columns or abs(panel.row_pitch - panel.column_pitch) > _SAME * panel.row_pitch:
         raise GeometryError(
             f"NAF's pickle needs a square panel, as its readers differ in what they take for rows: this one has "

@@ -65,7 +65,7 @@ def helix(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def written(scan, tmp_path_factory):
-    """A folder for every program that can say a circular scan."""
+    """A folder for every program that can describe a circular scan."""
     place = tmp_path_factory.mktemp("folders")
     for program in CIRCLE:
         result = export(scan, "--to", program, "-o", place / program)
@@ -283,10 +283,10 @@ def test_an_existing_folder_is_kept_unless_it_is_ours(scan, tmp_path):
 @pytest.mark.parametrize(
     ("program", "said"),
     [
-        ("r2", "R2-Gaussian's folder can only say circular scans with a centred upright panel: view"),
-        ("naf", "NAF's pickle can only say circular scans"),
-        ("nxtomo", "NXtomo can only say circular scans"),
-        ("dxchange", "can only say parallel beams, this scan has a cone beam (helical geometry)"),
+        ("r2", "R2-Gaussian's folder can only describe circular scans with a centred upright panel: view"),
+        ("naf", "NAF's pickle can only describe circular scans"),
+        ("nxtomo", "NXtomo can only describe circular scans"),
+        ("dxchange", "can only describe parallel beams, this scan has a cone beam (helical geometry)"),
     ],
 )
 def test_what_a_program_cannot_say_is_one_sentence_and_leaves_nothing(helix, program, said, tmp_path):

@@ -260,7 +260,7 @@ SLANTED = mounted(PARALLEL, Mount(tilt=(0.0, 0.2, 0.0)))
 
 @pytest.mark.parametrize("out", [r2_gaussian.to_r2_gaussian, naf.to_naf])
 def test_folders_of_circles_refuse_everything_else(out):
-    said = "can only say circular scans with a centred upright panel: view "
+    said = "can only describe circular scans with a centred upright panel: view "
     left = f"{said}2 is not one, its source leaves the circle in the plane z = 0 by 12.73 mm (helical geometry)"
     assert left in refused(out, HELIX, GRID)
     assert f"{said}0 is not one, its panel is shifted by 5 mm (circular geometry)" in refused(out, SHIFTED, GRID)
