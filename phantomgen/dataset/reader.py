@@ -24,6 +24,7 @@ from phantomgen.dataset.geometry import read_geometry
 from phantomgen.dataset.layout import text_of
 from phantomgen.dataset.pixel_mask import read_mask
 from phantomgen.dataset.spectral_model import Spectra, in_basis
+from phantomgen.effects.smooth_signal import SmoothSignal
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
@@ -49,12 +50,14 @@ class Dataset:
     path, file : the file
     air : rows and columns of the panel that see nothing but air, used in place of flats
     on_close : called after the file is closed, such as to remove a temporary one
+    scatter : estimate of the scattered signal of every view, see `with_scatter`; None where it is not known
     """
 
     path: Path
     file: h5py.File = field(repr=False)
     air: Region | None = None
     on_close: Callable[[], object] | None = field(default=None, repr=False)
+    scatter: SmoothSignal | None = field(default=None, repr=False)
 
     def __enter__(self) -> "Dataset":
         return self
@@ -101,6 +104,19 @@ class Dataset:
         the dataset
         """
         return self._with(spectra=spectra)
+
+    def with_scatter(self, scatter: SmoothSignal) -> "Dataset":
+        """Return the same open file with an estimate of the scattered signal, which a reconstruction takes away.
+
+        Parameters
+        ----------
+        scatter : of every view
+
+        Returns
+        -------
+        the dataset
+        """
+        return self._with(scatter=scatter)
 
     def with_training_views(self, count: int) -> "Dataset":
         """Return the same open file with some of the training views, evenly spread.

@@ -145,38 +145,6 @@ def scatterers(
     return np.ascontiguousarray(zyx[:, ::-1]), upto[some, -1]
 
 
-def spline_weights(count: int, places: int) -> Float[np.ndarray, "pixel place"]:
-    """Compute spline weights from values at evenly spread places to values at the centres of pixels.
-
-    Parameters
-    ----------
-    count : number of pixels in the line
-    places : number of places, from edge to edge of the line
-
-    Returns
-    -------
-    weights, (pixel, place)
-    """
-    from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - slow to import, and seldom needed
-
-    return make_interp_spline(line_places(count, places), np.eye(places), k=min(3, places - 1))(np.arange(count))
-
-
-def line_places(count: int, places: int) -> Float[np.ndarray, " place"]:
-    """Return places from the first to the last edge of a line of pixels.
-
-    Parameters
-    ----------
-    count : number of pixels in the line
-    places : number of places
-
-    Returns
-    -------
-    places [pixel]
-    """
-    return np.linspace(-0.5, count - 0.5, places)
-
-
 def on_panel(
     frame: Float[np.ndarray, "4 3"], place: Float[np.ndarray, "point 3"], rows: int, columns: int
 ) -> tuple[Bool[np.ndarray, " point"], Float[np.ndarray, "point 2"]]:

@@ -107,6 +107,12 @@ if TYPE_CHECKING:
     help="Standard deviation of these errors [default: voltage=2 (kV), filter=0.25 (mm Al), thresholds=1 (keV)]; "
     "repeatable.",
 )
+@click.option(
+    "--scatter",
+    metavar="MODEL",
+    help="Subtract scatter: compton (of the object, computed in turns with coarse voxels), compton:FACTOR, or "
+    "kernel:RATIO,WIDTH (mm) of the counts.",
+)
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
 @click.option(
     "--held-out", type=click.IntRange(min=0), default=0, help="Number of training views that only tell when to stop."
@@ -146,6 +152,7 @@ def fit(
     spectrum: Path | None,
     refine: str | None,
     prior: dict[str, float],
+    scatter: str | None,
     figures: bool,
     held_out: int,
     memory: float | None,
@@ -181,6 +188,7 @@ def fit(
     from recon.runs.run_views import ViewRun
     from recon.runs.run_voxels import VoxelRun
     from recon.runs.write_run import RunFolder, score_table
+    from recon.scatter.chosen_scatter import SCATTER, ChosenScatter, parse_scatter
     from recon.voxel.method import ViewMethod
     from spectra.errors import InputError
     from spectra.threads import set_threads
@@ -188,7 +196,7 @@ def fit(
     refuse_options("a spectrum that is not refined: add --refine", {"prior": not refine and bool(prior)})
     if out is not None:
         check_run_name(Path(out))
-    source, edges, asked = Path(dataset), parse_edges(edge), parse_bases(bases)
+    source, edges, asked, scattered = Path(dataset), parse_edges(edge), parse_bases(bases), parse_scatter(scatter)
     method = method or ("one-step" if isinstance(asked, OnCurve) else "gaussian")
     if isinstance(asked, OnCurve) and method not in ON_CURVE:
         raise InputError(f"--method {method} takes no curve of materials: take {', '.join(ON_CURVE)}, or other --bases")
@@ -216,7 +224,9 @@ def fit(
         bar = ProgressBar(quiet or as_json or not processes.first)
         energies = ChosenSpectrum.of(stored, spectrum, refine, prior)
         energies.note(bar.note)
-        opened = energies.dataset
+        corrected = ChosenScatter.of(energies.dataset, scattered, asked, bar.stage, bar.iterated)
+        corrected.note(bar.note)
+        opened = corrected.dataset
         way: RunMethod = GaussianRun(how, asked, edges, memory, processes, device)
         if not processes.first:
             if method == "gaussian":
@@ -228,6 +238,7 @@ def fit(
             way = (ViewRun if isinstance(chosen, ViewMethod) else VoxelRun)(chosen, pipeline, asked)  # type: ignore[arg-type]
         with folder as part:
             energies.write(part / SPECTRUM)
+            corrected.write(part / SCATTER)
             metrics = run(opened, part, way, figures, bar)
     if as_json:
         click.echo(to_json({"run": str(folder.path), **metrics}))

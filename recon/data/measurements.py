@@ -9,8 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import gaussian_filter
 
 from phantomgen.dataset.reader import Dataset
+from phantomgen.effects.smooth_signal import SmoothSignal
 from phantomgen.geometry.poses import Geometry
 from recon.data.array_store import IN_MEMORY, ArrayStore, read_part, release
 from recon.data.missing_channels import interpolate_missing
@@ -56,6 +58,7 @@ class Measurements:
     statistical_weights : weight of each count in a fit, from 0 to 1, see `weighted`; None where all weights are 1
     unseen_blocks : blocks of pixels of the whole panel that are left out of a fit, see `recon.gaussians.unseen_rays`;
         None where there are none
+    scatter : expected scattered signal that was subtracted from the counts, in their units; None where it is not known
     """
 
     counts: Float[np.ndarray, "view channel row column"]
@@ -67,6 +70,7 @@ class Measurements:
     profile: Float[np.ndarray, "part row column"] | None = None
     statistical_weights: Float[np.ndarray, "view channel row column"] | None = None
     unseen_blocks: Bool[np.ndarray, "view block_row block_column"] | None = None
+    scatter: SmoothSignal | None = None
 
     def __len__(self) -> int:
         return len(self.counts)
@@ -82,6 +86,7 @@ class Measurements:
             if self.statistical_weights is None
             else read_part(self.statistical_weights, views),
             unseen_blocks=None if self.unseen_blocks is None else self.unseen_blocks[views],
+            scatter=None if self.scatter is None else self.scatter[views],
         )
 
     def summed(self, factor: int) -> "Measurements":
@@ -155,7 +160,9 @@ class Measurements:
         """Compute the statistical weights of the counts, `statistical_weights`.
 
         Rays close to each other get equal weights, and counts lower ones where their correction for partial volume is
-        uncertain (`recon.data.partial_volume`). Pixels that are left out get the weight 0.
+        uncertain (`recon.data.partial_volume`). Scatter, whose noise is still in the counts, lowers weights by the part
+        of the primary signal in the whole signal: the derivative of the likelihood is then that of Poisson counts with
+        scatter. Pixels that are left out get the weight 0.
 
         Parameters
         ----------
@@ -171,12 +178,30 @@ class Measurements:
         def fill(view: int) -> None:
             image, beam = np.asarray(self.counts[view]), air * self.exposure[view, :, None, None]
             statistical_weights[view] = neighbourhood_weights(image, beam) * correction_weights(image, beam, dispersion)
+            if self.scatter is not None:
+                statistical_weights[view] *= _primary_part(image, self.scattered(view))
             if self.unseen_blocks is not None:
                 statistical_weights[view, :, touched(self.unseen_blocks[view], *image.shape[1:])] = 0
 
         _in_parallel(fill, self.counts)
         release(statistical_weights)
         return replace(self, statistical_weights=statistical_weights)
+
+    def scattered(self, view: int) -> Float[np.ndarray, "channel row column"]:
+        """Compute the expected scattered signal of a view.
+
+        Parameters
+        ----------
+        view : number of the view
+
+        Returns
+        -------
+        signal in the units of the counts, gains and exposure included; 0 where scatter is not known
+        """
+        if self.scatter is None:
+            return np.zeros(self.counts.shape[1:], np.float32)
+        image = self.scatter.image(view, *self.counts.shape[2:])
+        return (image * self.gains * self.exposure[view, :, None, None]).astype(np.float32)
 
     @property
     def open_beam(self) -> Float[np.ndarray, "channel row column"]:
@@ -279,7 +304,8 @@ def read_measurements(
 ) -> Measurements:
     """Read some views of a dataset, and prepare their counts and spectral model.
 
-    Dark and dead time are corrected, and the variance of readout noise is added to counts and model.
+    Dark and dead time are corrected, the scatter of the dataset is subtracted, and the variance of readout noise is
+    added to counts and model.
 
     Parameters
     ----------
@@ -335,6 +361,10 @@ def read_measurements(
     )
     gains = np.where(dataset.mask, 0, np.maximum(_ratio(flat / unit, measured.open_beam), 0)).astype(np.float32)
     measured = replace(measured, gains=gains)
+    if dataset.scatter is not None:
+        measured = replace(measured, scatter=dataset.scatter[views].scaled(1 / quantum))
+        for view in range(len(measured)):
+            measured.counts[view] -= measured.scattered(view)
     variance = dataset.dark_variance / quantum**2
     if variance.any():
         measured = measured.shifted(variance, with_floor(transmission, variance))
@@ -439,6 +469,12 @@ def _extremes(profile: Float[np.ndarray, "part row column"]) -> Float[np.ndarray
     """Line integrals of the pixels where some part of the profile is thinnest or thickest."""
     lengths = profile.reshape(len(profile), -1).T
     return lengths[[*lengths.argmin(axis=0), *lengths.argmax(axis=0)]]
+
+
+def _primary_part(primary: np.ndarray, scattered: np.ndarray) -> Float[np.ndarray, "channel row column"]:
+    """Part of the primary signal in the whole signal of one view; noise is reduced by a mean over a few pixels."""
+    smooth = np.maximum(gaussian_filter(primary, (0, 1, 1)), LEAST_COUNTS)
+    return smooth / (smooth + scattered)
 
 
 def _ratio(images: Float[np.ndarray, "..."], others: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:

@@ -63,8 +63,9 @@ def _predict(
     for view, (counts, exposure) in enumerate(zip(measured.counts, measured.exposure, strict=True)):
         scale = exposure[:, None, None]
         through = None if marked is None else marked[view]
-        now = expected[view] * measured.gains * scale
-        yield partial(HeldOutView.of, counts, now, open_beam * scale, marked=through)
+        scattered = measured.scattered(view)
+        now = expected[view] * measured.gains * scale + scattered
+        yield partial(HeldOutView.of, counts + scattered, now, open_beam * scale, marked=through)
 
 
 def _rays_through(unreliable: Unreliable, measured: Measurements) -> Bool[np.ndarray, "view row column"]:

@@ -15,6 +15,7 @@ from recon.runs.interfaces import Watcher
 from recon.runs.outcomes.volume_outcome import VolumeOutcome
 from recon.runs.read_run import StoredModel, open_model, read_run
 from recon.runs.write_run import write_volumes
+from recon.scatter.chosen_scatter import ChosenScatter
 from recon.uncertainty.replicate import Replicate
 from recon.uncertainty.spread import Replicates, Spread
 from recon.uncertainty.stored_method import stored_method
@@ -125,7 +126,8 @@ def stored_replicates(folder: Path) -> Replicates:
 
 
 def _scan_of(stored: StoredModel, dataset: Dataset, folder: Path) -> Dataset:
-    """Dataset with the basis functions and the spectral model of a run; refuses another scan."""
+    """Dataset with the basis functions, the spectral model and the scatter of a run; refuses another scan."""
     if stored.grid != dataset.grid or stored.transmission.channel_names != dataset.spectra.channels:
         raise DatasetError(f"{dataset.path} has another grid or other channels than the scan of {folder}")
-    return ChosenSpectrum.of_run(dataset, folder).dataset.with_basis(stored.basis)
+    known = ChosenScatter.of_run(ChosenSpectrum.of_run(dataset, folder).dataset, folder).dataset
+    return known.with_basis(stored.basis)

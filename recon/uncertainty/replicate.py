@@ -105,6 +105,7 @@ class Replicate(Dataset):
         expected, unit = expected_quanta(one, self.model), self.spectra.quantum[:, None, None]
         exposed = one.gains * one.exposure[0][:, None, None]
         floor = without_floor(one.transmission)[1][:, None, None] * exposed
+        expected = expected + one.scattered(0)
         events = (self._random(view).poisson(expected) - floor) * unit
         if self.spectra.dead_time is not None:
             events = _with_losses(events, (expected - floor) * unit, self.spectra.dead_time)

@@ -1,6 +1,7 @@
 """Electrons in matter: what scatters X-rays."""
 
 import numpy as np
+from jaxtyping import Float
 
 from spectra.basis.basis import Basis, BasisFunction, klein_nishina
 from spectra.elements.attenuation import Composition, electrons_per_gram, mass_attenuation
@@ -36,6 +37,25 @@ def electron_density(material: Material, basis: Basis) -> float:
         return float(material.density or 0.0) / 1000 * electrons_per_gram(material.composition)
     given = dict(material.coefficients or {})
     return sum(_electrons(f, basis.reference_energy, given[f.name]) for f in basis.functions if given.get(f.name))
+
+
+def electrons_per_coefficient(basis: Basis) -> Float[np.ndarray, " basis"]:
+    """Compute the number of electrons per volume that a coefficient of 1 per mm of each basis function stands for.
+
+    Parameters
+    ----------
+    basis : basis functions
+
+    Returns
+    -------
+    electrons [1/mm^3 per 1/mm], see `electron_density`
+
+    Raises
+    ------
+    InputError
+        When a function gives no number of electrons.
+    """
+    return np.array([_electrons(function, basis.reference_energy, 1.0) for function in basis.functions])
 
 
 def _electrons(function: BasisFunction, reference: float, coefficient: float) -> float:

@@ -8,7 +8,8 @@ from jaxtyping import Float
 
 from phantomgen.effects import ScatterKernel
 from phantomgen.effects.random_streams import Stream, generator
-from phantomgen.effects.scatter import line_places, on_panel, scatterers, spline_weights
+from phantomgen.effects.scatter import on_panel, scatterers
+from phantomgen.effects.smooth_signal import line_places, spline_weights
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.compton import scattered_to
 from phantomgen.ops.compton.inputs import Energies, Points

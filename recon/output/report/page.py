@@ -30,6 +30,7 @@ from recon.output.report.case import Case, LeftOut, Parts, check_same_scan, numb
 from recon.output.report.finished_run import FinishedRun, open_finished_run
 from recon.output.report.progress_and_cost import memory, seconds, size
 from recon.runs.read_run import find_dataset
+from recon.scatter.chosen_scatter import SCATTER, ChosenScatter
 from spectra.basis.basis import pretty
 from spectra.errors import InputError
 
@@ -119,13 +120,14 @@ def _opened(folders: Sequence[Path], dataset: Path | None, air: str | None) -> I
             return
         with open_dataset(found, air) as opened:
             check_fits(opened, runs)
-            known = ChosenSpectrum.of_run(opened, folders[0]).dataset if _same_spectrum(folders) else opened
+            known = ChosenSpectrum.of_run(opened, folders[0]).dataset if _same_file(folders, SPECTRUM) else opened
+            known = ChosenScatter.of_run(known, folders[0]).dataset if _same_file(folders, SCATTER) else known
             yield Case(runs, known, read_truth(found), Path(folder)), scan
 
 
-def _same_spectrum(folders: Sequence[Path]) -> bool:
-    """Whether all runs used one spectral model; else sections of the scan show that of the dataset."""
-    paths = [folder / SPECTRUM for folder in folders]
+def _same_file(folders: Sequence[Path], name: str) -> bool:
+    """Whether all runs used one spectral model, or one estimate of scatter; else the page shows the scan as it is."""
+    paths = [folder / name for folder in folders]
     return len({path.read_bytes() if path.is_file() else b"" for path in paths}) == 1
 
 

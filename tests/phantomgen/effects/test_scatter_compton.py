@@ -7,7 +7,8 @@ import pytest
 
 from phantomgen.effects import Aperture, ComptonScatter
 from phantomgen.effects.random_streams import Stream
-from phantomgen.effects.scatter import scatterers, spline_weights
+from phantomgen.effects.scatter import scatterers
+from phantomgen.effects.smooth_signal import spline_weights
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.scene.scan import Scan, load_scene
 from phantomgen.simulation.forward_model.discretization import Settings
