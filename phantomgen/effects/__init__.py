@@ -12,12 +12,14 @@ from phantomgen.effects.blur import Blur
 from phantomgen.effects.defects import Defects
 from phantomgen.effects.electronic_noise import ElectronicNoise
 from phantomgen.effects.focal_spot import FocalSpot
+from phantomgen.effects.grid import AntiScatterGrid
 from phantomgen.effects.lag import Lag
 from phantomgen.effects.pixel_gain import Gain
 from phantomgen.effects.scatter import ComptonScatter, ScatterKernel
 from phantomgen.effects.tube_fluctuation import TubeOutput
 
 __all__ = [
+    "AntiScatterGrid",
     "Aperture",
     "Blur",
     "ComptonScatter",
@@ -42,6 +44,7 @@ class Effects:
     focal_spot : points that photons start from
     aperture : the part of each pixel that is sensitive
     scatter : photons that an object scatters onto the panel
+    grid : in front of the panel, which absorbs most of them
     blur : of the detector
     gain : sensitivity that differs between pixels
     lag : afterglow in later views
@@ -53,6 +56,7 @@ class Effects:
     focal_spot: FocalSpot | None = None
     aperture: Aperture | None = None
     scatter: ScatterKernel | ComptonScatter | None = None
+    grid: AntiScatterGrid | None = None
     blur: Blur | None = None
     gain: Gain | None = None
     lag: Lag | None = None

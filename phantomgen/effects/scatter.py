@@ -17,7 +17,7 @@ doi:10.1007/BF01366453), have less energy from then on, and are weakened on the 
     d sigma / d Omega = r_e^2 / 2  k^2 (k + 1/k - sin^2 theta)
 
 Left out: photons that scatter more than once, coherent scatter, the binding of electrons, and what lies beyond the
-panel's beam or the volume. There is no grid against scatter. Flats hold no scatter.
+panel's beam or the volume. Flats hold no scatter.
 
 One random point stands for all electrons in each cell of a coarse grid, which errs less than their centre does, as
 photons are weakened by very different amounts within a cell; `phantomgen.ops.compton` sums over them. The result is

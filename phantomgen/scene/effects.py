@@ -3,6 +3,7 @@
 from typing import Any
 
 from phantomgen.effects import (
+    AntiScatterGrid,
     Aperture,
     Blur,
     ComptonScatter,
@@ -45,6 +46,7 @@ def scene_effects(file: SceneFile) -> Effects:
         focal_spot=_focal_spot(file),
         aperture=_aperture(file),
         scatter=_scatter(file),
+        grid=_grid(file),
         **detector_effects(file),
     )
 
@@ -78,6 +80,15 @@ def _scatter(file: SceneFile) -> ScatterKernel | ComptonScatter | None:
         return None
     _needs_a_source_point(file, "scatter", "Compton scatter")
     return ComptonScatter()
+
+
+def _grid(file: SceneFile) -> AntiScatterGrid | None:
+    """Anti-scatter grid."""
+    grid = file.model.effects.grid
+    if grid is None:
+        return None
+    with file.at("effects", "grid"):
+        return AntiScatterGrid(grid.primary, grid.scatter)
 
 
 def _needs_a_source_point(file: SceneFile, key: str, what: str) -> None:

@@ -58,6 +58,13 @@ class ComptonScatterModel(Model):
 ScatterModel = Annotated[KernelScatterModel | ComptonScatterModel, Field(discriminator="type")]
 
 
+class GridModel(Model):
+    """Anti-scatter grid: parts of primary and of scattered photons that pass it."""
+
+    primary: Share
+    scatter: Annotated[NonNegative, Field(le=1)]
+
+
 class EffectsModel(Model):
     """Effects of a real scan beyond exposure and photon noise."""
 
@@ -65,6 +72,7 @@ class EffectsModel(Model):
     focal_spot: FocalSpotModel | None = None
     aperture: ApertureModel | None = None
     scatter: ScatterModel | None = None
+    grid: GridModel | None = None
     motion: MotionModel | None = None
     blur: BlurModel | None = None
     gain: GainModel | None = None

@@ -63,6 +63,8 @@ class Exposure:
         quanta, aperture = photon_quanta(scan, cuts), scan.effects.aperture
         if aperture is not None:
             groups = replace(groups, weights=groups.weights * aperture.area)
+        if scan.effects.grid is not None:
+            groups = replace(groups, weights=groups.weights * scan.effects.grid.primary)
         if quanta is None:
             return cls(groups, scan.detector.names, np.arange(len(scan.detector)), None, scan.dead_time), error
         channels = np.repeat(np.arange(len(quanta)), [len(own) for own in quanta])

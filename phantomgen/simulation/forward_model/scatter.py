@@ -45,12 +45,12 @@ def scatter_of(scan: Scan, exposure: Exposure, settings: Settings, first: Groups
     -------
     function of a view and its primary signal that returns the scattered signal
     """
-    model, panel = scan.effects.scatter, scan.geometry.panel
+    model, panel, grid = scan.effects.scatter, scan.geometry.panel, scan.effects.grid
     if isinstance(model, ScatterKernel):
-        strength = model.strength(first, air, panel)
+        strength = model.strength(first, air, panel) * (1.0 if grid is None else grid.scatter / grid.primary)
         return lambda _, primary: strength * model.spread(primary, air, panel)
-    single = SingleScatter.of(scan, exposure, settings)
-    return lambda view, _: single.view(view)
+    single, passing = SingleScatter.of(scan, exposure, settings), 1.0 if grid is None else grid.scatter
+    return lambda view, _: passing * single.view(view)
 
 
 @dataclass(frozen=True, eq=False)
