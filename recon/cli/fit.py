@@ -110,8 +110,8 @@ if TYPE_CHECKING:
 @click.option(
     "--scatter",
     metavar="MODEL",
-    help="Subtract scatter: compton (of the object, computed in turns with coarse voxels), compton:FACTOR, or "
-    "kernel:RATIO,WIDTH (mm) of the counts.",
+    help="Subtract scatter: compton (of the object, computed in turns with large voxels), compton:FACTOR, "
+    "compton:fit, kernel:RATIO,WIDTH (mm) of the counts, or kernel:fit,WIDTH.",
 )
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
 @click.option(

@@ -12,14 +12,17 @@ from phantomgen.dataset.reader import Dataset
 from phantomgen.effects.scatter import ScatterKernel
 from phantomgen.effects.smooth_signal import SmoothSignal
 from recon.kedge.basis_names import Asked
-from recon.scatter.estimate import Compton, estimate_scatter
+from recon.scatter.estimate import Compton, KernelOfWidth, ScatterModel, estimate_scatter
 from recon.voxel.method import OnIteration, no_callback
 from spectra.errors import InputError
 
 SCATTER = "scatter.safetensors"  # file in a run folder
 _NAME = "scatter"
 _ABOUT = "expected scattered signal per pixel at exposure 1 and gain 1: view, channel, place along rows, along columns"
-_FORMS = "--scatter takes compton, compton:FACTOR, or kernel:RATIO,WIDTH with the width in mm, such as kernel:0.3,60"
+_FORMS = (
+    "--scatter takes compton, compton:FACTOR, compton:fit, kernel:RATIO,WIDTH with the width in mm, such as "
+    "kernel:0.3,60, or kernel:fit,WIDTH"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +42,7 @@ class ChosenScatter:
     def of(
         cls,
         dataset: Dataset,
-        model: Compton | ScatterKernel | None,
+        model: ScatterModel | None,
         asked: Asked = None,
         on_stage: Callable[[str], None] = lambda name: None,
         on_iteration: OnIteration = no_callback,
@@ -60,11 +63,13 @@ class ChosenScatter:
         if model is None:
             return cls(dataset)
         on_stage("scatter")
-        signal = estimate_scatter(dataset, model, asked, on_iteration)
+        found = estimate_scatter(dataset, model, asked, on_iteration)
+        signal = found.signal
         open_beam = dataset.spectra.weights.sum(axis=1)
         parts = signal.values.mean(axis=(0, 2, 3)) / np.where(open_beam > 0, open_beam, np.inf)
         named = (f"{100 * part:.2g} % ({name})" for name, part in zip(dataset.spectra.channels, parts, strict=True))
-        sentence = f"Estimated scatter, mean over views and panel, over the open beam: {', '.join(named)}."
+        sentence = f"Estimated scatter, mean over views and panel, over the open beam: {', '.join(named)}"
+        sentence += f"; fitted: {found.fitted}." if found.fitted else "."
         return cls(dataset.with_scatter(signal), sentence)
 
     @classmethod
@@ -136,12 +141,12 @@ def read_scatter(path: Path, dataset: Dataset) -> SmoothSignal:
     return SmoothSignal(values)
 
 
-def parse_scatter(text: str | None) -> Compton | ScatterKernel | None:
+def parse_scatter(text: str | None) -> ScatterModel | None:
     """Read the value of ``--scatter``.
 
     Parameters
     ----------
-    text : ``compton``, ``compton:FACTOR``, ``kernel:RATIO,WIDTH``, or None
+    text : ``compton``, ``compton:FACTOR``, ``compton:fit``, ``kernel:RATIO,WIDTH``, ``kernel:fit,WIDTH``, or None
 
     Returns
     -------
@@ -155,12 +160,18 @@ def parse_scatter(text: str | None) -> Compton | ScatterKernel | None:
     if text is None:
         return None
     word, _, rest = text.strip().partition(":")
+    parts = rest.split(",") if rest else []
     try:
-        numbers = [float(part) for part in rest.split(",")] if rest else []
+        numbers = [None if part == "fit" else float(part) for part in parts]
     except ValueError:
         raise InputError(f"{_FORMS}; got {text!r}") from None
-    if word == "compton" and len(numbers) <= 1:
-        return Compton(*numbers)
-    if word == "kernel" and len(numbers) == 2:
-        return ScatterKernel(*numbers)
+    match word, numbers:
+        case "compton", []:
+            return Compton()
+        case "compton", [factor]:
+            return Compton(factor)
+        case "kernel", [None, float(width)]:
+            return KernelOfWidth(width)
+        case "kernel", [float(ratio), float(width)]:
+            return ScatterKernel(ratio, width)
     raise InputError(f"{_FORMS}; got {text!r}")

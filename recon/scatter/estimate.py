@@ -4,18 +4,14 @@ from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
-from jaxtyping import Float
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.effects.scatter import ScatterKernel
 from phantomgen.effects.smooth_signal import SmoothSignal, line_places
-from phantomgen.geometry.voxel_grid import Grid
-from recon.data.coverage import coverage
-from recon.data.measurements import matching_bin, read_measurements
-from recon.kedge.basis_names import Asked, OnCurve, with_named
+from recon.data.measurements import read_measurements
+from recon.kedge.basis_names import Asked
+from recon.scatter.coarse_fit import CoarseFit
 from recon.scatter.compton import compton_signal
-from recon.voxel.iterative.multigrid import coarser
-from recon.voxel.iterative.one_step import OneStep
 from recon.voxel.method import OnIteration, no_callback
 from spectra.errors import InputError
 
@@ -23,12 +19,10 @@ from spectra.errors import InputError
 # kedge-small, scatter is 12 % too large with 16 voxels, 5 % with 32 and 2 % with 64; a third reconstruction changes it
 # by 0.3 %
 TURNS = (24, 48)
-PASSES = 10  # passes over the views of each reconstruction, as `OneStep` takes on its coarsest voxels
+FIRST_RATIO = 0.1  # of scatter to primary, from which a search for that of a kernel begins; without effect on its end
 # subtractions of the kernel's scatter at most, and relative change of scatter at which they end; chosen by hand
 KERNEL_TURNS, KERNEL_CHANGE = 50, 3e-4
 LEAST_PRIMARY = 0.02  # part of the counts that a kernel leaves as primary signal; chosen by hand, not measured
-
-Volumes = Float[np.ndarray, "basis z y x"]
 
 
 @dataclass(frozen=True)
@@ -37,7 +31,8 @@ class Compton:
 
     Parameters
     ----------
-    scale : factor of the computed scatter, such as what a grid lets through, or above 1 for multiple scatter
+    factor : of the computed scatter, such as what a grid lets through, or above 1 for multiple scatter; None for the
+        factor that explains the counts best
 
     Raises
     ------
@@ -45,19 +40,48 @@ class Compton:
         When the factor is negative or not finite.
     """
 
-    scale: float = 1.0
+    factor: float | None = 1.0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.scale < np.inf:
-            raise InputError(f"a factor of scatter must be finite and not negative, got {self.scale:g}")
+        if self.factor is not None and not 0 <= self.factor < np.inf:
+            raise InputError(f"a factor of scatter must be finite and not negative, got {self.factor:g}")
+
+
+@dataclass(frozen=True)
+class KernelOfWidth:
+    """A scatter kernel whose ratio of scatter to primary is the one that explains the counts best.
+
+    Parameters
+    ----------
+    width : full width at half maximum on the panel [mm]
+    """
+
+    width: float
+
+
+ScatterModel = Compton | ScatterKernel | KernelOfWidth
+
+
+@dataclass(frozen=True, eq=False)
+class ScatterEstimate:
+    """Scatter of a dataset.
+
+    Parameters
+    ----------
+    signal : expected scattered signal of every view
+    fitted : what was fitted, in words; empty where nothing was
+    """
+
+    signal: SmoothSignal
+    fitted: str = ""
 
 
 def estimate_scatter(
     dataset: Dataset,
-    model: Compton | ScatterKernel,
+    model: ScatterModel,
     asked: Asked = None,
     on_iteration: OnIteration = no_callback,
-) -> SmoothSignal:
+) -> ScatterEstimate:
     """Estimate the scatter in every view of a dataset.
 
     Parameters
@@ -69,7 +93,7 @@ def estimate_scatter(
 
     Returns
     -------
-    expected scattered signal
+    the estimate
 
     Raises
     ------
@@ -77,35 +101,29 @@ def estimate_scatter(
         When the model does not suit the dataset.
     """
     if isinstance(model, ScatterKernel):
-        return _by_kernel(dataset, model)
+        return ScatterEstimate(_by_kernel(dataset, model))
+    coarse = CoarseFit.of(dataset, asked, on_iteration)
+    if isinstance(model, KernelOfWidth):
+        return _by_fitted_kernel(coarse, model.width)
     if dataset.geometry.is_parallel:
         raise InputError(f"{dataset.path} has parallel rays: Compton scatter needs a source point, take a kernel")
-    named, count = with_named(dataset, asked)
-    if count is None:
-        count = min(len(named.spectra.basis.names), len(named.spectra.channels))
-    signal = None
+    current, signal, factor = coarse.dataset, None, 1.0
     for voxels in TURNS:
-        current = named if signal is None else named.with_scatter(signal)
-        volumes, grid = _coarse_volumes(current, count, asked, voxels, on_iteration)
-        factors = np.full(len(named.spectra.channels), model.scale)
-        signal = compton_signal(named, volumes, grid).scaled(factors)
+        single = compton_signal(coarse.dataset, *coarse.volumes(current, voxels))
+        factor = coarse.factor(single, voxels) if model.factor is None else model.factor
+        signal = single.scaled(np.full(len(dataset.spectra.channels), factor))
+        current = coarse.dataset.with_scatter(signal)
     assert signal is not None
-    return signal
+    return ScatterEstimate(signal, f"factor of Compton scatter {factor:.3g}" if model.factor is None else "")
 
 
-def _coarse_volumes(
-    dataset: Dataset, count: int, asked: Asked, voxels: int, on_iteration: OnIteration
-) -> tuple[Volumes, Grid]:
-    """Reconstruct large voxels from the training views."""
-    on_curve = isinstance(asked, OnCurve)
-    measured = read_measurements(dataset, dataset.splits["train"], count, separable=not on_curve)
-    whole = coverage(measured, dataset.grid).grid
-    grid = coarser(whole, max(1, max(whole.shape) // voxels))
-    binned = measured.binned(matching_bin(measured.geometry, min(grid.spacing)))
-    few, _ = binned.compressed(1e-3)
-    curve = asked.curve(dataset) if isinstance(asked, OnCurve) else None
-    method = OneStep(levels=((1, PASSES),), curve=curve)
-    return method.reconstruct_counts(few, grid, on_iteration), grid
+def _by_fitted_kernel(coarse: CoarseFit, width: float) -> ScatterEstimate:
+    """Scatter of a kernel whose ratio is found in turns with its scatter, which the primary signal depends on."""
+    kernel = ScatterKernel(FIRST_RATIO, width)
+    for voxels in TURNS:
+        factor = coarse.factor(_by_kernel(coarse.dataset, kernel), voxels)
+        kernel = replace(kernel, ratio=kernel.ratio * factor)
+    return ScatterEstimate(_by_kernel(coarse.dataset, kernel), f"ratio of scatter to primary {kernel.ratio:.3g}")
 
 
 def _by_kernel(dataset: Dataset, kernel: ScatterKernel) -> SmoothSignal:
