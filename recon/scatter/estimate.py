@@ -4,10 +4,11 @@ from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
+from jaxtyping import Float
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.effects.scatter import ScatterKernel
-from phantomgen.effects.smooth_signal import SmoothSignal, line_places
+from phantomgen.effects.smooth_signal import SmoothSignal, spline_weights
 from recon.data.measurements import read_measurements
 from recon.kedge.basis_names import Asked
 from recon.scatter.coarse_fit import CoarseFit
@@ -129,10 +130,8 @@ def _by_fitted_kernel(coarse: CoarseFit, width: float) -> ScatterEstimate:
 def _by_kernel(dataset: Dataset, kernel: ScatterKernel) -> SmoothSignal:
     """Scatter of a kernel whose primary signal is what it leaves of the counts (Ohnesorge et al. 1999)."""
     panel, quantum = dataset.geometry.panel, dataset.spectra.quantum[:, None, None]
-    rows, columns = (
-        _kernel_places(panel.rows, panel.row_pitch, kernel),
-        _kernel_places(panel.columns, panel.column_pitch, kernel),
-    )
+    down = _spline_fit(panel.rows, panel.row_pitch, kernel)
+    across = _spline_fit(panel.columns, panel.column_pitch, kernel)
     plain, strength, found = dataset if dataset.scatter is None else replace(dataset, scatter=None), 0.0, []
     for view in range(len(dataset.geometry)):
         one = read_measurements(plain, np.array([view]), separable=False)
@@ -147,11 +146,11 @@ def _by_kernel(dataset: Dataset, kernel: ScatterKernel) -> SmoothSignal:
                 break
         gain = np.mean(one.gains, axis=(1, 2), where=one.gains > 0, keepdims=True) * exposure
         per_gain = np.divide(scattered, gain, out=np.zeros_like(scattered), where=gain > 0)
-        found.append(per_gain[:, rows[:, None], columns])
+        found.append(np.einsum("ir,crk,jk->cij", down, per_gain, across, optimize=True))
     return SmoothSignal(np.stack(found))
 
 
-def _kernel_places(count: int, pitch: float, kernel: ScatterKernel) -> np.ndarray:
-    """Pixels next to evenly spread places that lie no further apart than half of a kernel's full width."""
+def _spline_fit(count: int, pitch: float, kernel: ScatterKernel) -> Float[np.ndarray, "place pixel"]:
+    """Weights from pixels to places that lie no further apart than half of a kernel's full width, by least squares."""
     places = min(count, 4 + ceil(count * pitch / (kernel.width / 2)))
-    return np.clip(np.rint(line_places(count, places)), 0, count - 1).astype(int)
+    return np.linalg.pinv(spline_weights(count, places))
