@@ -34,10 +34,10 @@ TABLE = Path(__file__).parents[1] / "results" / "scatter.txt"
 PRESET = "kedge-small"
 COMPTON, KERNEL = "effects.scatter={type: compton}", "effects.scatter={type: kernel, ratio: 0.3, width: 60}"
 SCENES: dict[str, tuple[list[str], list[str]]] = {  # changes of the preset, and values of --scatter
-    "none": ([], ["", "compton:fit", "kernel:fit,60"]),
+    "none": ([], ["", "compton:fit"]),
     "compton": ([COMPTON], ["", "compton", "compton:fit"]),
     "grid": ([COMPTON, "effects.grid={primary: 0.7, scatter: 0.1}"], ["", "compton:0.142857", "compton:fit"]),
-    "kernel": ([KERNEL], ["", "kernel:0.3,60", "kernel:fit,60", "compton:fit"]),
+    "kernel": ([KERNEL], ["", "kernel:0.3,60", "compton:fit"]),
 }
 NAMED = 28  # characters of a row for its scene and treatment
 HEADER = (

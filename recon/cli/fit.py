@@ -111,7 +111,7 @@ if TYPE_CHECKING:
     "--scatter",
     metavar="MODEL",
     help="Subtract scatter: compton (of the object, computed in turns with large voxels), compton:FACTOR, "
-    "compton:fit, kernel:RATIO,WIDTH (mm) of the counts, or kernel:fit,WIDTH.",
+    "compton:fit, or kernel:RATIO,WIDTH (mm) of the counts.",
 )
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
 @click.option(

@@ -12,7 +12,7 @@ from phantomgen.dataset.reader import Dataset
 from phantomgen.effects.scatter import ScatterKernel
 from phantomgen.effects.smooth_signal import SmoothSignal
 from recon.kedge.basis_names import Asked
-from recon.scatter.estimate import Compton, KernelOfWidth, ScatterModel, estimate_scatter
+from recon.scatter.estimate import Compton, ScatterModel, estimate_scatter
 from recon.voxel.method import OnIteration, no_callback
 from spectra.errors import InputError
 
@@ -20,8 +20,8 @@ SCATTER = "scatter.safetensors"  # file in a run folder
 _NAME = "scatter"
 _ABOUT = "expected scattered signal per pixel at exposure 1 and gain 1: view, channel, place along rows, along columns"
 _FORMS = (
-    "--scatter takes compton, compton:FACTOR, compton:fit, kernel:RATIO,WIDTH with the width in mm, such as "
-    "kernel:0.3,60, or kernel:fit,WIDTH"
+    "--scatter takes compton, compton:FACTOR, compton:fit, or kernel:RATIO,WIDTH with the width in mm, such as "
+    "kernel:0.3,60"
 )
 
 
@@ -146,7 +146,7 @@ def parse_scatter(text: str | None) -> ScatterModel | None:
 
     Parameters
     ----------
-    text : ``compton``, ``compton:FACTOR``, ``compton:fit``, ``kernel:RATIO,WIDTH``, ``kernel:fit,WIDTH``, or None
+    text : ``compton``, ``compton:FACTOR``, ``compton:fit``, ``kernel:RATIO,WIDTH``, or None
 
     Returns
     -------
@@ -170,8 +170,6 @@ def parse_scatter(text: str | None) -> ScatterModel | None:
             return Compton()
         case "compton", [factor]:
             return Compton(factor)
-        case "kernel", [None, float(width)]:
-            return KernelOfWidth(width)
         case "kernel", [float(ratio), float(width)]:
             return ScatterKernel(ratio, width)
     raise InputError(f"{_FORMS}; got {text!r}")

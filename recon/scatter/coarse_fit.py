@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import root_scalar
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.effects.smooth_signal import SmoothSignal
@@ -28,8 +29,8 @@ from recon.voxel.model import Voxels
 
 PASSES = 10  # passes over the views of each reconstruction, as `OneStep` takes about on its coarsest voxels
 NODE_TOLERANCE = 1e-3  # no unit; largest error of log counts by few energy nodes, as in `recon.gaussians.recipe.Recipe`
-LARGEST = 20.0  # largest factor that is searched for; chosen by hand, not measured
-SEARCHES = 6  # reconstructions of a search for the factor at most; chosen by hand, not measured
+LARGEST = 16.0  # largest factor that is searched for; chosen by hand, not measured
+SEARCHES = 8  # steps of a search between two factors at most; chosen by hand, not measured
 ENOUGH = 0.02  # change of the factor at which a search ends; far below its error, see docs/howto/scatter.md
 
 Volumes = Float[np.ndarray, "basis z y x"]
@@ -97,17 +98,23 @@ class CoarseFit:
         -------
         the factor, from 0 to `LARGEST`
         """
-        tried = [(0.0, self._slope(signal, 0.0, voxels)), (1.0, self._slope(signal, 1.0, voxels))]
-        while len(tried) < SEARCHES:
-            (a, at_a), (b, at_b) = sorted(tried, key=lambda pair: abs(pair[1]))[:2]
-            if at_a == at_b:
-                break
-            new = float(np.clip(b - at_b * (b - a) / (at_b - at_a), 0.0, LARGEST))
-            near = min(abs(new - s) for s, _ in tried)
-            tried.append((new, self._slope(signal, new, voxels)))
-            if near < ENOUGH:
-                break
-        return min(tried, key=lambda pair: abs(pair[1]))[0]
+        known: dict[float, float] = {}
+
+        def slope(factor: float) -> float:
+            if factor not in known:
+                known[factor] = self._slope(signal, factor, voxels)
+            return known[factor]
+
+        if slope(0.0) <= 0:
+            return 0.0
+        high = 1.0
+        while slope(high) > 0 and high < LARGEST:
+            high *= 2
+        if slope(high) > 0:
+            return high
+        low = max(factor for factor, value in known.items() if value > 0)
+        found = root_scalar(slope, method="brentq", bracket=(low, high), xtol=ENOUGH, maxiter=SEARCHES)
+        return float(found.root)
 
     def _slope(self, signal: SmoothSignal, factor: float, voxels: int) -> float:
         """Derivative of the log likelihood in the factor, at the best volumes for it."""

@@ -20,7 +20,6 @@ from spectra.errors import InputError
 # kedge-small, scatter is 12 % too large with 16 voxels, 5 % with 32 and 2 % with 64; a third reconstruction changes it
 # by 0.3 %
 TURNS = (24, 48)
-FIRST_RATIO = 0.1  # of scatter to primary, from which a search for that of a kernel begins; without effect on its end
 # subtractions of the kernel's scatter at most, and relative change of scatter at which they end; chosen by hand
 KERNEL_TURNS, KERNEL_CHANGE = 50, 3e-4
 LEAST_PRIMARY = 0.02  # part of the counts that a kernel leaves as primary signal; chosen by hand, not measured
@@ -48,19 +47,7 @@ class Compton:
             raise InputError(f"a factor of scatter must be finite and not negative, got {self.factor:g}")
 
 
-@dataclass(frozen=True)
-class KernelOfWidth:
-    """A scatter kernel whose ratio of scatter to primary is the one that explains the counts best.
-
-    Parameters
-    ----------
-    width : full width at half maximum on the panel [mm]
-    """
-
-    width: float
-
-
-ScatterModel = Compton | ScatterKernel | KernelOfWidth
+ScatterModel = Compton | ScatterKernel
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +91,6 @@ def estimate_scatter(
     if isinstance(model, ScatterKernel):
         return ScatterEstimate(_by_kernel(dataset, model))
     coarse = CoarseFit.of(dataset, asked, on_iteration)
-    if isinstance(model, KernelOfWidth):
-        return _by_fitted_kernel(coarse, model.width)
     if dataset.geometry.is_parallel:
         raise InputError(f"{dataset.path} has parallel rays: Compton scatter needs a source point, take a kernel")
     current, signal, factor = coarse.dataset, None, 1.0
@@ -116,15 +101,6 @@ def estimate_scatter(
         current = coarse.dataset.with_scatter(signal)
     assert signal is not None
     return ScatterEstimate(signal, f"factor of Compton scatter {factor:.3g}" if model.factor is None else "")
-
-
-def _by_fitted_kernel(coarse: CoarseFit, width: float) -> ScatterEstimate:
-    """Scatter of a kernel whose ratio is found in turns with its scatter, which the primary signal depends on."""
-    kernel = ScatterKernel(FIRST_RATIO, width)
-    for voxels in TURNS:
-        factor = coarse.factor(_by_kernel(coarse.dataset, kernel), voxels)
-        kernel = replace(kernel, ratio=kernel.ratio * factor)
-    return ScatterEstimate(_by_kernel(coarse.dataset, kernel), f"ratio of scatter to primary {kernel.ratio:.3g}")
 
 
 def _by_kernel(dataset: Dataset, kernel: ScatterKernel) -> SmoothSignal:
