@@ -10,6 +10,10 @@ from hypothesis import settings
 from jaxtyping import config
 from support.checked_types import check_types
 
+# Processes of pytest-xdist share the processors: pools of threads that wait for each other make all of them slower.
+if (workers := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))) > 1:
+    os.environ.setdefault("OMP_NUM_THREADS", str(max((os.cpu_count() or 1) // workers, 1)))
+
 os.environ.setdefault("TRITON_INTERPRET", "1")  # asked at import; 0 tests on a GPU, where there is one
 with suppress(ImportError):  # before anything is rendered: its LLVM and that of Mesa load in this order only
     import triton  # noqa: F401
