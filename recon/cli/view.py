@@ -12,7 +12,8 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 
 @click.command(
     epilog="\b\nExamples:\n  recon view kedge-run\n"
-    "  recon view kedge-run --truth kedge.h5 --screenshot run.png --html run.html"
+    "  recon view kedge-run --truth kedge.h5 --screenshot run.png --html run.html\n"
+    "  recon view kedge-run --slices run.html"
 )
 @click.argument("run", type=RunFolder())
 @click.option(
@@ -28,6 +29,9 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--at", metavar="X,Y,Z", help="Point that the slices pass through, in mm [default: the centre].")
 @click.option("--screenshot", type=_FILE, help="Write a PNG; needs no display.")
 @click.option("--html", type=_FILE, help="Write one page to turn in a browser; needs no display.")
+@click.option(
+    "--slices", type=_FILE, help="Write one page with flat slices, windows, energies and profiles; needs no display."
+)
 @click.option("--size", metavar="WIDTHxHEIGHT", help="Pixels [default: 1600x1000, wider for many bases].")
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @debug_option
@@ -39,10 +43,13 @@ def view(
     at: str | None,
     screenshot: Path | None,
     html: Path | None,
+    slices: Path | None,
     size: str | None,
     overwrite: bool,
 ) -> None:
     """Look at a RUN: slices of truth, result and difference, surfaces, and Gaussians.
+
+    --slices writes a page for any browser that needs no network: axial, coronal and sagittal slices with a cross hair.
 
     All panels turn together. In a window the keys Left and Right change the basis, x, y and z move a plane up, and
     X, Y and Z down.
@@ -55,6 +62,15 @@ def view(
     from recon.runs.read_run import check_run_folder
 
     check_run_folder(run)
+    if slices is not None:
+        from phantomgen.display.html import check_page
+        from recon.output.slice_page.load import load_slices, write_slices
+
+        check_page(slices, overwrite)
+        write_slices(load_slices(run, truth), slices)
+        click.echo(slices)
+        if screenshot is None and html is None:
+            return
     check_outputs(screenshot, html, overwrite)
     pixels, chosen = size_of(size) if size else None, parse_levels(levels)
     content = load_run(run, truth, point_of(at) if at else None)

@@ -135,6 +135,22 @@ def with_named(dataset: Dataset, bases: Asked) -> tuple[Dataset, int | None]:
     return dataset.with_basis(named_basis(dataset.spectra.basis, bases, dataset.path)), None
 
 
+def bases_text(asked: int | Sequence[str] | OnCurve) -> str:
+    """Write bases as ``--bases`` takes them.
+
+    Parameters
+    ----------
+    asked : number, names, or curve
+
+    Returns
+    -------
+    the value of the option
+    """
+    if isinstance(asked, OnCurve):
+        return f"{CURVE}:{','.join(asked.materials)}"
+    return str(asked) if isinstance(asked, int) else ",".join(asked)
+
+
 def left_out(stated: Sequence[str], fitted: Sequence[str]) -> tuple[str, ...]:
     """List the names that the file has and a model lacks.
 

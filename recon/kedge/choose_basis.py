@@ -6,7 +6,7 @@ from typing import Any
 
 from phantomgen.dataset.reader import Dataset
 from recon.gaussians.recipe import Recipe
-from recon.kedge.basis_names import Asked, named_basis
+from recon.kedge.basis_names import CURVE, Asked, OnCurve, named_basis
 from recon.kedge.edge_likelihood import EdgeLikelihood, Functions
 from recon.kedge.elements import plain_alternatives, settle_elements
 from recon.kedge.judgement import LEAST_SCORE, Judgement, judge, judge_by_neighbours
@@ -98,6 +98,8 @@ def choose_basis(dataset: Dataset, bases: Asked = None, edges: Sequence[float] |
         When a K edge was asked for that the channels or the counts do not show, or a name that the file does not have.
     """
     stated = dataset.spectra.basis
+    if isinstance(bases, OnCurve):
+        raise InputError(f"Gaussians do not lie on a curve of materials: --bases {CURVE} is for voxel methods")
     if bases is not None and not isinstance(bases, int):
         if edges is not None:
             raise InputError("bases are named, and a K edge that is looked for has no name: give their number instead")

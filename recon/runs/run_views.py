@@ -7,7 +7,7 @@ from phantomgen.dataset.reader import Dataset
 from phantomgen.runtime.stopwatch import Stopwatch
 from recon.data.measured_rays import ray_weights
 from recon.data.measurements import read_measurements
-from recon.kedge.basis_names import Asked
+from recon.kedge.basis_names import Asked, bases_text
 from recon.runs.checks import PIPELINES, check_method
 from recon.runs.interfaces import Watcher
 from recon.runs.outcomes.iteration_log import IterationLog
@@ -46,9 +46,9 @@ class ViewRun:
         """
         check_method(self.method, self.pipeline, dataset)
         if self.bases is not None:
-            asked = self.bases if isinstance(self.bases, int) else ",".join(self.bases)
             raise InputError(
-                f"the method {self.method.name} predicts views and has no basis volumes: leave --bases {asked} out"
+                f"the method {self.method.name} predicts views and has no basis volumes: "
+                f"leave --bases {bases_text(self.bases)} out"
             )
 
     def reconstruct(self, dataset: Dataset, folder: Path | None, clock: Stopwatch, watcher: Watcher) -> ViewOutcome:

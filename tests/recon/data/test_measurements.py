@@ -117,7 +117,7 @@ def fake_dataset(model, counts, flat, dark):
     return Mock(
         spec=Dataset, path=Path("scan.h5"), spectra=spectra, geometry=geometry, flat=flat, dark=dark,
         mask=np.zeros(flat.shape, bool), dark_variance=np.zeros(len(flat)), exposure=np.arange(12.0).reshape(3, 4),
-        load=lambda views: counts[views], counts=counts,
+        load=lambda views: counts[views], counts=counts, scatter=None,
     )  # fmt: skip
 
 
