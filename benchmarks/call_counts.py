@@ -11,7 +11,7 @@ import contracts of pyproject.toml: a callback, a method of an object from above
 
 The path of the counts of a fit is the part of these calls that hands over the counts, from the command to the first
 evaluation of the likelihood of Gaussians: an argument is an open dataset, the measurements read from it, or an array
-named counts.
+named counts. The path of the scan of a simulation is the part that hands over the scan.
 """
 
 import argparse
@@ -35,9 +35,9 @@ from recon.cli.main import main as recon
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("recon", "phantomgen", "spectra")
-HOLDERS = ("Dataset", "Measurements")  # classes that hold counts
+HOLDERS = ("Dataset", "Measurements", "Scan")  # classes that hold counts, or what is simulated
 NAME = "counts"  # of an argument that is an array of counts
-LAST = "recon.gaussians.likelihood"  # where the path of the counts of a fit ends
+LAST = {"fit": "recon.gaussians.likelihood", "simulate": None}  # where the path of the counts ends
 MAP = "spectra.threads"  # runs pieces of work in threads, so that every kernel is called from there
 PIXELS, VIEWS, VOXELS = 16, 9, 12  # of the scan; calls do not depend on them
 
@@ -74,7 +74,7 @@ class Calls:
             return
         pair = (caller, callee)
         self.pairs.setdefault(pair, frame.f_code.co_qualname)
-        if self.until is not None and not self._ended:
+        if not self._ended:
             self.before.setdefault(pair, frame.f_code.co_qualname)
             if _has_counts(frame):
                 self.with_counts.setdefault(pair, frame.f_code.co_qualname)
@@ -214,7 +214,8 @@ def report(calls: Calls, listed: bool) -> list[str]:
     contracts, lines = layers(), []
     sections = {"all calls": calls.pairs}
     if calls.until is not None:
-        sections |= {f"before {calls.until}": calls.before, "path of the counts": calls.with_counts}
+        sections[f"before {calls.until}"] = calls.before
+    sections["path of the counts or the scan"] = calls.with_counts
     for name, pairs in sections.items():
         files = sorted({module for pair in pairs for module in pair})
         climbs = {pair: function for pair, function in pairs.items() if is_climb(pair, contracts)}
@@ -245,7 +246,7 @@ def main() -> None:
 
         if arguments.command == "fit":
             make()
-        calls = trace(fit if arguments.command == "fit" else make, LAST if arguments.command == "fit" else None)
+        calls = trace(fit if arguments.command == "fit" else make, LAST[arguments.command])
     print("\n".join(report(calls, arguments.list)))
 
 

@@ -36,7 +36,10 @@ def test_a_callback_is_one_climb_however_often_it_is_called():
     assert [pair for pair in calls.pairs if is_climb(pair, layers())] == [
         ("phantomgen.runtime.stopwatch", "recon.cli.common")
     ]
-    assert report(calls, listed=False) == ["all calls: 2 files, 1 pairs, 1 climbs, 0 of spectra.threads"]
+    assert report(calls, listed=False) == [
+        "all calls: 2 files, 1 pairs, 1 climbs, 0 of spectra.threads",
+        "path of the counts or the scan: 0 files, 0 pairs, 0 climbs, 0 of spectra.threads",
+    ]
 
 
 def test_calls_are_followed_through_other_libraries():
