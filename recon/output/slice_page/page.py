@@ -83,8 +83,8 @@ def slice_page(content: SliceContent) -> str:
         title=content.name,
         choices=len(content.basis_names) + 1,
         about=_about(few, factor),
-        data=_safe(data),
-        script=_safe(script),
+        data=data,
+        script=script,
     )
 
 
@@ -157,10 +157,3 @@ def _about(content: SliceContent, factor: int) -> str:
         f"{1 / (2 * LEVELS):.1g} of the range of each volume. Images at one energy follow from the basis functions, "
         f"from {low:.0f} to {high:.0f} keV, where the detected spectrum lies; 0 HU is water as the basis describes it."
     )
-
-
-def _safe(text: str) -> Any:
-    """Text that the template takes as it is."""
-    from markupsafe import Markup  # noqa: PLC0415 - with jinja2
-
-    return Markup(text)  # our own program, and numbers
