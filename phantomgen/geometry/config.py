@@ -3,6 +3,7 @@
 Jitter of poses and motion of the sample are added elsewhere (`phantomgen.scene.geometry`).
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from phantomgen.geometry import orbits
 from phantomgen.geometry.fan_angles import fan_angles
-from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.panel import Curvature, Panel, module_columns
 from phantomgen.geometry.panel_mount import Mount, mounted
 from phantomgen.geometry.pose_table import read_poses
 from phantomgen.geometry.poses import Geometry
@@ -104,9 +105,20 @@ def panel_of(model: PanelModel) -> Panel:
 
     Returns
     -------
-    rows, columns and pitch
+    rows, columns, pitch and curvature
+
+    Raises
+    ------
+    InputError
+        When columns cannot be divided into modules, or the panel turns too far.
     """
-    return Panel(model.rows, model.columns, model.pitch)
+    flat = Panel(model.rows, model.columns, model.pitch)
+    if model.curvature is None:
+        return flat
+    width = model.curvature.module_columns or module_columns(flat, model.curvature.radius)
+    if model.columns % width:
+        raise InputError(f"curvature.module_columns is {width}, which does not divide the {model.columns} columns")
+    return replace(flat, curvature=Curvature(model.curvature.radius, model.columns // width))
 
 
 def mount_of(model: PanelModel) -> Mount:
@@ -182,7 +194,8 @@ def _times(views: int, test_views: int) -> Float[np.ndarray, " view"]:
 
 def _short_arc(panel: PanelModel, sdd: float) -> float:
     """Half a turn and the fan of the panel, outer edges of pixels included [degree]."""
-    edges = Panel(panel.rows + 1, panel.columns + 1, panel.pitch)
+    curvature = None if panel.curvature is None else Curvature(panel.curvature.radius, panel.columns + 1)
+    edges = Panel(panel.rows + 1, panel.columns + 1, panel.pitch, curvature)
     return orbits.short_arc(float(np.abs(fan_angles(edges, sdd, mount_of(panel))).max()))
 
 

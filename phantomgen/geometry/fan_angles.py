@@ -72,16 +72,27 @@ def anode_angles(panel: Panel, sdd: float, mount: Mount = _STRAIGHT) -> Image:
 
 def _positions(panel: Panel, sdd: float, mount: Mount) -> tuple[np.ndarray, np.ndarray, np.ndarray | float]:
     """Compute positions of pixels from the source [mm]: across the central ray in the orbit's plane, up, along it."""
-    across, up = _across(panel)[None], _up(panel)[:, None]
+    up, radius = _up(panel)[:, None], 0.0 if panel.curvature is None else panel.curvature.radius
+    across, bend = (part[None] for part in _across(panel))
     if mount.tilt != _STRAIGHT.tilt:
-        turned = np.einsum("ip,prk->irk", mount.turn[:, :2], np.stack(np.broadcast_arrays(across, -up)))
-        return turned[0] + mount.offset[0], -turned[1] - mount.offset[1], turned[2] + sdd
-    return across + mount.offset[0], up - mount.offset[1], sdd
+        across, down, bend = np.einsum("ij,jrk->irk", mount.turn, np.stack(np.broadcast_arrays(across, -up, bend)))
+        up = -down
+    if panel.curvature is None:
+        return across + mount.offset[0], up - mount.offset[1], sdd + bend if mount.tilt != _STRAIGHT.tilt else sdd
+    c, s = np.cos(mount.offset[0] / radius), np.sin(mount.offset[0] / radius)
+    depth = sdd + radius * (c - 1) + c * bend - s * across
+    return radius * s + c * across + s * bend, up - mount.offset[1], depth
 
 
-def _across(panel: Panel) -> Float[np.ndarray, " column"]:
-    """Position of columns from the panel's centre [mm]."""
-    return (np.arange(panel.columns) - (panel.columns - 1) / 2) * panel.column_pitch
+def _across(panel: Panel) -> tuple[Float[np.ndarray, " column"], Float[np.ndarray, " column"]]:
+    """Position of columns from the panel's centre, across its normal and along it, away from the source [mm]."""
+    width = panel.columns // panel.modules
+    within = ((np.arange(width) - (width - 1) / 2) * panel.column_pitch)[None]
+    if panel.curvature is None:
+        return within[0], np.zeros(width)
+    c, s = np.cos(panel.module_angles)[:, None], np.sin(panel.module_angles)[:, None]
+    radius = panel.curvature.radius
+    return (radius * s + c * within).ravel(), (radius * (c - 1) - s * within).ravel()
 
 
 def _up(panel: Panel) -> Float[np.ndarray, " row"]:

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.curved_panel import shifted_along
 from phantomgen.geometry.poses import Geometry
+from spectra.errors import GeometryError
 
 
 def smaller_panel(geometry: Geometry, columns: slice, factor: int, rows: slice | None = None) -> Geometry:
@@ -21,15 +22,22 @@ def smaller_panel(geometry: Geometry, columns: slice, factor: int, rows: slice |
     Returns
     -------
     poses whose pixel centres are the middles of the old pixels that each consists of
+
+    Raises
+    ------
+    GeometryError
+        When columns of a curved panel are left out, or pixels do not divide.
     """
     panel = geometry.panel
     rows = rows or slice(0, panel.rows)
+    if panel.curvature is not None and (columns.start, columns.stop) != (0, panel.columns):
+        raise GeometryError("columns of a curved panel cannot be left out, only rows")
     right = (columns.start + columns.stop - panel.columns) / 2
     down = (rows.start + rows.stop - panel.rows) / 2
     cropped = replace(
         geometry,
         panel_center=geometry.panel_center + right * geometry.column_step + down * geometry.row_step,
-        panel=Panel(rows.stop - rows.start, columns.stop - columns.start, panel.pitch),
+        panel=replace(panel, rows=rows.stop - rows.start, columns=columns.stop - columns.start),
     )
     return _same_rays(geometry, cropped).binned(factor)
 
@@ -49,12 +57,13 @@ def moved_panel(geometry: Geometry, shift: float, turn: float = 0.0, down: float
     moved poses
     """
     c, s = np.cos(np.deg2rad(turn)), np.sin(np.deg2rad(turn))
-    normal = geometry.normals() if turn else np.zeros_like(geometry.column_step)
+    aside = shifted_along(geometry, shift * geometry.panel.column_pitch)
+    normal = aside.normals() if turn else np.zeros_like(geometry.column_step)
     moved = replace(
-        geometry,
-        panel_center=geometry.panel_center + (shift * geometry.column_step + down * geometry.row_step),
-        column_step=c * geometry.column_step + s * np.cross(normal, geometry.column_step),
-        row_step=c * geometry.row_step + s * np.cross(normal, geometry.row_step),
+        aside,
+        panel_center=aside.panel_center + down * aside.row_step,
+        column_step=c * aside.column_step + s * np.cross(normal, aside.column_step),
+        row_step=c * aside.row_step + s * np.cross(normal, aside.row_step),
     )
     return _same_rays(geometry, moved)
 

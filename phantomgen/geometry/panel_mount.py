@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.geometry.curved_panel import shifted_along
 from phantomgen.geometry.poses import FAR, Geometry
 from phantomgen.geometry.rotation import rotation_matrix
 
@@ -19,7 +20,7 @@ class Mount:
 
     Parameters
     ----------
-    offset : shift of the panel's centre along u and v [mm]
+    offset : shift of the panel's centre along u, of a curved one along its cylinder, and along v [mm]
     tilt : turns about the fixed axes u, then v, then w, through the panel's centre, right-handed [rad]
     """
 
@@ -46,12 +47,14 @@ def mounted(geometry: Geometry, mount: Mount) -> Geometry:
     """
     if mount == Mount():
         return geometry
+    across, down = mount.offset
+    geometry = shifted_along(geometry, across)
     steps = np.stack([geometry.column_step, geometry.row_step], axis=1)
     unit = steps / np.linalg.norm(steps, axis=2, keepdims=True)
     frames = np.concatenate([unit, np.cross(unit[:, 0], unit[:, 1])[:, None]], axis=1)
     pitches = np.array([geometry.panel.column_pitch, geometry.panel.row_pitch])
     turned = np.einsum("p,kp,vki->vpi", pitches, mount.turn[:, :2], frames)
-    center = geometry.panel_center + np.einsum("p,vpi->vi", np.array(mount.offset), unit)
+    center = geometry.panel_center + down * unit[:, 1]
     moved = replace(geometry, panel_center=center, column_step=turned[:, 0], row_step=turned[:, 1])
     return with_parallel_source(moved)
 

@@ -2,7 +2,7 @@
 
 One frame for everything: right-handed, z is the rotation axis, the origin is the isocentre, lengths in mm. A view is
 four vectors (the vector form that ASTRA, tomosipo and RTK also accept): the source point, the panel's centre, and the
-steps to the next column and to the next row. Circular, helical, parallel and free orbits differ in these numbers only;
+steps to the next column and to the next row. Of a curved panel these are the centre and the steps there. Circular, helical, parallel and free orbits differ in these numbers only;
 `phantomgen.geometry.orbits` makes them.
 """
 
@@ -169,7 +169,8 @@ class Geometry:
 
     def __repr__(self) -> str:
         panel = self.panel
-        return f"Geometry({self.kind}: {len(self)} views, {panel.rows} x {panel.columns} pixels of {panel.pitch} mm)"
+        curved = "" if panel.curvature is None else f", curved with a radius of {panel.curvature.radius:g} mm"
+        return f"Geometry({self.kind}: {len(self)} views, {panel.rows} x {panel.columns} pixels of {panel.pitch} mm{curved})"
 
     @property
     def is_parallel(self) -> bool:
@@ -231,7 +232,16 @@ class Geometry:
         Returns
         -------
         frames, (view, 4, 3)
+
+        Raises
+        ------
+        GeometryError
+            When the panel is curved: `phantomgen.geometry.curved_panel.module_frames` has a frame for each module.
         """
+        if self.panel.curvature is not None:
+            raise GeometryError(
+                "a curved panel cannot be used here, only a flat one: make the scan without panel.curvature"
+            )
         rows, columns = self.panel.rows, self.panel.columns
         first = self.panel_center - (columns - 1) / 2 * self.column_step - (rows - 1) / 2 * self.row_step
         return np.stack([self.source, first - self.source, self.column_step, self.row_step], axis=1)
@@ -255,9 +265,11 @@ class Geometry:
         panel = self.panel
         if panel.rows % factor or panel.columns % factor:
             raise GeometryError(f"a panel of {panel.rows} x {panel.columns} pixels cannot be binned by {factor}")
-        coarse = Panel(
-            panel.rows // factor, panel.columns // factor, (panel.row_pitch * factor, panel.column_pitch * factor)
-        )
+        if panel.columns // panel.modules % factor:
+            columns = panel.columns // panel.modules
+            raise GeometryError(f"modules of {columns} columns of a curved panel cannot be binned by {factor}")
+        pitch = (panel.row_pitch * factor, panel.column_pitch * factor)
+        coarse = Panel(panel.rows // factor, panel.columns // factor, pitch, panel.curvature)
         return replace(self, column_step=self.column_step * factor, row_step=self.row_step * factor, panel=coarse)
 
     def subdivided(self, factor: int) -> "Geometry":
@@ -273,7 +285,7 @@ class Geometry:
         """
         panel = self.panel
         pitch = (panel.row_pitch / factor, panel.column_pitch / factor)
-        fine = Panel(panel.rows * factor, panel.columns * factor, pitch)
+        fine = Panel(panel.rows * factor, panel.columns * factor, pitch, panel.curvature)
         return replace(self, column_step=self.column_step / factor, row_step=self.row_step / factor, panel=fine)
 
     def draw(self, path: Path | str | None = None, grid: Grid | None = None) -> "Figure":

@@ -129,6 +129,17 @@ class TiltModel(Model):
     in_plane: Annotated[FiniteFloat, Field(ge=-180, le=180)] = 0.0
 
 
+class CurvatureModel(Model):
+    """Cylinder that the panel's flat modules touch, its axis along the columns of pixels, on the source's side.
+
+    `radius` [mm], the distance to the source for a scanner with equal angles between columns; `module_columns`, columns
+    of a module, or the most that keep pixels within 0.01 pixels of the cylinder.
+    """
+
+    radius: Length
+    module_columns: Pixels | None = None
+
+
 class PanelModel(Model):
     """The pixel grid; one pitch [mm] for square pixels, else (between rows, between columns).
 
@@ -141,4 +152,5 @@ class PanelModel(Model):
     pitch: Length | tuple[Length, Length]
     offset: OffsetModel | None = None
     tilt: TiltModel | None = None
+    curvature: CurvatureModel | None = None
     sub_rays: Annotated[int, Field(ge=1, le=16)] | None = None

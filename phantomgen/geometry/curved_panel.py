@@ -1,0 +1,202 @@
+"""Curved panels as flat modules: their poses, their pixels, and points on them.
+
+A view of a curved panel is computed as one view for each of its modules, side by side. So kernels know flat panels
+only, and a curved panel is exact whatever they compute.
+"""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.geometry.poses import Geometry
+from spectra.errors import GeometryError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    Array = TypeVar("Array", np.ndarray, Tensor)
+else:
+    Array = Any  # anything that can be reshaped
+
+
+def flat_modules(geometry: Geometry) -> Geometry:
+    """Return the poses of the modules of a curved panel as views of their own.
+
+    Parameters
+    ----------
+    geometry : poses of a panel
+
+    Returns
+    -------
+    for each view its modules in the order of their columns; the geometry itself where the panel is flat
+
+    Raises
+    ------
+    GeometryError
+        When a curved panel is wrapped past the source, or has none.
+    """
+    panel = geometry.panel
+    if panel.curvature is None:
+        return geometry
+    if geometry.is_parallel:
+        raise GeometryError("a curved panel needs a source, and a parallel beam has none: use a flat panel")
+    away, radius = _away_from_source(geometry)[:, None], panel.curvature.radius
+    along = (geometry.column_step / panel.column_pitch)[:, None]
+    c, s = np.cos(panel.module_angles)[:, None], np.sin(panel.module_angles)[:, None]
+    center = geometry.panel_center[:, None] + radius * ((c - 1) * away + s * along)
+    step = panel.column_pitch * (c * along - s * away)
+    height = np.einsum("vmi,vmi->vm", center - geometry.source[:, None], c * away + s * along)
+    if len(height) and height.min() <= 0:
+        view, module = np.unravel_index(height.argmin(), height.shape)
+        raise GeometryError(
+            f"the panel is wrapped past the source: module {module} of view {view} has the source behind it; give a "
+            "larger radius or fewer columns"
+        )
+    return Geometry(
+        source=np.repeat(geometry.source, panel.modules, axis=0),
+        panel_center=center.reshape(-1, 3),
+        column_step=step.reshape(-1, 3),
+        row_step=np.repeat(geometry.row_step, panel.modules, axis=0),
+        panel=panel.module,
+        angles=np.repeat(geometry.angles, panel.modules),
+        kind=geometry.kind,
+    )
+
+
+def module_frames(geometry: Geometry) -> Float[np.ndarray, "view module 4 3"]:
+    """Compute the ray frames of all modules, as `Geometry.ray_frames` defines them.
+
+    Parameters
+    ----------
+    geometry : poses of a panel, which may be flat and then has one module
+
+    Returns
+    -------
+    frames, (view, module, 4, 3); columns count from the first one of each module
+    """
+    return flat_modules(geometry).ray_frames().reshape(len(geometry), geometry.panel.modules, 4, 3)
+
+
+def split_modules(images: Array, modules: int) -> Array:
+    """Divide images of a curved panel into those of its modules.
+
+    Parameters
+    ----------
+    images : (view, ..., row, column)
+    modules : number of modules
+
+    Returns
+    -------
+    images, (view x module, ..., row, column)
+    """
+    if modules == 1:
+        return images
+    parts = images.reshape(*images.shape[:-1], modules, -1)
+    order = (0, parts.ndim - 2, *range(1, parts.ndim - 2), parts.ndim - 1)
+    moved = parts.permute(*order) if hasattr(parts, "permute") else parts.transpose(order)
+    return moved.reshape(images.shape[0] * modules, *images.shape[1:-1], -1)
+
+
+def join_modules(images: Array, modules: int, views: int = 0) -> Array:
+    """Put images of modules side by side.
+
+    Parameters
+    ----------
+    images : (..., view x module, ..., row, column)
+    modules : number of modules
+    views : axis of the views
+
+    Returns
+    -------
+    images of the whole panel, (..., view, ..., row, column)
+    """
+    if modules == 1:
+        return images
+    shape = images.shape
+    parts = images.reshape(*shape[:views], shape[views] // modules, modules, *shape[views + 1 :])
+    others = [axis for axis in range(parts.ndim) if axis != views + 1]
+    order = (*others[:-1], views + 1, others[-1])
+    moved = parts.permute(*order) if hasattr(parts, "permute") else parts.transpose(order)
+    return moved.reshape(*moved.shape[:-2], -1)
+
+
+def on_panel(
+    geometry: Geometry, points: Float[np.ndarray, "point 3"]
+) -> Float[np.ndarray, "view point 3"]:
+    """Project points onto the panel in every view.
+
+    Parameters
+    ----------
+    geometry : poses
+    points : points [mm]
+
+    Returns
+    -------
+    depth (0 at the source, 1 on the panel), column and row, (view, point, 3); of a curved panel those of the module
+    whose middle is nearest, so that columns beyond the panel are those of its outer modules
+    """
+    frames, panel = module_frames(geometry), geometry.panel
+    if panel.modules == 1:
+        return on_plane(frames[:, 0], points)
+    width = panel.columns // panel.modules
+    nearest = np.full((len(frames), len(points)), np.inf)
+    found = np.full((len(frames), len(points), 3), np.nan)
+    for module in range(panel.modules):
+        here = on_plane(frames[:, module], points)
+        aside = np.where(here[..., 0] > 0, np.abs(here[..., 1] - (width - 1) / 2), np.inf)
+        here[..., 1] += module * width
+        closer = (aside < nearest) | np.isnan(found[..., 0])
+        found[closer], nearest = here[closer], np.minimum(nearest, aside)
+    return found
+
+
+def on_plane(
+    frames: Float[np.ndarray, "view 4 3"], points: Float[np.ndarray, "point 3"]
+) -> Float[np.ndarray, "view point 3"]:
+    """Project points onto a plane of pixels in every view.
+
+    Parameters
+    ----------
+    frames : source, vector to pixel (0, 0), column step and row step of each view [mm]
+    points : points [mm], (point, 3)
+
+    Returns
+    -------
+    depth (0 at the source, 1 on the panel), column and row, (view, point, 3)
+    """
+    inverse = np.linalg.inv(np.moveaxis(frames[:, 1:], 1, 2))
+    scaled = np.einsum("vij,vpj->vpi", inverse, points[None] - frames[:, None, 0])
+    depth = scaled[..., :1]
+    return np.concatenate([depth, scaled[..., 1:] / np.where(depth == 0, 1.0, depth)], axis=-1)
+
+
+def shifted_along(geometry: Geometry, distance: float) -> Geometry:
+    """Shift a panel the way its columns count; a curved one moves along its cylinder.
+
+    Parameters
+    ----------
+    geometry : poses
+    distance : along the columns' steps [mm]
+
+    Returns
+    -------
+    poses with the shifted panel, the source where it was
+    """
+    curvature, along = geometry.panel.curvature, geometry.column_step / geometry.panel.column_pitch
+    if curvature is None:
+        return replace(geometry, panel_center=geometry.panel_center + distance * along)
+    away, angle = _away_from_source(geometry), distance / curvature.radius
+    c, s = np.cos(angle), np.sin(angle)
+    return replace(
+        geometry,
+        panel_center=geometry.panel_center + curvature.radius * ((c - 1) * away + s * along),
+        column_step=geometry.panel.column_pitch * (c * along - s * away),
+    )
+
+
+def _away_from_source(geometry: Geometry) -> Float[np.ndarray, "view 3"]:
+    """Unit normals of the middle of the panel that point away from the source."""
+    normal = geometry.normals()
+    return normal * np.sign(np.einsum("vi,vi->v", normal, geometry.panel_center - geometry.source))[:, None]
