@@ -1,12 +1,14 @@
 """Poses in a dataset: nominal ones in ``/entry/geometry``, true ones in ``/truth`` where they differ."""
 
+from dataclasses import replace
+
 import h5py
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.dataset.checks.door import value_at
+from phantomgen.dataset.checks.door import has, value_at
 from phantomgen.dataset.layout import FRAME, new_group, put, text_of
-from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.panel import Curvature, Panel
 from phantomgen.geometry.poses import Geometry
 
 _VECTORS = ("panel_center", "column_step", "row_step")
@@ -29,6 +31,9 @@ def write_geometry(parent: h5py.Group, geometry: Geometry) -> None:
         put(group, "ray_direction", geometry.ray_direction, "1")
     for name in _VECTORS:
         put(group, name, getattr(geometry, name), "mm")
+    if geometry.panel.curvature is not None:
+        put(group, "curvature_radius", geometry.panel.curvature.radius, "mm")
+        put(group, "modules", geometry.panel.modules)
 
 
 def read_geometry(group: h5py.Group, panel: Panel, angles: Float[np.ndarray, " view"]) -> Geometry:
@@ -37,7 +42,7 @@ def read_geometry(group: h5py.Group, panel: Panel, angles: Float[np.ndarray, " v
     Parameters
     ----------
     group : that `write_geometry` wrote
-    panel : the pixel grid
+    panel : the pixel grid, whose curvature the group states
     angles : rotation angle of each view [rad], NaN where a view has none
 
     Returns
@@ -46,6 +51,9 @@ def read_geometry(group: h5py.Group, panel: Panel, angles: Float[np.ndarray, " v
     """
     vectors = {name: value_at(group, name) for name in _VECTORS}
     kind = text_of(value_at(group, "kind"))
+    if has(group, "curvature_radius"):
+        radius, modules = float(value_at(group, "curvature_radius")), int(value_at(group, "modules"))
+        panel = replace(panel, curvature=Curvature(radius, modules))
     if kind == "parallel":
         return Geometry.parallel(value_at(group, "ray_direction"), **vectors, panel=panel, angles=angles)
     return Geometry(source=value_at(group, "source"), **vectors, panel=panel, angles=angles, kind=kind)

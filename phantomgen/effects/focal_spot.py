@@ -82,19 +82,23 @@ class FocalSpot:
             places /= FWHM * max(sqrt((places[:, 0] ** 2).mean()), 1e-300)
         return places * (self.width, self.height)
 
-    def frames(self, frame: Float[np.ndarray, "4 3"], n: int) -> Float[np.ndarray, "point 4 3"]:
+    def frames(
+        self, frame: Float[np.ndarray, "4 3"], n: int, steps: Float[np.ndarray, "2 3"] | None = None
+    ) -> Float[np.ndarray, "point 4 3"]:
         """Compute the ray frames of `n` source points; the panel does not move.
 
         Parameters
         ----------
         frame : source, vector to pixel (0, 0), column step and row step [mm]
         n : least number of points
+        steps : column and row step that the spot lies along, those of `frame` by default
 
         Returns
         -------
         frames, (point, 4, 3)
         """
-        along = frame[2:] / np.linalg.norm(frame[2:], axis=1, keepdims=True)
+        steps = frame[2:] if steps is None else steps
+        along = steps / np.linalg.norm(steps, axis=1, keepdims=True)
         moved = self.offsets(n) @ along
         frames = np.tile(frame, (len(moved), 1, 1))
         frames[:, 0] += moved

@@ -93,10 +93,10 @@ def split_modules(images: Array, modules: int) -> Array:
     """
     if modules == 1:
         return images
-    parts = images.reshape(*images.shape[:-1], modules, -1)
-    order = (0, parts.ndim - 2, *range(1, parts.ndim - 2), parts.ndim - 1)
-    moved = parts.permute(*order) if hasattr(parts, "permute") else parts.transpose(order)
-    return moved.reshape(images.shape[0] * modules, *images.shape[1:-1], -1)
+    parts: Any = images.reshape(*images.shape[:-1], modules, -1)
+    for axis in range(parts.ndim - 2, 1, -1):
+        parts = parts.swapaxes(axis, axis - 1)
+    return parts.reshape(images.shape[0] * modules, *images.shape[1:-1], -1)
 
 
 def join_modules(images: Array, modules: int, views: int = 0) -> Array:
@@ -115,16 +115,13 @@ def join_modules(images: Array, modules: int, views: int = 0) -> Array:
     if modules == 1:
         return images
     shape = images.shape
-    parts = images.reshape(*shape[:views], shape[views] // modules, modules, *shape[views + 1 :])
-    others = [axis for axis in range(parts.ndim) if axis != views + 1]
-    order = (*others[:-1], views + 1, others[-1])
-    moved = parts.permute(*order) if hasattr(parts, "permute") else parts.transpose(order)
-    return moved.reshape(*moved.shape[:-2], -1)
+    parts: Any = images.reshape(*shape[:views], shape[views] // modules, modules, *shape[views + 1 :])
+    for axis in range(views + 1, parts.ndim - 2):
+        parts = parts.swapaxes(axis, axis + 1)
+    return parts.reshape(*parts.shape[:-2], -1)
 
 
-def on_panel(
-    geometry: Geometry, points: Float[np.ndarray, "point 3"]
-) -> Float[np.ndarray, "view point 3"]:
+def on_panel(geometry: Geometry, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "view point 3"]:
     """Project points onto the panel in every view.
 
     Parameters

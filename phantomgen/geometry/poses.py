@@ -2,8 +2,8 @@
 
 One frame for everything: right-handed, z is the rotation axis, the origin is the isocentre, lengths in mm. A view is
 four vectors (the vector form that ASTRA, tomosipo and RTK also accept): the source point, the panel's centre, and the
-steps to the next column and to the next row. Of a curved panel these are the centre and the steps there. Circular, helical, parallel and free orbits differ in these numbers only;
-`phantomgen.geometry.orbits` makes them.
+steps to the next column and to the next row; of a curved panel the steps at its centre. Circular, helical, parallel
+and free orbits differ in these numbers only; `phantomgen.geometry.orbits` makes them.
 """
 
 from dataclasses import dataclass, field, replace
@@ -169,8 +169,9 @@ class Geometry:
 
     def __repr__(self) -> str:
         panel = self.panel
-        curved = "" if panel.curvature is None else f", curved with a radius of {panel.curvature.radius:g} mm"
-        return f"Geometry({self.kind}: {len(self)} views, {panel.rows} x {panel.columns} pixels of {panel.pitch} mm{curved})"
+        curved = "" if panel.curvature is None else f", radius {panel.curvature.radius:g} mm"
+        pixels = f"{panel.rows} x {panel.columns} pixels of {panel.pitch} mm{curved}"
+        return f"Geometry({self.kind}: {len(self)} views, {pixels})"
 
     @property
     def is_parallel(self) -> bool:

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from phantomgen.effects.pose_jitter import Jitter, jittered
 from phantomgen.effects.sample_motion import Drift, Motion, RandomWalk, Sinusoid, seen_from_sample
 from phantomgen.geometry.config import mount_of, nominal_views, panel_of
+from phantomgen.geometry.curved_panel import flat_modules
 from phantomgen.geometry.panel_mount import mounted
 from phantomgen.geometry.pose_table import read_poses
 from phantomgen.geometry.poses import Geometry
@@ -61,6 +62,7 @@ def scene_geometry(file: SceneFile) -> SceneGeometry:
     splits = {"train": views[:train], "test": views[train:], "val": views[:0]}
     with file.at("panel"):
         nominal = mounted(nominal, mount_of(model.panel))
+        flat_modules(nominal)  # refuses a panel that is wrapped past the source
     true, poses = nominal, None
     if model.geometry.jitter is not None:
         with file.at("geometry", "jitter"):

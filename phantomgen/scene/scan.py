@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from phantomgen.effects import Effects
+from phantomgen.geometry.curved_panel import flat_modules
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.solids import Solids
@@ -133,6 +134,29 @@ class Scan:
     def profile_lengths(self) -> Float[np.ndarray, "part row column"] | None:
         """Path lengths of the rays to each pixel in what shapes the beam [mm]; None where the beam is even."""
         return None if self.profile is None else self.profile.lengths
+
+    def view_profile(self, view: int) -> Float[np.ndarray, "part row column"] | None:
+        """Return the part of `profile_lengths` that a view sees, which of `by_module` is that of one module.
+
+        Parameters
+        ----------
+        view : number of the view
+
+        Returns
+        -------
+        path lengths [mm]; None where the beam is even
+        """
+        lengths, columns = self.profile_lengths, self.geometry.panel.columns
+        if lengths is None or lengths.shape[2] == columns:
+            return lengths
+        first = view % (lengths.shape[2] // columns) * columns
+        return np.ascontiguousarray(lengths[:, :, first : first + columns])
+
+    @cached_property
+    def by_module(self) -> "Scan":
+        """The scan with each module of a curved panel as a view of its own; itself where the panel is flat."""
+        flat = flat_modules(self.geometry)
+        return self if flat is self.geometry else replace(self, geometry=flat)
 
     @property
     def scheme(self) -> str:

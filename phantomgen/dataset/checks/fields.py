@@ -85,6 +85,8 @@ ENTRY = (
     Field("/entry/geometry/panel_center", "real", "V,3", "mm", "of every view", -_FAR, _FAR),
     Field("/entry/geometry/column_step", "real", "V,3", "mm", "from a pixel to the next column", -_FAR, _FAR),
     Field("/entry/geometry/row_step", "real", "V,3", "mm", "from a pixel to the next row", -_FAR, _FAR),
+    Field("/entry/geometry/curvature_radius", "real", "", "mm", "of a curved panel", 0, _FAR, optional=True),
+    Field("/entry/geometry/modules", "whole", "", "", "flat parts of a curved panel", 1, _MANY, optional=True),
     Field(f"{_SPECTRA}/energy", "real", "E", "keV", "mean energy of each bin", _TINY, _HARD),
     Field(f"{_SPECTRA}/energy_edges", "real", "E+1", "keV", "ascending edges of the bins", 0, _HARD),
     Field(f"{_SPECTRA}/source", "real", "E", "photons", "per pixel and view, at the panel's centre", 0, 1e30),

@@ -5,10 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.geometry.curved_panel import on_panel
 from phantomgen.scene.scan import Scan
 from phantomgen.shapes import Shape
 from phantomgen.simulation.checks.field_of_view import named, reaching
-from phantomgen.simulation.forward_model.sampled_rays import on_panel, points_of
+from phantomgen.simulation.forward_model.sampled_rays import points_of
 from spectra.errors import GeometryError
 
 # Points of each object that are tested.
@@ -31,7 +32,7 @@ def check_collisions(scan: Scan) -> None:
     GeometryError
         With object, view and distance.
     """
-    frames = scan.geometry.ray_frames()
+    frames = scan.by_module.geometry.ray_frames()
     for i, name, shape in named(scan, reaching(scan, _planes(frames))):
         for sentence in _collisions(scan, shape):
             raise GeometryError(f"object {i} ({name}) {sentence}")
@@ -47,12 +48,12 @@ def _planes(frames: Float[np.ndarray, "view 4 3"]) -> tuple[np.ndarray, np.ndarr
 
 def _collisions(scan: Scan, shape: Shape) -> Iterator[str]:
     """Yield sentences about an object in an impossible place, beginning with the worst views."""
-    frames, panel = scan.geometry.ray_frames(), scan.geometry.panel
+    geometry, panel = scan.geometry, scan.geometry.panel
     points = np.concatenate(points_of(shape, _POINTS))
     if not len(points):
         return
-    depth, column, row = np.moveaxis(on_panel(frames, points), -1, 0)
-    to_panel = np.abs(np.einsum("vi,vi->v", scan.geometry.panel_center - frames[:, 0], scan.geometry.normals()))
+    depth, column, row = np.moveaxis(on_panel(geometry, points), -1, 0)
+    to_panel = np.abs(np.einsum("vi,vi->v", geometry.panel_center - geometry.source, geometry.normals()))
     nearest = (depth.max(axis=1) * to_panel).min(initial=np.inf)
     if nearest < 0:
         view = int((depth.max(axis=1) * to_panel).argmin())
@@ -64,7 +65,7 @@ def _collisions(scan: Scan, shape: Shape) -> Iterator[str]:
         np.abs(row - (panel.rows - 1) / 2) < panel.rows / 2
     )
     beyond = np.where(seen & (depth > 1), (depth - 1) * to_panel[:, None], 0.0).max(axis=1)
-    beyond[shape.contains(frames[:, 0])] = 0.0
+    beyond[shape.contains(geometry.source)] = 0.0
     if beyond.max() > _TOUCH:
         view = int(beyond.argmax())
         share = (beyond > _TOUCH).mean()

@@ -1,16 +1,18 @@
 """Field of view: where points of the objects fall on the panel, and the rays through them."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from phantomgen.geometry.curved_panel import on_panel
 from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.poses import Geometry
 from phantomgen.ops.primitives import HALFSPACE
 from phantomgen.scene.scan import Scan
 from phantomgen.shapes import Shape
 from phantomgen.simulation.checks.half_turns import helix_axis, lacks_directions
-from phantomgen.simulation.forward_model.sampled_rays import on_panel, points_of
+from phantomgen.simulation.forward_model.sampled_rays import points_of
 
 # Points of each object that are tested.
 _POINTS = 500
@@ -34,7 +36,7 @@ def coverage_warnings(scan: Scan) -> list[str]:
 
 def _solid_warnings(scan: Scan) -> Iterator[str]:
     """Objects that the source runs into, and objects without a point inside."""
-    sources = scan.geometry.ray_frames()[:, 0]
+    sources = scan.geometry.source
     for i, name, shape in named(scan, _around(scan, sources)):
         inside = shape.contains(sources).mean()
         if inside:
@@ -77,11 +79,12 @@ def _around(scan: Scan, points: Float[np.ndarray, "point 3"]) -> list[int]:
 
 def _panel_warnings(scan: Scan) -> Iterator[str]:
     """Objects that leave the panel in some view."""
-    frames, panel = scan.geometry.ray_frames(), scan.geometry.panel
-    suspects = reaching(scan, _panel_planes(frames, panel))
-    axis = helix_axis(frames, panel)
+    geometry, panel = scan.geometry, scan.geometry.panel
+    flat = panel.curvature is None
+    suspects = reaching(scan, _panel_planes(geometry.ray_frames(), panel)) if flat else range(len(scan.scene.objects))
+    axis = helix_axis(geometry)
     if axis is not None:  # which every object leaves above and below, as it should
-        yield from _helix_warning(scan, suspects, frames, axis)
+        yield from _helix_warning(scan, suspects, axis)
     described = 0
     for rank, i in enumerate(suspects):
         if described == _DESCRIBED:
@@ -89,11 +92,11 @@ def _panel_warnings(scan: Scan) -> Iterator[str]:
             return
         shape, material = scan.scene.objects[i]
         inside, surface = points_of(shape, _POINTS)
-        outside, beyond = _missed(frames, surface, panel, axis is None)
+        outside, beyond = _missed(geometry, surface, axis is None)
         if not outside.any():
             continue
         described += 1
-        share = _missed(frames, inside, panel, axis is None)[0].any(axis=0).mean()
+        share = _missed(geometry, inside, axis is None)[0].any(axis=0).mean()
         views = outside.any(axis=1).mean()
         yield (
             f"object {i} ({_name(scan, material)}) leaves the panel's field of view in {views:.0%} of "
@@ -102,15 +105,13 @@ def _panel_warnings(scan: Scan) -> Iterator[str]:
         )
 
 
-def _helix_warning(
-    scan: Scan, suspects: list[int], frames: Float[np.ndarray, "view 4 3"], axis: Float[np.ndarray, " 3"]
-) -> Iterator[str]:
+def _helix_warning(scan: Scan, suspects: Sequence[int], axis: Float[np.ndarray, " 3"]) -> Iterator[str]:
     """One sentence where a helix sees some object from too few directions: its worst one, and how many more."""
     lacking = {}
     for i in suspects:
         points = points_of(scan.scene.objects[i][0], _POINTS)[0]
-        seen = ~_missed(frames, points, scan.geometry.panel)[0]
-        if len(points) and (share := lacks_directions(frames[:, 0], axis, points, seen).mean()) > 0:
+        seen = ~_missed(scan.geometry, points)[0]
+        if len(points) and (share := lacks_directions(scan.geometry.source, axis, points, seen).mean()) > 0:
             lacking[i] = share
     if lacking:
         worst = max(lacking, key=lambda i: lacking[i])
@@ -200,16 +201,16 @@ def _name(scan: Scan, material: int | tuple[int, ...]) -> str:
 
 
 def _missed(
-    frames: Float[np.ndarray, "view 4 3"],
+    geometry: Geometry,
     points: Float[np.ndarray, "point 3"],
-    panel: Panel,
     upright: bool = True,
 ) -> tuple[Bool[np.ndarray, "view point"], float]:
     """Return the points that no pixel sees, and the largest distance beyond the panel [mm].
 
     Points behind the source count as not seen. Without `upright`, what leaves the panel above or below counts as seen.
     """
-    depth, column, row = np.moveaxis(on_panel(frames, points), -1, 0)
+    panel = geometry.panel
+    depth, column, row = np.moveaxis(on_panel(geometry, points), -1, 0)
     beyond = np.maximum(-0.5 - column, column - (panel.columns - 0.5)) * panel.column_pitch
     if upright:
         beyond = np.maximum(beyond, np.maximum(-0.5 - row, row - (panel.rows - 0.5)) * panel.row_pitch)

@@ -8,7 +8,7 @@ Orlov, and of Tuy 1983, doi:10.1137/0143035, in the plane of the turns).
 import numpy as np
 from jaxtyping import Bool, Float
 
-from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.poses import Geometry
 
 # Directions that lack are a gap of more than so many steps between views, as the point sees them: half of the views
 # are nearer to each other than the median, some by the ratio of the distances to the source.
@@ -19,24 +19,24 @@ _TRAVEL = 0.1
 _Z_ALIGNED = 0.999
 
 
-def helix_axis(frames: Float[np.ndarray, "view 4 3"], panel: Panel) -> Float[np.ndarray, " 3"] | None:
+def helix_axis(geometry: Geometry) -> Float[np.ndarray, " 3"] | None:
     """Return the axis along which the source travels as it turns.
 
     Parameters
     ----------
-    frames : source, vector to pixel (0, 0), column step and row step of each view [mm]
-    panel : pixel grid
+    geometry : poses
 
     Returns
     -------
     unit vector; None where the source does not travel, as on a circle
     """
-    columns = frames[:, 3] / np.linalg.norm(frames[:, 3], axis=1, keepdims=True)
+    columns = geometry.row_step / np.linalg.norm(geometry.row_step, axis=1, keepdims=True)
     axis = columns.mean(axis=0)
     if np.linalg.norm(axis) < _Z_ALIGNED:
         return None
     axis /= np.linalg.norm(axis)
-    return axis if np.ptp(frames[:, 0] @ axis) > _TRAVEL * panel.rows * panel.row_pitch else None
+    height = geometry.panel.rows * geometry.panel.row_pitch
+    return axis if np.ptp(geometry.source @ axis) > _TRAVEL * height else None
 
 
 def lacks_directions(

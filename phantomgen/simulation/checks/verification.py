@@ -137,11 +137,22 @@ def _check(
         scan, sampled_lengths(scan), _ENERGY_TOLERANCE, refine=False, step=STEP / FINER
     )
     share = None if pixels_per_scan is None else -(-pixels_per_scan // len(views))
-    edges = [_edge_errors(scan, transmission, settings, reference, int(view), share, rng, primary) for view in views]
-    edge = np.concatenate(edges)
+    modules = scan.geometry.panel.modules
+    numbers = [view * modules + module for view in views.tolist() for module in _some_modules(modules, share, rng)]
+    edge = np.concatenate(
+        [_edge_errors(scan, transmission, settings, reference, n, share, rng, primary) for n in numbers]
+    )
     ray = _ray_errors(scan, transmission, rays, rng)
     counted = len(edge) // len(scan.detector)
     return MeasuredError(*_rms_and_worst(edge), counted, len(views), *_rms_and_worst(ray), rays, _sub_rays(scan))
+
+
+def _some_modules(modules: int, count: int | None, rng: np.random.Generator) -> list[int]:
+    """All modules of a panel, or as many as pixels are wanted."""
+    if modules == 1:
+        return [0]
+    order = rng.permutation(modules)
+    return sorted(order[: count or modules].tolist())
 
 
 def _edge_errors(
@@ -154,9 +165,10 @@ def _edge_errors(
     rng: np.random.Generator,
     primary: Primary | None = None,
 ) -> Errors:
-    """Errors of all edge pixels of a view, or of `count` of them."""
-    frame, panel = scan.geometry.ray_frames()[view], scan.geometry.panel
-    beam = scan.scene.solids, spectrum_of(scan, transmission), scan.scene.background
+    """Errors of all edge pixels of a view of `Scan.by_module`, or of `count` of them."""
+    whole, scan = scan, scan.by_module
+    frame, panel = scan.geometry[[view]].ray_frames()[0], scan.geometry.panel
+    beam = scan.scene.solids, spectrum_of(scan, transmission, view), scan.scene.background
     found = expected_counts(frame, panel.rows, panel.columns, *beam, settings.sampling(scan.aperture))
     if settings.sub_rays == 1:  # rays through centres find no edges
         edges = expected_counts(frame, panel.rows, panel.columns, *beam, Sampling(sub_rays=2))
@@ -168,21 +180,26 @@ def _edge_errors(
         pixels = np.concatenate([pixels, chosen])
     if count is not None and len(pixels) > count:
         pixels = pixels[rng.choice(len(pixels), count, replace=False)]
-    brute = _brute(scan, reference, frame, pixels)
-    if primary is not None:
-        found = found._replace(counts=primary(view, transmission))
-    elif scan.effects.focal_spot is not None:
-        found = found._replace(counts=expected_view(scan, transmission, view, settings))
+    brute = _brute(scan, reference, view, frame, pixels)
     counts = found.counts[:, pixels[:, 0], pixels[:, 1]].T
-    left, wanted = counts / _level(scan, transmission, pixels), brute / _level(scan, reference, pixels)
+    number, module = divmod(view, whole.geometry.panel.modules)
+    on_whole = pixels + np.array([0, module * panel.columns])
+    if primary is not None or scan.effects.focal_spot is not None:
+        image = (
+            expected_view(whole, transmission, number, settings) if primary is None else primary(number, transmission)
+        )
+        counts = image[:, on_whole[:, 0], on_whole[:, 1]].T
+    left, wanted = counts / _level(scan, transmission, on_whole), brute / _level(scan, reference, on_whole)
     return log_errors(left, wanted, 1 / _sub_rays(scan)).ravel()
 
 
-def _brute(scan: Scan, reference: Transmission, frame: Float[np.ndarray, "4 3"], pixels: Pixels) -> np.ndarray:
+def _brute(
+    scan: Scan, reference: Transmission, view: int, frame: Float[np.ndarray, "4 3"], pixels: Pixels
+) -> np.ndarray:
     """Counts of pixels from a lattice of rays from each point of the source, in parallel pieces."""
     spot = scan.effects.focal_spot
     frames = [frame] if spot is None else spot.frames(frame, SPOT_POINTS)
-    beam = scan.scene.solids, spectrum_of(scan, reference), scan.scene.background
+    beam = scan.scene.solids, spectrum_of(scan, reference, view), scan.scene.background
     grid = _sub_rays(scan), scan.aperture, True
 
     def piece(part: Pixels) -> np.ndarray:
@@ -199,13 +216,15 @@ def _sub_rays(scan: Scan) -> int:
 
 def _ray_errors(scan: Scan, transmission: Transmission, count: int, rng: np.random.Generator) -> Errors:
     """Errors of random rays of random views, against all bins of the finer energy grid."""
-    frames, panel = scan.geometry.ray_frames(), scan.geometry.panel
-    frame = frames[rng.integers(len(frames), size=count)]
+    frames, panel = scan.by_module.geometry.ray_frames(), scan.by_module.geometry.panel
+    view = rng.integers(len(frames), size=count)
+    frame = frames[view]
     column, row = rng.uniform(-0.5, panel.columns - 0.5, count), rng.uniform(-0.5, panel.rows - 0.5, count)
     directions = frame[:, 1] + column[:, None] * frame[:, 2] + row[:, None] * frame[:, 3]
     lengths = trace(frame[:, 0], directions, scan.scene.solids, len(scan.scene.materials), scan.scene.background)
     met = lengths.any(axis=1)
     pixels = np.rint(np.stack([row[met], column[met]], axis=1)).astype(int)
+    pixels[:, 1] += (view[met] % scan.geometry.panel.modules) * panel.columns
     lengths = _beside_profile(scan, lengths[met], pixels)
     exact = fine_transmission(scan, step=STEP / FINER)
     left, wanted = (t.expected(lengths) / _level(scan, t, pixels) for t in (transmission, exact))

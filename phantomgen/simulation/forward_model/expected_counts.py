@@ -24,26 +24,47 @@ def expected_view(scan: Scan, transmission: Transmission, view: int, settings: S
     -------
     signals, (group, row, column)
     """
-    frame, spot = scan.geometry.ray_frames()[view], scan.effects.focal_spot
+    modules = scan.geometry.panel.modules
+    first = view * modules
+    frames = scan.by_module.geometry[first : first + modules].ray_frames()
+    middle = frames[modules // 2]  # the focal spot faces the middle of the panel
+    images = [
+        _expected_module(scan.by_module, transmission, first + module, frame, middle, settings)
+        for module, frame in enumerate(frames)
+    ]
+    return images[0] if modules == 1 else np.concatenate(images, axis=-1)
+
+
+def _expected_module(
+    scan: Scan,
+    transmission: Transmission,
+    view: int,
+    frame: Float[np.ndarray, "4 3"],
+    middle: Float[np.ndarray, "4 3"],
+    settings: Settings,
+) -> Groups:
+    """Expected signals of one module, whose focal spot lies along the steps of `middle`."""
+    spot = scan.effects.focal_spot
     if spot is None:
-        return exposed_frame(scan, transmission, frame, settings)
-    points = settings.spot or spot.points_for(spot.blur(frame, scan.scene.solids.balls[:, :3]))
-    frames = spot.frames(frame, points)
-    total = exposed_frame(scan, transmission, frames[0], settings)
+        return exposed_frame(scan, transmission, view, frame, settings)
+    points = settings.spot or spot.points_for(spot.blur(middle, scan.scene.solids.balls[:, :3]))
+    frames = spot.frames(frame, points, middle[2:])
+    total = exposed_frame(scan, transmission, view, frames[0], settings)
     for moved in frames[1:]:
-        total += exposed_frame(scan, transmission, moved, settings)
+        total += exposed_frame(scan, transmission, view, moved, settings)
     return total / len(frames)
 
 
 def exposed_frame(
-    scan: Scan, transmission: Transmission, frame: Float[np.ndarray, "4 3"], settings: Settings
+    scan: Scan, transmission: Transmission, view: int, frame: Float[np.ndarray, "4 3"], settings: Settings
 ) -> Groups:
     """Compute the expected signals of one view for rays of one source point.
 
     Parameters
     ----------
-    scan : what is simulated
+    scan : what is simulated, with a flat panel
     transmission : path lengths to signals
+    view : number of the view
     frame : source, vector to pixel (0, 0), column step and row step [mm]
     settings : how finely it is computed
 
@@ -52,23 +73,24 @@ def exposed_frame(
     signals, (group, row, column)
     """
     panel, scene = scan.geometry.panel, scan.scene
-    spectrum, sampling = spectrum_of(scan, transmission), settings.sampling(scan.aperture)
+    spectrum, sampling = spectrum_of(scan, transmission, view), settings.sampling(scan.aperture)
     return expected_counts(frame, panel.rows, panel.columns, scene.solids, spectrum, scene.background, sampling).counts
 
 
-def spectrum_of(scan: Scan, transmission: Transmission) -> Spectrum:
+def spectrum_of(scan: Scan, transmission: Transmission, view: int = 0) -> Spectrum:
     """Return the energies of the beam as `phantomgen.ops.expected_counts` takes them.
 
     Parameters
     ----------
     scan : what is simulated
     transmission : path lengths to signals
+    view : number of the view
 
     Returns
     -------
     the energies, with the profile of the beam
     """
-    return Spectrum(transmission.columns, transmission.weights, transmission.starts, scan.profile_lengths)
+    return Spectrum(transmission.columns, transmission.weights, transmission.starts, scan.view_profile(view))
 
 
 def open_beam(scan: Scan, transmission: Transmission) -> Groups:

@@ -34,7 +34,7 @@ def identity(scan: Scan, settings: Settings, transmission: Transmission, options
     return {
         "scene": digest(scan.text),
         "objects": digest(scan.scene.solids),
-        "geometry": digest(scan.geometry.ray_frames()),
+        "geometry": digest(scan.by_module.geometry.ray_frames()),
         "energies": digest(energies),
         "settings": digest(repr(settings)),
         "program or library version": digest(repr(sorted(versions.items()))),

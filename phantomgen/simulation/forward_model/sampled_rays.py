@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.geometry.curved_panel import on_panel
 from phantomgen.ops.primitives import BALL, CONE, CYLINDER, HALFSPACE, TORUS
 from phantomgen.ops.trace import trace
 from phantomgen.scene.scan import Scan, SceneObjects
@@ -36,16 +37,16 @@ def sampled_lengths(scan: Scan) -> Float[np.ndarray, "ray material"]:
     -------
     path lengths [mm], (ray, material)
     """
-    objects, frames = scan.scene.objects, scan.geometry.ray_frames()
+    objects, geometry = scan.scene.objects, scan.geometry
     many = len(objects) > _MANY
     picked = _largest(scan.scene) if many else range(len(objects))
     targets = np.concatenate([points_of(objects[i][0], _RAYS_PER_OBJECT)[0] for i in picked])
-    frames = frames[:: max(1, -(-len(frames) * len(targets) // (_RAYS if many else _MOST_RAYS)))]
-    to_target = targets[None] - frames[:, None, 0]
-    depth = on_panel(frames, targets)[..., 0]
+    geometry = geometry[:: max(1, -(-len(geometry) * len(targets) // (_RAYS if many else _MOST_RAYS)))]
+    to_target = targets[None] - geometry.source[:, None]
+    depth = on_panel(geometry, targets)[..., 0]
     in_front = depth > 1e-6
     directions = to_target[in_front] / depth[in_front][:, None]
-    origins = np.broadcast_to(frames[:, None, 0], to_target.shape)[in_front]
+    origins = np.broadcast_to(geometry.source[:, None], to_target.shape)[in_front]
     return trace(origins, directions, scan.scene.solids, len(scan.scene.materials), scan.scene.background)
 
 
@@ -58,26 +59,6 @@ def _largest(scene: SceneObjects) -> list[int]:
     materials = solids.materials[first_rows][by_size]
     share = max(1, _MANY // len(scene.materials))
     return [int(i) for m in range(len(scene.materials)) for i in by_size[materials == m][:share]]
-
-
-def on_panel(
-    frames: Float[np.ndarray, "view 4 3"], points: Float[np.ndarray, "point 3"]
-) -> Float[np.ndarray, "view point 3"]:
-    """Project points onto the panel in every view.
-
-    Parameters
-    ----------
-    frames : source, vector to pixel (0, 0), column step and row step of each view [mm]
-    points : points [mm], (point, 3)
-
-    Returns
-    -------
-    depth (0 at the source, 1 on the panel), column and row, (view, point, 3)
-    """
-    inverse = np.linalg.inv(np.moveaxis(frames[:, 1:], 1, 2))
-    scaled = np.einsum("vij,vpj->vpi", inverse, points[None] - frames[:, None, 0])
-    depth = scaled[..., :1]
-    return np.concatenate([depth, scaled[..., 1:] / np.where(depth == 0, 1.0, depth)], axis=-1)
 
 
 def points_of(shape: Shape, count: int) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "surface 3"]]:

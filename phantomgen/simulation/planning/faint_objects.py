@@ -136,13 +136,14 @@ class FaintObjects:
 
 def _signals(scan: Scan, transmission: Transmission) -> Iterator[tuple[float, int]]:
     """Own signal and number of each faint object, by rays through points of it."""
-    views = _views(scan)
+    views, modules = _views(scan), scan.geometry.panel.modules
+    middles = scan.by_module.geometry[views * modules + modules // 2].ray_frames()
     for i, (shape, _) in enumerate(scan.scene.objects):
         points = points_of(shape, _RAYS)[0][:_RAYS]
         if not len(points):
             continue
-        frames = np.repeat(scan.geometry.ray_frames()[views], len(points), axis=0)
-        targets = np.tile(points, (len(views), 1))
+        frames = np.repeat(middles, len(points), axis=0)
+        targets = np.tile(points, (len(middles), 1))
         pixels = np.linalg.solve(np.moveaxis(frames[:, 1:], 1, 2), (targets - frames[:, 0])[:, :, None])[:, :, 0]
         front = pixels[:, 0] > 1e-6
         directions = (targets - frames[:, 0])[front] / pixels[front, :1]
@@ -162,15 +163,18 @@ def _faint_object(scan: Scan, transmission: Transmission, signal: float, number:
     """An object with windows around its outline, or around a part of that where it is large."""
     shape, material = scan.scene.objects[number]
     alone = replace(scan, scene=replace(scan.scene, objects=((shape, material),)))
-    rng, windows = np.random.default_rng(_SEED), []
+    rng, windows, modules, flat = np.random.default_rng(_SEED), [], scan.geometry.panel.modules, scan.by_module
     for view in _views(scan):
-        classes = exposed(alone, transmission, whole(scan, int(view)), Settings(sub_rays=2)).classes
+        numbers = range(view * modules, (view + 1) * modules)
+        seen = {n: exposed(alone, transmission, whole(flat, n), Settings(sub_rays=2)).classes for n in numbers}
+        best = max(numbers, key=lambda n: (seen[n] >= CROSSED).sum())
+        classes = seen[best]
         edges = np.argwhere(classes >= CROSSED)
         if len(edges):
             middle = edges.mean(axis=0).round().astype(int)
-            window = around(scan, int(view), classes, *middle.tolist())
+            window = around(flat, best, classes, *middle.tolist())
             if not (window.classes >= CROSSED).any():
-                window = around(scan, int(view), classes, *edges[rng.integers(len(edges))].tolist())
+                window = around(flat, best, classes, *edges[rng.integers(len(edges))].tolist())
             windows.append(window)
     indices = material if isinstance(material, tuple) else (material,)
     name = ", ".join(scan.scene.materials[i].name for i in indices)

@@ -57,7 +57,23 @@ def windows_of(scan: Scan, transmission: Transmission, rng: np.random.Generator)
     the windows
     """
     views = np.unique(np.linspace(0, len(scan.geometry) - 1, VIEWS).round().astype(int))
-    return tuple(w for view in views for w in _windows(scan, transmission, int(view), rng))
+    flat, modules = scan.by_module, scan.geometry.panel.modules
+    return tuple(w for view in views for w in _module_windows(flat, transmission, int(view), modules, rng))
+
+
+def _module_windows(
+    scan: Scan, transmission: Transmission, view: int, modules: int, rng: np.random.Generator
+) -> list[Window]:
+    """Windows of some modules of a view; of those with edges, where there are any."""
+    if modules == 1:
+        return list(_windows(scan, transmission, view, rng))
+    with_edges, without = [], []
+    for number in view * modules + rng.permutation(modules):
+        for window in _windows(scan, transmission, int(number), rng):
+            (with_edges if (window.classes >= CROSSED).any() else without).append(window)
+        if len(with_edges) >= _MOST_WINDOWS:
+            break
+    return with_edges or without[:_MOST_WINDOWS]
 
 
 def _windows(scan: Scan, transmission: Transmission, view: int, rng: np.random.Generator) -> Iterator[Window]:
@@ -123,7 +139,7 @@ def whole(scan: Scan, view: int) -> Window:
 
     Parameters
     ----------
-    scan : what is simulated
+    scan : what is simulated, with a flat panel
     view : number of the view
 
     Returns
@@ -132,7 +148,7 @@ def whole(scan: Scan, view: int) -> Window:
     """
     panel = scan.geometry.panel
     size = (panel.rows, panel.columns)
-    return Window(scan.geometry.ray_frames()[view], size, np.empty((0, 0), np.uint8), scan.profile_lengths)
+    return Window(scan.geometry.ray_frames()[view], size, np.empty((0, 0), np.uint8), scan.view_profile(view))
 
 
 def around(scan: Scan, view: int, classes: UInt8[np.ndarray, "row column"], row: int, column: int) -> Window:
@@ -140,7 +156,7 @@ def around(scan: Scan, view: int, classes: UInt8[np.ndarray, "row column"], row:
 
     Parameters
     ----------
-    scan : what is simulated
+    scan : what is simulated, with a flat panel
     view : number of the view
     classes : classes of the pixels of the whole view
     row, column : the pixel
@@ -155,7 +171,8 @@ def around(scan: Scan, view: int, classes: UInt8[np.ndarray, "row column"], row:
     part = (slice(top, top + size[0]), slice(left, left + size[1]))
     frame = scan.geometry.ray_frames()[view].copy()
     frame[1] += left * frame[2] + top * frame[3]
-    profile = None if scan.profile is None else np.ascontiguousarray(scan.profile.lengths[:, *part])
+    lengths = scan.view_profile(view)
+    profile = None if lengths is None else np.ascontiguousarray(lengths[:, *part])
     return Window(frame, size, classes[part], profile)
 
 

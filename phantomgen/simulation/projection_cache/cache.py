@@ -339,7 +339,7 @@ def fingerprint(scan: Scan, energy: Float[np.ndarray, " energy"]) -> dict[str, s
     return {
         "objects": digest(scan.scene.solids),
         "materials": digest((attenuation(scan, energy), scan.scene.background)),
-        "geometry or panel": digest((scan.geometry.ray_frames(), panel.rows, panel.columns, scan.sub_rays)),
+        "geometry or panel": digest((scan.by_module.geometry.ray_frames(), panel.rows, panel.columns, scan.sub_rays)),
         "effects.focal_spot": digest(scan.effects.focal_spot),
         "effects.aperture": digest(scan.effects.aperture),
     }

@@ -63,4 +63,4 @@ def test_half_a_turn_of_the_axis_is_panel_height_over_magnification(pitch):
 
 def test_a_circle_has_no_helix_axis():
     scan = load_scene("kedge-small", ["geometry.views=8"])
-    assert helix_axis(scan.geometry.ray_frames(), scan.geometry.panel) is None
+    assert helix_axis(scan.geometry) is None
