@@ -79,24 +79,26 @@ def module_frames(geometry: Geometry) -> Float[np.ndarray, "view module 4 3"]:
     return flat_modules(geometry).ray_frames().reshape(len(geometry), geometry.panel.modules, 4, 3)
 
 
-def split_modules(images: Array, modules: int) -> Array:
+def split_modules(images: Array, modules: int, views: int = 0) -> Array:
     """Divide images of a curved panel into those of its modules.
 
     Parameters
     ----------
-    images : (view, ..., row, column)
+    images : (..., view, ..., row, column)
     modules : number of modules
+    views : axis of the views
 
     Returns
     -------
-    images, (view x module, ..., row, column)
+    images, (..., view x module, ..., row, column)
     """
     if modules == 1:
         return images
-    parts: Any = images.reshape(*images.shape[:-1], modules, -1)
-    for axis in range(parts.ndim - 2, 1, -1):
+    shape = images.shape
+    parts: Any = images.reshape(*shape[:-1], modules, -1)
+    for axis in range(parts.ndim - 2, views + 1, -1):
         parts = parts.swapaxes(axis, axis - 1)
-    return parts.reshape(images.shape[0] * modules, *images.shape[1:-1], -1)
+    return parts.reshape(*shape[:views], shape[views] * modules, *shape[views + 1 : -1], -1)
 
 
 def join_modules(images: Array, modules: int, views: int = 0) -> Array:
@@ -167,6 +169,26 @@ def on_plane(
     scaled = np.einsum("vij,vpj->vpi", inverse, points[None] - frames[:, None, 0])
     depth = scaled[..., :1]
     return np.concatenate([depth, scaled[..., 1:] / np.where(depth == 0, 1.0, depth)], axis=-1)
+
+
+def ray_directions(
+    geometry: Geometry, columns: Float[np.ndarray, " column"], rows: Float[np.ndarray, " row"]
+) -> Float[np.ndarray, "view row column 3"]:
+    """Compute vectors from the source to points of the panel.
+
+    Parameters
+    ----------
+    geometry : poses
+    columns, rows : places on the panel, which may lie between the centres of pixels, and beyond the panel
+
+    Returns
+    -------
+    vectors [mm], (view, row, column, 3)
+    """
+    frames, width = module_frames(geometry), geometry.panel.columns // geometry.panel.modules
+    module = np.clip(np.floor((columns + 0.5) / width), 0, geometry.panel.modules - 1).astype(np.int64)
+    along = frames[:, module, 1] + (columns - module * width)[:, None] * frames[:, module, 2]
+    return along[:, None] + rows[:, None, None] * frames[:, module, 3][:, None]
 
 
 def shifted_along(geometry: Geometry, distance: float) -> Geometry:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from phantomgen.geometry.curved_panel import ray_directions
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements
@@ -78,7 +79,7 @@ def coverage(measured: Measurements, grid: Grid) -> Coverage:
     sides = _leaving(some, size)
     middle = (np.append(columns[1:], panel.columns) + columns - 1) / 2, (np.append(rows[1:], panel.rows) + rows - 1) / 2
     block = float(np.median(_pixel_height(some.geometry)) * size)
-    paths = _paths(some.geometry.ray_frames(), *middle, grid, block)
+    paths = _paths(some.geometry, *middle, grid, block)
     seen = blocks.attenuated
     count = max(int(seen.sum()), 1)
     beside, above = ((seen & miss).sum() / count for miss in (paths.beside, paths.missed & ~paths.beside))
@@ -211,12 +212,9 @@ def _leaving(measured: Measurements, size: int) -> Bool[np.ndarray, "view side"]
     return found
 
 
-def _paths(
-    frames: Float[np.ndarray, "view 4 3"], columns: np.ndarray, rows: np.ndarray, grid: Grid, spare: float = 0.0
-) -> _RayPaths:
+def _paths(geometry: Geometry, columns: np.ndarray, rows: np.ndarray, grid: Grid, spare: float = 0.0) -> _RayPaths:
     """Paths of the rays through points of the panel; rays miss the grid if they pass it by more than `spare` [mm]."""
-    source, first, step, down = (frames[:, None, None, i] for i in range(4))
-    direction = first + columns[None, None, :, None] * step + rows[None, :, None, None] * down
+    source, direction = geometry.source[:, None, None], ray_directions(geometry, columns, rows)
     flat = np.maximum(np.sum(direction[..., :2] ** 2, axis=-1), 1e-30)
     across = np.abs(source[..., 0] * direction[..., 1] - source[..., 1] * direction[..., 0]) / np.sqrt(flat)
     nearest = -np.sum(source[..., :2] * direction[..., :2], axis=-1) / flat
@@ -231,7 +229,7 @@ def _paths(
         enter, leave = np.maximum(enter, np.minimum(a, b)), np.minimum(leave, np.maximum(a, b))
         if name == "y":
             beside = enter >= leave
-    distance = np.linalg.norm(frames[:, 0, :2], axis=1)[:, None, None]
+    distance = np.linalg.norm(geometry.source[:, :2], axis=1)[:, None, None]
     return _RayPaths(across, distance, np.broadcast_to(source[..., 2], height.shape), height, beside, enter >= leave)
 
 
@@ -248,7 +246,7 @@ def border_distances(geometry: Geometry) -> Float[np.ndarray, "view 2"]:
     """
     panel = geometry.panel
     columns = np.array([-0.5, panel.columns - 0.5])
-    return _paths(geometry.ray_frames(), columns, np.array([(panel.rows - 1) / 2]), Grid.cube(1, 1.0)).across[:, 0]
+    return _paths(geometry, columns, np.array([(panel.rows - 1) / 2]), Grid.cube(1, 1.0)).across[:, 0]
 
 
 def _met_from_opposite(some: Geometry, every: Geometry) -> Bool[np.ndarray, "view 2"]:
@@ -257,9 +255,8 @@ def _met_from_opposite(some: Geometry, every: Geometry) -> Bool[np.ndarray, "vie
     The other end is where a ray leaves the circle on which the source moves. A view nearby in azimuth suffices, by the
     gaps that so many views leave on a circle.
     """
-    source, first, step, down = (part[:, None, :2] for part in np.moveaxis(some.ray_frames(), 1, 0))
-    columns = np.array([-0.5, some.panel.columns - 0.5])[None, :, None]
-    direction = first + columns * step + (some.panel.rows - 1) / 2 * down
+    columns, row = np.array([-0.5, some.panel.columns - 0.5]), np.array([(some.panel.rows - 1) / 2])
+    source, direction = some.source[:, None, :2], ray_directions(some, columns, row)[:, 0, :, :2]
     flat = np.maximum(np.sum(direction**2, axis=-1, keepdims=True), 1e-30)
     x, y = np.moveaxis(source - 2 * np.sum(source * direction, axis=-1, keepdims=True) / flat * direction, -1, 0)
     wanted, there = np.arctan2(y, x), np.arctan2(every.source[:, 1], every.source[:, 0])
@@ -271,7 +268,7 @@ def _pixel_height(geometry: Geometry) -> Float[np.ndarray, " view"]:
     """Distance of two rows of the panel as seen at the axis [mm]."""
     panel = geometry.panel
     rows = (panel.rows - 1) / 2 + np.array([-0.5, 0.5])
-    heights = _paths(geometry.ray_frames(), np.array([(panel.columns - 1) / 2]), rows, Grid.cube(1, 1.0)).height
+    heights = _paths(geometry, np.array([(panel.columns - 1) / 2]), rows, Grid.cube(1, 1.0)).height
     return np.abs(np.diff(heights[:, :, 0], axis=1))[:, 0]
 
 

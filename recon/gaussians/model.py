@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
+from phantomgen.geometry.curved_panel import module_frames
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.disk import one_sentence
@@ -284,7 +285,7 @@ class Gaussians(GaussianModel):
         -------
         line integrals, (V, M, R, K), differentiable in all arrays of the model [no unit]
         """
-        frames = torch.from_numpy(geometry.ray_frames())
+        frames = torch.from_numpy(module_frames(geometry))
         parts = (self.centres, self.log_scales, self.quaternions, self.coefficients)
         return rasterize(*parts, frames, geometry.panel.rows, geometry.panel.columns)
 

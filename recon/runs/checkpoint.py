@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
+from phantomgen.geometry.curved_panel import flat_modules
 from phantomgen.runtime.disk import one_sentence
 from phantomgen.runtime.versions import environment
 from recon.data.array_store import release
@@ -117,7 +118,13 @@ def identity(measured: Measurements, options: dict[str, Any]) -> dict[str, str]:
     """
     found = sha256()
     model = measured.transmission
-    arrays = (measured.counts, measured.gains, measured.exposure, measured.geometry.ray_frames(), measured.profile)
+    arrays = (
+        measured.counts,
+        measured.gains,
+        measured.exposure,
+        flat_modules(measured.geometry).ray_frames(),
+        measured.profile,
+    )
     for array in (*arrays, model.columns, model.weights, model.starts):
         values = np.ascontiguousarray(array if array is not None else [])
         found.update(repr((values.dtype.str, values.shape)).encode())

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
+from phantomgen.geometry.curved_panel import module_frames
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
@@ -85,7 +86,7 @@ def voxel_lengths(
     line integrals [no unit]
     """
     panel = geometry.panel
-    images = project(materials.astype(np.float32), grid, geometry.ray_frames(), panel.rows, panel.columns)
+    images = project(materials.astype(np.float32), grid, module_frames(geometry), panel.rows, panel.columns)
     return np.moveaxis(np.asarray(images), 0, 1)
 
 
@@ -104,7 +105,7 @@ def gaussian_lengths(
     -------
     line integrals [no unit]
     """
-    panel, frames = geometry.panel, torch.from_numpy(geometry.ray_frames())
+    panel, frames = geometry.panel, torch.from_numpy(module_frames(geometry))
     shapes = (gaussians.centres, gaussians.log_scales, gaussians.quaternions)
     with torch.no_grad():
         return rasterize(*shapes, torch.from_numpy(amounts), frames, panel.rows, panel.columns).numpy()

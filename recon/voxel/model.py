@@ -8,6 +8,7 @@ from jaxtyping import Float
 from scipy.ndimage import map_coordinates
 from torch import Tensor
 
+from phantomgen.geometry.curved_panel import module_frames
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.project import project
@@ -40,7 +41,7 @@ class Voxels:
         one image per view and basis [no unit]
         """
         panel = geometry.panel
-        images = project(self.values, self.grid, geometry.ray_frames(), panel.rows, panel.columns)
+        images = project(self.values, self.grid, module_frames(geometry), panel.rows, panel.columns)
         return torch.from_numpy(np.moveaxis(images, 0, 1))
 
     def volume(self, grid: Grid) -> Float[np.ndarray, "basis z y x"]:

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.geometry.curved_panel import module_frames
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.project import project, project_transpose
@@ -20,7 +21,7 @@ Views = slice | np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class ProjectorPair:
-    """Matched projector pair between a grid and the views of a geometry, for any flat panel in any pose.
+    """Matched projector pair between a grid and the views of a geometry, for any panel in any pose.
 
     Parameters
     ----------
@@ -44,9 +45,9 @@ class ProjectorPair:
             )
 
     @cached_property
-    def frames(self) -> Float[np.ndarray, "view 4 3"]:
-        """Source, first pixel and pixel steps of every view [mm]."""
-        return self.geometry.ray_frames()
+    def frames(self) -> Float[np.ndarray, "view module 4 3"]:
+        """Source, first pixel and pixel steps of every module of the panel in every view [mm]."""
+        return module_frames(self.geometry)
 
     @cached_property
     def lengths(self) -> Weights:

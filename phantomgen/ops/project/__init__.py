@@ -1,4 +1,4 @@
-"""Line integrals of voxel volumes, and the exact transpose: a matched pair for any flat panel, cone or parallel.
+"""Line integrals of voxel volumes, and the exact transpose: a matched pair for any panel, cone or parallel.
 
 Of the projectors that were compared (`benchmarks/operators/voxel_projector.py`), this one errs least per time: where
 pixels are no wider than voxels it is Joseph's, and wider pixels are averaged over their area. Arrays give arrays. Torch
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from jaxtyping import Float, Float32
 
+from phantomgen.geometry.curved_panel import join_modules, split_modules
 from phantomgen.geometry.voxel_grid import Grid
 from spectra.errors import InputError
 
@@ -26,7 +27,7 @@ else:
 def project(
     volume: Float[Array, "component z y x"],
     grid: Grid,
-    frames: "Float[np.ndarray | Tensor, 'view 4 3']",
+    frames: "Float[np.ndarray | Tensor, 'view *module 4 3']",
     rows: int,
     columns: int,
     parallel: bool = False,
@@ -40,7 +41,8 @@ def project(
     frames : per view, as `Geometry.ray_frames` gives them, of rays ``frame[0] + t (frame[1] + u frame[2] + v
         frame[3])`` through column u and row v [mm]; if `parallel`, of rays ``frame[1] + u frame[2] + v frame[3] + t
         frame[0]``. Rays begin at t = 0, the source, and end at t = 1, the panel. With a tensor for the volume they may
-        be a tensor too, which then has gradients, of first order
+        be a tensor too, which then has gradients, of first order; (view, module, 4, 3) for modules side by side, as
+        `phantomgen.geometry.curved_panel.module_frames` gives them
     rows, columns : size of the panel
     parallel : whether rays are parallel
 
@@ -53,6 +55,10 @@ def project(
     InputError
         When the volume does not fit the grid, or frames are not four finite vectors per view.
     """
+    if frames.ndim == 4:
+        modules = frames.shape[1]
+        images = project(volume, grid, frames.reshape(-1, 4, 3), rows, columns // modules, parallel)
+        return join_modules(images, modules, views=1)
     if volume.shape[1:] != grid.shape:
         shape = tuple(volume.shape)
         raise InputError(f"a volume on a grid of shape {grid.shape} must end with these axes, got {shape}")
@@ -63,7 +69,7 @@ def project(
 def project_transpose(
     images: Float[Array, "component view row column"],
     grid: Grid,
-    frames: "Float[np.ndarray | Tensor, 'view 4 3']",
+    frames: "Float[np.ndarray | Tensor, 'view *module 4 3']",
     parallel: bool = False,
 ) -> Float32[Array, "component z y x"]:
     """Sum all pixels, each times the weight that `project` gives to a voxel.
@@ -82,6 +88,9 @@ def project_transpose(
     InputError
         When the images do not fit the views, or frames are not four finite vectors per view.
     """
+    if images.ndim == 4 and images.shape[1] == len(frames) and frames.ndim == 4:
+        parts = split_modules(images, frames.shape[1], views=1)
+        return project_transpose(parts, grid, frames.reshape(-1, 4, 3), parallel)
     if images.ndim != 4 or images.shape[1] != len(frames):
         shape = tuple(images.shape)
         raise InputError(f"images of {len(frames)} views must be (component, view, row, column), got {shape}")

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from phantomgen.dataset.reader import Dataset
+from phantomgen.geometry.curved_panel import module_frames
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.project import project
 from recon.data.measurements import read_measurements
@@ -41,7 +42,7 @@ class ChannelVoxels:
         test, panel = dataset.splits["test"], dataset.geometry.panel
         for first in range(0, len(test), VIEWS_AT_ONCE):
             measured = read_measurements(dataset, test[first : first + VIEWS_AT_ONCE], 1)
-            frames = measured.geometry.ray_frames()
+            frames = module_frames(measured.geometry)
             lengths = np.moveaxis(project(self.values, self.grid, frames, panel.rows, panel.columns), 0, 1)
             open_beam = measured.exposure[:, :, None, None] * (measured.gains * measured.open_beam)
             for counts, air, length in zip(measured.counts, open_beam, lengths, strict=True):

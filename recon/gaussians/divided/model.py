@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from phantomgen.geometry.curved_panel import module_frames
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.gaussians.initial.local_frame import rotations, unit
@@ -130,7 +131,7 @@ class DividedGaussians(GaussianModel):
         -------
         line integrals, (V, M, R, K), differentiable in all arrays of the model [no unit]
         """
-        frames = torch.from_numpy(geometry.ray_frames())
+        frames = torch.from_numpy(module_frames(geometry))
         panel = (geometry.panel.rows, geometry.panel.columns)
         return rasterize_divided(self._arrays(), frames, panel, Projector(cutoff=CUTOFF))
 

@@ -5,6 +5,7 @@ import torch
 from jaxtyping import Float, Float32, Int64
 from torch import Tensor
 
+from phantomgen.geometry.curved_panel import join_modules
 from phantomgen.ops.simd import WIDTH as LANES
 from recon.ops.arguments import RayFrame, inverse_frames
 from recon.ops.cpu_function import apply_on_cpu
@@ -25,7 +26,7 @@ BANDS = 4  # pieces of work that the rows of a view are shared between
 
 def rasterize_divided(
     gaussians: DividedTensors,
-    frames: Float[Tensor, "view 4 3"],
+    frames: Float[Tensor, "view *module 4 3"],
     panel: tuple[int, int],
     projector: Projector,
 ) -> Float[Tensor, "view basis row column"]:
@@ -34,7 +35,8 @@ def rasterize_divided(
     Parameters
     ----------
     gaussians : the Gaussians
-    frames : rays of the views, by `phantomgen.geometry.poses.Geometry.ray_frames`
+    frames : rays of the views, by `phantomgen.geometry.poses.Geometry.ray_frames`; or (view, module, 4, 3) of modules
+        side by side
     panel : rows and columns
     projector : over which area a pixel averages, and where Gaussians end; the exact one
 
@@ -47,6 +49,9 @@ def rasterize_divided(
     ----------
     `recon.ops.interface.reference` has the formula and its source.
     """
+    if frames.ndim == 4:
+        modules, flat, module = frames.shape[1], frames.reshape(-1, 4, 3), (panel[0], panel[1] // frames.shape[1])
+        return join_modules(rasterize_divided(gaussians, flat, module, projector), modules)
     call = _Call(gaussians, frames, panel, projector)
     images = apply_on_cpu(lambda _: call, gaussians)
     if not call.near.any():

@@ -1,10 +1,11 @@
-"""Rasterize: exact line integrals of Gaussians along the rays of a flat panel."""
+"""Rasterize: exact line integrals of Gaussians along the rays of a panel."""
 
 from importlib.util import find_spec
 
 from jaxtyping import Float
 from torch import Tensor
 
+from phantomgen.geometry.curved_panel import join_modules
 from recon.ops.arguments import GaussianTensors, check_shapes
 from recon.ops.cpu_function import apply_on_cpu
 from recon.ops.rasterize.cpu_calls import RasterizeCall
@@ -18,7 +19,7 @@ def rasterize(
     log_scales: Float[Tensor, "gaussian 3"],
     quaternions: Float[Tensor, "gaussian 4"],
     coefficients: Float[Tensor, "gaussian basis"],
-    frames: Float[Tensor, "view 4 3"],
+    frames: Float[Tensor, "view *module 4 3"],
     rows: int,
     columns: int,
     projector: Projector = EXACT,
@@ -34,7 +35,7 @@ def rasterize(
     quaternions : orientation (w, x, y, z); normalised here
     coefficients : value at the centre per basis [1/mm]
     frames : per view source, d0, column step and row step [mm], by `phantomgen.geometry.poses.Geometry.ray_frames`;
-        poses are arbitrary, and the source may be as far as 1e9 mm
+        poses are arbitrary, and the source may be as far as 1e9 mm; or (view, module, 4, 3) of modules side by side
     rows, columns : size of the panel
     projector : over which area a pixel averages, where Gaussians end, and which formula holds
 
@@ -60,6 +61,10 @@ def rasterize(
     |d| sqrt(2 pi) / |v| exp(-|u x v|^2 / (2 |v|^2)); exact for any cone angle, offset, tilt and pose. Local-affine:
     Zha et al. 2024, R2-Gaussian, arXiv:2405.20693.
     """
+    if frames.ndim == 4:
+        modules, flat = frames.shape[1], frames.reshape(-1, 4, 3)
+        parts = centres, log_scales, quaternions, coefficients
+        return join_modules(rasterize(*parts, flat, rows, columns // modules, projector), modules)
     check_shapes(
         "rasterize", centres=centres, log_scales=log_scales, quaternions=quaternions, coefficients=coefficients
     )

@@ -11,6 +11,7 @@ from phantomgen.dataset.truth import Truth
 from phantomgen.display.figures.style import MILLI, PAGE_WIDTH, UNIT, figure_file
 from phantomgen.display.html import picture
 from phantomgen.display.html.content import csv_of
+from phantomgen.geometry.curved_panel import module_frames
 from phantomgen.ops.project import project
 from recon.data.measurements import matching_bin, read_measurements
 from recon.data.view_subsets import evenly_spread_views, view_groups
@@ -99,7 +100,7 @@ def material_limits(dataset: Dataset, truth: Truth) -> dict[str, dict[str, float
     total = np.zeros((len(filled), bases, len(filled), bases))
     for view in range(len(picked)):
         one = measured[[view]]
-        lengths = project(shares, truth.grid, one.geometry.ray_frames(), panel.rows, panel.columns)[:, 0]
+        lengths = project(shares, truth.grid, module_frames(one.geometry), panel.rows, panel.columns)[:, 0]
         integrals = np.einsum("krc,km->mrc", lengths, coefficients)
         information = ray_information(one, integrals[None], 0.0)[0]
         weighted = np.einsum("krc,rcmn->krcmn", lengths, information, optimize=True)

@@ -58,7 +58,7 @@ class Rays:
         self.met, self.met_numbers = met, np.flatnonzero(met)
         mask = np.flatnonzero(met & (bright > FOREGROUND * bright.max(initial=0.0)))
         self.mask = mask if len(mask) else self.met_numbers
-        self.frames = pair.frames
+        self.frames = pair.geometry.ray_frames()
         first = np.array(grid.origin[::-1]) - np.array(grid.spacing[::-1]) / 2
         size = np.array(grid.shape[::-1]) * grid.spacing[::-1]
         self.low, self.high = first, first + size

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.geometry.curved_panel import module_frames
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.project import project, project_transpose
@@ -104,7 +105,7 @@ def forward(volumes: Volumes, geometry: Geometry, grid: Grid) -> Images:
     one image per basis and view [no unit]
     """
     panel = geometry.panel
-    return project(volumes, grid, geometry.ray_frames(), panel.rows, panel.columns)
+    return project(volumes, grid, module_frames(geometry), panel.rows, panel.columns)
 
 
 def transpose(images: Images, geometry: Geometry, grid: Grid) -> Volumes:
@@ -120,7 +121,7 @@ def transpose(images: Images, geometry: Geometry, grid: Grid) -> Volumes:
     -------
     one volume per basis, in units of the images times mm
     """
-    return project_transpose(images, grid, geometry.ray_frames())
+    return project_transpose(images, grid, module_frames(geometry))
 
 
 def _portions(measurements: Measurements) -> Iterator[Measurements]:
