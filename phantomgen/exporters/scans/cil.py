@@ -22,7 +22,8 @@ scan, name = load()
 (nz, ny, nx), (dz, dy, dx), (z, y, x) = (scan["grid"][key] for key in ("shape", "spacing", "center"))
 grid = ImageGeometry(nx, ny, nz, dx, dy, dz, x, y, z)
 if scan["flex"]:
-    poses = AcquisitionGeometry.create_Cone3D_Flex(*(list(v) for v in np.load("vectors.npz").values()))
+    with np.load("vectors.npz") as stored:
+        poses = AcquisitionGeometry.create_Cone3D_Flex(*(list(vectors) for vectors in stored.values()))
     poses.set_panel((scan["columns"], scan["rows"]), (scan["column_pitch"], scan["row_pitch"]), origin="top-left")
     data = AcquisitionData(np.load(f"{scan['files'][name]}.npy").transpose(1, 0, 2), geometry=poses)  # vertical first
     solver = SIRT(grid.allocate(0), ProjectionOperator(grid, poses), data)

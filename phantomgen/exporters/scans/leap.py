@@ -15,7 +15,8 @@ from spectra.errors import GeometryError
 KINDS: tuple[Kind, ...] = ("line-integrals",)
 SCRIPT = """
 scan, name = load()
-poses = np.load("geometry.npz")
+with np.load("geometry.npz") as stored:
+    poses = dict(stored)
 leap = tomographicModels()
 sizes = len(poses["source"]), scan["rows"], scan["columns"], scan["row_pitch"], scan["column_pitch"]
 leap.set_modularbeam(*sizes, *(poses[key] for key in ("source", "center", "row", "column")))

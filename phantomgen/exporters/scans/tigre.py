@@ -13,7 +13,8 @@ KINDS: tuple[Kind, ...] = ("line-integrals",)
 SCRIPT = """
 scan, name = load()
 geometry = tigre.geometry(mode=scan["mode"], default=False)
-fields = dict(np.load("geometry.npz"))
+with np.load("geometry.npz") as stored:
+    fields = dict(stored)
 angles = fields.pop("angles")
 for field, value in fields.items():
     setattr(geometry, field, value)

@@ -13,7 +13,8 @@ KINDS: tuple[Kind, ...] = ("line-integrals",)
 SCRIPT = """
 scan, name = load()
 create = ts.parallel_vec if scan["parallel"] else ts.cone_vec
-poses = create(shape=(scan["rows"], scan["columns"]), **np.load("vectors.npz"))
+with np.load("vectors.npz") as stored:
+    poses = create(shape=(scan["rows"], scan["columns"]), **stored)
 grid = scan["grid"]
 size = np.multiply(grid["shape"], grid["spacing"])
 middle = np.array(grid["origin"]) + (size - grid["spacing"]) / 2

@@ -118,9 +118,11 @@ def test_the_poses_in_the_folders_are_those_of_the_scan(written, scan):
     panel = geometry.panel
     vectors = np.load(written / "astra/vectors.npy")
     assert largest_difference(from_astra("cone_vec", 16, 16, vectors), geometry) < NEAR
-    found = from_tomosipo((16, 16), **np.load(written / "tomosipo/vectors.npz"))
+    with np.load(written / "tomosipo/vectors.npz") as stored:
+        found = from_tomosipo((16, 16), **stored)
     assert largest_difference(found, geometry) < NEAR
-    fields = dict(np.load(written / "tigre/geometry.npz"))
+    with np.load(written / "tigre/geometry.npz") as stored:
+        fields = dict(stored)
     assert fields["angles"].shape == (5,)
     np.testing.assert_allclose(fields["nVoxel"] * fields["dVoxel"], fields["sVoxel"])
     angles = np.pad(fields["angles"][:, None], ((0, 0), (0, 2)))
