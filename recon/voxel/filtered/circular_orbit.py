@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
+from recon.voxel.filtered.flat_panel import flat_equivalent
 from spectra.errors import GeometryError
 
 # Tolerances of an orbit; all chosen by hand, not measured.
@@ -77,6 +78,7 @@ def circular_orbit_of(geometry: Geometry, grid: Grid | None = None) -> CircularO
         Unless views stand evenly on a full circle about the z axis or on an arc of at least half a turn and the fan,
         and the panel covers the axis; the sentence names the reason.
     """
+    geometry = flat_equivalent(geometry)
     if len(geometry) < 2:
         raise _refusal(geometry, "it has fewer than two views")
     sod = np.linalg.norm(geometry.source[:, :2], axis=1)

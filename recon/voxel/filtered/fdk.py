@@ -1,7 +1,7 @@
 """Filtered back-projection of cone-beam data (Feldkamp, Davis, Kress 1984, doi:10.1364/JOSAA.1.000612).
 
-Full circles, half-fan panels that see one side of the axis only, short scans of half a turn and the fan, tilted panels,
-and parallel beams; `recon.voxel.filtered.circular_orbit` says which orbits those are.
+Full circles, half-fan panels that see one side of the axis only, short scans of half a turn and the fan, tilted and
+curved panels, and parallel beams; `recon.voxel.filtered.circular_orbit` says which orbits those are.
 """
 
 from dataclasses import dataclass, replace
@@ -15,6 +15,7 @@ from phantomgen.geometry.voxel_grid import Grid
 from recon.data.array_store import read_part
 from recon.ops.backproject import backproject
 from recon.voxel.filtered.circular_orbit import CircularOrbit, circular_orbit_of
+from recon.voxel.filtered.flat_panel import on_flat_panel
 from recon.voxel.filtered.ramp_filter import WINDOWS, ramp_filtered
 from recon.voxel.filtered.redundancy_weights import half_fan_weights, parker_weights
 from recon.voxel.filtered.z_aligned_panel import on_z_aligned_panel
@@ -102,6 +103,7 @@ def fdk(
     if window not in WINDOWS or not cutoff > 0:
         known = ", ".join(WINDOWS)
         raise InputError(f"a filter is a window ({known}) and a cutoff above 0, got {window!r} and {cutoff}")
+    line_integrals, geometry = on_flat_panel(line_integrals, geometry)
     circle = circular_orbit_of(geometry, grid)
     if not circle.is_z_aligned:
         line_integrals, geometry = on_z_aligned_panel(line_integrals, geometry, circle)
