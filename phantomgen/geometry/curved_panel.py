@@ -191,6 +191,25 @@ def ray_directions(
     return along[:, None] + rows[:, None, None] * frames[:, module, 3][:, None]
 
 
+def panel_edges(geometry: Geometry, view: int) -> Float[np.ndarray, "edge point 3"]:
+    """Return points on the outer edges of the panel before its first row and behind its last one.
+
+    Parameters
+    ----------
+    geometry : poses
+    view : number of the view
+
+    Returns
+    -------
+    points [mm], (2, point, 3): both ends of each edge, from the first to the last column, and where modules meet
+    """
+    modules = flat_modules(geometry[[view]])
+    columns = modules.column_step * modules.panel.columns / 2
+    middle = np.concatenate([modules.panel_center[:1] - columns[:1], modules.panel_center + columns])
+    rows = geometry.row_step[view] * geometry.panel.rows / 2
+    return np.stack([middle - rows, middle + rows])
+
+
 def shifted_along(geometry: Geometry, distance: float) -> Geometry:
     """Shift a panel the way its columns count; a curved one moves along its cylinder.
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from phantomgen.display.figures.style import BLACK, GRID, RED, check_picture, styled_figure
+from phantomgen.geometry.curved_panel import module_frames, on_panel, panel_edges, ray_directions
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.disk import complete_file
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BLUE, FAN, VOLUME = "#0072B2", "#E69F00", "0.45"
-_CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 _MOST_PANELS = 60  # panels that are drawn faintly beside that of view 0
 Points = Float[np.ndarray, "point 3"]
 Flat = Float[np.ndarray, "point 2"]
@@ -124,15 +124,13 @@ def field_of_view(geometry: Geometry) -> float:
     -------
     radius [mm]
     """
-    frames, panel = geometry.ray_frames(), geometry.panel
-    sides = []
-    for column in (-0.5, panel.columns - 0.5):
-        ray = frames[:, 1] + column * frames[:, 2] + (panel.rows - 1) / 2 * frames[:, 3]
-        moment = frames[:, 0, 0] * ray[:, 1] - frames[:, 0, 1] * ray[:, 0]
-        sides.append(moment / np.maximum(np.hypot(ray[:, 0], ray[:, 1]), 1e-9))
-    left, right = sides
-    on_panel = np.sign(left) != np.sign(right)
-    return float(np.where(on_panel, np.minimum(np.abs(left), np.abs(right)), 0.0).min())
+    panel, source = geometry.panel, module_frames(geometry)[:, 0, 0]
+    ends, middle = np.array([-0.5, panel.columns - 0.5]), np.array([(panel.rows - 1) / 2])
+    rays = ray_directions(geometry, ends, middle)[:, 0]
+    moments = source[:, :1] * rays[..., 1] - source[:, 1:2] * rays[..., 0]
+    left, right = (moments / np.maximum(np.hypot(rays[..., 0], rays[..., 1]), 1e-9)).T
+    covers_axis = np.sign(left) != np.sign(right)
+    return float(np.where(covers_axis, np.minimum(np.abs(left), np.abs(right)), 0.0).min())
 
 
 def _title(geometry: Geometry) -> str:
@@ -144,31 +142,30 @@ def _title(geometry: Geometry) -> str:
         else f"{panel.row_pitch:g} x {panel.column_pitch:g}"
     )
     views = f"{len(geometry)} view{'s' if len(geometry) > 1 else ''}"
-    return f"{geometry.kind} geometry: {views}, {panel.rows} x {panel.columns} pixels of {pitch} mm"
+    curved = "" if panel.curvature is None else f" on a radius of {panel.curvature.radius:g} mm"
+    return f"{geometry.kind} geometry: {views}, {panel.rows} x {panel.columns} pixels of {pitch} mm{curved}"
 
 
-def _panel_corners(geometry: Geometry, view: int) -> Points:
-    """Outer corners of the panel, closed."""
-    columns = geometry.column_step[view] * geometry.panel.columns / 2
-    rows = geometry.row_step[view] * geometry.panel.rows / 2
-    corners = geometry.panel_center[view] + _CORNERS[:, :1] * columns + _CORNERS[:, 1:] * rows
-    return np.concatenate([corners, corners[:1]])
+def _panel_outline(geometry: Geometry, view: int) -> Points:
+    """Outer edges of the panel, closed."""
+    first, last = panel_edges(geometry, view)
+    return np.concatenate([first, last[::-1], first[:1]])
 
 
 def _draw_side(axes: "Axes", side: _Side, geometry: Geometry, source: Points, grid: Grid | None) -> None:
     """The scan from one side."""
-    corners = _panel_corners(geometry, 0)
+    outline = _panel_outline(geometry, 0)
     for view in np.unique(np.linspace(0, len(geometry) - 1, _MOST_PANELS).astype(int))[1:]:
-        axes.plot(*side.flat(_panel_corners(geometry, int(view))).T, color=BLUE, alpha=0.13, linewidth=0.7)
+        axes.plot(*side.flat(_panel_outline(geometry, int(view))).T, color=BLUE, alpha=0.13, linewidth=0.7)
     ways = side.flat(source)
     start = "beam comes from" if geometry.is_parallel else "source"
     order = {"c": np.arange(len(ways)), "cmap": "YlOrRd", "vmin": -0.6 * len(ways), "s": 9}
     axes.scatter(*ways.T, **order, zorder=3, label=f"{start}, first to last view")
-    starts = source[:1] if not geometry.is_parallel else corners[:4] + (source[0] - geometry.panel_center[0])
-    fan = np.concatenate([side.flat(starts), side.flat(corners[:4])])
+    starts = source[:1] if not geometry.is_parallel else outline + (source[0] - geometry.panel_center[0])
+    fan = np.concatenate([side.flat(starts), side.flat(outline)])
     axes.fill(*_hull(fan).T, color=FAN, alpha=0.22, linewidth=0, label="rays, view 0")
     axes.plot(*side.flat(np.stack([source[0], geometry.panel_center[0]])).T, color=FAN, linewidth=0.9)
-    axes.plot(*side.flat(corners).T, color=BLUE, linewidth=2.2, solid_joinstyle="miter", label="panel, view 0")
+    axes.plot(*side.flat(outline).T, color=BLUE, linewidth=2.2, solid_joinstyle="miter", label="panel, view 0")
     axes.plot(*ways[0], "o", color=RED, markersize=7, zorder=4, label=f"{start}, view 0")
     if grid is not None:
         axes.fill(*_hull(side.flat(_box(grid))).T, facecolor="none", edgecolor=VOLUME, linewidth=1.2, label="volume")
@@ -208,10 +205,8 @@ def _draw_panel(axes: "Axes", geometry: Geometry, grid: Grid | None) -> None:
 
 def _on_panel(geometry: Geometry, points: Points) -> Flat:
     """Column and row that points in front of the source fall on in view 0."""
-    frame = geometry.ray_frames()[0]
-    depth, column, row = np.linalg.solve(frame[1:].T, (points - frame[0]).T)
-    ahead = depth > 0
-    return np.stack([column[ahead], row[ahead]], axis=1) / depth[ahead][:, None]
+    depth, column, row = on_panel(geometry[[0]], points)[0].T
+    return np.stack([column, row], axis=1)[depth > 0]
 
 
 def _box(grid: Grid) -> Points:

@@ -287,24 +287,6 @@ def source_path(geometry: Geometry, grid: Grid | None = None) -> Float[np.ndarra
     return np.stack([radius * np.cos(fine), radius * np.sin(fine), height], axis=1)
 
 
-def panel_corners(geometry: Geometry, view: int) -> Float[np.ndarray, "4 3"]:
-    """Return the outer corners of the panel, beginning with that of pixel (0, 0), along its row.
-
-    Parameters
-    ----------
-    geometry : poses
-    view : number of the view
-
-    Returns
-    -------
-    points [mm], (4, 3)
-    """
-    columns = geometry.column_step[view] * geometry.panel.columns / 2
-    rows = geometry.row_step[view] * geometry.panel.rows / 2
-    signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-    return np.stack([geometry.panel_center[view] + c * columns + r * rows for c, r in signs])
-
-
 def scan_title(geometry: Geometry) -> str:
     """Return a line of text about the scan.
 

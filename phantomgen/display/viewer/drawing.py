@@ -18,7 +18,6 @@ from phantomgen.display.viewer.content import (
     limits,
     materials,
     object_limits,
-    panel_corners,
     planes,
     round_scale,
     scan_title,
@@ -26,6 +25,7 @@ from phantomgen.display.viewer.content import (
     usual_top,
 )
 from phantomgen.display.viewer.panes import FAINT, FONT, INK, Bar, Pane
+from phantomgen.geometry.curved_panel import panel_edges
 from phantomgen.geometry.voxel_grid import Grid
 from spectra.basis.basis import pretty
 
@@ -192,16 +192,21 @@ def draw_scan(pane: Pane, content: Content) -> None:
     """
     pane.plotter.subplot(*pane.place)
     plotter, geometry, truth = pane.plotter, content.geometry, content.truth
-    sources, corners = drawn_sources(geometry, content.grid), panel_corners(geometry, VIEW)
+    sources, (first, last) = drawn_sources(geometry, content.grid), panel_edges(geometry, VIEW)
     source, path = sources[VIEW], source_path(geometry, content.grid)
-    points = np.concatenate([path, sources, corners])
+    corners, outline = (
+        np.stack([first[0], first[-1], last[-1], last[0]]),
+        np.concatenate([first, last[::-1], first[:1]]),
+    )
+    points = np.concatenate([path, sources, outline])
     size = float(np.ptp(points, axis=0).max())
     if len(path) > 1:
         pane.stroke(pyvista.MultipleLines(path), SOURCE, 2)
     pane.dots(sources, SOURCE, 5)
     plotter.add_mesh(pyvista.Sphere(radius=size / 60, center=source), color=SOURCE, **SOLID)
-    plotter.add_mesh(pyvista.PolyData(corners, faces=[4, 0, 1, 2, 3]), color=PANEL, opacity=0.3, lighting=False)
-    pane.stroke(pyvista.MultipleLines(np.concatenate([corners, corners[:1]])), PANEL, 2)
+    surface = pyvista.StructuredGrid(*np.stack([first, last])[None].transpose(3, 0, 1, 2))
+    plotter.add_mesh(surface, color=PANEL, opacity=0.3, lighting=False)
+    pane.stroke(pyvista.MultipleLines(outline), PANEL, 2)
     plotter.add_mesh(pyvista.Sphere(radius=size / 90, center=corners[0]), color=CORNER, **SOLID)
     for corner in corners:
         start = source + corner - geometry.panel_center[VIEW] if geometry.is_parallel else source

@@ -11,6 +11,8 @@ from phantomgen.geometry.curved_panel import (
     join_modules,
     module_frames,
     on_panel,
+    panel_edges,
+    ray_directions,
     shifted_along,
     split_modules,
 )
@@ -80,6 +82,23 @@ def test_points_on_the_panel_are_found_where_they_are():
         points = geometry.source[view] + part * (places[view, row, column] - geometry.source[view])
         found = on_panel(geometry[[view]], points)[0]
         assert found == pytest.approx(np.stack([part[:, 0], column, row], axis=1), abs=1e-7)
+
+
+def test_edges_of_a_flat_panel_are_lines_through_its_corners():
+    flat = Geometry.circular(500, 800, np.zeros(1), Panel(4, 6, 2.0))
+    first, last = panel_edges(flat, 0)
+    assert np.array_equal(first, [[-300, -6, 4], [-300, 6, 4]])
+    assert np.array_equal(last, [[-300, -6, -4], [-300, 6, -4]])
+
+
+@pytest.mark.parametrize("modules", [1, 2, 46])
+def test_edges_of_a_curved_panel_join_the_outer_corners(modules):
+    curved = scanner(modules)
+    edges, rows = panel_edges(curved, 2), curved.row_step[2]
+    assert edges.shape == (2, modules + 1, 3)
+    assert np.diff(edges, axis=0) == pytest.approx(np.broadcast_to(4 * rows, (1, modules + 1, 3)))
+    ends = curved.source[2] + ray_directions(curved[[2]], np.array([-0.5, 735.5]), np.array([-0.5, 3.5]))[0]
+    assert edges[:, [0, -1]] == pytest.approx(ends, abs=1e-9)
 
 
 def test_a_flat_panel_has_one_module():

@@ -16,7 +16,6 @@ from phantomgen.display.viewer.content import (
     limits,
     materials,
     object_limits,
-    panel_corners,
     planes,
     round_scale,
     source_path,
@@ -161,11 +160,6 @@ def test_the_path_of_a_circular_scan_is_an_arc_closed_where_views_go_round():
 def test_the_path_of_a_free_scan_runs_through_its_sources_in_order():
     free = replace(CIRCLE, kind="free", angles=np.full(5, np.nan))
     assert np.array_equal(source_path(free), CIRCLE.source)
-
-
-def test_the_first_corner_of_the_panel_is_that_of_pixel_0_0():
-    corners = panel_corners(CIRCLE, 0)
-    assert corners.tolist() == [[-300, -6, 4], [-300, 6, 4], [-300, 6, -4], [-300, -6, -4]]
 
 
 @pytest.mark.parametrize(
