@@ -267,8 +267,8 @@ _scan_command(
     ),
     """Write a dataset from FOLDERs of DICOM-CT-PD files, one per view, of a helical or circular scan.
 
-    Views of a curved detector are resampled to a flat panel. Log projections become counts of --photons, or of
-    PhotonStatistics where the files have it. Needs pydicom: pip install 'spectral-ct[dicom]'.
+    A curved detector and a deflected focal spot are kept as they are. Log projections become counts of --photons, or
+    of PhotonStatistics where the files have it. Needs pydicom: pip install 'spectral-ct[dicom]'.
     """,
     several=True,
 )

@@ -1,9 +1,8 @@
 """DICOM-CT-PD: one file per view of log projections, of clinical scanners with a curved detector or of a flat panel.
 
-A curved detector is centred on the focal spot; each view is resampled, linearly, to the flat panel that touches it in
-the central element. Angles are those of the format's manual, where the source of angle phi stands at (-rho sin phi,
-rho cos phi). The order of rows and columns has not been compared with a scanner: ``--mirror``, ``--flip-rows`` and
-``--reverse`` change it.
+A curved detector is centred on the focal spot where that is not deflected. Angles are those of the format's manual,
+where the source of angle phi stands at (-rho sin phi, rho cos phi). The order of rows and columns has not been compared
+with a scanner: ``--mirror``, ``--flip-rows`` and ``--reverse`` change it.
 
 References
 ----------
@@ -12,15 +11,16 @@ References
 
 import struct
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.ndimage import map_coordinates
 
-from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.curved_panel import shifted_along
+from phantomgen.geometry.panel import Curvature, Panel, module_columns
 from phantomgen.geometry.poses import Geometry
 from phantomgen.importers.readers.channel_names import clean
 from phantomgen.importers.readers.turntable import as_stored
@@ -44,6 +44,7 @@ _SHIFTS = {"dphi": (0x7033, 0x100B), "dz": (0x7033, 0x100C), "drho": (0x7033, 0x
 _SHAPE, _PHOTONS, _SPECTRUM = (0x7029, 0x100B), (0x7033, 0x1065), (0x7033, 0x1063)
 _PUBLIC = {"kvp": (0x0018, 0x0060), "instance": (0x0020, 0x0013)}
 _SHAPES = ("CYLINDRICAL", "FLAT")
+_MOST_FAN = 1.4  # rad; largest angle between the central ray and a ray that is believed
 _MOST = 4096  # rows or columns of a detector that are believed
 
 
@@ -95,15 +96,14 @@ def read(paths: Sequence[Path], stated: Stated) -> RawScan:
     _check_alike(views)
     photons = [view.photons for view in views if view.photons is not None]
     facts = {"kvp": first.kvp, "scintillator": "GOS", "photons": float(np.median(photons)) if photons else None}
-    curved = first.shape == "CYLINDRICAL"
     rows, columns = (int(first.numbers[name][0]) for name in ("rows", "columns"))
-    detector = _Detector.of(first, rows, columns, curved)
+    detector = _Detector.of(first, rows, columns)
     names = tuple(f"bin{i}" for i in range(len(found))) if len(found) > 1 else ("signal",)
     if len(paths) == len(found) > 1:
         names = tuple(clean(path.name) for path in paths)
 
     def image(view: int) -> Image:
-        return np.stack([detector.flat(_pixels(channel[view].path, rows, columns)) for channel in found])
+        return np.stack([_pixels(channel[view].path, rows, columns) for channel in found])
 
     return RawScan(
         path=paths[0],
@@ -115,7 +115,6 @@ def read(paths: Sequence[Path], stated: Stated) -> RawScan:
         stated=stated.completed(facts),
         notes=(
             "the detector was taken as a GOS scintillator" if len(found) == 1 else "views of all spectra were joined",
-            *(("each view of the curved detector was resampled to a flat panel",) if curved else ()),
             *((f"photons per pixel are the median of PhotonStatistics, {facts['photons']:g}",) if photons else ()),
             "rows and columns were taken in the order of the file: --mirror, --flip-rows and --reverse change that",
         ),
@@ -123,51 +122,34 @@ def read(paths: Sequence[Path], stated: Stated) -> RawScan:
 
 
 class _Detector(NamedTuple):
-    """The detector, and the flat panel that stands for it.
+    """The detector.
 
     Parameters
     ----------
-    panel : the flat panel
-    center : place of its middle along columns and rows from where the central ray meets it [mm]
+    panel : its pixels
+    center : place of its middle along columns and rows from where the central ray meets it [mm], along the cylinder
+        where it is curved
     sdd : distance [mm]
-    where : for a curved detector, its row and column, possibly fractional, of each pixel of the panel; else None
     """
 
     panel: Panel
     center: tuple[float, float]
     sdd: float
-    where: Float[np.ndarray, "2 row column"] | None
 
     @classmethod
-    def of(cls, view: _View, rows: int, columns: int, curved: bool) -> "_Detector":
+    def of(cls, view: _View, rows: int, columns: int) -> "_Detector":
         """Describe the detector of a view; the central element counts from 1."""
         pitch = float(view.numbers["row_pitch"][0]), float(view.numbers["column_pitch"][0])
         sdd = float(view.numbers["sdd"][0])
         column0, row0 = view.numbers["central"] - 1
-        if not curved:
-            middle = ((columns - 1) / 2 - column0) * pitch[1], ((rows - 1) / 2 - row0) * pitch[0]
-            return cls(Panel(rows, columns, pitch), (float(middle[0]), float(middle[1])), sdd, None)
-        fan = (np.array([0, columns - 1]) - column0) * pitch[1] / sdd
-        if np.abs(fan).max() > 1.4:
-            raise InputError(
-                f"{view.path}: the fan of {np.rad2deg(np.abs(fan).max()):.0f} degrees is no fan of a scanner"
-            )
-        ends = sdd * np.tan(fan)
-        count = int((ends[1] - ends[0]) // pitch[1]) + 1
-        x = (ends[0] + ends[1]) / 2 + (np.arange(count) - (count - 1) / 2) * pitch[1]
-        y = (np.arange(rows) - row0) * pitch[0]
-        angle = np.arctan(x / sdd)
-        column = np.broadcast_to(angle * sdd / pitch[1] + column0, (rows, count))
-        # On the cylinder a ray is lower by the cosine of its fan angle than on the flat panel.
-        row = y[:, None] * np.cos(angle) / pitch[0] + row0
-        middle = float(x.mean()), float(y.mean())
-        return cls(Panel(rows, count, pitch), middle, sdd, np.stack([row, column]))
-
-    def flat(self, image: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "row column"]:
-        """Resample an image to the flat panel."""
-        if self.where is None:
-            return image
-        return map_coordinates(image, self.where, order=1, mode="nearest")
+        middle = ((columns - 1) / 2 - column0) * pitch[1], ((rows - 1) / 2 - row0) * pitch[0]
+        panel = Panel(rows, columns, pitch)
+        if view.shape == "CYLINDRICAL":
+            fan = max(column0 + 0.5, columns - 0.5 - column0) * pitch[1] / sdd
+            if fan > _MOST_FAN:
+                raise InputError(f"{view.path}: the fan of {np.rad2deg(fan):.0f} degrees is no fan of a scanner")
+            panel = replace(panel, curvature=Curvature(sdd, columns // module_columns(panel, sdd)))
+        return cls(panel, (float(middle[0]), float(middle[1])), sdd)
 
 
 def _geometry(views: Sequence[_View], detector: _Detector, stated: Stated) -> Geometry:
@@ -181,10 +163,11 @@ def _geometry(views: Sequence[_View], detector: _Detector, stated: Stated) -> Ge
     focus = np.stack([-rho * np.sin(phi), rho * np.cos(phi), z], axis=1)
     ray = np.stack([np.sin(phi), -np.cos(phi), zero], axis=1)
     along, down = np.stack([-np.cos(phi), -np.sin(phi), zero], axis=1), np.stack([zero, zero, -one], axis=1)
-    center = focus + detector.sdd * ray + detector.center[0] * along + detector.center[1] * down
+    center = focus + detector.sdd * ray + detector.center[1] * down
     panel = detector.panel
     kind = "helical" if np.ptp(z) > 1e-3 else "circular"
-    return Geometry(source, center, panel.column_pitch * along, panel.row_pitch * down, panel, phi + np.pi / 2, kind)
+    steps = panel.column_pitch * along, panel.row_pitch * down
+    return shifted_along(Geometry(source, center, *steps, panel, phi + np.pi / 2, kind), detector.center[0])
 
 
 def _channels(folder: Path) -> list[list[_View]]:
