@@ -27,11 +27,13 @@ smooth: it is computed at few places of the panel, and splines give the pixels.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.special import ndtr
 
 from phantomgen.effects.focal_spot import FWHM
+from phantomgen.geometry.curved_panel import on_panel
 from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from spectra.errors import InputError
 
@@ -145,22 +147,23 @@ def scatterers(
     return np.ascontiguousarray(zyx[:, ::-1]), upto[some, -1]
 
 
-def on_panel(
-    frame: Float[np.ndarray, "4 3"], place: Float[np.ndarray, "point 3"], rows: int, columns: int
-) -> tuple[Bool[np.ndarray, " point"], Float[np.ndarray, "point 2"]]:
+def in_beam(
+    geometry: Geometry, view: int, place: Float[np.ndarray, "point 3"]
+) -> tuple[Bool[np.ndarray, " point"], Int[np.ndarray, "2 lit"]]:
     """Find the points in the beam between source and panel, and project them.
 
     Parameters
     ----------
-    frame : source, vector to pixel (0, 0), column step and row step [mm]
+    geometry : poses
+    view : number of the view
     place : points [mm], (point, 3)
-    rows, columns : number of pixels
 
     Returns
     -------
-    True for points in the beam, and their row and column [pixel]
+    True for points in the beam, and row and column of the pixels that those points fall on
     """
-    depth, column, row = np.linalg.solve(frame[1:].T, (place - frame[0]).T)
-    column, row = column / depth, row / depth
-    beam = (depth > 0) & (depth < 1) & (np.abs(column - (columns - 1) / 2) < columns / 2)
-    return beam & (np.abs(row - (rows - 1) / 2) < rows / 2), np.stack([row, column], axis=1)
+    (depth, column, row), panel = on_panel(geometry[[view]], place)[0].T, geometry.panel
+    lit = (depth > 0) & (depth < 1) & (np.abs(column - (panel.columns - 1) / 2) < panel.columns / 2)
+    lit &= np.abs(row - (panel.rows - 1) / 2) < panel.rows / 2
+    pixel = np.rint(np.stack([row, column])[:, lit]).astype(np.int64)
+    return lit, pixel.clip(0, [[panel.rows - 1], [panel.columns - 1]])

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from phantomgen.geometry.poses import Geometry
 from spectra.errors import GeometryError
@@ -186,9 +186,25 @@ def ray_directions(
     vectors [mm], (view, row, column, 3)
     """
     frames, width = module_frames(geometry), geometry.panel.columns // geometry.panel.modules
-    module = np.clip(np.floor((columns + 0.5) / width), 0, geometry.panel.modules - 1).astype(np.int64)
+    module = _modules(geometry, columns)
     along = frames[:, module, 1] + (columns - module * width)[:, None] * frames[:, module, 2]
     return along[:, None] + rows[:, None, None] * frames[:, module, 3][:, None]
+
+
+def pixel_areas(geometry: Geometry, columns: Float[np.ndarray, " column"]) -> Float[np.ndarray, "view column 3"]:
+    """Compute normals of pixels, as long as the area of a pixel.
+
+    Parameters
+    ----------
+    geometry : poses
+    columns : places on the panel, which may lie between the centres of pixels
+
+    Returns
+    -------
+    vectors [mm^2], (view, column, 3); they are the same in all rows
+    """
+    frames = module_frames(geometry)[:, _modules(geometry, columns)]
+    return np.cross(frames[:, :, 2], frames[:, :, 3])
 
 
 def panel_edges(geometry: Geometry, view: int) -> Float[np.ndarray, "edge point 3"]:
@@ -232,6 +248,12 @@ def shifted_along(geometry: Geometry, distance: float) -> Geometry:
         panel_center=geometry.panel_center + curvature.radius * ((c - 1) * away + s * along),
         column_step=geometry.panel.column_pitch * (c * along - s * away),
     )
+
+
+def _modules(geometry: Geometry, columns: Float[np.ndarray, " column"]) -> Int[np.ndarray, " column"]:
+    """Module of each place; beyond the panel, the outer one."""
+    width = geometry.panel.columns // geometry.panel.modules
+    return np.clip(np.floor((columns + 0.5) / width), 0, geometry.panel.modules - 1).astype(np.int64)
 
 
 def _away_from_source(geometry: Geometry) -> Float[np.ndarray, "view 3"]:

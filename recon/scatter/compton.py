@@ -13,8 +13,9 @@ from jaxtyping import Float
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.spectral_model import Spectra
-from phantomgen.effects.scatter import on_panel, scatterers
+from phantomgen.effects.scatter import in_beam, scatterers
 from phantomgen.effects.smooth_signal import SmoothSignal, line_places
+from phantomgen.geometry.curved_panel import pixel_areas, ray_directions
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.compton import scattered_to
@@ -177,18 +178,17 @@ def _at_places(
     profile: Float[np.ndarray, "part row column"] | None,
 ) -> Float[np.ndarray, "channel place_row place_column"]:
     """Scattered signal of a view at places of the panel."""
-    frame, panel = geometry.ray_frames()[view], geometry.panel
-    lit, pixel = on_panel(frame, scattering.place, panel.rows, panel.columns)
+    panel, source, one = geometry.panel, geometry.source[view], geometry[[view]]
+    lit, (row, column) = in_beam(geometry, view, scattering.place)
     place, strength = scattering.place[lit], scattering.strength[lit]
-    row, column = np.rint(pixel[lit]).astype(np.int64).T.clip(0, [[panel.rows - 1], [panel.columns - 1]])
     parts = np.zeros((len(place), 0)) if profile is None else profile[:, row, column].T
-    points = Points(place, strength, beam.behind(scattering.lengths(place, frame[0]), parts))
+    points = Points(place, strength, beam.behind(scattering.lengths(place, source), parts))
     rows, columns = line_places(panel.rows, PLACES), line_places(panel.columns, PLACES)
-    area = np.cross(frame[2], frame[3])
+    targets, areas = source + ray_directions(one, columns, rows)[0], pixel_areas(one, columns)[0]
     found = np.zeros((beam.energies.measured.shape[1], PLACES, PLACES))
     for i, j in np.ndindex(PLACES, PLACES):
-        target = frame[0] + frame[1] + columns[j] * frame[2] + rows[i] * frame[3]
-        found[:, i, j] = scattered_to(target, area, frame[0], points, scattering.lengths(place, target), beam.energies)
+        lengths = scattering.lengths(place, targets[i, j])
+        found[:, i, j] = scattered_to(targets[i, j], areas[j], source, points, lengths, beam.energies)
     return found
 
 

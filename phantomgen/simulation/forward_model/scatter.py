@@ -8,8 +8,9 @@ from jaxtyping import Float
 
 from phantomgen.effects import ScatterKernel
 from phantomgen.effects.random_streams import Stream, generator
-from phantomgen.effects.scatter import on_panel, scatterers
+from phantomgen.effects.scatter import in_beam, scatterers
 from phantomgen.effects.smooth_signal import line_places, spline_weights
+from phantomgen.geometry.curved_panel import pixel_areas, ray_directions
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.compton import scattered_to
 from phantomgen.ops.compton.inputs import Energies, Points
@@ -139,28 +140,26 @@ class SingleScatter:
         signals, (group, row, column)
         """
         scan, panel = self.scan, self.scan.geometry.panel
-        frame = scan.geometry.ray_frames()[view]
+        geometry, source = scan.geometry[[view]], scan.geometry.source[view]
         rows, columns = line_places(panel.rows, self.places), line_places(panel.columns, self.places)
-        area = np.cross(frame[2], frame[3])
+        pixels, areas = source + ray_directions(geometry, columns, rows)[0], pixel_areas(geometry, columns)[0]
         if scan.effects.aperture is not None:
-            area = area * scan.effects.aperture.area
-        points = self._points(frame)
+            areas = areas * scan.effects.aperture.area
+        points = self._points(view)
         found = np.zeros((self.beams[0].energies.measured.shape[1], len(rows), len(columns)))
         for i, j in np.ndindex(*found.shape[1:]):
-            pixel = frame[0] + frame[1] + columns[j] * frame[2] + rows[i] * frame[3]
-            lengths = self._lengths(points[0].place, pixel - points[0].place)
+            lengths = self._lengths(points[0].place, pixels[i, j] - points[0].place)
             for beam, lit in zip(self.beams, points, strict=True):
-                found[:, i, j] += scattered_to(pixel, area, frame[0], lit, lengths, beam.energies)
+                found[:, i, j] += scattered_to(pixels[i, j], areas[j], source, lit, lengths, beam.energies)
         down, across = spline_weights(panel.rows, self.places), spline_weights(panel.columns, self.places)
         return np.maximum(np.einsum("ri,gic->grc", down, np.einsum("gij,cj->gic", found, across)), 0.0)
 
-    def _points(self, frame: Float[np.ndarray, "4 3"]) -> list[Points]:
+    def _points(self, view: int) -> list[Points]:
         """Points in the beam of a view, with the photons of each source that come there."""
-        panel, profile = self.scan.geometry.panel, self.scan.profile
-        lit, pixel = on_panel(frame, self.place, panel.rows, panel.columns)
-        place, strength = self.place[lit], self.strength[lit]
-        lengths = self._lengths(np.broadcast_to(frame[0], place.shape), place - frame[0])
-        row, column = np.rint(pixel[lit]).astype(np.int64).T.clip(0, [[panel.rows - 1], [panel.columns - 1]])
+        geometry, profile = self.scan.geometry, self.scan.profile
+        lit, (row, column) = in_beam(geometry, view, self.place)
+        place, strength, source = self.place[lit], self.strength[lit], geometry.source[view]
+        lengths = self._lengths(np.broadcast_to(source, place.shape), place - source)
         thickness = np.zeros((len(place), 0)) if profile is None else profile.lengths[:, row, column].T
         points = []
         for beam in self.beams:
@@ -215,10 +214,10 @@ def _beam(scan: Scan, exposure: Exposure, source: Source, detector: AnyDetector,
                 signal = np.where(_nearest(exposure, int(first + channel), bins.nodes) == group, signal, 0.0)
             measured[group, -len(bins) :] = np.cumsum(signal * bins.widths)
     curves = np.stack([m.attenuation(np.maximum(table, 1.0), scan.basis) for m in scan.scene.materials])
-    frame = scan.geometry.ray_frames()[0]
-    center = scan.geometry.panel_center[0] - frame[0]
+    geometry = scan.geometry
+    center = geometry.panel_center[0] - geometry.source[0]
     distance = np.linalg.norm(center)
-    steradians = abs(center @ np.cross(frame[2], frame[3])) / distance**3
+    steradians = abs(center @ np.cross(geometry.column_step[0], geometry.row_step[0])) / distance**3
     tables = (np.ascontiguousarray(values.T) for values in (curves, measured))
     return Beam(photons / steradians, Energies(energies.edges, _STEP, *tables))
 

@@ -24,7 +24,9 @@ REST = 510.99895
 TINY = ["geometry.views=2", "geometry.test_views=0", "panel.rows=8", "panel.columns=8", "panel.pitch=25.6"]
 
 
-def ball(radius: float, compton: float, thresholds: list[float], center: tuple[float, ...] = (0, 0, 0)) -> Scan:
+def ball(
+    radius: float, compton: float, thresholds: list[float], center: tuple[float, ...] = (0, 0, 0), panel: str = ""
+) -> Scan:
     """A ball that only scatters, in monochromatic light, before a perfect sensor."""
     return load_scene(
         "kedge-small",
@@ -34,7 +36,7 @@ def ball(radius: float, compton: float, thresholds: list[float], center: tuple[f
             "basis=[{type: photoelectric}, {type: compton}]",
             f"materials={{matter: {{coefficients: {{photoelectric: 0.0, compton: {compton}}}}}}}",
             f"objects=[{{type: sphere, material: matter, center: {list(center)}, radius: {radius}}}]",
-            f"panel={{rows: {PIXELS}, columns: {PIXELS}, pitch: {PITCH}}}",
+            f"panel={{rows: {PIXELS}, columns: {PIXELS}, pitch: {PITCH}{panel}}}",
             "geometry.views=2",
             "geometry.test_views=0",
             f"volume={{voxels: 8, size: {2 * (radius + max(map(abs, center)))}}}",
@@ -48,21 +50,27 @@ def single(scan: Scan, settings: Settings) -> np.ndarray:
     return SingleScatter.of(scan, exposure, settings).view(0)
 
 
-def angles_and_pixels(place: tuple[float, ...] = (0, 0, 0)) -> tuple[np.ndarray, np.ndarray]:
+def angles_and_pixels(place: tuple[float, ...] = (0, 0, 0), bend: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
     """Cosine of the angle of scatter at a place, and the solid angle of each pixel as seen from there."""
     across = (np.arange(PIXELS) - (PIXELS - 1) / 2) * PITCH
-    pixel = np.stack(np.broadcast_arrays(SOD - SDD, across[None, :], -across[:, None]), axis=2)
+    turn = across / bend
+    forward, side = (0.0 * turn, across) if np.isinf(bend) else (bend * (1 - np.cos(turn)), bend * np.sin(turn))
+    pixel = np.stack(np.broadcast_arrays(SOD - SDD + forward, side, -across[:, None]), axis=2)
+    normal = np.stack([-np.cos(turn), np.sin(turn), 0 * turn], axis=1)
     inward, outward = np.array(place) - [SOD, 0, 0], pixel - place
     distance = np.linalg.norm(outward, axis=2)
-    return outward @ inward / distance / np.linalg.norm(inward), PITCH**2 * -outward[:, :, 0] / distance**3
+    solid = PITCH**2 * np.einsum("rci,ci->rc", outward, normal) / distance**3
+    return outward @ inward / distance / np.linalg.norm(inward), solid
 
 
 @pytest.mark.parametrize(("center", "cells"), [((0.0, 0.0, 0.0), 4), ((60.0, -25.0, 40.0), 20)])
-def test_a_small_object_scatters_what_its_electrons_do(center, cells):
+@pytest.mark.parametrize("bend", [np.inf, 300.0])
+def test_a_small_object_scatters_what_its_electrons_do(center, cells, bend):
     radius, compton = 0.5, 1e-4
-    scan = ball(radius, compton, [20.0], center)
+    panel = "" if np.isinf(bend) else f", curvature: {{radius: {bend}, module_columns: 1}}"
+    scan = ball(radius, compton, [20.0], center, panel)
     electrons = electron_density(scan.scene.materials[0], scan.basis) * 4 / 3 * np.pi * radius**3
-    cosine, solid = angles_and_pixels(center)
+    cosine, solid = angles_and_pixels(center, bend)
     k = 1 / (1 + ENERGY / REST * (1 - cosine))
     section = ELECTRON_RADIUS**2 / 2 * k**2 * (k + 1 / k - 1 + cosine**2)
     per_steradian = PHOTONS / (PITCH**2 / SDD**2)
