@@ -23,6 +23,10 @@ PROGRAMS = [
     "tiff",
 ]
 
+flat_panel_option = click.option(
+    "--flat-panel", is_flag=True, help="Resample line integrals of a curved panel to a flat one."
+)
+
 
 @click.command(
     epilog="\b\nExamples:\n  phantomgen export kedge.h5 -o truth.vti\n"
@@ -41,6 +45,7 @@ PROGRAMS = [
 )  # fmt: skip
 @click.option("--channel", "channels", multiple=True, metavar="NAME", help="Write this channel only; may be repeated.")
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
+@flat_panel_option
 @click.option("--overwrite", is_flag=True, help="Replace a file or a folder that exists.")
 @json_option
 @debug_option
@@ -52,6 +57,7 @@ def export(
     what: str | None,
     channels: tuple[str, ...],
     air: str | None,
+    flat_panel: bool,
     overwrite: bool,
     as_json: bool,
 ) -> None:
@@ -61,13 +67,13 @@ def export(
     values are in 1/mm. With --to: training views and their geometry as a folder that the program reads, with a script
     load.py that loads it there. Line integrals of basis functions: `recon decompose`.
     """
-    if program is None and (what or channels or air):
-        raise click.UsageError("--what, --channel and --air need --to")
+    if program is None and (what or channels or air or flat_panel):
+        raise click.UsageError("--what, --channel, --air and --flat-panel need --to")
     if program is not None and labels:
         raise click.UsageError("--labels is about the truth and does not go with --to")
     found = _export_truth(dataset, out, labels, overwrite) if program is None else {}
     if program is not None:
-        found = _export_scan(dataset, air, out, program, what, channels, overwrite)
+        found = _export_scan(dataset, air, out, program, what, channels, flat_panel, overwrite)
     text = found.pop("text")
     click.echo(json.dumps(found) if as_json else text)
 
@@ -93,6 +99,7 @@ def _export_scan(
     program: str,
     what: str | None,
     channels: tuple[str, ...],
+    flat_panel: bool,
     overwrite: bool,
 ) -> dict:
     from phantomgen.dataset.adapters.to_projections import to_projections
@@ -103,7 +110,7 @@ def _export_scan(
     check_folder(out, overwrite)
     with open_dataset(dataset, air) as opened:
         projections = to_projections(opened, kind, channels)
-        write_folder(out, program, projections)
+        write_folder(out, program, projections.on_flat_panel() if flat_panel else projections)
     names = projections.names
     found = {"folder": str(out), "to": program, "what": kind, "names": list(names)}
     return {**found, "text": f"Wrote {out} for {program}: {kind} of {', '.join(names)}; python {out / 'load.py'}"}

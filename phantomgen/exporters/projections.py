@@ -7,8 +7,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Shaped
 
+from phantomgen.geometry.flat_panel import flat_equivalent, on_flat_panel
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
+from spectra.errors import InputError
 
 Kind = Literal["line-integrals", "counts"]
 
@@ -60,3 +62,26 @@ class Projections:
         """
         exposure = None if self.exposure is None else self.exposure[: self.train]
         return replace(self, geometry=self.geometry[: self.train], exposure=exposure)
+
+    def on_flat_panel(self) -> "Projections":
+        """Resample line integrals of a curved panel to the flat panel that touches it in its middle.
+
+        Returns
+        -------
+        the projections; themselves where the panel is flat
+
+        Raises
+        ------
+        InputError
+            When they are counts, whose noise would not be that of counts any more.
+        """
+        curved, flat = self.geometry, flat_equivalent(self.geometry)
+        if flat is curved:
+            return self
+        if self.kind != "line-integrals":
+            raise InputError("counts of a curved panel are not resampled to a flat one: line integrals can be")
+
+        def image(view: int) -> Shaped[np.ndarray, "name row column"]:
+            return on_flat_panel(self.image(view)[None], curved[[view]], flat[[view]])[0][0]
+
+        return replace(self, geometry=flat, image=image)

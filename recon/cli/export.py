@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from phantomgen.cli.common import debug_option, json_option
-from phantomgen.cli.export import PROGRAMS
+from phantomgen.cli.export import PROGRAMS, flat_panel_option
 from recon.cli.run_argument import RunFolder
 
 
@@ -50,6 +50,7 @@ def export(run: Path, out: Path, overwrite: bool, as_json: bool) -> None:
 @click.option("--to", "program", type=click.Choice(PROGRAMS), required=True, help="Write them for this program.")
 @click.option("--bases", type=click.IntRange(min=1), help="Number of basis functions, the first ones [default: all].")
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
+@flat_panel_option
 @click.option("--overwrite", is_flag=True, help="Replace a folder that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
 @json_option
@@ -60,6 +61,7 @@ def decompose(
     program: str,
     bases: int | None,
     air: str | None,
+    flat_panel: bool,
     overwrite: bool,
     threads: int | None,
     as_json: bool,
@@ -79,7 +81,7 @@ def decompose(
     set_threads(threads)
     with open_dataset(dataset, air) as opened:
         projections = decomposed_projections(opened, bases)
-        write_folder(out, program, projections)
+        write_folder(out, program, projections.on_flat_panel() if flat_panel else projections)
     names = list(projections.names)
     found = {"folder": str(out), "to": program, "what": "line-integrals", "names": names}
     text = f"Wrote {out} for {program}: line integrals of {', '.join(names)}; python {out / 'load.py'}"

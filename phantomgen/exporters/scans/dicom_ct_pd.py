@@ -1,4 +1,6 @@
-"""DICOM-CT-PD: one file per view and channel of log projections, circular and helical scans, a flat panel.
+"""DICOM-CT-PD: one file per view and channel of log projections, circular and helical scans.
+
+The panel is flat, or curved around the focal spot.
 
 Angles are those of the format's manual, where the source of angle phi stands at (-rho sin phi, rho cos phi). The signs
 of rows and columns have not been compared with a reader of a vendor.
@@ -8,15 +10,19 @@ References
 .. [1] Chen et al. 2015, doi:10.1117/12.2070931 (DICOM-CT-PD); Moen et al. 2021, doi:10.1002/mp.14594, table IV.
 """
 
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from phantomgen.exporters.projections import Kind, Projections
 from phantomgen.exporters.scans.arrays import file_name
 from phantomgen.geometry.conversions.panel_axes import refuse_parallel, right_angled_steps
+from phantomgen.geometry.curved_panel import shifted_along
+from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
 from spectra.errors import GeometryError, NotInstalledError
 
@@ -52,7 +58,7 @@ def write(folder: Path, projections: Projections) -> dict[str, Any]:
     NotInstalledError
         When pydicom is not there.
     GeometryError
-        When the panel is tilted, or the beam is parallel.
+        When the panel is tilted or curved around another point than the focal spot, or the beam is parallel.
     """
     try:
         import_module("pydicom")
@@ -95,8 +101,9 @@ def poses_as_tags(geometry: Geometry) -> list[dict[tuple[int, int], tuple[str, A
         When a view cannot be said by the format.
     """
     refuse_parallel(geometry, "DICOM-CT-PD")
-    column, row = right_angled_steps(geometry, "DICOM-CT-PD")
     panel, source = geometry.panel, geometry.source
+    geometry, along = _facing_axis(geometry)
+    column, row = right_angled_steps(geometry, "DICOM-CT-PD")
     rho, phi = np.hypot(source[:, 0], source[:, 1]), np.arctan2(-source[:, 0], source[:, 1])
     zero = np.zeros(len(geometry))
     wanted = np.stack([-np.cos(phi), -np.sin(phi), zero], 1), np.tile([0.0, 0.0, -1.0], (len(geometry), 1))
@@ -110,12 +117,14 @@ def poses_as_tags(geometry: Geometry) -> list[dict[tuple[int, int], tuple[str, A
     away = np.cross(column, row)
     sdd = np.einsum("vi,vi->v", ray, away)
     shift = [np.einsum("vi,vi->v", ray, axis) for axis in (column, row)]
+    shift[0] = shift[0] - along
     facing = [
         (n + 1) / 2 - offset / pitch
         for n, offset, pitch in zip(
             (panel.columns, panel.rows), shift, (panel.column_pitch, panel.row_pitch), strict=True
         )
     ]
+    shape = _shape(panel, sdd)
     helical = bool(np.ptp(source[:, 2]) > _SAME * float(sdd.max()))
     return [
         {
@@ -123,7 +132,7 @@ def poses_as_tags(geometry: Geometry) -> list[dict[tuple[int, int], tuple[str, A
             (0x7029, 0x1011): ("US", panel.columns),
             (0x7029, 0x1002): ("FL", panel.column_pitch),
             (0x7029, 0x1006): ("FL", panel.row_pitch),
-            (0x7029, 0x100B): ("CS", "FLAT"),
+            (0x7029, 0x100B): ("CS", shape),
             (0x7031, 0x1001): ("FL", float(phi[view])),
             (0x7031, 0x1002): ("FL", float(source[view, 2])),
             (0x7031, 0x1003): ("FL", float(rho[view])),
@@ -134,6 +143,31 @@ def poses_as_tags(geometry: Geometry) -> list[dict[tuple[int, int], tuple[str, A
         }
         for view in range(len(geometry))
     ]
+
+
+def _facing_axis(geometry: Geometry) -> tuple[Geometry, float]:
+    """A flat panel that touches a curved one where the ray through the axis meets it in view 0, and how far [mm]."""
+    if geometry.panel.curvature is None:
+        return geometry, 0.0
+    radius = geometry.panel.curvature.radius
+    inward = -geometry.source[0] * [1, 1, 0]
+    along, away = geometry.column_step[0] / geometry.panel.column_pitch, geometry.normals()[0]
+    distance = radius * float(np.arctan2(inward @ along, abs(inward @ away)))
+    touching = shifted_along(geometry, distance)
+    return replace(touching, panel=replace(geometry.panel, curvature=None)), distance
+
+
+def _shape(panel: Panel, sdd: Float[np.ndarray, " view"]) -> str:
+    """Name of the detector's form; a curved one must be centred on the focal spot."""
+    if panel.curvature is None:
+        return "FLAT"
+    radius = panel.curvature.radius
+    if np.abs(sdd - radius).max() > _SAME * radius:
+        raise GeometryError(
+            f"DICOM-CT-PD has panels around the focal spot, and this one has a radius of {radius:g} mm at "
+            f"{sdd[np.abs(sdd - radius).argmax()]:g} mm: resample line integrals to a flat panel (--flat-panel)"
+        )
+    return "CYLINDRICAL"
 
 
 def _dataset(image: np.ndarray, private: dict[tuple[int, int], tuple[str, Any]], view: int, about: str) -> Any:

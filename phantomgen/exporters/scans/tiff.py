@@ -31,7 +31,7 @@ def write(folder: Path, projections: Projections) -> dict[str, Any]:
 
     Returns
     -------
-    what the script needs to know: nothing
+    what ``scan.json`` says besides: the radius of a curved panel, and exposures
     """
     write_poses(folder / "poses.csv", projections.geometry)
     own = [folder / file_name(name) for name in projections.names]
@@ -43,8 +43,9 @@ def write(folder: Path, projections: Projections) -> dict[str, Any]:
     for view in range(len(projections)):
         for place, image in zip(own, projections.image(view), strict=True):
             tifffile.imwrite(place / f"view_{view:04d}.tif", image.astype(np.float32))
-    exposure = projections.exposure
-    return {} if exposure is None else {"exposure": exposure.tolist()}
+    curvature, exposure = projections.geometry.panel.curvature, projections.exposure
+    curved = {} if curvature is None else {"curvature_radius": curvature.radius}  # mm
+    return curved | ({} if exposure is None else {"exposure": exposure.tolist()})
 
 
 def write_poses(path: Path, geometry: Geometry) -> None:

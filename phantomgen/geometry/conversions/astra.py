@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.geometry.conversions.panel_axes import geometry_of
+from phantomgen.geometry.conversions.panel_axes import geometry_of, refuse_curved
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from spectra.errors import GeometryError
@@ -42,7 +42,13 @@ def to_astra(geometry: Geometry) -> AstraGeometry:
     Returns
     -------
     arguments of ``astra.create_proj_geom``
+
+    Raises
+    ------
+    GeometryError
+        When the panel is curved.
     """
+    refuse_curved(geometry, "ASTRA")
     first = geometry.source if geometry.ray_direction is None else geometry.ray_direction
     vectors = np.hstack([first, geometry.panel_center, geometry.column_step, geometry.row_step])
     panel = geometry.panel

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.geometry.conversions.panel_axes import check_pitch
+from phantomgen.geometry.conversions.panel_axes import check_pitch, refuse_curved
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
 from spectra.errors import GeometryError
@@ -45,6 +45,7 @@ def central_circle_of(geometry: Geometry, program: str) -> CentralCircle:
     GeometryError
         When a view differs from an ideal one; the sentence says in what.
     """
+    refuse_curved(geometry, program)
     check_pitch(geometry, program)
     outward = -geometry.normals()
     angles = np.arctan2(outward[:, 1], outward[:, 0])

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.geometry.conversions.panel_axes import refuse_curved
 from phantomgen.geometry.conversions.r2_gaussian import from_r2_gaussian, pair_of, to_r2_gaussian, triple_of
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
@@ -40,6 +41,7 @@ def to_naf(geometry: Geometry, grid: Grid) -> tuple[dict[str, Any], Float[np.nda
         When the scan is not circular with a centred, upright, square panel, or the beam is parallel.
     """
     panel = geometry.panel
+    refuse_curved(geometry, "NAF's pickle")
     if geometry.is_parallel:
         raise GeometryError("NAF's pickle can only describe cone beams: this beam is parallel")
     if panel.rows != panel.columns or abs(panel.row_pitch - panel.column_pitch) > _SAME * panel.row_pitch:

@@ -42,8 +42,9 @@ def right_angled_steps(geometry: Geometry, program: str) -> tuple[VectorPerView,
     Raises
     ------
     GeometryError
-        When the pixels of a view are no rectangles, or their size is not that of the panel.
+        When the panel is curved, the pixels of a view are no rectangles, or their size is not that of the panel.
     """
+    refuse_curved(geometry, program)
     check_pitch(geometry, program)
     column, row = unit_steps(geometry)
     cosine = np.abs(np.einsum("vi,vi->v", column, row))
@@ -78,6 +79,26 @@ def check_pitch(geometry: Geometry, program: str) -> None:
                 f"{program} has one pixel size for all views: {name} of view {bad[0]} is {length[bad[0]]:.7g} mm long, "
                 f"and the pitch of the panel is {pitch:g} mm"
             )
+
+
+def refuse_curved(geometry: Geometry, program: str) -> None:
+    """Refuse a curved panel, for programs that have flat ones.
+
+    Parameters
+    ----------
+    geometry : poses
+    program : its name, for the message
+
+    Raises
+    ------
+    GeometryError
+        When the panel is curved.
+    """
+    if geometry.panel.curvature is not None:
+        raise GeometryError(
+            f"{program} knows flat panels only, and this one has a radius of {geometry.panel.curvature.radius:g} mm: "
+            "resample line integrals to a flat panel (--flat-panel)"
+        )
 
 
 def refuse_parallel(geometry: Geometry, program: str) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from phantomgen.geometry.conversions.panel_axes import geometry_of
+from phantomgen.geometry.conversions.panel_axes import geometry_of, refuse_curved
 from phantomgen.geometry.poses import Geometry, VectorPerView
 from spectra.errors import GeometryError
 
@@ -23,7 +23,13 @@ def to_tomosipo(geometry: Geometry) -> dict[str, Any]:
     Returns
     -------
     ``shape`` (rows, columns), ``src_pos`` or ``ray_dir``, ``det_pos``, ``det_v`` and ``det_u``
+
+    Raises
+    ------
+    GeometryError
+        When the panel is curved.
     """
+    refuse_curved(geometry, "tomosipo")
     first = {"src_pos": geometry.source} if geometry.ray_direction is None else {"ray_dir": geometry.ray_direction}
     vectors = {**first, "det_pos": geometry.panel_center, "det_v": geometry.row_step, "det_u": geometry.column_step}
     turned = {name: np.ascontiguousarray(value[:, ::-1]) for name, value in vectors.items()}

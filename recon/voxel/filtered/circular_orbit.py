@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.geometry.flat_panel import flat_equivalent
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
-from recon.voxel.filtered.flat_panel import flat_equivalent
 from spectra.errors import GeometryError
 
 # Tolerances of an orbit; all chosen by hand, not measured.

@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.geometry.flat_panel import on_flat_panel
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.array_store import read_part
 from recon.ops.backproject import backproject
 from recon.voxel.filtered.circular_orbit import CircularOrbit, circular_orbit_of
-from recon.voxel.filtered.flat_panel import on_flat_panel
 from recon.voxel.filtered.ramp_filter import WINDOWS, ramp_filtered
 from recon.voxel.filtered.redundancy_weights import half_fan_weights, parker_weights
 from recon.voxel.filtered.z_aligned_panel import on_z_aligned_panel

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from phantomgen.geometry.curved_panel import ray_directions
+from phantomgen.geometry.flat_panel import flat_equivalent, on_flat_panel
 from phantomgen.geometry.panel import Curvature, Panel, module_columns
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.voxel.filtered.circular_orbit import circular_orbit_of
 from recon.voxel.filtered.fdk import fdk
-from recon.voxel.filtered.flat_panel import flat_equivalent, on_flat_panel
 
 SOD, SDD, PITCH, WIDTH = 300.0, 600.0, 2.0, 8.0
 CENTRE = np.array([18.0, -11.0, 3.0])

@@ -37,7 +37,7 @@ def flat_equivalent(geometry: Geometry) -> Geometry:
 
 
 def on_flat_panel(
-    images: Float[np.ndarray, "view basis row column"], geometry: Geometry
+    images: Float[np.ndarray, "view basis row column"], geometry: Geometry, flat: Geometry | None = None
 ) -> tuple[Float[np.ndarray, "view basis new_row new_column"], Geometry]:
     """Resample images to a flat panel.
 
@@ -48,12 +48,13 @@ def on_flat_panel(
     ----------
     images : line integrals on the curved panel [no unit]
     geometry : poses of the curved panel
+    flat : poses of the flat panel; left out, those of `flat_equivalent`
 
     Returns
     -------
     images on the flat panel, and its geometry
     """
-    flat = flat_equivalent(geometry)
+    flat = flat_equivalent(geometry) if flat is None else flat
     if flat is geometry:
         return images, geometry
     rows, columns = np.arange(float(flat.panel.rows)), np.arange(float(flat.panel.columns))
