@@ -311,7 +311,7 @@ def test_wrong_options_are_one_sentence(scan, tmp_path):
     assert "a folder for rtk holds line-integrals, not counts; counts go to nxtomo, dxchange, tiff" in one_sentence(
         export(scan, "--to", "rtk", "--what", "counts", "-o", out)
     )
-    assert "--what, --channel and --air need --to" in export(scan, "--what", "counts", "-o", out).output
+    assert "--what, --channel, --air and --flat-panel need --to" in export(scan, "--what", "counts", "-o", out).output
     assert "does not go with --to" in export(scan, "--labels", "--to", "rtk", "-o", out).output
     assert not out.exists()
 
