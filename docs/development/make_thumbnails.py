@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from phantomgen.geometry.curved_panel import ray_directions
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.trace import trace
 from phantomgen.ops.voxelize_shapes import fractions
@@ -26,6 +27,7 @@ WATER = 0.0193  # 1/mm at 70 keV
 PLACES = {
     "aorta": (-3, -12, -4),
     "bird-chest": (0, 1, 2),
+    "clinical-helix": (0, -20, 0),
     "defrise": (0, 0, 7.1),
     "forbild-head": (0, 0, 0.1),
     "kedge": (0, -6, 0),
@@ -40,6 +42,7 @@ PLACES = {
 WINDOWS = {
     "aorta": (0, 2.0),
     "bird-chest": (0, 3.0),
+    "clinical-helix": (0.8, 1.6),
     "contrast-vials": (0.8, 3.0),
     "forbild-head": (0.95, 1.15),
     "metal-hip": (0, 4),
@@ -69,14 +72,12 @@ def slices(scan: Scan, at: tuple[float, float, float]) -> tuple[np.ndarray, np.n
 def projection(scan: Scan) -> np.ndarray:
     """Line integrals of the first view on a square panel that holds the real one."""
     panel = scan.geometry.panel
-    frame = scan.geometry.ray_frames()[0]
     side = max(panel.rows * panel.row_pitch, panel.columns * panel.column_pitch)
-    u, v = np.meshgrid(*[((np.arange(PIXELS) + 0.5) / PIXELS - 0.5) * side] * 2)
-    column = (panel.columns - 1) / 2 + u / panel.column_pitch
-    row = (panel.rows - 1) / 2 + v / panel.row_pitch
-    directions = frame[1] + column[..., None] * frame[2] + row[..., None] * frame[3]
-    rays = directions.reshape(-1, 3)
-    origins = np.broadcast_to(frame[0], rays.shape)
+    places = ((np.arange(PIXELS) + 0.5) / PIXELS - 0.5) * side
+    columns = (panel.columns - 1) / 2 + places / panel.column_pitch
+    rows = (panel.rows - 1) / 2 + places / panel.row_pitch
+    rays = ray_directions(scan.geometry[[0]], columns, rows).reshape(-1, 3)
+    origins = np.broadcast_to(scan.geometry.source[0], rays.shape)
     lengths = trace(origins, rays, scan.scene.solids, len(scan.scene.materials), scan.scene.background)
     return (lengths @ attenuation(scan)).reshape(PIXELS, PIXELS)
 

@@ -158,10 +158,11 @@ def nominal_views(orbit: OrbitModel, panel: PanelModel, table: Geometry | None =
     if isinstance(orbit, PosesModel):
         return _from_table(orbit, table)
     if isinstance(orbit, HelicalModel):
-        return _helical(orbit, grid)
+        return _with_flying_focal_spot(_helical(orbit, grid), orbit)
     angles, times, train = _angles(orbit, panel)
     if isinstance(orbit, CircularModel):
-        return NominalViews(Geometry.circular(orbit.sod, orbit.sdd, angles, grid), times, train)
+        views = NominalViews(Geometry.circular(orbit.sod, orbit.sdd, angles, grid), times, train)
+        return _with_flying_focal_spot(views, orbit)
     tilt = float(np.deg2rad(orbit.tilt))
     if isinstance(orbit, LaminographyModel):
         return NominalViews(orbits.laminography(orbit.sod, orbit.sdd, angles, tilt, grid), times, train)
@@ -210,6 +211,15 @@ def _helical(orbit: HelicalModel, panel: Panel) -> NominalViews:
     first = -orbit.pitch * (turns / 2 + orbit.start / 360)
     geometry = orbits.helical(orbit.sod, orbit.sdd, angles, orbit.pitch, panel, first)
     return NominalViews(geometry, _times(orbit.views, orbit.test_views), orbit.views)
+
+
+def _with_flying_focal_spot(views: NominalViews, orbit: CircularModel | HelicalModel) -> NominalViews:
+    """Deflect the focal spot; training views and test views count from 0 each."""
+    if orbit.flying_focal_spot is None:
+        return views
+    deflections = np.array([(spot.columns, spot.z, spot.outward) for spot in orbit.flying_focal_spot])
+    numbers = np.append(np.arange(views.train), np.arange(len(views.times) - views.train))
+    return views._replace(geometry=orbits.deflected(views.geometry, deflections[numbers % len(deflections)]))
 
 
 def _from_table(orbit: PosesModel, table: Geometry | None) -> NominalViews:

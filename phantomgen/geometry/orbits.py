@@ -102,6 +102,39 @@ def helical(sod: float, sdd: float, angles: Angles, pitch: float, panel: Panel, 
     return replace(circle, source=source, panel_center=center, kind="helical")
 
 
+def deflected(geometry: Geometry, deflections: VectorPerView) -> Geometry:
+    """Move the focal spot from its nominal position, as a flying focal spot does; the panel stays.
+
+    Parameters
+    ----------
+    geometry : circular or helical orbit
+    deflections : per view, along the way columns count, along z, and away from the rotation axis [mm]
+
+    Returns
+    -------
+    poses with the moved sources; `angles` stay those of the gantry
+
+    Raises
+    ------
+    GeometryError
+        When a deflection reaches the axis.
+
+    References
+    ----------
+    Kachelriess, Knaup, Penssel, Kalender 2006, doi:10.1109/TNS.2006.874076.
+    """
+    sod = np.linalg.norm(geometry.source[:, :2], axis=1)
+    if len(sod) and (longest := float(np.linalg.norm(deflections, axis=1).max())) >= sod.min():
+        raise GeometryError(
+            f"a focal spot is {longest:g} mm from its nominal position: it must be less than {sod.min():g} mm"
+        )
+    along = geometry.column_step / geometry.panel.column_pitch
+    outward = geometry.source * (1.0, 1.0, 0.0) / sod[:, None]
+    moved = deflections[:, :1] * along + deflections[:, 2:] * outward
+    moved[:, 2] += deflections[:, 1]
+    return replace(geometry, source=geometry.source + moved)
+
+
 def laminography(sod: float, sdd: float, angles: Angles, tilt: float, panel: Panel) -> Geometry:
     """Create a circular orbit of a source above a flat object, with the beam tilted against the plane of the orbit.
 

@@ -39,10 +39,23 @@ Angles = Annotated[tuple[FiniteFloat, ...], Field(min_length=1)]
 Degrees = Annotated[PositiveFloat, Field(le=360)]
 
 
+class DeflectionModel(Model):
+    """Deflection of the focal spot: along the way columns count, along z, and away from the rotation axis [mm]."""
+
+    columns: FiniteFloat = 0.0
+    z: FiniteFloat = 0.0
+    outward: FiniteFloat = 0.0
+
+
+# Of a flying focal spot: view i has deflection i modulo their number, and so has test view i.
+Deflections = Annotated[tuple[DeflectionModel, ...], Field(min_length=1)]
+
+
 class CircularModel(Model):
     """Circular orbit: training views at start + i arc/views degrees, or at `angles`; test views between them.
 
-    Left out, `start` is 0 and `arc` 360; `arc: short` is half a turn and the fan.
+    Left out, `start` is 0 and `arc` 360; `arc: short` is half a turn and the fan. `flying_focal_spot` lists
+    deflections of the source that views take in turn, while the panel stays.
     """
 
     type: Literal["circular"]
@@ -54,10 +67,14 @@ class CircularModel(Model):
     start: FiniteFloat | None = None
     test_views: Annotated[NonNegativeInt, Field(le=1_000_000)] = 0
     jitter: JitterModel | None = None
+    flying_focal_spot: Deflections | None = None
 
 
 class HelicalModel(Model):
-    """Circular orbit that rises by `pitch` [mm] per turn, for `turns` or over a `range` [mm], its middle at z = 0."""
+    """Circular orbit that rises by `pitch` [mm] per turn, for `turns` or over a `range` [mm], its middle at z = 0.
+
+    `flying_focal_spot` lists deflections of the source that views take in turn, while the panel stays.
+    """
 
     type: Literal["helical"]
     sod: Length
@@ -69,6 +86,7 @@ class HelicalModel(Model):
     start: FiniteFloat = 0.0
     test_views: Annotated[NonNegativeInt, Field(le=1_000_000)] = 0
     jitter: JitterModel | None = None
+    flying_focal_spot: Deflections | None = None
 
 
 class LaminographyModel(Model):

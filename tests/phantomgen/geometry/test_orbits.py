@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phantomgen.geometry.orbits import between, helical, laminography, parallel, short_arc, spread_angles
+from phantomgen.geometry.orbits import between, deflected, helical, laminography, parallel, short_arc, spread_angles
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.panel_mount import Mount, mounted
 from phantomgen.geometry.poses import FAR, Geometry
@@ -57,6 +57,23 @@ def test_a_helix_without_pitch_is_a_circle_and_rises_by_its_pitch_per_turn():
     helix = helical(500, 800, ANGLES + 2 * np.pi, -12.0, PANEL, z=5.0)
     np.testing.assert_allclose(helix.source[:, 2], 5.0 - 12.0 * (1 + np.rad2deg(ANGLES) / 360))
     np.testing.assert_allclose(helix.panel_center - helix.source, circle.panel_center - circle.source, atol=1e-9)
+
+
+def test_a_deflected_focal_spot_moves_alone():
+    """Against the closed form: by hand for a source on the x axis, and by a rotation for the others."""
+    geometry = helical(500, 800, ANGLES, -12.0, PANEL, z=5.0)
+    deflections = np.array([[0.5, 0.0, 0.0], [0.0, 0.25, 0.0], [0.0, 0.0, 2.0], [0.5, 0.25, 2.0]])
+    moved = deflected(geometry, deflections)
+    c, s = np.cos(ANGLES), np.sin(ANGLES)
+    along, _, outward = deflections.T
+    x, y = (500 + outward) * c - along * s, (500 + outward) * s + along * c
+    expected = np.stack([x, y, geometry.source[:, 2] + deflections[:, 1]], axis=1)
+    np.testing.assert_allclose(moved.source, expected, rtol=1e-13)
+    np.testing.assert_array_equal(moved.panel_center, geometry.panel_center)
+    np.testing.assert_array_equal(moved.column_step, geometry.column_step)
+    np.testing.assert_array_equal(moved.angles, geometry.angles)
+    with pytest.raises(GeometryError, match="500 mm from its nominal position: it must be less than 500 mm"):
+        deflected(geometry, np.array([[0.0, 0.0, -500.0]] * 4))
 
 
 def test_laminography_leans_the_axis_by_its_tilt():

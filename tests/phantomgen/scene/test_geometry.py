@@ -132,6 +132,9 @@ def test_scenes_in_the_documentation_load(block):
         (["geometry={type: helical, sod: 100, sdd: 200, views: 3, pitch: 0, range: 2}"], "covers no range"),
         (["geometry={type: laminography, sod: 100, sdd: 200, views: 3, tilt: 90}"], "less than 90"),
         (["geometry={type: spiral}"], "unknown type 'spiral'"),
+        (["geometry.flying_focal_spot=[]"], "needs at least 1, got 0"),
+        (["geometry.flying_focal_spot=[{x: 1}]"], "unknown key"),
+        (["geometry.flying_focal_spot=[{outward: -100}]"], "100 mm from its nominal position"),
         (["geometry={type: parallel, distance: 40, views: 3, jitter: {source: 1}}"], "no effect in a parallel beam"),
         (
             ["geometry={type: parallel, distance: 40, views: 3}", "background=water"],
@@ -158,6 +161,17 @@ def test_scenes_in_the_documentation_load(block):
 )
 def test_impossible_geometries_are_one_sentence(overrides, words):
     assert words in refusal(*overrides)
+
+
+def test_views_take_the_deflections_of_a_flying_focal_spot_in_turn():
+    spots = "geometry.flying_focal_spot=[{columns: 1}, {columns: -1}, {z: 2, outward: 3}]"
+    views = ("geometry.views=4", "geometry.test_views=2")
+    still, flying = toy(*views).geometry, toy(*views, spots).geometry
+    along = still.column_step / still.panel.column_pitch
+    outward = still.source / np.linalg.norm(still.source, axis=1, keepdims=True)
+    third = 3 * outward + [0, 0, 2]
+    moved = [along[0], -along[1], third[2], along[3], along[4], -along[5]]  # the last two are test views
+    np.testing.assert_allclose(flying.source - still.source, moved, atol=1e-12)
 
 
 def test_profiles_follow_the_pixels_of_a_mounted_panel():

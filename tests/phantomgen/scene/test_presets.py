@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from phantomgen.geometry.curved_panel import ray_directions
 from phantomgen.ops.trace import trace
 from phantomgen.scene.file.scene_file import SceneFile, preset_names, preset_summaries
 from phantomgen.scene.scan import load_scene
@@ -23,7 +24,7 @@ def test_every_preset_is_whole(name: str) -> None:
     assert max(map(len, file.text.splitlines())) <= 120
 
     scan = load_scene(file)
-    scene, frames = scan.scene, scan.geometry.ray_frames()
+    scene = scan.scene
     assert coverage_warnings(scan) == []
     assert fit_warnings(scan, material_fit(scan)) == []
     objects = file.text.partition("\nobjects:")[2]
@@ -31,10 +32,10 @@ def test_every_preset_is_whole(name: str) -> None:
 
     panel = scan.geometry.panel
     rng = np.random.default_rng(0)
-    frame = frames[rng.integers(len(frames), size=500)]
-    column, row = (rng.uniform(-0.5, n - 0.5, (500, 1)) for n in (panel.columns, panel.rows))
-    directions = frame[:, 1] + column * frame[:, 2] + row * frame[:, 3]
-    lengths = trace(frame[:, 0], directions, scene.solids, len(scene.materials), scene.background)
+    columns, rows = (rng.uniform(-0.5, n - 0.5, 10) for n in (panel.columns, panel.rows))
+    directions = ray_directions(scan.geometry, columns, rows).reshape(-1, 3)
+    origins = np.repeat(scan.geometry.source, 100, axis=0)
+    lengths = trace(origins, directions, scene.solids, len(scene.materials), scene.background)
     assert np.isfinite(lengths).all()
     assert (lengths >= 0).all()
     assert (lengths.sum(axis=1) <= np.linalg.norm(directions, axis=1) * (1 + 1e-12)).all()
