@@ -67,6 +67,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from phantomgen.geometry.curved_panel import on_panel
 from recon.data.measurements import Measurements
 from recon.data.view_subsets import every_nth_view, view_groups
 from recon.gaussians.fisher import coefficient_curvature
@@ -149,13 +150,31 @@ class Objective:
         some = every_nth_view(view_groups(data.exposure), -(-len(data) // settings.curvature_views))
         blocks = coefficient_curvature(gaussians, data[self.processes.share(some)], self.dispersion)
         self.processes.add_up([blocks])
-        blocks, metric = blocks * (len(data) / len(some)), torch.empty(0)
+        seen = self._views_that_see(gaussians, some).to(blocks)
+        blocks = blocks * (len(data) / seen.clamp_min(1)).reshape(-1, *[1] * (blocks.ndim - 1))
+        metric = torch.empty(0)
         if self.prior is not None:
             blocks, metric = self.prior.curvature(gaussians, blocks)
         diagonal = torch.diagonal(blocks, dim1=-2, dim2=-1)
         mean = diagonal.flatten(0, -2).mean(dim=0).clamp_min(1)
-        added = settings.relative_damping * diagonal + settings.mean_damping * mean
+        unseen = (seen == 0).to(blocks).reshape(-1, *[1] * (diagonal.ndim - 1))
+        added = settings.relative_damping * diagonal + torch.clamp_min(unseen, settings.mean_damping) * mean
         held = None if self.prior is None else self.prior.held_coefficients(gaussians)
         if held is not None:
             added = added + settings.holding * held * diagonal
         return Curvature(torch.linalg.inv(blocks + torch.diag_embed(added)), metric)
+
+    def _views_that_see(self, gaussians: GaussianModel, views: Int[np.ndarray, " view"]) -> Int[Tensor, " gaussian"]:
+        """Count the views with the centre of each Gaussian on their panel.
+
+        A step multiplies the gradient of its few views to that of all views. It is a Newton step for a Gaussian that
+        only some views see, as in a helix, if the curvature is that of all views as if all saw the Gaussian.
+        """
+        geometry, count = self.data.geometry[views], 0
+        centres = gaussians.centres.detach().cpu().numpy().astype(np.float64)
+        for view in range(len(geometry)):
+            depth, column, row = np.moveaxis(on_panel(geometry[[view]], centres)[0], -1, 0)
+            panel = geometry.panel
+            inside = (depth > 0) & (np.abs(column - (panel.columns - 1) / 2) <= panel.columns / 2)
+            count = count + (inside & (np.abs(row - (panel.rows - 1) / 2) <= panel.rows / 2))
+        return torch.from_numpy(np.asarray(count, dtype=np.int64))

@@ -8,15 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support.gaussian_scenes import circular, small_model, small_scan, spectral_model
+from support.gaussian_scenes import PITCH, SDD, SOD, circular, small_model, small_scan, spectral_model
 from support.tolerances import TOLERANCES
 
 import recon.gaussians.objective
+from phantomgen.geometry.orbits import helical, spread_angles
+from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.voxel_grid import Grid
+from recon.gaussians.fisher import coefficient_curvature
 from recon.gaussians.model import PARTS
 from recon.gaussians.objective import Objective
 from recon.gaussians.recipe import Recipe
-from recon.gaussians.settings import PriorSettings
+from recon.gaussians.settings import OptimizerSettings, PriorSettings
 from recon.gaussians.state import FitState
 from recon.gaussians.voxel_prior import VoxelPrior
 from recon.ops.rasterize import Projector, rasterize, reference
@@ -81,3 +84,24 @@ def test_gradients_of_all_slabs_are_those_of_the_equation(objective, strength, m
     for name, one, other in zip(PARTS, found, wanted, strict=True):
         error = (one - other).norm() / other.norm()
         assert error < TOLERANCES["kernel_gradient"], name
+
+
+def test_curvature_is_that_of_all_views_as_if_all_saw_a_gaussian():
+    """Against the mean over views with the centre on the panel; a Gaussian that none sees has the mean of all."""
+    narrow = Panel(4, 26, PITCH)
+    helix = helical(SOD, SDD, spread_angles(12, 0), 6.0, narrow, -3.0)
+    model, flat = small_model(1), torch.tensor([1.0, 1.0, 0.4])
+    model = replace(model, centres=torch.cat([flat * model.centres[:-1], torch.tensor([[0.0, 0.0, 40.0]])]))
+    objective = Objective(small_scan(model, helix, spectral_model(3), seed=3), ETA)
+    apart = model.centres.double().numpy()[None] - helix.source[:, None]
+    axis = -helix.source * [1, 1, 0] / SOD
+    magnified = SDD / np.einsum("vgi,vi->vg", apart, axis)
+    seen = (np.abs(apart[..., 2] * magnified) <= 2 * PITCH).sum(axis=0)  # all centres are within the columns
+    assert seen[-1] == 0
+    assert 0 < seen[:-1].min() < 12
+    found = torch.linalg.inv(objective.curvature(model, OptimizerSettings()).inverse.double())
+    sums = coefficient_curvature(model, objective.data, ETA).double()
+    expected = sums * torch.from_numpy(12 / np.maximum(seen, 1))[:, None, None]
+    np.testing.assert_allclose(found[:-1].numpy(), expected[:-1].numpy(), rtol=2e-3, atol=1e-5 * float(expected.max()))
+    mean = torch.diagonal(expected, dim1=-2, dim2=-1).mean(dim=0)
+    np.testing.assert_allclose(torch.diagonal(found[-1]).numpy(), mean.numpy(), rtol=1e-3)
