@@ -35,6 +35,10 @@ ORBITS = {
         "panel={rows: 72, columns: 48, pitch: 2.88, offset: {columns: 50}}",
         "geometry.views=60",
     ],
+    "curved panel, radius 800 mm": [
+        "panel={rows: 72, columns: 72, pitch: 2.88, curvature: {radius: 800}}",
+        "geometry.views=60",
+    ],
     "short scan": [SQUARE, "geometry={type: circular, sod: 500, sdd: 800, views: 60, arc: short, test_views: 20}"],
     "limited arc of 120 degrees, 40 views": [
         SQUARE,
