@@ -2,8 +2,8 @@
 
     python -m benchmarks.reconstruction.orbits [--out FOLDER] [WORD ...]
 
-Scans of `kedge-small`; rows whose name begins with one of the words, all where there are none. PSNR [dB] of the basis
-volumes from voxels (`one-step`, which a fit starts from) and of the default fit; chi-square of test views in the worst
+Scans of `kedge-small`, one of `clinical-helix`; rows whose name begins with one of the words, all where there are
+none. PSNR [dB] of the basis volumes from voxels (`one-step`, which a fit starts from) and of the default fit; chi-square of test views in the worst
 channel, away from edges and of all rays; processor time of the fit. Rows take the place of those in
 `results/orbits.txt`.
 """
@@ -52,11 +52,17 @@ ORBITS = {
         SQUARE,
         "geometry={type: helical, sod: 500, sdd: 800, views: 80, pitch: 40, turns: 2, test_views: 20}",
     ],
+    "clinical-helix, 32 x 184 pixels, 64 views": [
+        "panel={rows: 32, columns: 184, pitch: [2.1894, 5.1432], offset: {columns: 1.3}, curvature: {radius: 1085.6}}",
+        "geometry.views=64",
+        "geometry.test_views=4",
+    ],
     "laminography, 25 degrees": [
         SQUARE,
         "geometry={type: laminography, sod: 500, sdd: 800, views: 60, tilt: 25, test_views: 20}",
     ],
 }
+PRESETS = {"clinical-helix, 32 x 184 pixels, 64 views": "clinical-helix"}  # of rows of another preset
 
 
 def row_of(name: str, dataset: Dataset) -> str:
@@ -87,7 +93,7 @@ def main() -> None:
         for i, (name, changes) in enumerate(ORBITS.items()):
             if asked.words and not name.startswith(tuple(asked.words)):
                 continue
-            scan = phantomgen.load("kedge-small", [*COMMON, *changes])
+            scan = phantomgen.load(PRESETS.get(name, "kedge-small"), [*COMMON, *changes])
             with phantomgen.make(scan, out=folder / f"orbit-{i}.h5", overwrite=True) as dataset:
                 row = row_of(name, dataset)
             store(TABLE, [f"{platform.machine()}, {thread_count()} threads", HEADER], row, NAMED)

@@ -108,7 +108,7 @@ def deflected(geometry: Geometry, deflections: VectorPerView) -> Geometry:
     Parameters
     ----------
     geometry : circular or helical orbit
-    deflections : per view, along the way columns count, along z, and away from the rotation axis [mm]
+    deflections : along the way columns count, along z, and away from the rotation axis, (view, 3) [mm]
 
     Returns
     -------

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from spectra.errors import InputError
+from spectra.errors import GeometryError, InputError
 
 
 @dataclass(frozen=True)
@@ -116,3 +116,21 @@ def module_columns(panel: Panel, radius: float, tolerance: float = 0.01) -> int:
             if max(across, along) <= tolerance:
                 return columns
     return 1
+
+
+def check_flat(panel: Panel) -> None:
+    """Refuse a curved panel where only a flat one can be used.
+
+    Parameters
+    ----------
+    panel : the pixel grid
+
+    Raises
+    ------
+    GeometryError
+        When the panel is curved.
+    """
+    if panel.curvature is not None:
+        raise GeometryError(
+            "a curved panel cannot be used here, only a flat one: make the scan without panel.curvature"
+        )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.panel import Panel, check_flat
 from phantomgen.geometry.voxel_grid import Grid
 from spectra.errors import GeometryError
 
@@ -239,10 +239,7 @@ class Geometry:
         GeometryError
             When the panel is curved: `phantomgen.geometry.curved_panel.module_frames` has a frame for each module.
         """
-        if self.panel.curvature is not None:
-            raise GeometryError(
-                "a curved panel cannot be used here, only a flat one: make the scan without panel.curvature"
-            )
+        check_flat(self.panel)
         rows, columns = self.panel.rows, self.panel.columns
         first = self.panel_center - (columns - 1) / 2 * self.column_step - (rows - 1) / 2 * self.row_step
         return np.stack([self.source, first - self.source, self.column_step, self.row_step], axis=1)

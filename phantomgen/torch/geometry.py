@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.panel import Panel, check_flat
 from phantomgen.geometry.poses import Geometry
 from spectra.errors import InputError
 
@@ -34,6 +34,8 @@ class TensorGeometry:
     ------
     InputError
         When a tensor is not one vector per view.
+    GeometryError
+        When the panel is curved.
     """
 
     source: Float[Tensor, "view 3"]
@@ -44,6 +46,7 @@ class TensorGeometry:
     ray_direction: Float[Tensor, "view 3"] | None = None
 
     def __post_init__(self) -> None:
+        check_flat(self.panel)
         for name in (*_VECTORS, *(() if self.ray_direction is None else ("ray_direction",))):
             shape = tuple(getattr(self, name).shape)
             if shape != (len(self.source), 3):

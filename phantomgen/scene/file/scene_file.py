@@ -361,6 +361,8 @@ def _sentence(error: Any) -> str:
     text = error["msg"][0].lower() + error["msg"][1:]
     if kind == "too_short":
         text = f"needs at least {error['ctx']['min_length']}, got {error['ctx']['actual_length']}"
+    if kind in ("list_type", "tuple_type"):
+        text = "needs a list"
     return f"{text}, got {shortened(repr(got))}" if isinstance(got, str | int | float | bool | None) else text
 
 

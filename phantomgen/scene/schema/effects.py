@@ -58,7 +58,7 @@ class ComptonScatterModel(Model):
 ScatterModel = Annotated[KernelScatterModel | ComptonScatterModel, Field(discriminator="type")]
 
 
-class GridModel(Model):
+class AntiScatterGridModel(Model):
     """Anti-scatter grid: parts of primary and of scattered photons that pass it."""
 
     primary: Share
@@ -72,7 +72,7 @@ class EffectsModel(Model):
     focal_spot: FocalSpotModel | None = None
     aperture: ApertureModel | None = None
     scatter: ScatterModel | None = None
-    grid: GridModel | None = None
+    grid: AntiScatterGridModel | None = None
     motion: MotionModel | None = None
     blur: BlurModel | None = None
     gain: GainModel | None = None

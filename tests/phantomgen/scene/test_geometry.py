@@ -132,6 +132,7 @@ def test_scenes_in_the_documentation_load(block):
         (["geometry={type: helical, sod: 100, sdd: 200, views: 3, pitch: 0, range: 2}"], "covers no range"),
         (["geometry={type: laminography, sod: 100, sdd: 200, views: 3, tilt: 90}"], "less than 90"),
         (["geometry={type: spiral}"], "unknown type 'spiral'"),
+        (["geometry.flying_focal_spot=3"], "geometry.flying_focal_spot - needs a list, got 3"),
         (["geometry.flying_focal_spot=[]"], "needs at least 1, got 0"),
         (["geometry.flying_focal_spot=[{x: 1}]"], "unknown key"),
         (["geometry.flying_focal_spot=[{outward: -100}]"], "100 mm from its nominal position"),

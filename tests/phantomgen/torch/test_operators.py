@@ -5,14 +5,14 @@ import pytest
 import torch
 
 import phantomgen.torch as pt
-from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.panel import Curvature, Panel
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.project import differentiable, pose_gradient
 from phantomgen.ops.project import project as project_arrays
 from phantomgen.ops.project.reference import matrix_of_view
 from phantomgen.ops.project.torch_pair import pose_gradient_on_device
-from spectra.errors import InputError
+from spectra.errors import GeometryError, InputError
 from spectra.transmission import Transmission
 
 GRID = Grid((3, 4, 5), (1.3, 0.9, 1.1), (-1.1, -1.4, -2.3))
@@ -275,6 +275,12 @@ def test_what_does_not_fit_is_refused() -> None:
         pt.TensorSpectra(random(3, 7), random(2, 6))
     with pytest.raises(InputError, match=r"panel_center has shape \(2, 3\)"):
         pt.TensorGeometry(random(3, 3), random(2, 3), random(3, 3), random(3, 3), Panel(3, 4, 1.0))
+
+
+def test_a_curved_panel_is_refused() -> None:
+    curved = Geometry.circular(15.0, 30.0, np.array([0.21]), Panel(3, 4, 1.3, Curvature(30.0, 2)))
+    with pytest.raises(GeometryError, match="a curved panel cannot be used here, only a flat one"):
+        pt.TensorGeometry.of(curved)
 
 
 def test_no_views_give_no_images() -> None:
