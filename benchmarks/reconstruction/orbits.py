@@ -3,9 +3,9 @@
     python -m benchmarks.reconstruction.orbits [--out FOLDER] [WORD ...]
 
 Scans of `kedge-small`, one of `clinical-helix`; rows whose name begins with one of the words, all where there are
-none. PSNR [dB] of the basis volumes from voxels (`one-step`, which a fit starts from) and of the default fit; chi-square of test views in the worst
-channel, away from edges and of all rays; processor time of the fit. Rows take the place of those in
-`results/orbits.txt`.
+none. PSNR [dB] of the basis volumes from voxels (`one-step`, which a fit starts from) and of the default fit;
+chi-square of test views in the worst channel, away from edges and of all rays; processor time of the fit. Rows take
+the place of those in `results/orbits.txt`.
 """
 
 import argparse
