@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from phantomgen.geometry.poses import Geometry
 from spectra.errors import GeometryError
@@ -149,6 +149,44 @@ def on_panel(geometry: Geometry, points: Float[np.ndarray, "point 3"]) -> Float[
         closer = (aside < nearest) | np.isnan(found[..., 0])
         found[closer], nearest = here[closer], np.minimum(nearest, aside)
     return found
+
+
+def sees(geometry: Geometry, points: Float[np.ndarray, "point 3"]) -> Bool[np.ndarray, "view point"]:
+    """Say which views have which points on their panel.
+
+    Parameters
+    ----------
+    geometry : poses
+    points : points [mm]
+
+    Returns
+    -------
+    whether the ray from the source through a point ends within the panel, (view, point); a curved panel counts as the
+    arc itself, not as its flat modules
+    """
+    panel = geometry.panel
+    if panel.curvature is None:
+        depth, column, row = np.moveaxis(on_plane(geometry.ray_frames(), points), -1, 0)
+        column, row = column - (panel.columns - 1) / 2, row - (panel.rows - 1) / 2
+    else:
+        depth, column, row = _on_arc(geometry, panel.curvature.radius, points)
+    return (depth > 0) & (np.abs(column) <= panel.columns / 2) & (np.abs(row) <= panel.rows / 2)
+
+
+def _on_arc(
+    geometry: Geometry, radius: float, points: Float[np.ndarray, "point 3"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Project points onto an arc: depth, and column and row from the middle of the panel, (view, point) each."""
+    panel, away = geometry.panel, _away_from_source(geometry)
+    axes = np.stack([geometry.column_step / panel.column_pitch, away, geometry.row_step / panel.row_pitch], axis=1)
+    source = np.einsum("vai,vi->av", axes, geometry.source - geometry.panel_center + radius * away)[..., None]
+    ray = np.einsum("vai,vpi->avp", axes, points - geometry.source[:, None])
+    square, product = (ray[:2] ** 2).sum(axis=0), (ray[:2] * source[:2]).sum(axis=0)
+    past = (source[:2] ** 2).sum(axis=0) - radius**2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        depth = (np.sqrt(product**2 - square * past) - product) / square  # nan for rays that miss the circle
+        column = np.arctan2(source[0] + depth * ray[0], source[1] + depth * ray[1]) * (radius / panel.column_pitch)
+        return 1 / depth, column, (source[2] + depth * ray[2]) / panel.row_pitch
 
 
 def on_plane(

@@ -57,17 +57,24 @@ offsets of the planes, and line integrals below 0 enter Y by `recon.gaussians.li
 
 A step uses some of the views, scaled to all of them, and one slab of the voxels, scaled to the whole volume; the mean
 of its gradient over the steps is that of F. Gradients are of F over half the number of counts (`Objective.scale`).
+
+Where views do not see all of the volume, as in a helix, few views of a step or none see a Gaussian. Scaled to all
+views, their gradient is too large or 0. So the gradients of coefficients, and H_i, are scaled by the numbers of views
+that see the centre: from those of the step, or of those that H_i is computed from, to those of the scan. A Gaussian
+takes a whole step of Newton's method whenever it is seen.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import ConvexHull, QhullError
 from torch import Tensor
 
-from phantomgen.geometry.curved_panel import on_panel
+from phantomgen.geometry.curved_panel import sees
+from phantomgen.geometry.poses import Geometry
 from recon.data.measurements import Measurements
 from recon.data.view_subsets import every_nth_view, view_groups
 from recon.gaussians.fisher import coefficient_curvature
@@ -101,12 +108,14 @@ class Objective:
     dispersion : eta, relative model error [no unit]
     prior : the voxel prior; None for the data term alone
     processes : those that share the views
+    seen : which views see which Gaussians, from `seen_gaussians`; None where all see all
     """
 
     data: Measurements
     dispersion: float
     prior: VoxelPrior | None = None
     processes: Processes = ALONE
+    seen: Bool[np.ndarray, "view gaussian"] | None = None
 
     @property
     def scale(self) -> float:
@@ -130,6 +139,9 @@ class Objective:
         likelihood of the model with these views
         """
         found = likelihood_and_gradients(gaussians, self.data, views, self.dispersion, self.processes)
+        if self.seen is not None:
+            gradient = cast(Tensor, gaussians.coefficients.grad)
+            gradient *= _like(self._to_all_views(views) * len(views) / len(self.data), gradient)
         if self.prior is not None:
             self.prior.add_gradients(gaussians, prior_metric / self.scale, step)
         return found
@@ -150,31 +162,60 @@ class Objective:
         some = every_nth_view(view_groups(data.exposure), -(-len(data) // settings.curvature_views))
         blocks = coefficient_curvature(gaussians, data[self.processes.share(some)], self.dispersion)
         self.processes.add_up([blocks])
-        seen = self._views_that_see(gaussians, some).to(blocks)
-        blocks = blocks * (len(data) / seen.clamp_min(1)).reshape(-1, *[1] * (blocks.ndim - 1))
+        if self.seen is None:
+            blocks = blocks * (len(data) / len(some))
+        else:
+            blocks = blocks * _like(self._to_all_views(some), blocks)
         metric = torch.empty(0)
         if self.prior is not None:
             blocks, metric = self.prior.curvature(gaussians, blocks)
         diagonal = torch.diagonal(blocks, dim1=-2, dim2=-1)
         mean = diagonal.flatten(0, -2).mean(dim=0).clamp_min(1)
-        unseen = (seen == 0).to(blocks).reshape(-1, *[1] * (diagonal.ndim - 1))
-        added = settings.relative_damping * diagonal + torch.clamp_min(unseen, settings.mean_damping) * mean
+        damping = settings.mean_damping
+        if self.seen is not None:  # the curvature of Gaussians that none of these views sees is not known
+            damping = _like(np.where(self.seen[some].any(axis=0), damping, 1.0), diagonal)
+        added = settings.relative_damping * diagonal + damping * mean
         held = None if self.prior is None else self.prior.held_coefficients(gaussians)
         if held is not None:
             added = added + settings.holding * held * diagonal
         return Curvature(torch.linalg.inv(blocks + torch.diag_embed(added)), metric)
 
-    def _views_that_see(self, gaussians: GaussianModel, views: Int[np.ndarray, " view"]) -> Int[Tensor, " gaussian"]:
-        """Count the views with the centre of each Gaussian on their panel.
+    def _to_all_views(self, views: Int[np.ndarray, " view"]) -> Float[np.ndarray, " gaussian"]:
+        """Divide the number of views of the scan that see a Gaussian by that of some of them, at least 1.
 
-        A step multiplies the gradient of its few views to that of all views. It is a Newton step for a Gaussian that
-        only some views see, as in a helix, if the curvature is that of all views as if all saw the Gaussian.
+        Where no view has the centre on its panel, and a tail at most, all views count.
         """
-        geometry, count = self.data.geometry[views], 0
-        centres = gaussians.centres.detach().cpu().numpy().astype(np.float64)
-        for view in range(len(geometry)):
-            depth, column, row = np.moveaxis(on_panel(geometry[[view]], centres)[0], -1, 0)
-            panel = geometry.panel
-            inside = (depth > 0) & (np.abs(column - (panel.columns - 1) / 2) <= panel.columns / 2)
-            count = count + (inside & (np.abs(row - (panel.rows - 1) / 2) <= panel.rows / 2))
-        return torch.from_numpy(np.asarray(count, dtype=np.int64))
+        assert self.seen is not None
+        all_views, few = self.seen.sum(axis=0), self.seen[views].sum(axis=0)
+        return np.where(all_views == 0, len(self.seen) / len(views), all_views / np.maximum(few, 1))
+
+
+def seen_gaussians(gaussians: GaussianModel, geometry: Geometry) -> Bool[np.ndarray, "view gaussian"] | None:
+    """Find the views with the centre of each Gaussian on their panel.
+
+    Parameters
+    ----------
+    gaussians : the model
+    geometry : poses of all views
+
+    Returns
+    -------
+    whether a view sees a Gaussian, (V, N); None where all views see all Gaussians
+    """
+    centres = gaussians.centres.detach().cpu().numpy().astype(np.float64)
+    if sees(geometry, _outermost(centres)).all():
+        return None
+    return np.concatenate([sees(geometry[[view]], centres) for view in range(len(geometry))])
+
+
+def _outermost(points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "corner 3"]:
+    """Find the corners of the convex hull; all points where they span no volume."""
+    try:
+        return points[ConvexHull(points).vertices]
+    except QhullError:
+        return points
+
+
+def _like(factors: Float[np.ndarray, " gaussian"], values: Tensor) -> Tensor:
+    """Shape a factor of each Gaussian for multiplication with arrays of more dimensions."""
+    return torch.from_numpy(factors).to(values).reshape(-1, *[1] * (values.ndim - 1))

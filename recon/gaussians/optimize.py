@@ -22,7 +22,7 @@ from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import count_complete_sets, golden_section_order, interleaved_subsets, view_groups
 from recon.gaussians.likelihood import Likelihood, likelihood
 from recon.gaussians.model import GaussianModel
-from recon.gaussians.objective import Objective
+from recon.gaussians.objective import Objective, seen_gaussians
 from recon.gaussians.processes import LOCAL, Processes, Resources
 from recon.gaussians.recipe import Recipe
 from recon.gaussians.settings import OptimizerSettings
@@ -100,11 +100,13 @@ def fit(
     complete_sets = count_complete_sets(groups)  # a step uses views of all groups: one alone cannot separate the bases
     lengths, per_sweep = recipe.steps(complete_sets), recipe.per_sweep(complete_sets)
     steps, firsts = sum(lengths), accumulate(lengths, initial=0)
+    seen = seen_gaussians(state.initial, measurements.geometry)
     for stage, first, length in zip(recipe.stages, firsts, lengths, strict=False):
         if state.done >= first + length:
             continue
         data = measurements.binned(matching_bin(measurements.geometry, stage.pixel * voxel))
-        objective = Objective(data.weighted(recipe.dispersion, resources.store), recipe.dispersion, prior, processes)
+        weighted = data.weighted(recipe.dispersion, resources.store)
+        objective = Objective(weighted, recipe.dispersion, prior, processes, seen)
         for step, views in islice(enumerate(_subsets(groups, per_sweep, length)), state.done - first, None):
             if step % recipe.curvature_steps(complete_sets) == 0:
                 state.inverse_curvature, state.prior_metric = objective.curvature(state.gaussians, settings)

@@ -13,6 +13,7 @@ from phantomgen.geometry.curved_panel import (
     on_panel,
     panel_edges,
     ray_directions,
+    sees,
     shifted_along,
     split_modules,
 )
@@ -82,6 +83,19 @@ def test_points_on_the_panel_are_found_where_they_are():
         points = geometry.source[view] + part * (places[view, row, column] - geometry.source[view])
         found = on_panel(geometry[[view]], points)[0]
         assert found == pytest.approx(np.stack([part[:, 0], column, row], axis=1), abs=1e-7)
+
+
+@pytest.mark.parametrize("radius", [SDD, 700.0, 3000.0, None])
+def test_a_view_sees_the_points_whose_rays_end_on_the_panel(radius):
+    """Against projection onto modules of one column; points within a hundredth of a pixel of an edge are left out."""
+    geometry = scanner(736, radius) if radius else Geometry.circular(SOD, SDD, ANGLES, Panel(4, 736, (1.0947, 1.2858)))
+    points = np.random.default_rng(4).uniform([-800, -400, -6], [400, 400, 6], (300, 3))
+    depth, column, row = np.moveaxis(on_panel(geometry, points), -1, 0)
+    beyond = np.maximum(np.abs(column - 367.5) - 368, np.abs(row - 1.5) - 2)
+    clear, found = np.abs(beyond) > 0.01, sees(geometry, points)
+    assert 0.1 < found.mean() < 0.9
+    assert clear.mean() > 0.9
+    assert np.array_equal(found[clear], ((beyond < 0) & (depth > 0))[clear])
 
 
 def test_edges_of_a_flat_panel_are_lines_through_its_corners():

@@ -17,7 +17,7 @@ from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.voxel_grid import Grid
 from recon.gaussians.fisher import coefficient_curvature
 from recon.gaussians.model import PARTS
-from recon.gaussians.objective import Objective
+from recon.gaussians.objective import Objective, seen_gaussians
 from recon.gaussians.recipe import Recipe
 from recon.gaussians.settings import OptimizerSettings, PriorSettings
 from recon.gaussians.state import FitState
@@ -86,22 +86,40 @@ def test_gradients_of_all_slabs_are_those_of_the_equation(objective, strength, m
         assert error < TOLERANCES["kernel_gradient"], name
 
 
-def test_curvature_is_that_of_all_views_as_if_all_saw_a_gaussian():
-    """Against the mean over views with the centre on the panel; a Gaussian that none sees has the mean of all."""
+def test_where_few_views_see_a_gaussian_steps_are_those_of_the_views_that_do():
+    """Against counts of the views with the centre on the panel; a Gaussian that none sees has the mean of all."""
     narrow = Panel(4, 26, PITCH)
-    helix = helical(SOD, SDD, spread_angles(12, 0), 6.0, narrow, -3.0)
+    helix = helical(SOD, SDD, spread_angles(24, 0), 12.0, narrow, -6.0)
     model, flat = small_model(1), torch.tensor([1.0, 1.0, 0.4])
     model = replace(model, centres=torch.cat([flat * model.centres[:-1], torch.tensor([[0.0, 0.0, 40.0]])]))
-    objective = Objective(small_scan(model, helix, spectral_model(3), seed=3), ETA)
     apart = model.centres.double().numpy()[None] - helix.source[:, None]
     axis = -helix.source * [1, 1, 0] / SOD
     magnified = SDD / np.einsum("vgi,vi->vg", apart, axis)
-    seen = (np.abs(apart[..., 2] * magnified) <= 2 * PITCH).sum(axis=0)  # all centres are within the columns
-    assert seen[-1] == 0
-    assert 0 < seen[:-1].min() < 12
+    expected = np.abs(apart[..., 2] * magnified) <= 2 * PITCH  # all centres are within the columns
+    seen = seen_gaussians(model, helix)
+    assert np.array_equal(seen, expected)
+    some = np.arange(0, 24, 2)
+    of_all, of_some = seen.sum(axis=0), seen[some].sum(axis=0)
+    assert of_all[-1] == 0
+    assert 0 < of_some[:-1].min() < 12
+    objective = Objective(small_scan(model, helix, spectral_model(3), seed=3), ETA, seen=seen)
     found = torch.linalg.inv(objective.curvature(model, OptimizerSettings()).inverse.double())
-    sums = coefficient_curvature(model, objective.data, ETA).double()
-    expected = sums * torch.from_numpy(12 / np.maximum(seen, 1))[:, None, None]
-    np.testing.assert_allclose(found[:-1].numpy(), expected[:-1].numpy(), rtol=2e-3, atol=1e-5 * float(expected.max()))
-    mean = torch.diagonal(expected, dim1=-2, dim2=-1).mean(dim=0)
+    sums = coefficient_curvature(model, objective.data[some], ETA).double()
+    blocks = sums * torch.from_numpy(of_all / np.maximum(of_some, 1))[:, None, None]
+    np.testing.assert_allclose(found[:-1].numpy(), blocks[:-1].numpy(), rtol=2e-3, atol=1e-5 * float(blocks.max()))
+    mean = torch.diagonal(blocks, dim1=-2, dim2=-1).mean(dim=0)
     np.testing.assert_allclose(torch.diagonal(found[-1]).numpy(), mean.numpy(), rtol=1e-3)
+
+    start = FitState.begin(replace(model, coefficients=0.9 * model.coefficients)).gaussians
+    views, gradients = np.array([3, 9, 15, 21]), []
+    for each in (objective, replace(objective, seen=None)):
+        each.set_gradients(start, views, torch.empty(0), 0)
+        gradients.append(start.coefficients.grad.numpy().copy())
+    factors = 4 / 24 * of_all / np.maximum(seen[views].sum(axis=0), 1)
+    factors[-1] = 1
+    assert len(np.unique(factors)) > 2
+    np.testing.assert_allclose(gradients[0], factors[:, None] * gradients[1], rtol=1e-6)
+
+
+def test_where_all_views_see_all_gaussians_nothing_is_scaled():
+    assert seen_gaussians(small_model(1), circular(50, 50)) is None
