@@ -7,6 +7,7 @@
 `recon.fit(dataset)` gives a fit that renders, scores and saves itself, `recon.segment(fit)` finds its materials,
 `recon.readout(fit, "hu", energy=70)` gives CT numbers, concentrations, electron density and atomic numbers,
 `recon.estimate_uncertainty(run, dataset)` and `recon.deviation(run, "hu", energy=70)` give standard deviations,
+`recon.estimate_detectability(run, dataset, insert)` says how well an insert is detected,
 `recon.align(scan, out)` corrects the stated panel of a scan,
 `recon.score(volume, dataset, ...)` scores a volume of any program, `recon.score_truth(truth, volumes)` basis volumes on
 the grid of the truth, `recon.quality` measures noise and resolution, and
@@ -19,7 +20,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from recon.alignment.interface import align
-    from recon.api import Fit, deviation, estimate_uncertainty, fit, readout, report_figures, score, segment
+    from recon.api import (
+        Fit,
+        deviation,
+        estimate_detectability,
+        estimate_uncertainty,
+        fit,
+        readout,
+        report_figures,
+        score,
+        segment,
+    )
     from recon.callbacks import EarlyStop, ProgressBar
     from recon.evaluation.scoring import score_truth
     from recon.gaussians.model import Gaussians
@@ -41,6 +52,7 @@ __all__ = [
     "Stage",
     "align",
     "deviation",
+    "estimate_detectability",
     "estimate_uncertainty",
     "fdk",
     "fit",
@@ -64,6 +76,7 @@ _HOMES = {
     "Stage": "gaussians.recipe",
     "align": "alignment.interface",
     "deviation": "api",
+    "estimate_detectability": "api",
     "estimate_uncertainty": "api",
     "fdk": "voxel.filtered.fdk",
     "fit": "api",

@@ -20,6 +20,9 @@ from phantomgen.runtime.plain_json import to_json, write_json
 from phantomgen.runtime.stopwatch import peak_memory_mib
 from phantomgen.runtime.thumbnails import thumbnails
 from recon.callbacks import ProgressBar
+from recon.detectability.classes import reconstruct_classes
+from recon.detectability.image_quality import ImageQuality, measure
+from recon.detectability.insert import Insert
 from recon.evaluation.stated_volume import Statement
 from recon.evaluation.verdict import Verdict
 from recon.gaussians.model import GaussianModel
@@ -47,7 +50,7 @@ from recon.segmentation.clustering import BANDWIDTH
 from recon.segmentation.result import ENERGY, FEATURES, Options, Segmentation
 from recon.segmentation.segment import segment_subject
 from recon.segmentation.subject import Subject, open_subject
-from recon.uncertainty.estimate import Uncertainty, estimate, stored_replicates
+from recon.uncertainty.estimate import RepeatableRun, Uncertainty, estimate, stored_replicates
 from spectra.basis.basis import Basis, pretty
 from spectra.errors import InputError
 
@@ -415,6 +418,49 @@ def estimate_uncertainty(
         with open_dataset(dataset) as opened:
             return estimate_uncertainty(run, opened, replicates, seed, on_replicate)
     return estimate(Path(run), dataset, replicates, seed, Unwatched(), on_replicate)
+
+
+def estimate_detectability(
+    run: Path | str,
+    dataset: Dataset | Path | str,
+    insert: str,
+    what: str = "hu",
+    energy: float | None = None,
+    pairs: int = 8,
+    seed: int = 0,
+    on_replicate: Callable[[int], None] = lambda number: None,
+) -> ImageQuality:
+    """Reconstruct a run anew with and without an insert, and compute d' of observers, as ``recon quality`` does.
+
+    Parameters
+    ----------
+    run : run folder of any method with volumes, where the reconstructions are written
+    dataset : its scan, open or its file
+    insert : ``"X,Y,Z,RADIUS"`` for a ball or ``"X,Y,Z,RADIUS,LENGTH"`` for a rod along z [mm]
+    what, energy : images that observers see, as in `readout`
+    pairs : reconstructions with and without the insert; those that the folder has already are not made again
+    seed : of the noise
+    on_replicate : called with the number of each reconstruction before it is made
+
+    Returns
+    -------
+    contrast, noise, spectra and d' of observers of images and of counts
+
+    Raises
+    ------
+    DatasetError
+        When the folder is no run, or the dataset is another one.
+    InputError
+        When the insert is not in the volume, or the method of the run cannot be repeated.
+    """
+    if not isinstance(dataset, Dataset):
+        with open_dataset(dataset) as opened:
+            return estimate_detectability(run, opened, insert, what, energy, pairs, seed, on_replicate)
+    again, place = RepeatableRun.of_run(Path(run), dataset), Insert.parse(insert)
+    stored = again.stored
+    shown = quantity(Readouts.of(stored.basis, *detected_spectrum(stored.basis, stored.transmission)), what, energy)
+    classes = reconstruct_classes(again, place, pairs, seed, Unwatched(), on_replicate)
+    return measure(classes, shown)
 
 
 def deviation(run: Path | str, what: str, energy: float | None = None, water: str | float | None = None) -> QuantityMap:

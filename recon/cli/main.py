@@ -7,6 +7,7 @@ from recon.cli.align import align
 from recon.cli.calibrate import calibrate
 from recon.cli.edge import edge
 from recon.cli.evaluation.compare import compare
+from recon.cli.evaluation.quality import quality
 from recon.cli.evaluation.score import score
 from recon.cli.evaluation.suite import suite
 from recon.cli.export import decompose, export
@@ -40,6 +41,7 @@ COMMANDS = (
     segment,
     volume,
     uncertainty,
+    quality,
     render,
     export,
     decompose,

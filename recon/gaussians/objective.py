@@ -159,7 +159,8 @@ class Objective:
         inverse of the damped curvature, and W
         """
         data = self.data
-        some = every_nth_view(view_groups(data.exposure), -(-len(data) // settings.curvature_views))
+        seeing = len(data) * (1.0 if self.seen is None else float(self.seen.mean()))  # views, for a Gaussian on average
+        some = every_nth_view(view_groups(data.exposure), max(int(-(-seeing // settings.curvature_views)), 1))
         blocks = coefficient_curvature(gaussians, data[self.processes.share(some)], self.dispersion)
         self.processes.add_up([blocks])
         if self.seen is None:

@@ -221,8 +221,8 @@ class OptimizerSettings:
     gradient_decay : of Adam's mean of gradients, per step [no unit]; the value of Kingma & Ba 2015
     square_decay : of Adam's mean of squared gradients, per step [no unit]; chosen by hand, not measured; Kingma & Ba
         have 0.999, a memory longer than a fit of 75 steps
-    curvature_views : views that the curvature of the coefficients is computed from, at most; chosen by hand, not
-        measured
+    curvature_views : views that see a Gaussian, on average, and that the curvature of the coefficients is computed
+        from; chosen by hand, not measured
     relative_damping : part of its own curvature that is added to that of each coefficient [no unit]; chosen by hand,
         not measured
     mean_damping : part of the mean curvature that is added, so that a Gaussian which no ray meets stays as it is [no

@@ -130,9 +130,13 @@ def certainly_larger(
 
     Returns
     -------
-    True where the mean difference is larger; False for a single view, whose standard error is not known
+    True where the mean difference is larger, or the mean difference over the sum of both, which no single view
+    dominates; also where one is not finite; False for a single view, whose standard error is not known
     """
-    difference = one - other
-    if len(difference) < 2:
+    if not np.isfinite(one).all():
+        return bool(np.isfinite(other).all())
+    if len(one) < 2 or not one.sum() > other.sum():
         return False
-    return bool(float(difference.mean()) > certain * float(difference.std(ddof=1)) / np.sqrt(len(difference)))
+    difference = one - other
+    relative = difference / np.maximum(one + other, np.finfo(float).tiny)
+    return any(d.mean() > certain * d.std(ddof=1) / np.sqrt(len(d)) for d in (difference, relative))

@@ -8,15 +8,16 @@ import numpy as np
 from jaxtyping import Float
 
 from phantomgen.dataset.reader import Dataset
+from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.output_lock import acquire
 from phantomgen.runtime.stopwatch import Stopwatch
 from recon.calibration.refine import ChosenSpectrum
-from recon.runs.interfaces import Watcher
+from recon.runs.interfaces import RunMethod, Watcher
 from recon.runs.outcomes.volume_outcome import VolumeOutcome
 from recon.runs.read_run import StoredModel, open_model, read_run
 from recon.runs.write_run import write_volumes
 from recon.scatter.chosen_scatter import ChosenScatter
-from recon.uncertainty.replicate import Replicate
+from recon.uncertainty.replicate import ProjectedModel, Replicate
 from recon.uncertainty.spread import Replicates, Spread
 from recon.uncertainty.stored_method import stored_method
 from spectra.errors import DatasetError, InputError
@@ -73,32 +74,104 @@ def estimate(
     """
     if count < 2:
         raise InputError(f"a standard deviation needs two replicates at least, got {count}")
-    stored = open_model(folder)
-    scan = _scan_of(stored, dataset, folder)
-    method = stored_method(folder, len(stored.model.basis_names))
-    method.check(scan)
-    place = folder / FOLDER
-    place.mkdir(exist_ok=True)
+    run, place = RepeatableRun.of_run(folder, dataset), folder / FOLDER
+    replicates = reconstruct_replicates(run, run.stored.model, place, range(count), seed, watcher, on_replicate)
+    found = replicates.spread()
+    uncertainty = Uncertainty(replicates, found, found.mean - read_run(folder).volumes)
+    others = {"bias": uncertainty.bias}
+    write_volumes(folder / DEVIATIONS, found.deviation, replicates.basis_names, replicates.grid, others)
+    return uncertainty
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatableRun:
+    """A run with its scan and its method, so that counts with other noise are reconstructed in the same way.
+
+    Parameters
+    ----------
+    folder : of the run
+    stored : its result
+    dataset : the scan, with the basis functions, the spectral model and the scatter of the run
+    method : with the settings of the run
+    """
+
+    folder: Path
+    stored: StoredModel
+    dataset: Dataset
+    method: RunMethod
+
+    @classmethod
+    def of_run(cls, folder: Path, dataset: Dataset) -> "RepeatableRun":
+        """Read a run.
+
+        Parameters
+        ----------
+        folder : of the run
+        dataset : its scan, open
+
+        Returns
+        -------
+        run, scan and method
+
+        Raises
+        ------
+        DatasetError
+            When the folder is no run, or the dataset is not that of the run.
+        InputError
+            When its method has no volumes.
+        """
+        stored = open_model(folder)
+        scan = _scan_of(stored, dataset, folder)
+        method = stored_method(folder, len(stored.model.basis_names))
+        method.check(scan)
+        return cls(folder, stored, scan, method)
+
+    @property
+    def grid(self) -> Grid:
+        """Grid of the volumes."""
+        return self.dataset.grid
+
+
+def reconstruct_replicates(
+    run: RepeatableRun,
+    model: ProjectedModel,
+    place: Path,
+    numbers: range,
+    seed: int,
+    watcher: Watcher,
+    on_replicate: Callable[[int], None] = lambda number: None,
+) -> Replicates:
+    """Reconstruct scans whose counts are drawn anew around those that a model expects; keep those that are there.
+
+    Parameters
+    ----------
+    run : run, scan and method
+    model : what the counts are drawn around
+    place : folder of the reconstructions, made where there is none
+    numbers : of the replicates; the same number has the same noise
+    seed : of the noise
+    watcher : shows the progress of each
+    on_replicate : called with the number of each before it is made
+
+    Returns
+    -------
+    the reconstructions
+    """
+    place.mkdir(exist_ok=True, parents=True)
     lock = acquire(place)
     try:
-        paths = [place / f"seed_{seed}_{number:03d}.h5" for number in range(count)]
-        for number, path in enumerate(paths):
+        paths = {number: place / f"seed_{seed}_{number:03d}.h5" for number in numbers}
+        for number, path in paths.items():
             if path.is_file():
                 continue
             on_replicate(number)
-            replicate = Replicate.of(scan, stored.model, seed, number)
-            outcome = method.reconstruct(replicate, None, Stopwatch(watcher.stage), watcher)
+            replicate = Replicate.of(run.dataset, model, seed, number)
+            outcome = run.method.reconstruct(replicate, None, Stopwatch(watcher.stage), watcher)
             assert isinstance(outcome, VolumeOutcome)
-            names = stored.model.basis_names
-            write_volumes(path, outcome.model.volume(scan.grid), names, scan.grid, {})
-        replicates = Replicates.read(paths)
-        found = replicates.spread()
-        uncertainty = Uncertainty(replicates, found, found.mean - read_run(folder).volumes)
-        others = {"bias": uncertainty.bias}
-        write_volumes(folder / DEVIATIONS, found.deviation, replicates.basis_names, replicates.grid, others)
+            write_volumes(path, outcome.model.volume(run.grid), model.basis_names, run.grid, {})
+        return Replicates.read(list(paths.values()))
     finally:
         lock.unlink(missing_ok=True)
-    return uncertainty
 
 
 def stored_replicates(folder: Path) -> Replicates:

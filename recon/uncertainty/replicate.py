@@ -9,23 +9,46 @@ References
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import SupportsInt
+from typing import Protocol, SupportsInt, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Shaped
+from torch import Tensor
 
 from phantomgen.dataset.checks.door import find_array
 from phantomgen.dataset.file import FLAT
 from phantomgen.dataset.reader import Dataset
+from phantomgen.geometry.poses import Geometry
 from recon.data.measurements import Measurements, read_measurements
 from recon.data.readout_noise import without_floor
-from recon.gaussians.model import GaussianModel
-from recon.voxel.model import Voxels
 from spectra.detector.dead_time import DeadTime
 
 _FLATS = (1 << 63) - 1  # in place of the number of a view, for the random numbers of flats
 
 Image = Float[np.ndarray, "channel row column"]
+
+
+@runtime_checkable
+class ProjectedModel(Protocol):
+    """Interface of what counts are computed from: Gaussians, volumes, or what is left of them without a part."""
+
+    @property
+    def basis_names(self) -> tuple[str, ...]:
+        """Names of the bases."""
+        ...
+
+    def line_integrals(self, geometry: Geometry) -> Float[Tensor, "view basis row column"]:
+        """Compute the line integrals of each basis.
+
+        Parameters
+        ----------
+        geometry : poses of the views
+
+        Returns
+        -------
+        one image per view and basis [no unit]
+        """
+        ...
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -43,13 +66,13 @@ class Replicate(Dataset):
     seed, number : of the random numbers
     """
 
-    model: GaussianModel | Voxels = field(repr=False)
+    model: ProjectedModel = field(repr=False)
     measured: Dataset = field(repr=False)
     seed: int
     number: int
 
     @classmethod
-    def of(cls, dataset: Dataset, model: GaussianModel | Voxels, seed: int, number: int) -> "Replicate":
+    def of(cls, dataset: Dataset, model: ProjectedModel, seed: int, number: int) -> "Replicate":
         """Create a replicate of a dataset.
 
         Parameters
@@ -119,7 +142,7 @@ def _with_losses(events: Image, mean: Image, dead_time: DeadTime) -> Image:
     return dead_time.recorded(mean) + np.sqrt(dead_time.live(total) * dead_time.fano(total)) * (events - mean)
 
 
-def expected_quanta(one: Measurements, model: GaussianModel | Voxels) -> Image:
+def expected_quanta(one: Measurements, model: ProjectedModel) -> Image:
     """Compute the expected counts of one view, in units in which their variance is their mean.
 
     Parameters

@@ -1,6 +1,6 @@
 """Standard deviations over replicates: of each voxel, of quantities that follow from the bases, of means of regions."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -75,6 +75,15 @@ class Replicates:
     def certainty(self) -> float:
         """Relative standard error of a standard deviation from so many normal numbers, of one voxel alone."""
         return 1 / np.sqrt(2 * (len(self) - 1))
+
+    def each(self) -> Iterator[Volumes]:
+        """Read the basis volumes of one replicate after another.
+
+        Returns
+        -------
+        iterator over coefficients [1/mm]
+        """
+        return map(self._volumes, self.paths)
 
     def _volumes(self, path: Path) -> Volumes:
         stored = read_volumes(path)

@@ -52,7 +52,10 @@ CHAPTERS: dict[str, dict[str, Topic]] = {
         "Segmentation": segments.parts,
     },
     "Resolution and noise": {"Edge response, MTF and noise power": resolution.parts},
-    "Uncertainty": {"Standard deviations": uncertainty.parts},
+    "Uncertainty": {
+        "Standard deviations": uncertainty.parts,
+        "Detectability of inserts": uncertainty.detectability_parts,
+    },
     "Views": {"Views, residuals and sinograms": views.parts},
     "Energies": {"Spectrum and bases": energies.parts},
     "Progress and cost": {"Progress": progress_and_cost.progress_parts, "Cost": progress_and_cost.cost_parts},

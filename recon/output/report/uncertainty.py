@@ -1,4 +1,4 @@
-"""Standard deviations that noise causes, where `recon uncertainty` has made replicates of a run."""
+"""What `recon uncertainty` and `recon quality` found by reconstructing a run anew with other noise."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +10,8 @@ from jaxtyping import Float
 from phantomgen.display.figures.style import PAGE_WIDTH, figure_file, write_csv
 from phantomgen.display.html import Part, Table, picture
 from phantomgen.geometry.voxel_grid import Grid
+from recon.detectability.image_quality import stored_qualities
+from recon.detectability.quality_figure import draw_quality
 from recon.figures.run_figures import borders
 from recon.output.report.case import Case, LeftOut, Parts, number
 from recon.readouts.quantity import in_pieces
@@ -74,6 +76,55 @@ def parts(case: Case) -> Parts:
     if not found:
         raise LeftOut("no replicates: make them by recon uncertainty")
     return tuple(found)
+
+
+def detectability_parts(case: Case) -> Parts:
+    """Draw the quality of the images of inserts, and list d' of the observers.
+
+    Parameters
+    ----------
+    case : runs of the report
+
+    Returns
+    -------
+    parts of the page
+
+    Raises
+    ------
+    LeftOut
+        When no run has such a quality.
+    """
+    found: list[Part] = []
+    rows: list[tuple[str, ...]] = []
+    for run in case.runs:
+        for quality in stored_qualities(run.folder):
+            path = case.path(f"quality{f'_{len(rows)}' if rows else ''}")
+            case.drawn(path, draw_quality(quality, path))
+            found.append(
+                picture(
+                    path,
+                    f"{case.who(run)}{quality.about}, insert at {quality.insert} mm: a reconstruction with it and one "
+                    f"without it, mean difference of {quality.pairs} each, noise power spectrum and task transfer "
+                    "function of the slices through it, and d' of observers with intervals of 95 % confidence.",
+                )
+            )
+            observers = (quality.without_prewhitening.value, quality.hotelling.value, quality.ideal)
+            contrast = f"{number(quality.contrast)} {quality.unit}"
+            numbers = map(number, (quality.contrast_to_noise, *observers))
+            rows.append((case.who(run).rstrip(": "), f"{quality.about}, {quality.insert}", contrast, *numbers))
+    if not found:
+        raise LeftOut("no insert was looked at: name one by recon quality")
+    header = (
+        "",
+        "image, insert [mm]",
+        "contrast",
+        "contrast to noise",
+        "d' without prewhitening",
+        "d' channelised Hotelling",
+        "d' ideal",
+    )
+    caption = "The ideal observer decides from the counts of all training views: no reconstruction exceeds its d'."
+    return (*found, Table(header, tuple(rows), caption, "quality"))
 
 
 def _deviations(folder: Path, replicates: Replicates) -> list[Deviation]:

@@ -85,7 +85,17 @@ def test_a_spoilt_fit_is_told_and_left_out(scan):
 
 
 def test_a_difference_counts_when_it_is_more_than_chance():
-    noise = np.random.default_rng(0).normal(size=8)
+    noise = 5 + np.random.default_rng(0).normal(size=8)
     assert certainly_larger(noise + 1, noise)
     assert not certainly_larger(noise, np.zeros(8) + noise.mean())
     assert not certainly_larger(np.ones(1), np.zeros(1))
+
+
+@pytest.mark.parametrize("largest", [1e3, 1e40, np.inf, np.nan])
+def test_a_fit_that_diverged_is_worse_though_one_view_holds_nearly_all_of_the_difference(largest):
+    start = np.full(8, 5.0)
+    diverged = 10.0 ** np.arange(8)
+    diverged[0] = 6
+    diverged[-1] = largest
+    assert certainly_larger(diverged, start)
+    assert not certainly_larger(start, diverged)

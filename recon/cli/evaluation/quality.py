@@ -1,0 +1,142 @@
+"""The command ``recon quality``: how well an insert is detected in a run."""
+
+from math import isnan
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from phantomgen.cli.common import debug_option, json_option
+from recon.cli.common import ProgressBar
+from recon.cli.run_argument import RunFolder
+
+if TYPE_CHECKING:
+    from recon.detectability.image_quality import ImageQuality
+    from recon.quality.observers import Detectability
+
+_FILE = click.Path(dir_okay=False, path_type=Path)
+
+
+@click.command(
+    epilog="\b\nExamples:\n  recon quality kedge-run --insert 30,0,0,8,40\n"
+    "  recon quality kedge-run --insert 30,0,0,8,40 --as iodine -n 16"
+)
+@click.argument("run", type=RunFolder())
+@click.option(
+    "--insert",
+    "place",
+    metavar="X,Y,Z,RADIUS[,LENGTH]",
+    required=True,
+    help="The object that is to be detected: a ball, or with LENGTH a rod along z [mm].",
+)
+@click.option(
+    "--as",
+    "what",
+    metavar="QUANTITY",
+    default="hu",
+    show_default=True,
+    help="Images that observers see: hu, vmi, vnc, electron-density, zeff, or an element such as iodine.",
+)
+@click.option(
+    "--energy", type=click.FloatRange(min=0, min_open=True), metavar="KEV", help="Of hu, vmi, vnc [default: 70]."
+)
+@click.option(
+    "-n",
+    "--pairs",
+    type=click.IntRange(min=4),
+    default=8,
+    show_default=True,
+    help="Reconstructions with and without the insert; each takes as long as the run itself.",
+)
+@click.option("--dataset", type=_FILE, help="The scan [default: by its name, beside the run or here].")
+@click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the noise.")
+@click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
+@click.option("-q", "--quiet", is_flag=True, help="No progress.")
+@json_option
+@debug_option
+def quality(
+    run: Path,
+    place: str,
+    what: str,
+    energy: float | None,
+    pairs: int,
+    dataset: Path | None,
+    air: str | None,
+    seed: int,
+    threads: int | None,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Compute how well an insert is detected in the images of RUN, and how well its counts would allow.
+
+    Draws counts with and without the insert from the result, reconstructs both with other noise each and the settings
+    of the run, and computes contrast, noise power spectrum, task transfer function, and d' of two observers of images
+    beside that of the ideal observer of the counts, which no reconstruction exceeds. Writes quality/<insert>/ into RUN.
+    Call it again to continue after an interruption, or with a larger -n: finished reconstructions are kept, and those
+    with the insert are the replicates of `recon uncertainty`.
+    """
+    from phantomgen.dataset.reader import open_dataset
+    from phantomgen.runtime.plain_json import to_json
+    from recon.detectability.classes import quality_folder, reconstruct_classes
+    from recon.detectability.image_quality import measure
+    from recon.detectability.insert import Insert
+    from recon.detectability.quality_figure import draw_quality
+    from recon.readouts.quantity import quantity
+    from recon.readouts.readouts import Readouts
+    from recon.readouts.spectrum import detected_spectrum
+    from recon.runs.read_run import check_run_folder, dataset_name, find_dataset
+    from recon.uncertainty.estimate import RepeatableRun
+    from spectra.errors import DatasetError
+    from spectra.threads import set_threads
+
+    insert = Insert.parse(place)
+    check_run_folder(run)
+    name = dataset_name(run)
+    path = dataset or find_dataset(name, [run])
+    if path is None:
+        raise DatasetError(f"the dataset {name or 'of the run'} is neither beside {run} nor here: name it by --dataset")
+    set_threads(threads)
+    bar = ProgressBar(quiet or as_json)
+    with open_dataset(path, air) as opened:
+        again = RepeatableRun.of_run(run, opened)
+        stored = again.stored
+        spectrum = detected_spectrum(stored.basis, stored.transmission)
+        shown = quantity(Readouts.of(stored.basis, *spectrum), what, energy)
+        if shown.caution:
+            click.echo(f"Warning: {shown.caution}.", err=True)
+        classes = reconstruct_classes(
+            again, insert, pairs, seed, bar, lambda k: bar.note(f"reconstruction {k + 1} of {2 * pairs}")
+        )
+    bar.stage("measure")
+    found = measure(classes, shown)
+    target = quality_folder(run, insert) / f"{shown.name}.json"
+    found.write(target)
+    draw_quality(found, target.with_suffix(".png"))
+    if as_json:
+        click.echo(to_json({"quality": str(target), **found.numbers()}))
+        return
+    click.echo(_table(found))
+    click.echo(f"Wrote {target} and {target.with_suffix('.png')}; next: recon report {run}")
+
+
+def _table(found: "ImageQuality") -> str:
+    """Numbers as text."""
+
+    def interval(one: "Detectability") -> str:
+        return f"{one.value:.2f} ({one.low:.2f} to {one.high:.2f} with 95 % confidence)"
+
+    of_edge = "not known: the insert is too small" if isnan(found.edge) else f"{found.edge:.3g} mm"
+    rows = {
+        "contrast": f"{found.contrast:.4g} {found.unit}",
+        "noise of a voxel": f"{found.noise:.4g} {found.unit}",
+        "contrast to noise": f"{found.contrast_to_noise:.3g}",
+        "edge, 90 to 10 %": of_edge,
+        "d' without prewhitening": interval(found.without_prewhitening),
+        "d' channelised Hotelling": interval(found.hotelling),
+        "d' ideal observer of counts": f"{found.ideal:.2f}",
+    }
+    lines = [f"{key:<29}{value}" for key, value in rows.items()]
+    return "\n".join(
+        [f"{found.about}, insert at {found.insert} mm, {found.pairs} reconstructions of each class", *lines]
+    )

@@ -1,0 +1,125 @@
+"""Reconstructions with an insert and without it.
+
+Both classes are drawn from the result of a run: counts that it expects, and counts that it expects when the insert is
+replaced by the mean of its surroundings. Each class is reconstructed with noise of its own and with the settings of the
+run, so that a method may respond to noise and to the insert in any way.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from phantomgen.dataset.reader import Dataset
+from recon.data.measurements import read_measurements
+from recon.detectability.insert import Insert, WithoutInsert
+from recon.gaussians.model import GaussianModel
+from recon.quality.observers import ideal_square
+from recon.runs.interfaces import Watcher
+from recon.uncertainty.estimate import FOLDER, RepeatableRun, reconstruct_replicates
+from recon.uncertainty.replicate import expected_quanta
+from recon.uncertainty.spread import Replicates
+from recon.voxel.model import Voxels
+from spectra.errors import InputError
+
+QUALITY = "quality"  # folder in that of a run
+ABSENT = 1 << 31  # first number of replicates without the insert, so that their noise is another
+
+
+@dataclass(frozen=True, eq=False)
+class Classes:
+    """Reconstructions of a run with and without an insert.
+
+    Parameters
+    ----------
+    insert : the insert
+    present, absent : reconstructions
+    ideal : d' of the ideal observer of the counts
+    """
+
+    insert: Insert
+    present: Replicates
+    absent: Replicates
+    ideal: float
+
+
+def reconstruct_classes(
+    run: RepeatableRun,
+    insert: Insert,
+    pairs: int,
+    seed: int,
+    watcher: Watcher,
+    on_replicate: Callable[[int], None] = lambda number: None,
+) -> Classes:
+    """Reconstruct both classes; those that are there already are kept.
+
+    Parameters
+    ----------
+    run : run, scan and method
+    insert : the insert
+    pairs : number of reconstructions of each class
+    seed : of their noise
+    watcher : shows the progress of each
+    on_replicate : called before each with its number, counted from 0 over both classes
+
+    Returns
+    -------
+    the reconstructions, and d' of the ideal observer
+
+    Raises
+    ------
+    InputError
+        When the insert is not in the volume, too close to its edge, or as dense as its surroundings.
+    """
+    grid = run.grid
+    insert.layers(grid)
+    insert.window(grid)
+    excess = Voxels(insert.excess(run.stored.model.volume(grid), grid), grid, run.stored.model.basis_names)
+    without = WithoutInsert(run.stored.model, excess)
+    square = ideal_observer_square(run.dataset, run.stored.model, without)
+    if not square > 0:
+        raise InputError(f"the insert at {insert} mm changes no count: it is as dense as its surroundings")
+    folder = quality_folder(run.folder, insert) / "absent"
+    present = reconstruct_replicates(
+        run, run.stored.model, run.folder / FOLDER, range(pairs), seed, watcher, on_replicate
+    )
+    absent = reconstruct_replicates(
+        run, without, folder, range(ABSENT, ABSENT + pairs), seed, watcher, lambda k: on_replicate(pairs + k - ABSENT)
+    )
+    return Classes(insert, present, absent, float(np.sqrt(square)))
+
+
+def quality_folder(run: Path, insert: Insert) -> Path:
+    """Return the folder for the quality of an insert.
+
+    Parameters
+    ----------
+    run : folder of the run
+    insert : the insert
+
+    Returns
+    -------
+    path of the folder
+    """
+    return run / QUALITY / str(insert)
+
+
+def ideal_observer_square(dataset: Dataset, model: GaussianModel | Voxels, without: WithoutInsert) -> float:
+    """Compute d'^2 of the ideal observer of all training views and channels.
+
+    Parameters
+    ----------
+    dataset : the scan
+    model, without : the result with and without the insert
+
+    Returns
+    -------
+    sum over all counts of the squared difference over the variance
+    """
+    total = 0.0
+    for view in dataset.splits["train"]:
+        one = read_measurements(dataset, np.array([view]), len(model.basis_names))
+        with_insert, other = expected_quanta(one, model), expected_quanta(one, without)
+        total += ideal_square(with_insert, other, (with_insert + other) / 2 + one.scattered(0))
+    return total
