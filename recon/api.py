@@ -281,6 +281,8 @@ def fit(
     after_step = [_on_step(callback) for callback in callbacks]
 
     def on_step(step: Progress) -> bool:
+        if step.step <= len(log):  # the fit has begun anew
+            log.clear()
         log.append(log_entry(step, dataset.spectra.channels))
         return any([bool(callback(step)) for callback in after_step])  # noqa: C419 - all callbacks are called
 

@@ -21,6 +21,9 @@ class ProgressBar:
         ----------
         progress : what the fit tells after a step
         """
+        if self._bar is not None and self._bar.total != progress.steps:  # the fit has begun anew
+            self._bar.close()
+            self._bar = None
         if self._bar is None:
             from tqdm.auto import tqdm  # noqa: PLC0415 - only where a bar is wanted
 

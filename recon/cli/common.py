@@ -226,6 +226,10 @@ class ProgressBar:
         """
         from tqdm.auto import tqdm
 
+        if self.bar is not None and self.bar.total != progress.steps:
+            self.bar.close()
+            self.bar = None
+            self.note("the deviance grew: the fit begins anew with more views per step")
         if self.bar is None:
             self.bar = tqdm(total=progress.steps, desc="fit", unit="step", disable=True if self.quiet else None)
         if progress.step > self.bar.n + 1:

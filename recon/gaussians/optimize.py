@@ -9,13 +9,13 @@ any two of them.
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate, islice
-from math import log
+from math import inf, isfinite, log, sqrt
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from recon.data.measurements import Measurements, matching_bin
@@ -31,6 +31,7 @@ from recon.gaussians.voxel_prior import VoxelPrior
 from recon.ops.nonnegative_newton import nonnegative_newton_step
 from spectra.threads import without_other_pools
 
+TINY = 1e-30  # deviance; smaller ones count as this, as 0 has no logarithm
 SNAPSHOTS = 10  # models kept along the way, for error against time; with held-out views, looks at them
 
 
@@ -94,45 +95,101 @@ def fit(
     The fitted Gaussians; any number of threads gives the same bits.
     """
     state = start if isinstance(start, FitState) else FitState.begin(start)
-    settings, processes = recipe.optimizer, resources.processes
     began = time.perf_counter() - state.seconds
-    groups = view_groups(measurements.exposure)
-    complete_sets = count_complete_sets(groups)  # a step uses views of all groups: one alone cannot separate the bases
-    lengths, per_sweep = recipe.steps(complete_sets), recipe.per_sweep(complete_sets)
-    steps, firsts = sum(lengths), accumulate(lengths, initial=0)
     seen = seen_gaussians(state.initial, measurements.geometry)
-    for stage, first, length in zip(recipe.stages, firsts, lengths, strict=False):
-        if state.done >= first + length:
-            continue
-        data = measurements.binned(matching_bin(measurements.geometry, stage.pixel * voxel))
-        weighted = data.weighted(recipe.dispersion, resources.store)
-        objective = Objective(weighted, recipe.dispersion, prior, processes, seen)
-        for step, views in islice(enumerate(_subsets(groups, per_sweep, length)), state.done - first, None):
-            if step % recipe.curvature_steps(complete_sets) == 0:
-                state.inverse_curvature, state.prior_metric = objective.curvature(state.gaussians, settings)
-            found = objective.set_gradients(state.gaussians, views, state.prior_metric, state.done)
-            _move_geometry(state, recipe, voxel, per_sweep, steps)
-            _move_coefficients(state, recipe, objective.scale, steps)
-            _shorten_after_rise(state, found.deviance, (step + 1) % per_sweep == 0, settings)
-            state.done += 1
-            snapshot = state.done % max(steps // SNAPSHOTS, 1) == 0 or state.done == steps
-            unseen = (
-                _held_out_likelihood(state, held_out, recipe, processes) if snapshot and held_out is not None else None
-            )
-            state.seconds = time.perf_counter() - began
-            progress = _progress(state, steps, found, snapshot, unseen)
-            if processes.any(bool(on_step(progress))) or _has_stopped_improving(state, settings):
-                return state.gaussians.detached()
-    return state.gaussians.detached()
+    while True:
+        wider = replace(recipe, views_per_step=recipe.views_per_step * state.more_views)
+        steps = _Steps(measurements, voxel, wider, prior, resources, seen, held_out, began)
+        if not steps.run(state, on_step):
+            return state.gaussians.detached()
+        if wider.per_sweep(count_complete_sets(view_groups(measurements.exposure))) == 1:  # none is left to try
+            return state.gaussians.detached()
+        state = replace(FitState.begin(state.initial), more_views=state.more_views * recipe.optimizer.more_views)
+
+
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """All steps of a fit, with one number of views per step; parameters as those of `fit`."""
+
+    measurements: Measurements
+    voxel: float
+    recipe: Recipe
+    prior: VoxelPrior | None
+    resources: Resources
+    seen: Bool[np.ndarray, "view gaussian"] | None
+    held_out: Measurements | None
+    began: float
+
+    def run(self, state: FitState, on_step: OnStep) -> bool:
+        """Change a state by all steps that it has not made, until a callback or held-out views end the fit.
+
+        Parameters
+        ----------
+        state : where the fit stands
+        on_step : called after every step
+
+        Returns
+        -------
+        whether the steps diverged, and the fit ended for that
+        """
+        recipe, settings, processes = self.recipe, self.recipe.optimizer, self.resources.processes
+        groups = view_groups(self.measurements.exposure)
+        complete_sets = count_complete_sets(groups)  # a step uses views of all groups: one cannot separate the bases
+        lengths, per_sweep = recipe.steps(complete_sets), recipe.per_sweep(complete_sets)
+        steps, firsts = sum(lengths), accumulate(lengths, initial=0)
+        for stage, first, length in zip(recipe.stages, firsts, lengths, strict=False):
+            if state.done >= first + length:
+                continue
+            data = self.measurements.binned(matching_bin(self.measurements.geometry, stage.pixel * self.voxel))
+            weighted = data.weighted(recipe.dispersion, self.resources.store)
+            objective = Objective(weighted, recipe.dispersion, self.prior, processes, self.seen)
+            for step, views in islice(enumerate(_subsets(groups, per_sweep, length)), state.done - first, None):
+                if step % recipe.curvature_steps(complete_sets) == 0:
+                    state.inverse_curvature, state.prior_metric = objective.curvature(state.gaussians, settings)
+                found = objective.set_gradients(state.gaussians, views, state.prior_metric, state.done)
+                if _diverges(state, found.deviance, settings):
+                    return True
+                _move_geometry(state, recipe, self.voxel, per_sweep, steps)
+                _move_coefficients(state, recipe, objective.scale, steps)
+                _shorten_after_rise(state, found.deviance, (step + 1) % per_sweep == 0, settings)
+                state.done += 1
+                snapshot = state.done % max(steps // SNAPSHOTS, 1) == 0 or state.done == steps
+                unseen = (
+                    _held_out_likelihood(state, self.held_out, recipe, processes)
+                    if snapshot and self.held_out is not None
+                    else None
+                )
+                state.seconds = time.perf_counter() - self.began
+                progress = _progress(state, steps, found, snapshot, unseen)
+                if processes.any(bool(on_step(progress))) or _has_stopped_improving(state, settings):
+                    return False
+        return False
+
+
+def _diverges(state: FitState, deviance: float, settings: OptimizerSettings) -> bool:
+    """Say whether the deviance of the steps has grown so much that steps of more views are needed.
+
+    Noise of few views in directions that the channels hardly determine may lead so far that the curvature no longer
+    holds: with six bases and one view per step, ten steps led from a deviance of 2 to 10,000,000.
+    """
+    level = log(max(deviance, TINY)) if isfinite(deviance) else inf
+    state.level = level if state.done == 0 else state.level + (level - state.level) / settings.recent
+    state.lowest_level = min(state.level, state.lowest_level)
+    return not state.level - state.lowest_level < log(settings.divergence)
 
 
 def _move_geometry(state: FitState, recipe: Recipe, voxel: float, per_sweep: int, steps: int) -> None:
-    """Make a step of Adam in centres, scales and rotations, whose length grows at first and then falls."""
+    """Make a step of Adam in centres, scales and rotations, whose length grows at first and then falls.
+
+    Errors of steps of few views add up like those of a random walk: many steps per sweep are shorter, so that a sweep
+    leads as far. Otherwise coefficients diverged in a helix of 384 views.
+    """
     of_arrays: dict[str, float] = dict.fromkeys(("log_scales", "quaternions"), recipe.shape_rate)
     names = state.gaussians.GEOMETRY
     lengths = np.array([of_arrays.get(name, recipe.centre_rate * voxel) for name in names])
     ramp = min(1.0, (state.done + 1) / max(recipe.warm_up * per_sweep, 1.0))
     decays = recipe.optimizer.gradient_decay, recipe.optimizer.square_decay
+    ramp *= min(1.0, sqrt(recipe.few_views / per_sweep))
     state.adam.step(lengths * ramp * recipe.final_rate ** (state.done / steps), state.done + 1, decays)
     if state.gaussians.SIGNED:  # a Gaussian of either sign may grow beyond all the others that make up for it
         with torch.no_grad():

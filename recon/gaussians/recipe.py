@@ -54,7 +54,7 @@ class Recipe:
     most_turns : largest factor of the sweeps where there are fewer than `few_views` views [no unit]; measured on 10 and
         25 views
     few_views : number of views below which each is used more often, and above which Gaussians are placed closer to each
-        other; chosen by hand, not measured
+        other and steps of the geometry are shorter; chosen by hand, not measured
     spacing : distance between Gaussians along edges [voxels], with `few_views` views or fewer; measured against 1.2
     finest_spacing : that distance with any number of views, at least [voxels]; chosen by hand, not measured
     voxel_passes : passes over the views at full resolution, for the voxels that a fit with a prior starts from;

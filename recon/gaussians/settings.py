@@ -236,6 +236,10 @@ class OptimizerSettings:
         unit]; chosen by hand, not measured
     shortening : factor of the length of these steps after such a sweep [no unit]; chosen by hand; without it twenty
         sweeps over 13 views led from a deviance of 21 to 12,000
+    divergence : mean deviance of the recent steps over its smallest value so far, above which the fit begins anew with
+        more views per step [no unit]; chosen by hand, not measured
+    recent : number of steps over which that mean reaches; chosen by hand, not measured
+    more_views : factor of the views per step of a fit that begins anew; measured on six bases, where 4 is enough
     patience : looks at held-out views in a row without progress that end a fit; chosen by hand, not measured
     """
 
@@ -249,6 +253,9 @@ class OptimizerSettings:
     coefficient_final: float = 0.1
     rise: float = 1.1
     shortening: float = 0.5
+    divergence: float = 10.0
+    recent: float = 10.0
+    more_views: int = 4
     patience: int = 2
 
     def __post_init__(self) -> None:

@@ -14,8 +14,8 @@ from recon.gaussians.divided.model_file import model_of
 from recon.gaussians.model import GaussianModel
 
 _ARRAYS = ("velocity", "inverse_curvature", "prior_metric")
-_NUMBERS = ("done", "seconds", "unimproved", "sweep_deviance", "step_factor")
-_LEAST = ("lowest", "last_sweep_deviance")  # infinite at first, which JSON cannot express
+_NUMBERS = ("done", "seconds", "unimproved", "sweep_deviance", "step_factor", "level", "more_views")
+_LEAST = ("lowest", "last_sweep_deviance", "lowest_level")  # infinite at first, which JSON cannot express
 
 
 @dataclass(eq=False)
@@ -38,6 +38,9 @@ class FitState:
     sweep_deviance : sum of the deviances of this sweep so far
     last_sweep_deviance : that sum of the whole last sweep
     step_factor : factor of the steps of the coefficients; 1 as long as no sweep raised the deviance
+    level : mean logarithm of the deviance of the recent steps
+    lowest_level : smallest of these so far
+    more_views : factor of the views per step; more than 1 after steps that diverged
     """
 
     gaussians: GaussianModel
@@ -53,6 +56,9 @@ class FitState:
     sweep_deviance: float = 0.0
     last_sweep_deviance: float = inf
     step_factor: float = 1.0
+    level: float = 0.0
+    lowest_level: float = inf
+    more_views: int = 1
 
     @classmethod
     def begin(cls, start: GaussianModel) -> "FitState":

@@ -153,6 +153,10 @@ class PartialRun:
         ----------
         progress : finished step
         """
+        if progress.step <= len(self.log):  # the fit has begun anew, see `recon.gaussians.optimize`
+            self.log.clear()
+            (self.folder / LOG).write_bytes(b"")
+            shutil.rmtree(self.folder / SNAPSHOTS, ignore_errors=True)
         entry = log_entry(progress, self.channels)
         self.log.append(entry)
         with (self.folder / LOG).open("a", encoding="utf-8") as file:

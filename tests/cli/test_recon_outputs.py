@@ -248,6 +248,19 @@ def test_a_run_that_was_stopped_and_killed_ends_with_the_same_bytes(dataset, tmp
     assert steps == list(range(1, 121))
 
 
+def test_the_log_of_a_fit_that_began_anew_is_that_of_its_last_attempt(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "recon.gaussians.optimize._diverges", lambda state, *_: state.more_views == 1 and state.done == 3
+    )
+    run = tmp_path / "run"
+    result = command("fit", dataset, "-o", run, "--sweeps", "4", "--no-figures")
+    assert result.exit_code == 0, result.output
+    assert result.stderr.count("the fit begins anew with more views per step") == 1
+    steps = [json.loads(line)["step"] for line in (run / "log.jsonl").read_text().splitlines()]
+    assert steps == list(range(1, len(steps) + 1))
+    assert len(steps) < 24  # of six views each alone
+
+
 def test_an_interrupted_fit_is_not_judged_as_a_whole_one(dataset, tmp_path, monkeypatch):
     def interrupted(*arguments):
         signal.raise_signal(signal.SIGINT)

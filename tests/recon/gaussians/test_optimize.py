@@ -10,9 +10,10 @@ from support.gaussian_scenes import PIXEL, circular, small_model, small_scan, sp
 from phantomgen.geometry.orbits import helical, spread_angles
 from phantomgen.geometry.panel import Panel
 from recon.data.view_subsets import count_complete_sets
+from recon.gaussians import optimize
 from recon.gaussians.adam import Adam
 from recon.gaussians.likelihood import likelihood
-from recon.gaussians.optimize import _nearest_non_negative, _shorten_after_rise, _subsets, fit
+from recon.gaussians.optimize import _diverges, _nearest_non_negative, _shorten_after_rise, _subsets, fit
 from recon.gaussians.recipe import Recipe, Stage
 from recon.gaussians.state import FitState
 from spectra.errors import InputError
@@ -134,6 +135,55 @@ def test_a_sweep_that_is_worse_than_the_last_shortens_steps_and_drops_momentum()
     assert not state.velocity.any()
     again = FitState.restore(state.tensors(), json.loads(json.dumps(state.numbers())))
     assert (again.step_factor, again.last_sweep_deviance) == (0.25, 18.0)
+
+
+@pytest.mark.parametrize(
+    ("deviances", "diverges"),
+    [
+        ([47.0, 17, 40, 16, 14, 15, 92, 14, 34, 25, 40, 13], False),  # views of a helix
+        ([2.0] * 30, False),
+        ([0.0, 0.0, 0.0], False),
+        ([2.0] * 5 + [442.0] + [2.0] * 5, False),  # one view
+        ([2.0, 30, 3e3, 4e5, 5e6, 4e6], True),
+        (list(2.0 * 1.2 ** np.arange(60)), True),
+        ([2.0, 2.0, np.nan], True),
+        ([2.0, 2.0, np.inf], True),
+    ],
+)
+def test_a_deviance_that_grows_and_stays_large_is_a_divergence(deviances, diverges):
+    state, found = FitState.begin(small_model(1)), False
+    for deviance in deviances:
+        found = found or _diverges(state, float(deviance), RECIPE.optimizer)
+        state.done += 1
+    assert found is diverges
+
+
+def test_a_fit_that_diverges_begins_anew_with_more_views_per_step(problem, monkeypatch):
+    """The second attempt is the fit with so many views, and goes on from its own state after an interruption."""
+    expected, _ = run(problem, replace(RECIPE, views_per_step=4))
+    monkeypatch.setattr(optimize, "_diverges", lambda state, *_: state.more_views == 1 and state.done == 5)
+    seen, kept = [], []
+
+    def on_step(progress):
+        seen.append((progress.step, progress.steps))
+        if progress.state.more_views == 4 and progress.step == 3:
+            tensors = {name: value.clone() for name, value in progress.state.tensors().items()}
+            kept.append((tensors, json.loads(json.dumps(progress.state.numbers()))))
+
+    fitted = fit(*problem, PIXEL, RECIPE, on_step)
+    many, few = sum(RECIPE.steps(9)), sum(replace(RECIPE, views_per_step=4).steps(9))
+    assert seen == [(k + 1, many) for k in range(5)] + [(k + 1, few) for k in range(few)]
+    again = fit(FitState.restore(*kept[0]), problem[1], PIXEL, RECIPE)
+    for name in PARTS:
+        assert torch.equal(getattr(fitted, name), getattr(expected, name))
+        assert torch.equal(getattr(again, name), getattr(expected, name))
+
+
+def test_steps_that_always_diverge_end_with_all_views_per_step(problem, monkeypatch):
+    monkeypatch.setattr(optimize, "_diverges", lambda *_: True)
+    fitted, history = run(problem)
+    assert len(history) == 0
+    assert torch.equal(fitted.coefficients, problem[0].coefficients)
 
 
 @pytest.mark.parametrize("name", ["views_per_step", "spacing", "coefficient_rate", "curvature_sweeps"])
