@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from phantomgen.effects import Effects
+from phantomgen.effects.tube_fluctuation import CurrentModulation
 from phantomgen.geometry.curved_panel import flat_modules
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
@@ -24,7 +25,7 @@ from phantomgen.scene.geometry import scene_geometry
 from phantomgen.scene.materials import check_material, scene_materials
 from phantomgen.scene.objects.build import ObjectContent, has_curves, objects_of
 from phantomgen.scene.objects.overlap import added_up
-from phantomgen.scene.source import beam_profile_of, source_fields, sources_of
+from phantomgen.scene.source import beam_profile_of, modulation_of, source_fields, sources_of
 from phantomgen.shapes import Shape, solids_of
 from spectra.basis.basis import Basis
 from spectra.detector.dead_time import DeadTime
@@ -74,6 +75,7 @@ class Scan:
     text : the resolved scene as YAML
     sub_rays : rays along each edge of a pixel, None where pixels are split along silhouettes
     exposure : photons of each view and channel, relative to those of the source; None where all are 1
+    modulation : of the tube current from view to view; None where all views have the same
     profile : how the beam differs over the panel, None where it does not
     dead_time : of the detector's pixels, None where every event is recorded
     effects : what a real scan has beyond exposure and photon noise
@@ -98,6 +100,7 @@ class Scan:
     text: str
     sub_rays: int | None = None
     exposure: Float[np.ndarray, "view channel"] | None = None
+    modulation: CurrentModulation | None = None
     profile: Profile | None = None
     dead_time: DeadTime | None = None
     effects: Effects = field(default_factory=Effects)
@@ -217,6 +220,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Overrides = ()) -> Scan
         text=file.resolved,
         sub_rays=model.panel.sub_rays,
         exposure=_exposure(file, geometry.splits, detector),
+        modulation=modulation_of(file),
         profile=beam_profile_of(file, source),
         dead_time=scene_dead_time(file),
         effects=scene_effects(file),

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.effects.tube_fluctuation import BEST_STRENGTH, CurrentModulation
 from phantomgen.geometry.config import mount_of, panel_of
 from phantomgen.geometry.fan_angles import anode_angles, fan_angles, obliquity
 from phantomgen.scene import schema
@@ -69,6 +70,8 @@ def _bare(file: SceneFile, model: schema.OneSourceModel, at: Location) -> Source
             raise InputError("a tube needs either photons per pixel and view, or mas, the charge per view")
         if model.heel and len(at) > 1:
             raise InputError("the heel effect needs a source of its own: of several sources, none may have it")
+        if model.modulation is not None and len(at) > 1:
+            raise InputError("a modulated current needs a source of its own: of several sources, none may have one")
         return Source.tube(model.kvp, None, model.angle, (), model.anode)
     if isinstance(model, schema.MonochromaticModel):
         return Source.monochromatic(model.energy, model.photons)
@@ -78,6 +81,27 @@ def _bare(file: SceneFile, model: schema.OneSourceModel, at: Location) -> Source
         return Source.band(model.energy, model.width, model.photons, model.shape)
     with file.at(*at, "file"):
         return read_source(Path(file.name).parent / model.file, model.values, model.energies)
+
+
+def modulation_of(file: SceneFile) -> CurrentModulation | None:
+    """Create the modulation of the tube current.
+
+    Parameters
+    ----------
+    file : the scene file
+
+    Returns
+    -------
+    the modulation; None where all views have the same current
+    """
+    model = getattr(file.model.source, "modulation", None)
+    if model is None:
+        return None
+    with file.at("source", "modulation"):
+        if (model.strength is None) == (model.factors is None):
+            raise InputError("a modulated current needs either a strength, or a factor for each view")
+        strength = BEST_STRENGTH if model.strength is None else model.strength
+        return CurrentModulation(strength, model.least, model.most, model.factors)
 
 
 def beam_profile_of(file: SceneFile, source: Source) -> Profile | None:

@@ -63,11 +63,13 @@ def _observers(ax: "Axes", found: ImageQuality) -> None:
         ax.bar(place, one.value, color=colour, width=0.6)
         ax.errorbar(place, one.value, [[one.value - one.low], [max(one.high - one.value, 0)]], color="black", capsize=4)
     ax.axhline(found.ideal, color=TRUTH, linestyle="--")
-    ax.text(1.55, found.ideal, "ideal observer of counts", ha="right", va="bottom", fontsize="small")
+    white = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
+    label = "ideal observer of counts"
+    ax.text(1.55, 1.03 * found.ideal, label, ha="right", va="bottom", fontsize="small", bbox=white)
     ax.set(
         title="detectability index d'",
         xticks=[0, 1],
         xticklabels=["without\nprewhitening", "channelised\nHotelling"],
         xlim=(-0.6, 1.6),
-        ylim=(0, 1.15 * max(found.ideal, found.hotelling.high, found.without_prewhitening.high)),
+        ylim=(0, 1.2 * max(found.ideal, found.hotelling.high, found.without_prewhitening.high)),
     )

@@ -99,6 +99,8 @@ def fit(
     seen = seen_gaussians(state.initial, measurements.geometry)
     while True:
         wider = replace(recipe, views_per_step=recipe.views_per_step * state.more_views)
+        if state.more_views > 1:
+            wider = replace(wider, coefficient_rate=recipe.coefficient_rate * recipe.optimizer.slower)
         steps = _Steps(measurements, voxel, wider, prior, resources, seen, held_out, began)
         if not steps.run(state, on_step):
             return state.gaussians.detached()

@@ -240,6 +240,7 @@ class OptimizerSettings:
         more views per step [no unit]; chosen by hand, not measured
     recent : number of steps over which that mean reaches; chosen by hand, not measured
     more_views : factor of the views per step of a fit that begins anew; measured on six bases, where 4 is enough
+    slower : factor of the steps of the coefficients of such a fit [no unit]; measured on two scans against 1 and 0.5
     patience : looks at held-out views in a row without progress that end a fit; chosen by hand, not measured
     """
 
@@ -256,6 +257,7 @@ class OptimizerSettings:
     divergence: float = 10.0
     recent: float = 10.0
     more_views: int = 4
+    slower: float = 0.3
     patience: int = 2
 
     def __post_init__(self) -> None:

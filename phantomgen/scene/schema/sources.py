@@ -27,6 +27,19 @@ class BowtieModel(Model):
     thickness: tuple[NonNegative, ...]
 
 
+class ModulationModel(Model):
+    """Tube current that differs between views; `photons` or `mas` are the mean.
+
+    It follows the attenuation of each view, as a topogram of the scene shows it, to the power `strength` (0.5: least
+    noise), between `least` and `most` of the mean; or it has a stated factor for each view, training views first.
+    """
+
+    strength: Annotated[NonNegative, Field(le=1)] | None = None
+    least: PositiveFloat = 0.1
+    most: PositiveFloat = 10.0
+    factors: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)] | None = None
+
+
 class TubeModel(Model):
     """A reflection tube; photons are incident per pixel and view at the panel centre, behind the filters.
 
@@ -43,6 +56,7 @@ class TubeModel(Model):
     photons: PositiveFloat | None = None
     mas: PositiveFloat | None = None
     heel: bool = False
+    modulation: ModulationModel | None = None
 
 
 class MonochromaticModel(Model):

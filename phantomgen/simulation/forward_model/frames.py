@@ -21,6 +21,7 @@ from phantomgen.simulation.forward_model.discretization import Settings
 from phantomgen.simulation.forward_model.expected_counts import expected_view, open_beam
 from phantomgen.simulation.forward_model.exposure import Exposure, Groups, Images
 from phantomgen.simulation.forward_model.scatter import Scatter, scatter_of
+from phantomgen.simulation.forward_model.tube_output import tube_output
 from spectra.transmission import Transmission
 
 Primary = Callable[[int, Transmission], Groups]
@@ -41,6 +42,7 @@ class Views:
     Attributes
     ----------
     output : of the tube, in each view and in each flat, relative to the exposure of the scan
+    known_output : what the dataset states of that of the views; None where that is 1
     detector : stages of the detector
     scatter : function of a view and its primary signal that returns the scattered signal; None where there is none
     """
@@ -49,16 +51,15 @@ class Views:
     exposure: Exposure
     settings: Settings = field(default_factory=Settings)
     output: dict[Stream, Float[np.ndarray, " frame"]] = field(init=False)
+    known_output: Float[np.ndarray, " view"] | None = field(init=False)
     detector: DetectorStages = field(init=False)
     scatter: Scatter | None = field(init=False)
     cached: Primary | None = None
 
     def __post_init__(self) -> None:
-        frames = {Stream.PROJECTION: len(self.scan.geometry), Stream.FLAT: self.scan.flats}
-        tube = self.scan.effects.tube_output
-        ones = {stream: np.ones(count) for stream, count in frames.items()}
-        output = ones if tube is None else {s: tube.factors(self.scan.seed, s, count) for s, count in frames.items()}
+        output, known = tube_output(self.scan, self.exposure.groups)
         object.__setattr__(self, "output", output)
+        object.__setattr__(self, "known_output", known)
         object.__setattr__(self, "detector", DetectorStages(self.scan, self.exposure))
         object.__setattr__(self, "scatter", self._scatter())
 
@@ -71,11 +72,9 @@ class Views:
     @property
     def recorded_exposure(self) -> Float[np.ndarray, " view"] | Float[np.ndarray, "view channel"] | None:
         """Exposure of each view [and channel] that the dataset states; None where all are 1."""
-        tube = self.scan.effects.tube_output
-        if tube is None or not tube.recorded:
+        if self.known_output is None:
             return self.scan.exposure
-        output = self.output[Stream.PROJECTION]
-        return output if self.scan.exposure is None else self.scan.exposure * output[:, None]
+        return self.known_output if self.scan.exposure is None else self.scan.exposure * self.known_output[:, None]
 
     def expected(self, frame: int, stream: Stream = Stream.PROJECTION) -> Groups:
         """Compute the expected signals of one view, or of one flat, before the detector.

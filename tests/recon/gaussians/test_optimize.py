@@ -159,8 +159,9 @@ def test_a_deviance_that_grows_and_stays_large_is_a_divergence(deviances, diverg
 
 
 def test_a_fit_that_diverges_begins_anew_with_more_views_per_step(problem, monkeypatch):
-    """The second attempt is the fit with so many views, and goes on from its own state after an interruption."""
-    expected, _ = run(problem, replace(RECIPE, views_per_step=4))
+    """The second attempt is a fit with so many views and slower steps, and can be interrupted."""
+    slower = RECIPE.optimizer.slower * RECIPE.coefficient_rate
+    expected, _ = run(problem, replace(RECIPE, views_per_step=4, coefficient_rate=slower))
     monkeypatch.setattr(optimize, "_diverges", lambda state, *_: state.more_views == 1 and state.done == 5)
     seen, kept = [], []
 
