@@ -431,6 +431,7 @@ def estimate_detectability(
     pairs: int = 8,
     seed: int = 0,
     on_replicate: Callable[[int], None] = lambda number: None,
+    truth: Truth | None = None,
 ) -> ImageQuality:
     """Reconstruct a run anew with and without an insert, and compute d' of observers, as ``recon quality`` does.
 
@@ -443,6 +444,7 @@ def estimate_detectability(
     pairs : reconstructions with and without the insert; those that the folder has already are not made again
     seed : of the noise
     on_replicate : called with the number of each reconstruction before it is made
+    truth : what counts are drawn from, in place of the result of the run
 
     Returns
     -------
@@ -457,11 +459,11 @@ def estimate_detectability(
     """
     if not isinstance(dataset, Dataset):
         with open_dataset(dataset) as opened:
-            return estimate_detectability(run, opened, insert, what, energy, pairs, seed, on_replicate)
+            return estimate_detectability(run, opened, insert, what, energy, pairs, seed, on_replicate, truth)
     again, place = RepeatableRun.of_run(Path(run), dataset), Insert.parse(insert)
     stored = again.stored
     shown = quantity(Readouts.of(stored.basis, *detected_spectrum(stored.basis, stored.transmission)), what, energy)
-    classes = reconstruct_classes(again, place, pairs, seed, Unwatched(), on_replicate)
+    classes = reconstruct_classes(again, place, pairs, seed, Unwatched(), on_replicate, truth)
     return measure(classes, shown)
 
 

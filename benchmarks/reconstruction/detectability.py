@@ -1,4 +1,4 @@
-"""Detectability of a faint sphere, by `recon quality`: methods beside the ideal observer of the counts.
+"""Detectability of a faint sphere, by `recon quality --truth`: methods beside the ideal observer of the counts.
 
     python -m benchmarks.reconstruction.detectability [--pairs N] [--threads N] [METHOD ...]
 
@@ -14,6 +14,7 @@ from pathlib import Path
 
 import phantomgen
 from benchmarks.result_rows import store
+from phantomgen.dataset.truth import read_truth
 from recon.detectability.classes import reconstruct_classes
 from recon.detectability.image_quality import ImageQuality, measure
 from recon.detectability.insert import Insert
@@ -58,7 +59,8 @@ def measured(dataset: phantomgen.Dataset, folder: Path, name: str, pairs: int) -
     again = RepeatableRun.of_run(folder / name, dataset)
     stored = again.stored
     shown = quantity(Readouts.of(stored.basis, *detected_spectrum(stored.basis, stored.transmission)), "hu")
-    return measure(reconstruct_classes(again, SPHERE, pairs, 0, Unwatched()), shown), seconds
+    classes = reconstruct_classes(again, SPHERE, pairs, 0, Unwatched(), truth=read_truth(dataset.path))
+    return measure(classes, shown), seconds
 
 
 def row_of(name: str, found: ImageQuality, seconds: float) -> str:

@@ -1,8 +1,8 @@
 """Reconstructions with an insert and without it.
 
-Both classes are drawn from the result of a run: counts that it expects, and counts that it expects when the insert is
-replaced by the mean of its surroundings. Each class is reconstructed with noise of its own and with the settings of the
-run, so that a method may respond to noise and to the insert in any way.
+Both classes are drawn from the result of a run, or from the truth: counts that it expects, and counts that it expects
+when the insert is replaced by the mean of its surroundings. Each class is reconstructed with noise of its own and with
+the settings of the run, so that a method may respond to noise and to the insert in any way.
 """
 
 from collections.abc import Callable
@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from phantomgen.dataset.reader import Dataset
+from phantomgen.dataset.truth import Truth
+from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import read_measurements
 from recon.detectability.insert import Insert, WithoutInsert
 from recon.gaussians.model import GaussianModel
@@ -51,6 +53,7 @@ def reconstruct_classes(
     seed: int,
     watcher: Watcher,
     on_replicate: Callable[[int], None] = lambda number: None,
+    truth: Truth | None = None,
 ) -> Classes:
     """Reconstruct both classes; those that are there already are kept.
 
@@ -62,6 +65,7 @@ def reconstruct_classes(
     seed : of their noise
     watcher : shows the progress of each
     on_replicate : called before each with its number, counted from 0 over both classes
+    truth : what counts are drawn from, in place of the result of the run
 
     Returns
     -------
@@ -75,19 +79,53 @@ def reconstruct_classes(
     grid = run.grid
     insert.layers(grid)
     insert.window(grid)
-    excess = Voxels(insert.excess(run.stored.model.volume(grid), grid), grid, run.stored.model.basis_names)
-    without = WithoutInsert(run.stored.model, excess)
-    square = ideal_observer_square(run.dataset, run.stored.model, without)
+    model, folder = run.stored.model, quality_folder(run.folder, insert)
+    with_insert, without_insert = run.folder / FOLDER, folder / "absent"
+    if truth is not None:
+        model = true_volumes(truth, grid, model.basis_names)
+        with_insert, without_insert = folder / "true_present", folder / "true_absent"
+    without = WithoutInsert(model, Voxels(insert.excess(model.volume(grid), grid), grid, model.basis_names))
+    square = ideal_observer_square(run.dataset, model, without)
     if not square > 0:
         raise InputError(f"the insert at {insert} mm changes no count: it is as dense as its surroundings")
-    folder = quality_folder(run.folder, insert) / "absent"
-    present = reconstruct_replicates(
-        run, run.stored.model, run.folder / FOLDER, range(pairs), seed, watcher, on_replicate
-    )
+    present = reconstruct_replicates(run, model, with_insert, range(pairs), seed, watcher, on_replicate)
     absent = reconstruct_replicates(
-        run, without, folder, range(ABSENT, ABSENT + pairs), seed, watcher, lambda k: on_replicate(pairs + k - ABSENT)
+        run,
+        without,
+        without_insert,
+        range(ABSENT, ABSENT + pairs),
+        seed,
+        watcher,
+        lambda k: on_replicate(pairs + k - ABSENT),
     )
     return Classes(insert, present, absent, float(np.sqrt(square)))
+
+
+def true_volumes(truth: Truth, grid: Grid, names: tuple[str, ...]) -> Voxels:
+    """Return the true volumes as a model of the scan.
+
+    Parameters
+    ----------
+    truth : of the scan
+    grid : grid of the volumes
+    names : basis functions of the run
+
+    Returns
+    -------
+    volumes of these basis functions
+
+    Raises
+    ------
+    InputError
+        When the truth has another grid, or lacks a basis function.
+    """
+    missing = [name for name in names if name not in truth.basis_names]
+    if missing or truth.grid != grid:
+        raise InputError(
+            f"the truth has the basis functions {', '.join(truth.basis_names)} on {truth.grid.shape} voxels, the run "
+            f"{', '.join(names)} on {grid.shape}: leave --truth out"
+        )
+    return Voxels(truth.volumes[[truth.basis_names.index(name) for name in names]], grid, names)
 
 
 def quality_folder(run: Path, insert: Insert) -> Path:

@@ -11,7 +11,7 @@ import recon as package
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.dataset.truth import read_truth
 from recon.cli.main import main as recon
-from recon.detectability.classes import ideal_observer_square
+from recon.detectability.classes import ideal_observer_square, true_volumes
 from recon.detectability.image_quality import ImageQuality, stored_qualities
 from recon.detectability.insert import Insert, WithoutInsert
 from recon.output.report.case import Case
@@ -20,6 +20,7 @@ from recon.output.report.uncertainty import detectability_parts
 from recon.uncertainty.estimate import RepeatableRun
 from recon.uncertainty.replicate import Replicate
 from recon.voxel.model import Voxels
+from spectra.errors import InputError
 from tests.support.tiny_scans import make, one_sentence
 
 PAIRS = 6
@@ -112,6 +113,24 @@ def test_what_is_written_is_read_and_stands_in_the_report(folder, stated, tmp_pa
     assert (tmp_path / "quality.svg").is_file()
     assert f"of {PAIRS} each" in picture.caption
     assert table.rows[0][-1] == f"{stated['ideal']:.2f}"
+
+
+def test_counts_of_the_truth_have_the_contrast_of_the_scene(folder):
+    result = call("quality", folder / "run", *OF_VIALS, "--truth", "--as", "vmi", "--json")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["quality"].endswith("attenuation_70_keV_of_truth.json")
+    with open_dataset(folder / "scan.h5") as dataset:
+        run = RepeatableRun.of_run(folder / "run", dataset)
+        truth = true_volumes(read_truth(dataset.path), run.grid, run.stored.model.basis_names)
+        without = WithoutInsert(
+            truth, Voxels(Insert.parse(VIALS).excess(truth.values, run.grid), run.grid, truth.basis_names)
+        )
+        assert found["ideal"] == pytest.approx(np.sqrt(ideal_observer_square(run.dataset, truth, without)))
+    bases = [0.0067 - 0.0015, 0.0180 - 0.0188, 0.0250]  # of the scene: vials minus soft tissue, 1/mm at 70 keV
+    assert found["contrast"] == pytest.approx(sum(bases), rel=0.1)
+    with open_dataset(folder / "scan.h5") as dataset, pytest.raises(InputError, match="leave --truth out"):
+        true_volumes(read_truth(dataset.path), dataset.grid, ("photoelectric", "kedge_50"))
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,8 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 
 @click.command(
     epilog="\b\nExamples:\n  recon quality kedge-run --insert 30,0,0,8,40\n"
-    "  recon quality kedge-run --insert 30,0,0,8,40 --as iodine -n 16"
+    "  recon quality kedge-run --insert 30,0,0,8,40 --as iodine -n 16\n"
+    "  recon quality kedge-run --insert 30,0,0,8,40 --truth"
 )
 @click.argument("run", type=RunFolder())
 @click.option(
@@ -48,6 +49,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
     show_default=True,
     help="Reconstructions with and without the insert; each takes as long as the run itself.",
 )
+@click.option("--truth", "true", is_flag=True, help="Draw counts from the truth of the scan, not from the result.")
 @click.option("--dataset", type=_FILE, help="The scan [default: by its name, beside the run or here].")
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the noise.")
@@ -61,6 +63,7 @@ def quality(
     what: str,
     energy: float | None,
     pairs: int,
+    true: bool,
     dataset: Path | None,
     air: str | None,
     seed: int,
@@ -70,13 +73,14 @@ def quality(
 ) -> None:
     """Compute how well an insert is detected in the images of RUN, and how well its counts would allow.
 
-    Draws counts with and without the insert from the result, reconstructs both with other noise each and the settings
-    of the run, and computes contrast, noise power spectrum, task transfer function, and d' of two observers of images
-    beside that of the ideal observer of the counts, which no reconstruction exceeds. Writes quality/<insert>/ into RUN.
-    Call it again to continue after an interruption, or with a larger -n: finished reconstructions are kept, and those
-    with the insert are the replicates of `recon uncertainty`.
+    Draws counts with and without the insert from the result, or from the truth of a simulated scan, reconstructs both
+    with other noise each and the settings of the run, and computes contrast, noise power spectrum, task transfer
+    function, and d' of two observers of images beside that of the ideal observer of the counts, which no reconstruction
+    exceeds. Writes quality/<insert>/ into RUN. Call it again to continue after an interruption, or with a larger -n:
+    finished reconstructions are kept, and those with the insert are the replicates of `recon uncertainty`.
     """
     from phantomgen.dataset.reader import open_dataset
+    from phantomgen.dataset.truth import read_truth
     from phantomgen.runtime.plain_json import to_json
     from recon.detectability.classes import quality_folder, reconstruct_classes
     from recon.detectability.image_quality import measure
@@ -105,12 +109,15 @@ def quality(
         shown = quantity(Readouts.of(stored.basis, *spectrum), what, energy)
         if shown.caution:
             click.echo(f"Warning: {shown.caution}.", err=True)
+        truth = read_truth(opened.path) if true else None
+        if true and truth is None:
+            raise DatasetError(f"{opened.path} has no truth: leave --truth out")
         classes = reconstruct_classes(
-            again, insert, pairs, seed, bar, lambda k: bar.note(f"reconstruction {k + 1} of {2 * pairs}")
+            again, insert, pairs, seed, bar, lambda k: bar.note(f"reconstruction {k + 1} of {2 * pairs}"), truth
         )
     bar.stage("measure")
     found = measure(classes, shown)
-    target = quality_folder(run, insert) / f"{shown.name}.json"
+    target = quality_folder(run, insert) / f"{shown.name}{'_of_truth' if true else ''}.json"
     found.write(target)
     draw_quality(found, target.with_suffix(".png"))
     if as_json:
