@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from phantomgen.dataset.reader import Dataset, Region, open_dataset
 from phantomgen.dataset.truth import Truth, read_truth
+from phantomgen.effects.smooth_signal import SmoothSignal
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.guarded import Guard, WarnOnFailure, unguarded
@@ -46,6 +47,7 @@ from recon.runs.run_folder import Run
 from recon.runs.run_gaussians import outcome_of_fit
 from recon.runs.unfinished_run import LOG, log_entry
 from recon.runs.write_run import RunFolder
+from recon.scatter.chosen_scatter import SCATTER, ChosenScatter, parse_scatter
 from recon.segmentation.clustering import BANDWIDTH
 from recon.segmentation.result import ENERGY, FEATURES, Options, Segmentation
 from recon.segmentation.segment import segment_subject
@@ -117,6 +119,7 @@ class Fit:
     choice : of basis functions; None for the paper's method, which fits those that are asked for
     left_out : names of the dataset's basis functions that are not fitted
     log : one entry per step
+    scatter : signal that was taken away from the counts; None for none
     """
 
     result: Reconstruction
@@ -128,6 +131,7 @@ class Fit:
     choice: BasisChoice | None = None
     left_out: tuple[str, ...] = ()
     log: list[dict[str, Any]] = field(default_factory=list, repr=False)
+    scatter: SmoothSignal | None = field(default=None, repr=False)
 
     @property
     def gaussians(self) -> GaussianModel:
@@ -220,6 +224,7 @@ class Fit:
         guard = WarnOnFailure(lambda sentence, error: warnings.warn(sentence, RuntimeWarning, stacklevel=5))
         with target as part, self._outcome() as outcome:
             outcome.write(part)
+            ChosenScatter(outcome.dataset).write(part / SCATTER)
             (part / LOG).write_text("".join(to_json(entry) + "\n" for entry in self.log), encoding="utf-8")
             metrics = self._metrics(outcome, guard)
             write_json(part / "metrics.json", metrics | ({"failed": guard.failed} if guard.failed else {}))
@@ -238,6 +243,7 @@ class Fit:
         """The fit as runs write and score it, while its dataset is open."""
         with open_dataset(self.path, self.air) as dataset:
             fitted = dataset.with_basis(self.basis)
+            fitted = fitted if self.scatter is None else fitted.with_scatter(self.scatter)
             yield outcome_of_fit(fitted, self.recipe, self.result, self.choice, self.left_out)
 
 
@@ -247,6 +253,7 @@ def fit(
     *,
     bases: Asked = None,
     edges: Sequence[float] | None = None,
+    scatter: str | None = None,
     callbacks: Sequence[Any] = (),
     progress: bool = False,
 ) -> Fit:
@@ -259,6 +266,8 @@ def fit(
     bases : how many basis functions to fit, or their names, such as ``("photoelectric", "compton", "kedge_I")``; those
         that the counts warrant where left out
     edges : where to look for K edges [keV], see `recon.kedge.choose_basis.choose_basis`; None to believe the dataset
+    scatter : estimate of scatter that is taken away: ``"compton"``, ``"compton:FACTOR"``, ``"compton:fit"``, or
+        ``"kernel:RATIO,WIDTH"`` with the width in mm; None for none
     callbacks : functions, or objects with a method ``on_step``, that get a `recon.gaussians.optimize.Progress` after
         every step and end the fit by returning True; objects may have a method ``on_end`` that gets the finished `Fit`;
         see `recon.EarlyStop`
@@ -275,7 +284,10 @@ def fit(
     """
     if not isinstance(dataset, Dataset):
         with open_dataset(dataset) as opened:
-            return fit(opened, recipe, bases=bases, edges=edges, callbacks=callbacks, progress=progress)
+            return fit(
+                opened, recipe, bases=bases, edges=edges, scatter=scatter, callbacks=callbacks, progress=progress
+            )
+    dataset = ChosenScatter.of(dataset, parse_scatter(scatter), bases).dataset
     callbacks = [*callbacks, ProgressBar()] if progress else callbacks
     how, log, stated = _recipe(recipe), [], dataset.spectra.basis.names
     after_step = [_on_step(callback) for callback in callbacks]
@@ -295,7 +307,9 @@ def fit(
         basis = choice.basis
         result = reconstruct(dataset.with_basis(basis), how, on_step=on_step)
     missing = left_out(stated, result.gaussians.basis_names)
-    finished = Fit(result, basis, dataset.grid, how, dataset.path.absolute(), dataset.air, choice, missing, log)
+    finished = Fit(
+        result, basis, dataset.grid, how, dataset.path.absolute(), dataset.air, choice, missing, log, dataset.scatter
+    )
     for callback in callbacks:
         if hasattr(callback, "on_end"):
             callback.on_end(finished)

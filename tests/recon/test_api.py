@@ -8,9 +8,11 @@ from support.tiny_scans import make
 
 import phantomgen
 import recon
+from phantomgen.effects.scatter import ScatterKernel
 from phantomgen.geometry.voxel_grid import Grid
 from recon.gaussians.recipe import Stage
 from recon.runs.run_folder import open_run
+from recon.scatter.chosen_scatter import SCATTER, ChosenScatter, read_scatter
 from spectra.errors import InputError
 
 SHORT = recon.Recipe(stages=(Stage(1.0, 2.0),), prior=0.0)
@@ -47,6 +49,20 @@ def test_callbacks_hear_every_step_and_end_the_fit(fit, watching):
     assert watching.steps == [1, 2, 3]
     assert watching.ended is fit
     assert [entry["step"] for entry in fit.log] == [1, 2, 3]
+
+
+def test_scatter_is_taken_away_as_the_command_does(path, tmp_path):
+    found = recon.fit(path, SHORT, scatter="kernel:0.05,60", callbacks=[lambda progress: progress.step == 2])
+    folder = found.save(tmp_path / "run")
+    with phantomgen.open(path) as dataset:
+        stored = read_scatter(folder / SCATTER, dataset)
+        expected = ChosenScatter.of(dataset, ScatterKernel(0.05, 60.0)).dataset.scatter
+    np.testing.assert_allclose(stored.values, expected.values, rtol=1e-6)
+    plain = recon.fit(path, SHORT, callbacks=[lambda progress: progress.step == 2])
+    assert not np.array_equal(found.gaussians.coefficients, plain.gaussians.coefficients)
+    assert plain.scatter is None
+    with pytest.raises(InputError, match="got 'fog'"):
+        recon.fit(path, SHORT, scatter="fog")
 
 
 def test_a_fit_evaluates_on_any_grid(fit):
