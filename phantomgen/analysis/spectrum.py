@@ -64,6 +64,22 @@ class SpectrumReport:
         return self.quality.kerma_per_fluence * self.scan.source.photons / (panel.row_pitch * panel.column_pitch)
 
     @property
+    def kerma_at_isocentre(self) -> float:
+        """Air kerma of the scan at the isocentre with nothing in the beam, by the inverse square of distance [Gy].
+
+        Test views count as well, and those of a helix as if they all met the isocentre. A modulated current has the
+        same sum; sources that take turns share the views.
+        """
+        geometry, detector = self.scan.geometry, self.scan.detector
+        nearer = 1.0
+        if not geometry.is_parallel:
+            to_panel = np.linalg.norm(geometry.panel_center - geometry.source, axis=1)
+            axes = slice(2) if geometry.kind == "helical" else slice(3)
+            nearer = float(np.mean((to_panel / np.linalg.norm(geometry.source[:, axes], axis=1)) ** 2))
+        turns = len(detector.sources) if isinstance(detector, MultiSource) and self.scan.exposure is not None else 1
+        return self.kerma * nearer * len(geometry) / turns
+
+    @property
     def charge(self) -> float | None:
         """Charge per view [mAs] by SpekPy's model; None where the source is not a single tube."""
         found = self.scan.source_fields.get("charge")
@@ -89,6 +105,7 @@ class SpectrumReport:
             "hvl_mm_Cu": list(self.copper),
             "homogeneity": self.quality.homogeneity,
             "air_kerma_Gy_per_view": self.kerma,
+            "air_kerma_Gy_at_isocentre": self.kerma_at_isocentre,
             "charge_mAs_per_view": self.charge,
             "photons_per_mAs": None if self.charge is None else source.photons / self.charge,
             "behind": self.behind,
@@ -134,7 +151,8 @@ class SpectrumReport:
             f"mean energy       {facts['mean_energy_keV']:.2f} keV",
             f"half-value layers {al[0]:.3f} and {al[1]:.3f} mm Al, {cu[0]:.4f} and {cu[1]:.4f} mm Cu of air kerma",
             f"effective energy  {facts['effective_energy_keV']:.2f} keV (Al); homogeneity {facts['homogeneity']:.3f}",
-            f"air kerma         {1e6 * facts['air_kerma_Gy_per_view']:.4g} uGy per view at the panel",
+            f"air kerma         {1e6 * facts['air_kerma_Gy_per_view']:.4g} uGy per view at the panel, "
+            f"{1e3 * facts['air_kerma_Gy_at_isocentre']:.4g} mGy per scan at the isocentre",
             *_charge_lines(facts["charge_mAs_per_view"], facts["photons"]),
             *_source_lines(self.scan.detector),
             "",
