@@ -175,7 +175,7 @@ def _diverges(state: FitState, deviance: float, settings: OptimizerSettings) -> 
     holds: with six bases and one view per step, ten steps led from a deviance of 2 to 10,000,000.
     """
     level = log(max(deviance, TINY)) if isfinite(deviance) else inf
-    state.level = level if state.done == 0 else state.level + (level - state.level) / settings.recent
+    state.level = level if state.lowest_level == inf else state.level + (level - state.level) / settings.recent
     state.lowest_level = min(state.level, state.lowest_level)
     return not state.level - state.lowest_level < log(settings.divergence)
 

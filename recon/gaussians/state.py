@@ -144,10 +144,9 @@ class FitState:
         state.initial = model_of(initial, names, header | numbers.get("initial", {}))
         for name in _ARRAYS:
             setattr(state, name, tensors[name].clone())
-        for name in _NUMBERS:
-            setattr(state, name, numbers[name])
-        for name in _LEAST:
-            setattr(state, name, inf if numbers[name] is None else numbers[name])
+        for name in (*_NUMBERS, *_LEAST):  # a checkpoint of an older version lacks some, which begin anew
+            value = numbers.get(name, getattr(state, name))
+            setattr(state, name, inf if value is None else value)
         state.adam.means = [tensors[f"{name}.mean"].clone() for name in state.gaussians.GEOMETRY]
         state.adam.squares = [tensors[f"{name}.square"].clone() for name in state.gaussians.GEOMETRY]
         return state

@@ -180,6 +180,17 @@ def test_a_fit_that_diverges_begins_anew_with_more_views_per_step(problem, monke
         assert torch.equal(getattr(again, name), getattr(expected, name))
 
 
+def test_a_state_of_an_older_version_lacks_what_it_did_not_know():
+    state = FitState.begin(small_model(1))
+    state.level, state.lowest_level, state.done = 2.0, 1.0, 7
+    numbers = state.numbers()
+    for name in ("level", "lowest_level", "more_views"):
+        del numbers[name]
+    again = FitState.restore(state.tensors(), numbers)
+    assert (again.done, again.lowest_level, again.more_views) == (7, np.inf, 1)
+    assert not any(_diverges(again, 47.0, RECIPE.optimizer) for _ in range(50))
+
+
 def test_steps_that_always_diverge_end_with_all_views_per_step(problem, monkeypatch):
     monkeypatch.setattr(optimize, "_diverges", lambda *_: True)
     fitted, history = run(problem)
