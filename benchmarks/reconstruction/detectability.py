@@ -51,7 +51,7 @@ METHODS = ("fdk", "sirt", "pdhg-tv", "one-step", "gaussian")
 @without_other_pools()
 def measured(dataset: phantomgen.Dataset, folder: Path, name: str, pairs: int) -> tuple[ImageQuality, float]:
     """Quality of the sphere in CT numbers, and processor time of one reconstruction [s]."""
-    method = GaussianRun(FAST) if name == "gaussian" else VoxelRun(method_named(name))
+    method = GaussianRun(FAST, 3) if name == "gaussian" else VoxelRun(method_named(name))
     began = time.process_time()
     with RunFolder(folder / name, overwrite=False) as part:
         run(dataset, part, method, False, Unwatched())

@@ -80,15 +80,16 @@ def reconstruct_classes(
     insert.layers(grid)
     insert.window(grid)
     model, folder = run.stored.model, quality_folder(run.folder, insert)
-    with_insert, without_insert = run.folder / FOLDER, folder / "absent"
+    measured, with_insert, without_insert = run.dataset, run.folder / FOLDER, folder / "absent"
     if truth is not None:
-        model = true_volumes(truth, grid, model.basis_names)
+        measured = run.whole
+        model = true_volumes(truth, grid, measured.spectra.basis.names)
         with_insert, without_insert = folder / "true_present", folder / "true_absent"
     without = WithoutInsert(model, Voxels(insert.excess(model.volume(grid), grid), grid, model.basis_names))
-    square = ideal_observer_square(run.dataset, model, without)
+    square = ideal_observer_square(measured, model, without)
     if not square > 0:
         raise InputError(f"the insert at {insert} mm changes no count: it is as dense as its surroundings")
-    present = reconstruct_replicates(run, model, with_insert, range(pairs), seed, watcher, on_replicate)
+    present = reconstruct_replicates(run, model, with_insert, range(pairs), seed, watcher, on_replicate, measured)
     absent = reconstruct_replicates(
         run,
         without,
@@ -97,6 +98,7 @@ def reconstruct_classes(
         seed,
         watcher,
         lambda k: on_replicate(pairs + k - ABSENT),
+        measured,
     )
     return Classes(insert, present, absent, float(np.sqrt(square)))
 
@@ -108,7 +110,7 @@ def true_volumes(truth: Truth, grid: Grid, names: tuple[str, ...]) -> Voxels:
     ----------
     truth : of the scan
     grid : grid of the volumes
-    names : basis functions of the run
+    names : basis functions of the dataset, of which the run may have fewer
 
     Returns
     -------
@@ -122,7 +124,7 @@ def true_volumes(truth: Truth, grid: Grid, names: tuple[str, ...]) -> Voxels:
     missing = [name for name in names if name not in truth.basis_names]
     if missing or truth.grid != grid:
         raise InputError(
-            f"the truth has the basis functions {', '.join(truth.basis_names)} on {truth.grid.shape} voxels, the run "
+            f"the truth has the basis functions {', '.join(truth.basis_names)} on {truth.grid.shape} voxels, the scan "
             f"{', '.join(names)} on {grid.shape}: leave --truth out"
         )
     return Voxels(truth.volumes[[truth.basis_names.index(name) for name in names]], grid, names)

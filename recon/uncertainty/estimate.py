@@ -92,12 +92,14 @@ class RepeatableRun:
     folder : of the run
     stored : its result
     dataset : the scan, with the basis functions, the spectral model and the scatter of the run
+    whole : the same with all basis functions that the file states, of which the run may have fewer
     method : with the settings of the run
     """
 
     folder: Path
     stored: StoredModel
     dataset: Dataset
+    whole: Dataset
     method: RunMethod
 
     @classmethod
@@ -121,10 +123,11 @@ class RepeatableRun:
             When its method has no volumes.
         """
         stored = open_model(folder)
-        scan = _scan_of(stored, dataset, folder)
+        whole = _scan_of(stored, dataset, folder)
+        scan = whole.with_basis(stored.basis)
         method = stored_method(folder, len(stored.model.basis_names))
         method.check(scan)
-        return cls(folder, stored, scan, method)
+        return cls(folder, stored, scan, whole, method)
 
     @property
     def grid(self) -> Grid:
@@ -140,6 +143,7 @@ def reconstruct_replicates(
     seed: int,
     watcher: Watcher,
     on_replicate: Callable[[int], None] = lambda number: None,
+    measured: Dataset | None = None,
 ) -> Replicates:
     """Reconstruct scans whose counts are drawn anew around those that a model expects; keep those that are there.
 
@@ -152,6 +156,7 @@ def reconstruct_replicates(
     seed : of the noise
     watcher : shows the progress of each
     on_replicate : called with the number of each before it is made
+    measured : the scan in the basis functions of `model`, where these are not those of the run
 
     Returns
     -------
@@ -165,10 +170,10 @@ def reconstruct_replicates(
             if path.is_file():
                 continue
             on_replicate(number)
-            replicate = Replicate.of(run.dataset, model, seed, number)
+            replicate = Replicate.of(run.dataset, model, seed, number, measured)
             outcome = run.method.reconstruct(replicate, None, Stopwatch(watcher.stage), watcher)
             assert isinstance(outcome, VolumeOutcome)
-            write_volumes(path, outcome.model.volume(run.grid), model.basis_names, run.grid, {})
+            write_volumes(path, outcome.model.volume(run.grid), run.stored.model.basis_names, run.grid, {})
         return Replicates.read(list(paths.values()))
     finally:
         lock.unlink(missing_ok=True)
@@ -199,8 +204,7 @@ def stored_replicates(folder: Path) -> Replicates:
 
 
 def _scan_of(stored: StoredModel, dataset: Dataset, folder: Path) -> Dataset:
-    """Dataset with the basis functions, the spectral model and the scatter of a run; refuses another scan."""
+    """Dataset with the spectral model and the scatter of a run; refuses another scan."""
     if stored.grid != dataset.grid or stored.transmission.channel_names != dataset.spectra.channels:
         raise DatasetError(f"{dataset.path} has another grid or other channels than the scan of {folder}")
-    known = ChosenScatter.of_run(ChosenSpectrum.of_run(dataset, folder).dataset, folder).dataset
-    return known.with_basis(stored.basis)
+    return ChosenScatter.of_run(ChosenSpectrum.of_run(dataset, folder).dataset, folder).dataset

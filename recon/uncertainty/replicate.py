@@ -72,7 +72,9 @@ class Replicate(Dataset):
     number: int
 
     @classmethod
-    def of(cls, dataset: Dataset, model: ProjectedModel, seed: int, number: int) -> "Replicate":
+    def of(
+        cls, dataset: Dataset, model: ProjectedModel, seed: int, number: int, measured: Dataset | None = None
+    ) -> "Replicate":
         """Create a replicate of a dataset.
 
         Parameters
@@ -80,13 +82,14 @@ class Replicate(Dataset):
         dataset : open dataset, in the basis functions of the model
         model : the reconstruction
         seed, number : of the random numbers
+        measured : the same dataset in the basis functions of the model, where `dataset` has others
 
         Returns
         -------
         the replicate, which reads the same open file
         """
         replicate = cls(
-            dataset.path, dataset.file, dataset.air, model=model, measured=dataset, seed=seed, number=number
+            dataset.path, dataset.file, dataset.air, model=model, measured=measured or dataset, seed=seed, number=number
         )
         own = {name: value for name, value in vars(dataset).items() if name != "flat"}
         vars(replicate).update(own | vars(replicate))

@@ -129,6 +129,13 @@ def test_counts_of_the_truth_have_the_contrast_of_the_scene(folder):
         assert found["ideal"] == pytest.approx(np.sqrt(ideal_observer_square(run.dataset, truth, without)))
     bases = [0.0067 - 0.0015, 0.0180 - 0.0188, 0.0250]  # of the scene: vials minus soft tissue, 1/mm at 70 keV
     assert found["contrast"] == pytest.approx(sum(bases), rel=0.1)
+    result = call(
+        "fit", folder / "scan.h5", "-o", folder / "two", "--method", "fdk", "--bases", 2, "--no-figures", "-q"
+    )
+    assert result.exit_code == 0, result.output
+    fewer = call("quality", folder / "two", "--insert", VIALS, "-n", 4, "--truth", "--json")
+    assert fewer.exit_code == 0, fewer.output
+    assert json.loads(fewer.stdout)["ideal"] == pytest.approx(found["ideal"])  # counts know nothing of the run's bases
     with open_dataset(folder / "scan.h5") as dataset, pytest.raises(InputError, match="leave --truth out"):
         true_volumes(read_truth(dataset.path), dataset.grid, ("photoelectric", "kedge_50"))
 
