@@ -20,23 +20,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from recon.alignment.interface import align
-    from recon.api import (
-        Fit,
-        deviation,
-        estimate_detectability,
-        estimate_uncertainty,
-        fit,
-        readout,
-        report_figures,
-        score,
-        segment,
-    )
+    from recon.api import Fit, fit, readout, report_figures, score, segment
     from recon.callbacks import EarlyStop, ProgressBar
     from recon.evaluation.scoring import score_truth
     from recon.gaussians.model import Gaussians
     from recon.gaussians.processes import Resources
     from recon.gaussians.recipe import Recipe, Stage
     from recon.gaussians.reconstruct import Reconstruction, reconstruct
+    from recon.noise import deviation, estimate_detectability, estimate_uncertainty
     from recon.readouts.readouts import Readouts
     from recon.voxel.filtered.fdk import fdk
 
@@ -75,9 +66,9 @@ _HOMES = {
     "Resources": "gaussians.processes",
     "Stage": "gaussians.recipe",
     "align": "alignment.interface",
-    "deviation": "api",
-    "estimate_detectability": "api",
-    "estimate_uncertainty": "api",
+    "deviation": "noise",
+    "estimate_detectability": "noise",
+    "estimate_uncertainty": "noise",
     "fdk": "voxel.filtered.fdk",
     "fit": "api",
     "readout": "api",

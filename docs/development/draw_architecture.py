@@ -15,6 +15,7 @@ PICTURE = ROOT / "docs" / "images" / "architecture.svg"
 TEXTS = {
     "recon.cli": "commands: parse, call, print",
     "recon.api": "short interface for Python",
+    "recon.noise": "noise of a run, for Python",
     "recon.suite": "scores on a suite of scans",
     "recon.comparison": "methods at equal time",
     "recon.output": "files, report, viewer",
