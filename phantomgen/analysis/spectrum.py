@@ -67,17 +67,19 @@ class SpectrumReport:
     def kerma_at_isocentre(self) -> float:
         """Air kerma of the scan at the isocentre with nothing in the beam, by the inverse square of distance [Gy].
 
-        Test views count as well, and those of a helix as if they all met the isocentre. A modulated current has the
-        same sum; sources that take turns share the views.
+        Test views count as well, and those of a helix as if they all met the isocentre. A current that follows the
+        attenuation has the same sum as a constant one; sources that take turns share the views.
         """
-        geometry, detector = self.scan.geometry, self.scan.detector
+        geometry, detector, modulation = self.scan.geometry, self.scan.detector, self.scan.modulation
         nearer = 1.0
         if not geometry.is_parallel:
             to_panel = np.linalg.norm(geometry.panel_center - geometry.source, axis=1)
             axes = slice(2) if geometry.kind == "helical" else slice(3)
             nearer = float(np.mean((to_panel / np.linalg.norm(geometry.source[:, axes], axis=1)) ** 2))
         turns = len(detector.sources) if isinstance(detector, MultiSource) and self.scan.exposure is not None else 1
-        return self.kerma * nearer * len(geometry) / turns
+        stated = None if modulation is None else modulation.factors
+        views = len(geometry) if stated is None else sum(stated)
+        return self.kerma * nearer * views / turns
 
     @property
     def charge(self) -> float | None:

@@ -1,10 +1,12 @@
-"""The argument RUN of commands: a run folder, and messages for paths that are none."""
+"""The argument RUN of commands: a run folder, its scan, and messages for paths that are none."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
+from phantomgen.cli.common import debug_option, json_option
 from phantomgen.runtime.hdf5_signature import is_hdf5
 from spectra.errors import DatasetError
 
@@ -64,3 +66,59 @@ def check_run_name(path: Path, option: str = "--out") -> None:
     """
     if path.suffix.lower() in {".h5", ".hdf5", ".nxs", ".yaml", ".html", ".png", ".json", ".vti", ".nii", ".ply"}:
         raise DatasetError(f"{option} names a folder, got {path}: write {path.with_suffix('')}, for example")
+
+
+def repeated_run_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of commands that reconstruct a run anew.
+
+    Parameters
+    ----------
+    command : function with the parameters dataset, air, seed, threads, quiet and as_json
+
+    Returns
+    -------
+    the function
+    """
+    options = (
+        click.option(
+            "--dataset",
+            type=click.Path(dir_okay=False, path_type=Path),
+            help="The scan [default: by its name, beside the run or here].",
+        ),
+        click.option("--air", metavar="ROWS,COLUMNS", help="Part of the panel that sees only air, for lack of flats."),
+        click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the noise."),
+        click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all]."),
+        click.option("-q", "--quiet", is_flag=True, help="No progress."),
+        json_option,
+        debug_option,
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def scan_of_run(run: Path, dataset: Path | None) -> Path:
+    """Find the scan that a run was made from.
+
+    Parameters
+    ----------
+    run : run folder
+    dataset : the scan, where the user named it
+
+    Returns
+    -------
+    path of the scan
+
+    Raises
+    ------
+    DatasetError
+        When the folder is no finished run, or the scan is not found.
+    """
+    from recon.runs.read_run import check_run_folder, dataset_name, find_dataset
+
+    check_run_folder(run)
+    name = dataset_name(run)
+    path = dataset or find_dataset(name, [run])
+    if path is None:
+        raise DatasetError(f"the dataset {name or 'of the run'} is neither beside {run} nor here: name it by --dataset")
+    return path

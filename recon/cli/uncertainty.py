@@ -5,15 +5,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
 from recon.cli.common import ProgressBar
-from recon.cli.run_argument import RunFolder
+from recon.cli.run_argument import RunFolder, repeated_run_options, scan_of_run
 
 if TYPE_CHECKING:
     from recon.uncertainty.summary import Summary
 
 _RUN = RunFolder()
-_FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 @click.command(
@@ -29,13 +27,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
     show_default=True,
     help="Number of reconstructions with other noise; each takes as long as the run itself.",
 )
-@click.option("--dataset", type=_FILE, help="The scan [default: by its name, beside the run or here].")
-@click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the noise.")
-@click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
-@click.option("-q", "--quiet", is_flag=True, help="No progress.")
-@json_option
-@debug_option
+@repeated_run_options
 def uncertainty(
     run: Path,
     replicates: int,
@@ -54,17 +46,11 @@ def uncertainty(
     """
     from phantomgen.dataset.reader import open_dataset
     from phantomgen.runtime.plain_json import to_json
-    from recon.runs.read_run import check_run_folder, dataset_name, find_dataset
     from recon.uncertainty.estimate import DEVIATIONS, estimate
     from recon.uncertainty.summary import summary
-    from spectra.errors import DatasetError
     from spectra.threads import set_threads
 
-    check_run_folder(run)
-    name = dataset_name(run)
-    path = dataset or find_dataset(name, [run])
-    if path is None:
-        raise DatasetError(f"the dataset {name or 'of the run'} is neither beside {run} nor here: name it by --dataset")
+    path = scan_of_run(run, dataset)
     set_threads(threads)
     bar = ProgressBar(quiet or as_json)
     with open_dataset(path, air) as opened:

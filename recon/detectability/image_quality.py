@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.runtime.plain_json import to_json
+from phantomgen.runtime.plain_json import write_json
 from recon.detectability.classes import QUALITY, Classes
 from recon.detectability.insert import Insert
 from recon.quality.edge_response import edge_response, edge_width, mtf
@@ -70,7 +70,7 @@ class ImageQuality:
 
         Returns
         -------
-        values by name, which `phantomgen.runtime.plain_json.to_json` takes
+        values by name, which JSON takes after `phantomgen.runtime.plain_json.plain`
         """
         found = asdict(self) | {"insert": str(self.insert), "contrast_to_noise": self.contrast_to_noise}
         del found["images"]
@@ -83,7 +83,7 @@ class ImageQuality:
         ----------
         path : the file
         """
-        path.write_text(to_json(self.numbers() | {"images": self.images}), encoding="utf-8")
+        write_json(path, self.numbers() | {"images": self.images})
 
     @classmethod
     def read(cls, path: Path) -> "ImageQuality":

@@ -76,7 +76,7 @@ def fit(
     prior: VoxelPrior | None = None,
     resources: Resources = LOCAL,
 ) -> GaussianModel:
-    """Fit Gaussians until the recipe's sweeps are used up.
+    """Fit Gaussians until the recipe's sweeps are used up; begin anew with more views per step where steps diverge.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def _diverges(state: FitState, deviance: float, settings: OptimizerSettings) -> 
     """Say whether the deviance of the steps has grown so much that steps of more views are needed.
 
     Noise of few views in directions that the channels hardly determine may lead so far that the curvature no longer
-    holds: with six bases and one view per step, ten steps led from a deviance of 2 to 10,000,000.
+    holds: with six bases and one view per step, twenty steps led from a deviance of 2 to 4,000,000.
     """
     level = log(max(deviance, TINY)) if isfinite(deviance) else inf
     state.level = level if state.lowest_level == inf else state.level + (level - state.level) / settings.recent

@@ -101,6 +101,12 @@ def test_reconstructions_are_kept_and_another_quantity_needs_no_new_ones(folder,
     assert made.unit == "1/mm"
 
 
+def test_an_energy_that_is_no_number_is_refused(folder):
+    result = call("quality", folder / "run", "--insert", VIALS, "--energy", "nan")
+    assert result.exit_code == 2
+    assert "nan is not a finite number" in result.stderr
+
+
 def test_what_is_written_is_read_and_stands_in_the_report(folder, stated, tmp_path):
     (found,) = stored_qualities(folder / "run")
     assert isinstance(found, ImageQuality)

@@ -28,10 +28,11 @@ class BowtieModel(Model):
 
 
 class ModulationModel(Model):
-    """Tube current that differs between views; `photons` or `mas` are the mean.
+    """Tube current that differs between views.
 
     It follows the attenuation of each view, as a topogram of the scene shows it, to the power `strength` (0.5: least
-    noise), between `least` and `most` of the mean; or it has a stated factor for each view, training views first.
+    noise), between `least` and `most` of the mean, which `photons` or `mas` state. Or `factors`, one for each view and
+    training views first, multiply `photons` or `mas`.
     """
 
     strength: Annotated[NonNegative, Field(le=1)] | None = None

@@ -6,15 +6,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import FiniteRange
 from recon.cli.common import ProgressBar
-from recon.cli.run_argument import RunFolder
+from recon.cli.run_argument import RunFolder, repeated_run_options, scan_of_run
 
 if TYPE_CHECKING:
     from recon.detectability.image_quality import ImageQuality
     from recon.quality.observers import Detectability
-
-_FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 @click.command(
@@ -38,9 +36,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
     show_default=True,
     help="Images that observers see: hu, vmi, vnc, electron-density, zeff, or an element such as iodine.",
 )
-@click.option(
-    "--energy", type=click.FloatRange(min=0, min_open=True), metavar="KEV", help="Of hu, vmi, vnc [default: 70]."
-)
+@click.option("--energy", type=FiniteRange(min=0, min_open=True), metavar="KEV", help="Of hu, vmi, vnc [default: 70].")
 @click.option(
     "-n",
     "--pairs",
@@ -50,13 +46,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
     help="Reconstructions with and without the insert; each takes as long as the run itself.",
 )
 @click.option("--truth", "true", is_flag=True, help="Draw counts from the truth of the scan, not from the result.")
-@click.option("--dataset", type=_FILE, help="The scan [default: by its name, beside the run or here].")
-@click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the noise.")
-@click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
-@click.option("-q", "--quiet", is_flag=True, help="No progress.")
-@json_option
-@debug_option
+@repeated_run_options
 def quality(
     run: Path,
     place: str,
@@ -89,17 +79,12 @@ def quality(
     from recon.readouts.quantity import quantity
     from recon.readouts.readouts import Readouts
     from recon.readouts.spectrum import detected_spectrum
-    from recon.runs.read_run import check_run_folder, dataset_name, find_dataset
     from recon.uncertainty.estimate import RepeatableRun
     from spectra.errors import DatasetError
     from spectra.threads import set_threads
 
     insert = Insert.parse(place)
-    check_run_folder(run)
-    name = dataset_name(run)
-    path = dataset or find_dataset(name, [run])
-    if path is None:
-        raise DatasetError(f"the dataset {name or 'of the run'} is neither beside {run} nor here: name it by --dataset")
+    path = scan_of_run(run, dataset)
     set_threads(threads)
     bar = ProgressBar(quiet or as_json)
     with open_dataset(path, air) as opened:

@@ -23,3 +23,13 @@ def test_kerma_at_the_isocentre_is_that_of_the_fluence_there(orbit):
     joule, mm2_per_kg = 60 * 1.602176634e-16, 0.03041 * 1e5  # NIST SRD 126: 0.03041 cm^2/g for dry air at 60 keV
     assert report.kerma_at_isocentre == pytest.approx(40 * per_mm2 * joule * mm2_per_kg, rel=2e-3)
     assert "per scan at the isocentre" in report.text
+
+
+def test_a_modulated_current_has_the_same_kerma_and_stated_factors_have_their_sum():
+    tube = "source={type: tube, kvp: 100, photons: 1.0e5, modulation: MODULATION}"
+    common = ["geometry.views=8", "geometry.test_views=2"]
+    found = []
+    for text in ("null", "{strength: 0.5}", "{factors: [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]}"):
+        scan = phantomgen.load("kedge-small", [tube.replace("MODULATION", text), *common])
+        found.append(SpectrumReport.of(scan).kerma_at_isocentre)
+    assert found == pytest.approx([found[0], found[0], 5.5 * found[0]])

@@ -51,6 +51,16 @@ def test_the_estimate_is_unbiased_and_its_interval_covers_the_truth(features, co
         assert np.mean(squares) == pytest.approx(distance**2, abs=4 * np.std(squares) / np.sqrt(trials))
 
 
+def test_the_interval_of_eight_pairs_is_as_wide_as_the_page_says():
+    rng, ends = np.random.default_rng(0), []
+    for _ in range(300):
+        present, absent = rng.standard_normal((2, 8, CHANNELS))
+        present[:, 0] += 3
+        found = hotelling(present, absent)
+        ends.append((found.low, found.high))
+    assert np.median(ends, axis=0) == pytest.approx([1.3, 4.6], abs=0.1)
+
+
 def test_without_prewhitening_in_white_noise_d_is_the_norm_of_the_signal_over_the_noise():
     signal = disk(height=0.8)
     found = without_prewhitening(images(400, 1, signal=signal), images(400, 2), CENTRE)
