@@ -119,6 +119,7 @@ def test_what_is_written_is_read_and_stands_in_the_report(folder, stated, tmp_pa
     assert (tmp_path / "quality.svg").is_file()
     assert f"of {PAIRS} each" in picture.caption
     assert table.rows[0][-1] == f"{stated['ideal']:.2f}"
+    assert table.rows[0][2] == f"{stated['contrast']:.4g} HU"
 
 
 def test_counts_of_the_truth_have_the_contrast_of_the_scene(folder):

@@ -109,7 +109,7 @@ def detectability_parts(case: Case) -> Parts:
                 )
             )
             observers = (quality.without_prewhitening.value, quality.hotelling.value, quality.ideal)
-            contrast = f"{number(quality.contrast)} {quality.unit}"
+            contrast = f"{number(quality.contrast, '.4g')} {quality.unit}"
             numbers = map(number, (quality.contrast_to_noise, *observers))
             rows.append((case.who(run).rstrip(": "), f"{quality.about}, {quality.insert}", contrast, *numbers))
     if not found:
