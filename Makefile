@@ -1,6 +1,7 @@
 # make demo   scan the kedge phantom, reconstruct it, print the scores
-# make test   run the test suite; TESTS="tests/spectra" for a part
-# make coverage  the same, and report the lines that no test runs
+# make test   run the test suite but for its slow tests; TESTS="tests/spectra" for a part
+# make test-slow  run the slow tests
+# make coverage  run all tests, and report the lines that none runs
 # make test-isa  the same as processors with other instructions run it; ISA_TESTS="tests/recon" for a part
 # make fuzz   try FUZZ=1000 spoiled inputs per test, seed SEED, which is printed
 # make check  formatting, lint, import contracts, docstrings, types
@@ -24,14 +25,17 @@ SEED ?= $(shell date +%s)
 ISA_TESTS ?= tests
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
-.PHONY: demo test coverage test-isa fuzz check docs numbers clean
+.PHONY: demo test test-slow coverage test-isa fuzz check docs numbers clean
 
 demo: $(VENV)/installed
 	$(BIN)/phantomgen make --preset kedge --overwrite
 	$(BIN)/recon fit kedge.h5 --overwrite
 
 test: $(VENV)/installed-test
-	$(PYTEST) $(TESTS)
+	$(PYTEST) -m "not slow" $(TESTS)
+
+test-slow: $(VENV)/installed-test
+	$(PYTEST) -m slow $(TESTS)
 
 coverage: $(VENV)/installed-test
 	$(PYTEST) --cov --cov-report=term:skip-covered $(TESTS)

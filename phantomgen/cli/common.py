@@ -1,18 +1,24 @@
 """Common parts of all commands of this project: errors as sentences, exit codes, options."""
 
 import errno
+import json
 import os
 import signal
+import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from math import isfinite
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from spectra.errors import Error, MachineWarning, concise, shortened
+
+if TYPE_CHECKING:
+    from phantomgen.stress.case import Case, Outcome
 
 # What a file system refuses: names that are too long, folders that cannot be written, full disks.
 _OF_FILES = {
@@ -157,6 +163,55 @@ def json_option(command: Callable) -> Callable:
     the command
     """
     return click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")(command)
+
+
+def case_options(command: Callable) -> Callable:
+    """Add the options of a command that computes hard cases.
+
+    Parameters
+    ----------
+    command : gets ``listed``, ``names``, ``out``, ``overwrite`` and ``quiet``
+
+    Returns
+    -------
+    the command with the options
+    """
+    options = (
+        click.option("--list", "listed", is_flag=True, help="List the cases; compute nothing."),
+        click.option("--case", "names", metavar="NAME", multiple=True, help="Compute this case only; repeatable."),
+        click.option(
+            "-o", "--out", type=click.Path(path_type=Path), help="Folder for a table, a figure and a JSON file."
+        ),
+        click.option("--overwrite", is_flag=True, help="Replace a report that exists."),
+        click.option("-q", "--quiet", is_flag=True, help="No progress bar."),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def list_cases(cases: Sequence["Case"]) -> None:
+    """Print names of hard cases, and what is hard.
+
+    Parameters
+    ----------
+    cases : the cases
+    """
+    click.echo("\n".join(f"{case.name:12}  {case.what}" for case in cases))
+
+
+def print_cases(outcomes: Sequence["Outcome"], as_json: bool) -> None:
+    """Print the table of hard cases, and exit with 3 where one failed.
+
+    Parameters
+    ----------
+    outcomes : of the cases
+    as_json : print JSON in place of the table
+    """
+    from phantomgen.stress.report import table
+
+    click.echo(json.dumps([outcome.to_dict() for outcome in outcomes]) if as_json else table(outcomes))
+    sys.exit(0 if all(outcome.passed for outcome in outcomes) else 3)
 
 
 def version_option(program: str) -> Callable[[Callable], Callable]:

@@ -1,10 +1,12 @@
 """What a hard case is: difficulties, what is computed there, and what would be right."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+
+from spectra.errors import InputError, shortened
 
 
 @dataclass(frozen=True)
@@ -97,3 +99,27 @@ class Outcome:
             "passed": self.passed,
             "points": [asdict(point) for point in self.points],
         }
+
+
+def chosen_cases(cases: Sequence[Case], names: Sequence[str]) -> tuple[Case, ...]:
+    """Look up cases by name.
+
+    Parameters
+    ----------
+    cases : to choose from
+    names : of cases; none for all
+
+    Returns
+    -------
+    the cases
+
+    Raises
+    ------
+    InputError
+        When there is no such case.
+    """
+    known = {case.name: case for case in cases}
+    for name in names:
+        if name not in known:
+            raise InputError(f"there is no case {shortened(name)!r}: choose from {', '.join(known)}")
+    return tuple(known[name] for name in names) or tuple(cases)

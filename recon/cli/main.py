@@ -9,6 +9,7 @@ from recon.cli.edge import edge
 from recon.cli.evaluation.compare import compare
 from recon.cli.evaluation.quality import quality
 from recon.cli.evaluation.score import score
+from recon.cli.evaluation.stress import stress
 from recon.cli.evaluation.suite import suite
 from recon.cli.export import decompose, export
 from recon.cli.fit import fit
@@ -36,6 +37,7 @@ COMMANDS = (
     score,
     compare,
     suite,
+    stress,
     report,
     view,
     segment,

@@ -9,6 +9,7 @@ FLIPS = 25
 
 
 @pytest.mark.parametrize("compression", ["gzip", "none"])
+@pytest.mark.slow
 def test_no_flipped_bit_that_matters_goes_unnoticed(compression, tmp_path):
     path = tmp_path / "scan.h5"
     write_scan(path, compression)

@@ -55,6 +55,7 @@ def limited(limit, *words):
     ],
     ids=lambda words: " ".join(words[:2]),
 )
+@pytest.mark.slow
 def test_a_full_disk_is_one_sentence(words, whole, tmp_path):
     run = [word.format(run=whole / "run", scan=whole / "scan.h5", out=tmp_path) for word in words]
     result = limited(LEAST, *run)

@@ -57,6 +57,7 @@ def test_resuming_makes_only_what_is_missing_and_the_same(made, known):
     assert [case["arrays"] for case in after] == [case["arrays"] for case in before]
 
 
+@pytest.mark.slow
 def test_an_interrupted_suite_can_be_resumed(known, tmp_path, monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
@@ -102,6 +103,7 @@ def test_what_cannot_be_is_one_sentence(made, known, tmp_path):
 
 
 @pytest.mark.parametrize("case", ["k-edge", "two-agents"])
+@pytest.mark.slow
 def test_scans_of_v1_are_the_stored_ones(tmp_path, case):
     chosen = read_suite("v1", "minutes")
     one = replace(chosen, cases=tuple(found for found in chosen.cases if found.name == case))

@@ -23,6 +23,7 @@ def scan(tmp_path_factory):
     return folder / "wrong.h5"
 
 
+@pytest.mark.slow
 def test_a_shifted_panel_is_corrected(scan, tmp_path):
     out = tmp_path / "aligned.h5"
     result = run(scan, "-o", out)

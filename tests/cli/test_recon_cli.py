@@ -104,6 +104,7 @@ def test_a_run_folder_is_complete(complete):
     assert names(folder.parent) == {"run"}
 
 
+@pytest.mark.slow
 def test_the_model_without_planes_holds_physical_gaussians(dataset, tmp_path):
     run = tmp_path / "run"
     assert fit(dataset, "-o", run, "--kernel", "gaussian", *FAST).exit_code == 0
@@ -347,6 +348,7 @@ def test_a_region_of_air_tells_the_open_beam_as_flats_do(dataset, copy):
     assert (ratio.std(axis=(1, 2)) < 1.2 / np.sqrt(counts * FLATS)).all()
 
 
+@pytest.mark.slow
 def test_without_an_edge_in_the_scene_file_and_fit_have_two_bases(without_edge, tmp_path):
     with h5py.File(without_edge) as file:
         assert list(file["entry/spectra/basis_name"].asstr()[()]) == ["photoelectric", "compton"]
@@ -365,6 +367,7 @@ def test_more_bases_than_the_dataset_has_are_refused(without_edge, tmp_path):
 
 
 @pytest.mark.parametrize(("method", "bases"), [("gaussian", "photoelectric,kedge_63.3"), ("sirt", "2")])
+@pytest.mark.slow
 def test_fewer_bases_than_the_dataset_has_are_fitted_and_named(dataset, tmp_path, bases, method):
     options = ("--bases", bases, "--method", method, *FAST)
     result = fit(dataset, "-o", tmp_path / "run", *options)
@@ -443,6 +446,7 @@ def test_a_figure_that_fails_is_a_warning(dataset, tmp_path, monkeypatch, method
         ("psnr_of_bases", "sirt"),
     ],
 )
+@pytest.mark.slow
 def test_a_score_that_fails_leaves_a_run_that_can_be_read(dataset, tmp_path, monkeypatch, score, method):
     with monkeypatch.context() as patch:
         patch.setattr(f"recon.runs.{'run' if score == 'read_truth' else 'outcomes.volume_outcome'}.{score}", failing)
@@ -488,6 +492,7 @@ def test_deleting_the_truth_changes_nothing_but_the_score(copy, complete, tmp_pa
     assert one == other
 
 
+@pytest.mark.slow
 def test_threads_and_repetition_do_not_change_a_bit_and_the_seed_does(dataset, complete, tmp_path):
     def model(folder, *options):
         assert fit(dataset, "-o", tmp_path / folder, *options, *FAST).exit_code == 0

@@ -166,6 +166,7 @@ def test_commands_have_the_same_budgets_and_are_measured(others):
     assert same[0] == same[1]
 
 
+@pytest.mark.slow
 def test_what_was_run_is_not_run_again_and_a_finished_volume_is_read_anew(scan, others):
     folder, _, options = others
     np.save(folder / "mono.npy", np.zeros((16, 16, 16)))

@@ -221,6 +221,7 @@ def wait_for_steps(folder: Path, steps: int, process: subprocess.Popen) -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.slow
 def test_a_run_that_was_stopped_and_killed_ends_with_the_same_bytes(dataset, tmp_path):
     sweeps = "20"
     whole, run, part = tmp_path / "whole", tmp_path / "run", tmp_path / "run.part"

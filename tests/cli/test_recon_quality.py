@@ -49,6 +49,7 @@ def stated(folder):
     return json.loads(result.stdout)
 
 
+@pytest.mark.slow
 def test_the_ideal_observer_knows_what_the_likelihood_ratio_of_the_counts_tells(folder):
     """For a weak signal d'^2 is the symmetrised Kullback-Leibler divergence of the counts (Barrett & Myers 13.2)."""
     with open_dataset(folder / "scan.h5") as dataset:
@@ -122,6 +123,7 @@ def test_what_is_written_is_read_and_stands_in_the_report(folder, stated, tmp_pa
     assert table.rows[0][2] == f"{stated['contrast']:.4g} HU"
 
 
+@pytest.mark.slow
 def test_counts_of_the_truth_have_the_contrast_of_the_scene(folder):
     result = call("quality", folder / "run", *OF_VIALS, "--truth", "--as", "vmi", "--json")
     assert result.exit_code == 0, result.output

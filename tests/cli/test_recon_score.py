@@ -151,6 +151,7 @@ def test_all_that_a_volume_may_hold_scores_perfectly_for_the_truth(scan, truth, 
     assert {p.name for p in (out / "figures").iterdir()} >= {"axial.png", "profiles.png", "spectrum.png"}
 
 
+@pytest.mark.slow
 def test_bases_predict_counts_and_their_folder_is_a_run(scan, truth, tmp_path):
     parts = []
     for name, volume in zip(NAMES, truth.volumes, strict=True):

@@ -98,6 +98,7 @@ def test_volumes_of_a_folder_get_the_scores_of_the_formula(made, volumes, scored
     assert names == {"cases", "suite-score.json", "suite-score.csv", "suite-score.md", "suite-score.png"}
 
 
+@pytest.mark.slow
 def test_quiet_scoring_says_nothing_on_the_way(made, scored):
     assert "plain: the object as it is" in scored[1].stderr
     again = run(

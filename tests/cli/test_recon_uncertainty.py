@@ -43,6 +43,7 @@ def stated(folder):
     return json.loads(result.stdout)
 
 
+@pytest.mark.slow
 def test_deviations_are_those_between_scans_with_other_noise(folder, stated, tmp_path):
     volumes = []
     for seed in range(SCANS):

@@ -10,6 +10,7 @@ from recon.cli.main import main as recon
 
 
 @pytest.mark.parametrize(("program", "name"), [(phantomgen, "phantomgen"), (recon, "recon")])
+@pytest.mark.slow
 def test_kernels_are_compiled_ahead_and_nothing_is_left(program, name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))

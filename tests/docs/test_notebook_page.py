@@ -4,12 +4,14 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from phantomgen.simulation.checks.verification import MeasuredError
 
 PAGE = Path(__file__).parents[2] / "docs/howto/notebook.md"
 
 
+@pytest.mark.slow
 def test_the_blocks_of_the_page_are_one_script_whose_results_agree_with_the_truth(monkeypatch, capsys):
     monkeypatch.setattr("phantomgen.simulation.run.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
     blocks = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)

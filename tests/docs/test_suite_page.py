@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from support.tiny_scans import make
 
 from phantomgen.dataset.truth import read_truth
@@ -14,6 +15,7 @@ from phantomgen.suite.definition import read_suite
 PAGE = (Path(__file__).parents[2] / "docs/howto/suite.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_script_of_the_page_is_a_method(tmp_path):
     (script,) = re.findall(r"^```python\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
     (tmp_path / "mine.py").write_text(script)

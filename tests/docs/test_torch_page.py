@@ -3,11 +3,14 @@
 import re
 from pathlib import Path
 
+import pytest
+
 from phantomgen.simulation.checks.verification import MeasuredError
 
 PAGE = Path(__file__).parents[2] / "docs/howto/torch.md"
 
 
+@pytest.mark.slow
 def test_the_blocks_of_the_page_are_one_script_that_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("phantomgen.simulation.run.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))

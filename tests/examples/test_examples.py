@@ -69,6 +69,7 @@ def test_by_default_script_and_scene_file_have_the_same_size(kedge):
     assert model.panel.pitch == 204.8 / size.pixels
 
 
+@pytest.mark.slow
 def test_the_training_set_skips_items_that_are_there(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("phantomgen.simulation.run.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))
@@ -81,6 +82,7 @@ def test_the_training_set_skips_items_that_are_there(tmp_path, monkeypatch, caps
     ]
 
 
+@pytest.mark.slow
 def test_the_dual_energy_scan_has_a_signal_for_each_voltage(tmp_path):
     small = ["panel.rows=16", "panel.columns=16", "panel.pitch=12.8", "geometry.views=2", "geometry.test_views=1"]
     scan = load_scene(EXAMPLES / "dual_energy.yaml", [*small, "volume.voxels=8"])
@@ -103,6 +105,7 @@ def test_the_flat_panel_has_darks_and_a_mask(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["plot_first_fit", "plot_iodine", "plot_metal", "plot_torch"])
+@pytest.mark.slow
 def test_articles_run_from_top_to_bottom(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("phantomgen.simulation.run.quick_check", lambda *_: MeasuredError(0, 0, 0, 0, 0, 0, 0))

@@ -107,6 +107,7 @@ def scanned(place, solid, **changed):
 
 @tries(8)
 @given(kind=st.sampled_from(sorted(MESHES)), data=st.data())
+@pytest.mark.slow
 def test_meshes(place, kind, data):
     name = f"part.{kind.removesuffix('_ascii')}"
     (place / name).write_bytes(data.draw(spoiled_bytes((MESHES[kind],))))
@@ -123,6 +124,7 @@ def test_images(place, kind, data):
 
 @tries(5)
 @given(content=spoiled_bytes((RESPONSE,)))
+@pytest.mark.slow
 def test_response_tables(place, content):
     (place / "response.csv").write_bytes(content)
     detector = {
@@ -206,6 +208,7 @@ def finite(name, item):
         assert np.isfinite(item[()]).all(), name
 
 
+@pytest.mark.slow
 def test_samples_that_are_not_spoiled_are_read(samples):
     place, _ = samples
     shutil.rmtree(place / "bad.run", ignore_errors=True)

@@ -46,6 +46,7 @@ def usual(argument):
 
 @tries(50)
 @given(data=st.data())
+@pytest.mark.slow
 def test_options_with_values_they_do_not_expect(scan, data):
     program, words, command = data.draw(st.sampled_from(COMMANDS))
     arguments = [

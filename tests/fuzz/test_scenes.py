@@ -33,6 +33,7 @@ def load(read):
 
 @tries(60)
 @given(document=spoiled_documents(DOCUMENTS))
+@pytest.mark.slow
 def test_presets_with_spoiled_values(document):
     text = yaml.safe_dump(document, allow_unicode=True)
     load(lambda: SceneFile("scene.yaml", text))

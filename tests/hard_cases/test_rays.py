@@ -157,6 +157,7 @@ CASES: dict[str, tuple[list[tuple[Shape, int]], float, float]] = {
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.slow
 def test_pixels_agree_with_many_rays(name: str) -> None:
     objects, crossed, elsewhere = CASES[name]
     found, error = exposed(objects, rays=128 if crossed < 1e-2 else 48)

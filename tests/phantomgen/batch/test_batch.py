@@ -235,6 +235,7 @@ def test_workers_end_with_the_process_that_started_them(batch, tmp_path):
 
 
 @pytest.mark.filterwarnings("default")
+@pytest.mark.slow
 def test_a_dask_cluster_makes_all_items_though_a_worker_is_killed(batch, tmp_path):
     distributed = pytest.importorskip("distributed")
     out, count = tmp_path / "out", 12

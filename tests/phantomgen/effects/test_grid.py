@@ -19,6 +19,7 @@ def counts(*effects: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.slow
 def test_a_grid_passes_its_parts_of_primary_and_scattered_photons(kind):
     plain, with_scatter = counts(), counts(f"scatter={KINDS[kind]}")
     found = counts(f"scatter={KINDS[kind]}", "grid={primary: 0.7, scatter: 0.1}")

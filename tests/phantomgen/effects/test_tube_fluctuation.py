@@ -36,6 +36,7 @@ def test_impossible_outputs_are_refused(sigma):
 
 
 @pytest.mark.parametrize("recorded", [True, False])
+@pytest.mark.slow
 def test_counts_are_scaled_and_the_file_tells_by_how_much_where_it_may(tmp_path, recorded):
     settings = ["effects.tube_output.sigma=0.1", f"effects.tube_output.recorded={str(recorded).lower()}"]
     scans = {"steady": load_scene("kedge-small", TINY), "varying": load_scene("kedge-small", [*TINY, *settings])}

@@ -74,6 +74,7 @@ def test_an_imported_scan_is_reconstructed(name, tmp_path):
     assert np.abs(middle[::-1] - foreign.CENTER).max() < 1.0  # mm, of voxels of 2.5 mm
 
 
+@pytest.mark.slow
 def test_one_channel_is_fitted_with_gaussians_as_an_amount_of_water(tmp_path):
     path = written("nxtomo", tmp_path)
     with imported("nxtomo", path, tmp_path / "out.h5", "--voxels", "10") as dataset:

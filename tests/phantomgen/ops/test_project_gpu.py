@@ -88,6 +88,7 @@ def test_several_blocks_tables_and_groups_of_components(gpu, monkeypatch):
     np.testing.assert_allclose(backward, project_transpose(images, grid, frames), rtol=2e-6, atol=2e-6)
 
 
+@pytest.mark.slow
 def test_kernels_compile_for_gpus_without_atomic_sums(gpu, tmp_path):
     environment = {**os.environ, "TRITON_INTERPRET": "0", "TRITON_CACHE_DIR": str(tmp_path)}
     command = [sys.executable, "-c", COMPILE]

@@ -56,6 +56,7 @@ def test_what_a_killed_process_left_is_taken_over(torn, tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals mean something else there")
+@pytest.mark.slow
 def test_make_ends_with_a_sentence_when_it_is_terminated(tmp_path):
     out = tmp_path / "scan.h5"
     words = ["make", "kedge-small", "-o", str(out), "-q", "--views", "20000", "--threads", "1"]

@@ -190,6 +190,7 @@ def test_profiles_follow_the_pixels_of_a_mounted_panel():
     np.testing.assert_allclose(obliquity(panel, sdd, mount), length / np.hypot(across, depth), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_counts_of_an_offset_panel_are_a_part_of_those_of_a_larger_one():
     bowtie = "source.bowtie={composition: Al, angles: [0, 20], thickness: [1, 9]}"
     from phantomgen.simulation.forward_model.discretization import Settings

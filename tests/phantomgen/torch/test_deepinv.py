@@ -17,6 +17,7 @@ def printed(program: str) -> str:
     return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.strip()
 
 
+@pytest.mark.slow
 def test_deepinv_is_imported_when_it_is_asked_for_and_its_extra_is_named_where_it_is_missing():
     assert printed("import sys, phantomgen.torch; print('deepinv' in sys.modules)") == "False"
     failing = "try:\n import phantomgen.torch.deepinv\nexcept ImportError as problem:\n print(problem)"

@@ -28,6 +28,7 @@ def wrong(dataset, columns: float, tilt: float):
 
 
 @pytest.mark.parametrize(("columns", "tilt"), [(0.4, 0.5), (-3.2, -1.0), (0.0, 0.0)])
+@pytest.mark.slow
 def test_shift_and_tilt_are_found_within_a_twentieth_of_a_pixel(scan, columns, tilt):
     with open_dataset(scan) as dataset:
         found = align(wrong(dataset, columns, tilt))
@@ -46,6 +47,7 @@ def test_what_is_not_asked_for_stays(scan):
     assert "not estimated" in found.sentences[-1]
 
 
+@pytest.mark.slow
 def test_the_copy_has_corrected_poses_the_same_counts_and_the_old_truth(scan, tmp_path):
     out = tmp_path / "aligned.h5"
     found = align_file(scan, out)
@@ -71,6 +73,7 @@ def test_too_few_views_and_unknown_names_are_refused(scan):
             align(dataset, ())
 
 
+@pytest.mark.slow
 def test_masked_pixels_do_not_matter(scan):
     with open_dataset(scan) as dataset:
         mask = dataset.mask.copy()

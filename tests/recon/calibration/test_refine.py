@@ -76,6 +76,7 @@ def counts_of(perturbation, errors, lengths, air, rng):
     return rng.poisson(air * np.exp(-transmission.log_projection(lengths))).astype(float)
 
 
+@pytest.mark.slow
 def test_uncertainties_cover_errors_drawn_from_the_prior(perturbation):
     """Over errors from the prior and new noise, (found - true)^T C^-1 (found - true) is chi-square distributed."""
     lengths, air = rays(perturbation, 300, 1)
@@ -126,6 +127,7 @@ def test_a_right_spectrum_stays(scans, tmp_path):
         np.testing.assert_allclose(again.spectra.weights, found.dataset.spectra.weights, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_scans_that_cannot_be_refined_get_a_sentence(scans, tmp_path):
     three = make(tmp_path / "three.h5", "--set", "detector.thresholds=[20,45,63.3]", "--set", "geometry.views=8")
     with open_dataset(three) as dataset, pytest.raises(InputError, match="3 channels and 3 basis functions"):

@@ -61,6 +61,7 @@ def test_score_is_the_derivative_of_the_likelihood(model, mean):
         assert found.score[i] == pytest.approx(slope, rel=2e-2, abs=2e-3 * np.sqrt(found.information[i, i]) * 1e3)
 
 
+@pytest.mark.slow
 def test_uncertainty_is_the_spread_over_repeated_noise(model, mean):
     rng, values, sigmas, deviances = np.random.default_rng(0), [], [], []
     for _ in range(200):

@@ -158,6 +158,7 @@ def quick(monkeypatch):
 
 
 @pytest.mark.parametrize("word", ["gaussian", "gaussian+2+blind-bin3", "paper+without-tv"])
+@pytest.mark.slow
 def test_gaussians_take_part(scan, tmp_path, quick, word):
     del quick
     found = worked(scan, tmp_path / "run", word, (1e-6, LONG))
@@ -168,6 +169,7 @@ def test_gaussians_take_part(scan, tmp_path, quick, word):
     assert all(s["psnr"] is not None for s in found[1]["views"]["honest"].values())
 
 
+@pytest.mark.slow
 def test_a_fit_is_planned_to_end_within_its_budget(scan, tmp_path, quick, counting):
     """A shorter schedule from the same start, beside the whole one."""
     del quick, counting
@@ -178,6 +180,7 @@ def test_a_fit_is_planned_to_end_within_its_budget(scan, tmp_path, quick, counti
     assert short["total"] < whole["total"] == 9
 
 
+@pytest.mark.slow
 def test_a_budget_that_holds_no_start_holds_gaussians_that_follow_voxels(scan, tmp_path, quick, counting):
     del quick, counting
     found = worked(scan, tmp_path / "run", "gaussian", (2.5,))[0]

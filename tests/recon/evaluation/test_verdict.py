@@ -159,6 +159,7 @@ def test_a_panel_beside_the_axis_is_truncation_where_no_opposite_view_makes_up_f
     assert found.grid == grid
 
 
+@pytest.mark.slow
 def test_a_fit_of_a_truncated_scan_says_so(scans, tmp_path):
     fit = recon.fit(scans["both"], SHORT, bases=3)
     assert "truncated" in [remark.key for remark in fit.verdict]

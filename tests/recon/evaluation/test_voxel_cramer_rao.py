@@ -35,6 +35,7 @@ def test_information_times_a_volume_is_the_dense_product(bases):
 
 @settings(max_examples=8)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 3))
+@pytest.mark.slow
 def test_the_bound_is_that_of_the_dense_inverse(seed, count):
     truth, grid, scan = tiny()
     weights = np.random.default_rng(seed).uniform(size=(count, *grid.shape))

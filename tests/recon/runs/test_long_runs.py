@@ -270,6 +270,7 @@ assert group() is None, "threads of a group that outlives its processes' context
 """
 
 
+@pytest.mark.slow
 def test_two_processes_give_what_one_gives_within_rounding(problem, tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -61,6 +61,7 @@ def errors(signal: SmoothSignal, dataset: Dataset, plain: Dataset) -> tuple[np.n
     return found.mean(axis=(0, 2, 3)) / mean - 1, np.sqrt(((found - true) ** 2).mean(axis=(0, 2, 3))) / mean
 
 
+@pytest.mark.slow
 def test_true_volumes_scatter_as_the_scene_does(folder, plain):
     with scan(folder, "exact", "effects.scatter={type: compton}", "noise=false") as dataset:
         truth = read_truth(dataset.path)
@@ -69,6 +70,7 @@ def test_true_volumes_scatter_as_the_scene_does(folder, plain):
     assert rms.max() < 0.12
 
 
+@pytest.mark.slow
 def test_reconstructed_volumes_scatter_so_too_and_a_kernel_is_inverted(scattered, plain):
     kind, dataset = scattered
     model = Compton() if kind == "compton" else ScatterKernel(0.3, 60.0)
@@ -76,11 +78,13 @@ def test_reconstructed_volumes_scatter_so_too_and_a_kernel_is_inverted(scattered
     assert np.abs(bias).max() < (0.12 if kind == "compton" else 0.03)
 
 
+@pytest.mark.slow
 def test_a_factor_is_found_in_the_counts(compton):
     found = float(estimate_scatter(compton, Compton(None)).fitted.split()[-1])
     assert found == pytest.approx(1.0, rel=0.25)
 
 
+@pytest.mark.slow
 def test_volumes_without_scatter_come_closer_to_the_truth(compton):
     truth = read_truth(compton.path)
 

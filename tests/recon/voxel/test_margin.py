@@ -1,6 +1,7 @@
 """A scan whose panel cuts off its object, against the truth of what all its views see."""
 
 import numpy as np
+import pytest
 from support.tiny_scans import make
 
 from phantomgen.dataset.reader import open_dataset
@@ -34,6 +35,7 @@ def error(measured, grid, truth, working):
     return np.sqrt(np.mean((found[1] - truth[1])[high][:, inside] ** 2)) / truth[1].max()
 
 
+@pytest.mark.slow
 def test_what_lies_beyond_the_panel_no_longer_spoils_what_lies_within(tmp_path):
     measured, grid, truth = opened(make(tmp_path / "cut.h5", *SMALL, "--set", "volume={voxels: 13, size: 78}"))
     covered = with_margin_found(measured.without_partial_volume(), coverage(measured, grid))
@@ -42,6 +44,7 @@ def test_what_lies_beyond_the_panel_no_longer_spoils_what_lies_within(tmp_path):
     assert off[1] < 0.5 * off[0]
 
 
+@pytest.mark.slow
 def test_an_object_beside_the_field_of_view_gets_a_margin_that_holds_it(tmp_path):
     measured, grid, truth = opened(
         make(tmp_path / "two.h5", *SMALL, "--set", "volume={voxels: 20, size: 78}", "--set", BESIDE)

@@ -121,6 +121,7 @@ def test_marked_rays_that_are_not_explained_are_named():
     assert misfit_marked({"bin0": {"chi_square_away": 100.0}}, marked, 0.02) is None
 
 
+@pytest.mark.slow
 def test_a_run_scores_with_and_without_the_metal_and_says_so(tmp_path):
     scan = make(
         tmp_path / "scan.h5", "--views", "12", "--test-views", "2",

@@ -31,6 +31,7 @@ def scan_of(text: str):
     return load_scene(SceneFile("toy.yaml", HEAD + text))
 
 
+@pytest.mark.slow
 def test_all_shapes_at_once(tmp_path: Path) -> None:
     scan = load_scene(ZOO, [*SMALL, "volume.voxels=32"])
     assert len(scan.scene.objects) == 8 + 1 + 6 + 1 + 4 + 1

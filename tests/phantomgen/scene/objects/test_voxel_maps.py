@@ -144,6 +144,7 @@ def test_intervals_of_hounsfield_units(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("way", ["apart", "together"])
+@pytest.mark.slow
 def test_fractions(tmp_path: Path, way: str) -> None:
     values = np.random.default_rng(2).dirichlet((1, 1, 1), (8, 8, 8)).astype(np.float32)
     parts = np.moveaxis(values, -1, 0)[:2]

@@ -113,6 +113,7 @@ def test_a_damaged_variance_is_found(path, tmp_path, name, value, words):
     assert any(words in problem for problem in problems)
 
 
+@pytest.mark.slow
 def test_signals_do_not_depend_on_threads_or_on_other_views(path, tmp_path):
     try:
         set_threads(1)

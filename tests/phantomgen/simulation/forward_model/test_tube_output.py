@@ -62,6 +62,7 @@ def test_the_current_follows_a_power_of_the_attenuation(strength, constant, tmp_
     np.testing.assert_allclose(counts, constant * exposure[:, None, None, None], rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_root_of_the_attenuation_leaves_the_least_noise_for_the_same_dose(constant, tmp_path):
     """Variance on the axis of a filtered back-projection: the mean over views of one over counts (Gies et al. 1999)."""
     variances = {}

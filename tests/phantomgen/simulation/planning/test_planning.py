@@ -91,6 +91,7 @@ def test_sub_rays_of_the_scene_are_kept_and_judged():
     assert "as the scene says" in plan.text
 
 
+@pytest.mark.slow
 def test_a_tolerance_that_cannot_be_met_is_refused_with_what_is_reached(scan, tmp_path):
     with pytest.raises(InputError, match=r"--tol 1e-09 cannot be met: .* reach .*; \S+ can"):
         simulate(scan, tmp_path / "k.h5", tolerance=1e-9)
@@ -126,6 +127,7 @@ def test_the_file_is_as_large_as_expected(scan, tmp_path):
     assert min(cost.seconds.values()) > 0
 
 
+@pytest.mark.slow
 def test_smooth_surfaces_become_as_fine_as_the_tolerance_needs():
     scan = load_scene(SceneFile("tube.yaml", TUBE))
     triangles = []
@@ -138,6 +140,7 @@ def test_smooth_surfaces_become_as_fine_as_the_tolerance_needs():
     assert triangles[1] > triangles[0]
 
 
+@pytest.mark.slow
 def test_solutions_of_many_agents_take_some_dozens_of_nodes_at_tight_tolerances():
     scan = load_scene("multi-energy", ["geometry.views=4", "geometry.test_views=1"])
     exposure, energies = planning._energies(scan, planning.ENERGY * 1e-5)

@@ -59,6 +59,7 @@ def test_a_page_loads_nothing_from_elsewhere(page):
     assert "Segmentation" in page[0]["left_out"]
 
 
+@pytest.mark.slow
 def test_without_its_dataset_a_page_says_what_is_missing(folder, tmp_path):
     shutil.copytree(folder / "run1", tmp_path / "run1")
     result = command("report", tmp_path / "run1", "-q", "--json")
@@ -115,6 +116,7 @@ def test_runs_are_called_by_as_much_of_their_path_as_tells_them_apart(tmp_path):
         names_of([tmp_path / "a", tmp_path / "a"])
 
 
+@pytest.mark.slow
 def test_a_dataset_has_a_page_of_its_own(folder, tmp_path):
     result = CliRunner().invoke(
         phantomgen, ["report", str(folder / "tiny.h5"), "-o", str(tmp_path / "d.html"), "--json"]

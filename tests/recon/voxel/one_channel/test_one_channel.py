@@ -40,6 +40,7 @@ def test_a_water_correction_takes_the_cupping_away(water):
 
 
 @pytest.mark.parametrize("method", ["fdk-water", "one-step"])
+@pytest.mark.slow
 def test_water_has_the_attenuation_of_the_tables(water, method):
     how = {"fdk-water": FdkWater(water.curve), "one-step": OneStep(curve=water.curve)}[method]
     volume = water.mono(how.reconstruct_counts(water.measured, water.grid))
@@ -47,6 +48,7 @@ def test_water_has_the_attenuation_of_the_tables(water, method):
     assert abs(cupping(volume, water.grid)) < 0.005
 
 
+@pytest.mark.slow
 def test_metal_leaves_fewer_artefacts_from_method_to_method(rod):
     methods = FdkWater(rod.curve), Nmar(rod.curve), OneStep(curve=rod.curve)
     corrected, reduced, along = (rod.decibels(m.reconstruct_counts(rod.measured, rod.grid)) for m in methods)

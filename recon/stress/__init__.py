@@ -1,0 +1,1 @@
+"""Hard cases of reconstruction: Gaussians, rays and scans at their limits."""
