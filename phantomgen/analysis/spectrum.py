@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from phantomgen.analysis.air_kerma import kerma_at_isocentre, kerma_per_view
 from phantomgen.analysis.single_ray import BEHIND, SingleRayBound, layers_of, scan_photons
 from phantomgen.scene.scan import Scan
 from spectra.basis.basis import BasisFunction, pretty
@@ -60,26 +61,12 @@ class SpectrumReport:
     @property
     def kerma(self) -> float:
         """Air kerma per view at the panel centre with nothing in the beam [Gy]."""
-        panel = self.scan.geometry.panel
-        return self.quality.kerma_per_fluence * self.scan.source.photons / (panel.row_pitch * panel.column_pitch)
+        return kerma_per_view(self.scan, self.quality.kerma_per_fluence)
 
     @property
     def kerma_at_isocentre(self) -> float:
-        """Air kerma of the scan at the isocentre with nothing in the beam, by the inverse square of distance [Gy].
-
-        Test views count as well, and those of a helix as if they all met the isocentre. A current that follows the
-        attenuation has the same sum as a constant one; sources that take turns share the views.
-        """
-        geometry, detector, modulation = self.scan.geometry, self.scan.detector, self.scan.modulation
-        nearer = 1.0
-        if not geometry.is_parallel:
-            to_panel = np.linalg.norm(geometry.panel_center - geometry.source, axis=1)
-            axes = slice(2) if geometry.kind == "helical" else slice(3)
-            nearer = float(np.mean((to_panel / np.linalg.norm(geometry.source[:, axes], axis=1)) ** 2))
-        turns = len(detector.sources) if isinstance(detector, MultiSource) and self.scan.exposure is not None else 1
-        stated = None if modulation is None else modulation.factors
-        views = len(geometry) if stated is None else sum(stated)
-        return self.kerma * nearer * views / turns
+        """Air kerma of the scan at the isocentre with nothing in the beam [Gy]."""
+        return kerma_at_isocentre(self.scan, self.quality.kerma_per_fluence)
 
     @property
     def charge(self) -> float | None:

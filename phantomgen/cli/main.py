@@ -6,6 +6,9 @@ Results go to stdout, progress and warnings to stderr. Exit codes: 0 done, 1 an 
 
 import click
 
+from phantomgen.cli.analysis.dose import dose
+from phantomgen.cli.analysis.spectrum import materials, optimize_thresholds, spectrum
+from phantomgen.cli.analysis.stress import stress
 from phantomgen.cli.batch import batch, suite
 from phantomgen.cli.common import Commands, version_option
 from phantomgen.cli.dataset import info, schema, validate
@@ -16,8 +19,6 @@ from phantomgen.cli.make import make, warm_up
 from phantomgen.cli.plan import plan
 from phantomgen.cli.presets import presets
 from phantomgen.cli.report import report
-from phantomgen.cli.spectrum import materials, optimize_thresholds, spectrum
-from phantomgen.cli.stress import stress
 from phantomgen.cli.view import view
 
 
@@ -53,6 +54,7 @@ for command in (
     materials,
     spectrum,
     optimize_thresholds,
+    dose,
     schema,
     warm_up,
 ):

@@ -123,7 +123,7 @@ def in_basis(spectra: "Spectra", basis: Basis) -> "Spectra":
     parents = split.parents
     profile = spectra.profile
     if profile is not None:
-        profile = StoredProfile(profile.names, profile.attenuation[:, parents], profile.lengths)
+        profile = StoredProfile(profile.names, profile.lengths, profile.attenuation[:, parents])
     return replace(
         spectra,
         energy=split.nodes,

@@ -220,6 +220,48 @@ def electrons_per_gram(composition: Composition) -> float:
     return xraylib.AVOGNUM * 1e24 * sum(n * moles for n, moles in parts)
 
 
+def attenuation_parts(composition: Composition, energy: Float[np.ndarray, " energy"]) -> Float[np.ndarray, "3 energy"]:
+    """Compute the photoelectric, the Compton and the Rayleigh part of the mass attenuation.
+
+    Parameters
+    ----------
+    composition : formula, name or mass fractions
+    energy : photon energies [keV]
+
+    Returns
+    -------
+    mu / rho of each part [cm^2/g]
+    """
+    functions = (xraylib_np.CS_Photo, xraylib_np.CS_Compt, xraylib_np.CS_Rayl)
+    found = np.zeros((3, len(energy)))
+    for number, fraction in mass_fractions(composition):
+        found += fraction * np.stack([function(np.array([number]), energy)[0] for function in functions])
+    return found
+
+
+def scattering_functions(
+    composition: Composition, transfer: Float[np.ndarray, " x"]
+) -> tuple[Float[np.ndarray, " x"], Float[np.ndarray, " x"]]:
+    """Compute the incoherent scattering function and the squared form factor of a composition, atom by atom.
+
+    Parameters
+    ----------
+    composition : formula, name or mass fractions
+    transfer : momentum transfer x = sin(theta / 2) / lambda [1/Angstrom]
+
+    Returns
+    -------
+    S(x) over the number of electrons, 1 for free ones; and F(x)^2 per atom
+    """
+    atoms = [(n, share / xraylib.AtomicWeight(n)) for n, share in mass_fractions(composition)]
+    all_atoms, electrons = (sum(n**power * moles for n, moles in atoms) for power in (0, 1))
+    incoherent, squared = np.zeros(len(transfer)), np.zeros(len(transfer))
+    for number, moles in atoms:
+        incoherent += moles / electrons * np.array([xraylib.SF_Compt(number, x) if x > 0 else 0.0 for x in transfer])
+        squared += moles / all_atoms * np.array([xraylib.FF_Rayl(number, x) ** 2 for x in transfer])
+    return np.minimum(incoherent, 1.0), squared
+
+
 def compton_share(composition: Composition, energy: Float[np.ndarray, " energy"]) -> Float[np.ndarray, " energy"]:
     """Compute the fraction of the attenuation that is Compton scattering.
 

@@ -24,6 +24,7 @@ from phantomgen.shapes import Cylinder, Sphere, solids_of
 from phantomgen.simulation.run import simulate
 from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import read_measurements
+from spectra.basis.basis import Basis, BasisFunction
 from spectra.elements.attenuation import linear_attenuation, natural_density
 from spectra.errors import DatasetError, InputError, SceneError
 
@@ -189,6 +190,18 @@ def test_line_integrals_do_not_notice_bowtie_and_heel(scans):
         blind = read_measurements(dataset, np.arange(2))
         assert blind.gains.min() > 0.998
         assert blind.gains.max() < 1.002
+
+
+def test_other_basis_functions_keep_the_profile(scans):
+    with open_dataset(scans[1]) as dataset:
+        basis = Basis((*dataset.spectra.basis.functions, BasisFunction("step", edge_energy=61.7)))
+        before, after = dataset.spectra, dataset.with_basis(basis).spectra
+    assert len(after.energy) == len(before.energy) + 1
+    assert after.profile.names == before.profile.names
+    np.testing.assert_array_equal(after.profile.lengths, before.profile.lengths)
+    lengths = np.random.default_rng(0).random((5, 2 + 3))
+    counts = after.transmission().expected(np.insert(lengths, 2, 0.0, axis=1))
+    np.testing.assert_allclose(counts, before.transmission().expected(lengths), rtol=1e-4)
 
 
 def test_coarse_pixels_have_the_open_beam_of_those_that_they_are_made_of(scans):

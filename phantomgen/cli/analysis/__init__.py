@@ -1,0 +1,1 @@
+"""Commands that compute without a scan: energies, dose, and hard cases."""
