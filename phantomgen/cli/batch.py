@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import Printing, debug_option, grouped, json_option
 
 
 @click.command(
@@ -25,6 +25,7 @@ from phantomgen.cli.common import debug_option, json_option
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
 @json_option
 @debug_option
+@grouped(printing=Printing)
 def batch(
     manifest: str,
     count: int | None,
@@ -33,8 +34,7 @@ def batch(
     cluster: str | None,
     shard: str | None,
     overwrite: bool,
-    quiet: bool,
-    as_json: bool,
+    printing: Printing,
 ) -> None:
     """Make many scans from MANIFEST, a YAML file that names a scene, what overrides it, and a seed.
 
@@ -54,9 +54,9 @@ def batch(
         executor=cluster,
         shard=part,
         overwrite=overwrite,
-        progress=not quiet,
+        progress=not printing.quiet,
     )
-    click.echo(json.dumps(summary.to_dict()) if as_json else summary.text)
+    click.echo(json.dumps(summary.to_dict()) if printing.as_json else summary.text)
     sys.exit(3 if summary.failed else 0)
 
 

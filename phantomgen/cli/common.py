@@ -9,6 +9,8 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from functools import wraps
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -130,6 +132,65 @@ class FiniteRange(click.FloatRange):
     def _describe_range(self) -> str:
         """Limits for the help text, where there are any."""
         return "" if self.min is None and self.max is None else super()._describe_range()
+
+
+@dataclass(frozen=True)
+class Printing:
+    """How a command prints.
+
+    Parameters
+    ----------
+    quiet : no progress
+    as_json : one JSON object in place of text
+    """
+
+    quiet: bool
+    as_json: bool
+
+    @property
+    def silent(self) -> bool:
+        """Whether no progress is shown."""
+        return self.quiet or self.as_json
+
+
+@dataclass(frozen=True)
+class SceneChoice:
+    """The scene of a command.
+
+    Parameters
+    ----------
+    scene : file or preset, as the argument
+    preset : as the option
+    settings : overrides, ``PATH=VALUE``
+    """
+
+    scene: str | None
+    preset: str | None
+    settings: tuple[str, ...]
+
+
+def grouped(**groups: type) -> Callable[[Callable], Callable]:
+    """Hand options that belong together over as one object.
+
+    Parameters
+    ----------
+    groups : dataclass of each parameter of the command that takes several options, which are its fields
+
+    Returns
+    -------
+    decorator of a command, nearest to it
+    """
+
+    def decorate(command: Callable) -> Callable:
+        @wraps(command)
+        def run(**options: Any) -> Any:
+            for name, group in groups.items():
+                options[name] = group(**{field.name: options.pop(field.name) for field in fields(group)})
+            return command(**options)
+
+        return run
+
+    return decorate
 
 
 def debug_option(command: Callable) -> Callable:

@@ -3,12 +3,13 @@
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 
-from phantomgen.cli.common import FiniteRange, debug_option, json_option
+from phantomgen.cli.common import FiniteRange, Printing, debug_option, grouped, json_option
 
 
 class Parsed(click.ParamType):
@@ -74,6 +75,15 @@ PIXELS = Parsed("pixels", _pixels, "is no number of pixels such as 0.5px")
 LEVELS = Parsed("levels", _levels, "is no list of different doses such as 1,0.5,0.25")
 
 
+@dataclass(frozen=True)
+class _Output:
+    """The dataset that is written."""
+
+    out: Path
+    compression: str
+    overwrite: bool
+
+
 @click.command(
     epilog="\b\nExamples:\n  phantomgen degrade kedge.h5 -o low.h5 --dose 0.25 --views 40\n"
     "  phantomgen degrade kedge.h5 -o limited.h5 --arc 120 --truncate 20% --bin 2\n"
@@ -106,16 +116,14 @@ LEVELS = Parsed("levels", _levels, "is no list of different doses such as 1,0.5,
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
 @json_option
 @debug_option
+@grouped(output=_Output, printing=Printing)
 def degrade(
     scan: Path,
-    out: Path,
+    output: _Output,
     dose: float,
     levels: tuple[float, ...] | None,
-    compression: str,
-    overwrite: bool,
     threads: int | None,
-    quiet: bool,
-    as_json: bool,
+    printing: Printing,
     factor: int,
     **wanted: Any,
 ) -> None:
@@ -130,22 +138,22 @@ def degrade(
     if levels and dose != 1:
         raise click.UsageError("--levels names the doses: leave out --dose")
     jobs = [
-        (level_path(out, level) if levels else out, Degradation(dose=level, bin=factor, **wanted))
+        (level_path(output.out, level) if levels else output.out, Degradation(dose=level, bin=factor, **wanted))
         for level in levels or (dose,)
     ]
     if not levels and jobs[0][1] == Degradation(seed=wanted["seed"]):
         raise click.UsageError("nothing is to be changed: see --help for what can be, such as --dose 0.25")
     for path, _ in jobs:
-        check_writable(scan, path, overwrite)
+        check_writable(scan, path, output.overwrite)
     set_threads(threads)
     done = [
         degrade_file(
-            scan, path, job, overwrite=overwrite, compression=compression,  # type: ignore[arg-type]
-            progress=not (quiet or as_json) and sys.stderr.isatty(),
+            scan, path, job, overwrite=output.overwrite, compression=output.compression,  # type: ignore[arg-type]
+            progress=not printing.silent and sys.stderr.isatty(),
         )
         for path, job in jobs
     ]  # fmt: skip
-    if as_json:
+    if printing.as_json:
         found = [{"file": str(one.path), "shape": one.shape, "history": one.history} for one in done]
         click.echo(json.dumps(found if levels else found[0]))
         return

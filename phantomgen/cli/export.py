@@ -1,11 +1,12 @@
 """The command ``phantomgen export``: truth and scans in formats of other programs."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import debug_option, grouped, json_option
 
 # As in `phantomgen.exporters.scans.folder`, which takes time to import.
 PROGRAMS = [
@@ -26,6 +27,25 @@ PROGRAMS = [
 flat_panel_option = click.option(
     "--flat-panel", is_flag=True, help="Resample line integrals of a curved panel to a flat one."
 )
+
+
+@dataclass(frozen=True)
+class _Scan:
+    """The scan for another program."""
+
+    program: str | None
+    what: str | None
+    channels: tuple[str, ...]
+    air: str | None
+    flat_panel: bool
+
+
+@dataclass(frozen=True)
+class _Output:
+    """What is written."""
+
+    out: Path
+    overwrite: bool
 
 
 @click.command(
@@ -49,16 +69,12 @@ flat_panel_option = click.option(
 @click.option("--overwrite", is_flag=True, help="Replace a file or a folder that exists.")
 @json_option
 @debug_option
+@grouped(scan=_Scan, output=_Output)
 def export(
     dataset: Path,
-    out: Path,
+    output: _Output,
     labels: bool,
-    program: str | None,
-    what: str | None,
-    channels: tuple[str, ...],
-    air: str | None,
-    flat_panel: bool,
-    overwrite: bool,
+    scan: _Scan,
     as_json: bool,
 ) -> None:
     """Write the truth or the scan of DATASET for other programs.
@@ -67,13 +83,15 @@ def export(
     values are in 1/mm. With --to: training views and their geometry as a folder that the program reads, with a script
     load.py that loads it there. Line integrals of basis functions: `recon decompose`.
     """
-    if program is None and (what or channels or air or flat_panel):
+    if scan.program is None and (scan.what or scan.channels or scan.air or scan.flat_panel):
         raise click.UsageError("--what, --channel, --air and --flat-panel need --to")
-    if program is not None and labels:
+    if scan.program is not None and labels:
         raise click.UsageError("--labels is about the truth and does not go with --to")
-    found = _export_truth(dataset, out, labels, overwrite) if program is None else {}
-    if program is not None:
-        found = _export_scan(dataset, air, out, program, what, channels, flat_panel, overwrite)
+    found = _export_truth(dataset, output.out, labels, output.overwrite) if scan.program is None else {}
+    if scan.program is not None:
+        found = _export_scan(
+            dataset, scan.air, output.out, scan.program, scan.what, scan.channels, scan.flat_panel, output.overwrite
+        )
     text = found.pop("text")
     click.echo(json.dumps(found) if as_json else text)
 

@@ -3,13 +3,42 @@
 import json
 import sys
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from phantomgen.cli.common import FiniteRange, debug_option, json_option, print_stages
+from phantomgen.cli.common import FiniteRange, Printing, SceneChoice, debug_option, grouped, json_option, print_stages
+
+
+@dataclass(frozen=True)
+class _Shortcuts:
+    """Options for values of the scene."""
+
+    views: int | None
+    test_views: int | None
+    voxels: int | None
+    seed: int | None
+    noise: bool | None
+
+
+@dataclass(frozen=True)
+class _Reuse:
+    """What is stored for other scans of the same objects, and taken from one."""
+
+    keep: tuple[str, ...]
+    paths: str | None
+
+
+@dataclass(frozen=True)
+class _Output:
+    """The dataset that is written."""
+
+    out: str | None
+    compression: str
+    resume: bool
+    overwrite: bool
 
 
 @click.command(
@@ -46,55 +75,45 @@ from phantomgen.cli.common import FiniteRange, debug_option, json_option, print_
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
 @json_option
 @debug_option
+@grouped(scene=SceneChoice, shortcuts=_Shortcuts, reuse=_Reuse, output=_Output, printing=Printing)
 def make(
-    scene: str | None,
-    preset: str | None,
-    out: str | None,
-    views: int | None,
-    test_views: int | None,
-    voxels: int | None,
-    seed: int | None,
+    scene: SceneChoice,
+    output: _Output,
+    shortcuts: _Shortcuts,
     tol: float | None,
-    noise: bool | None,
-    settings: tuple[str, ...],
-    keep: tuple[str, ...],
-    paths: str | None,
+    reuse: _Reuse,
     verify: bool,
-    compression: str,
-    resume: bool,
-    overwrite: bool,
     threads: int | None,
-    quiet: bool,
-    as_json: bool,
+    printing: Printing,
 ) -> None:
     """Simulate the scan of a scene, which is a YAML file or a preset.
 
     Prints what the scan took, and how far its expected counts are from a finer computation.
     """
-    if (scene is None) == (preset is None) and (paths is None or scene is not None):
+    if (scene.scene is None) == (scene.preset is None) and (reuse.paths is None or scene.scene is not None):
         raise click.UsageError("name either a scene file or a preset: phantomgen make kedge")
     options = {
-        "geometry.views": views,
-        "geometry.test_views": test_views,
-        "volume.voxels": voxels,
-        "seed": seed,
-        "noise": None if noise is None else str(noise).lower(),
+        "geometry.views": shortcuts.views,
+        "geometry.test_views": shortcuts.test_views,
+        "volume.voxels": shortcuts.voxels,
+        "seed": shortcuts.seed,
+        "noise": None if shortcuts.noise is None else str(shortcuts.noise).lower(),
     }
-    overrides = [*(f"{path}={value}" for path, value in options.items() if value is not None), *settings]
+    overrides = [*(f"{path}={value}" for path, value in options.items() if value is not None), *scene.settings]
     options = {
         "tolerance": tol,
-        "overwrite": overwrite,
-        "resume": resume,
-        "compression": compression,
-        "keep_expected": "expected" in keep,
-        "keep_paths": "paths" in keep,
-        "paths": paths,
+        "overwrite": output.overwrite,
+        "resume": output.resume,
+        "compression": output.compression,
+        "keep_expected": "expected" in reuse.keep,
+        "keep_paths": "paths" in reuse.keep,
+        "paths": reuse.paths,
         "verify": verify,
     }
-    summary = _make(scene, preset, overrides, out, options, threads, quiet or as_json)
+    summary = _make(scene.scene, scene.preset, overrides, output.out, options, threads, printing.silent)
     for warning in summary.warnings:
         click.echo(f"Warning: {warning}", err=True)
-    click.echo(json.dumps(summary.to_dict()) if as_json else summary.text)
+    click.echo(json.dumps(summary.to_dict()) if printing.as_json else summary.text)
 
 
 def _make(

@@ -1,10 +1,22 @@
 """``phantomgen view``: a scene or dataset in three dimensions."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import debug_option
+from phantomgen.cli.common import debug_option, grouped
+
+
+@dataclass(frozen=True)
+class _Outputs:
+    """Pictures and pages that are written in place of a window."""
+
+    screenshot: str | None
+    html: str | None
+    geometry: str | None
+    size: str | None
+    overwrite: bool
 
 
 @click.command(
@@ -20,16 +32,13 @@ from phantomgen.cli.common import debug_option
 @click.option("--size", metavar="WIDTHxHEIGHT", help="Pixels [default: 1600x1000, wider for many bases].")
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @debug_option
+@grouped(outputs=_Outputs)
 def view(
     source: str | None,
     preset: str | None,
-    screenshot: str | None,
-    html: str | None,
-    geometry: str | None,
+    outputs: _Outputs,
     at: str | None,
     voxels: int | None,
-    size: str | None,
-    overwrite: bool,
 ) -> None:
     """Look at a scene, a preset or a dataset.
 
@@ -42,16 +51,18 @@ def view(
     from phantomgen.display.viewer.options import point_of, size_of
     from phantomgen.display.viewer.output import check_outputs, show
 
-    picture, page, orbit = (Path(name) if name else None for name in (screenshot, html, geometry))
+    picture, page, orbit = (
+        Path(name) if name else None for name in (outputs.screenshot, outputs.html, outputs.geometry)
+    )
     if orbit is not None:
         from phantomgen.display.viewer.orbit import draw_orbit
 
-        draw_orbit(source, preset, orbit, overwrite)
+        draw_orbit(source, preset, orbit, outputs.overwrite)
         click.echo(orbit)
         if picture is None and page is None:
             return
-    check_outputs(picture, page, overwrite)
-    pixels = size_of(size) if size else None
+    check_outputs(picture, page, outputs.overwrite)
+    pixels = size_of(outputs.size) if outputs.size else None
     content = load(source, preset, point_of(at) if at else None, voxels)
     if content.truth is None:
         click.echo(f"Note: {source} holds no truth, so only the scan is shown.", err=True)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import Printing, debug_option, grouped, json_option
 
 
 @click.command(
@@ -26,6 +26,7 @@ from phantomgen.cli.common import debug_option, json_option
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
 @json_option
 @debug_option
+@grouped(printing=Printing)
 def align(
     scan: Path,
     out: Path | None,
@@ -34,8 +35,7 @@ def align(
     air: str | None,
     threads: int | None,
     overwrite: bool,
-    quiet: bool,
-    as_json: bool,
+    printing: Printing,
 ) -> None:
     """Estimate how far the panel of SCAN lies from where the file states it, and correct it.
 
@@ -53,7 +53,7 @@ def align(
         check_copy(scan, out, overwrite)
     set_threads(threads)
     with open_dataset(scan, air) as dataset:
-        if quiet or as_json or not sys.stderr.isatty():
+        if printing.silent or not sys.stderr.isatty():
             found = estimate(dataset, names, block=block)
         else:
             from tqdm import tqdm
@@ -67,7 +67,7 @@ def align(
                 found = estimate(dataset, names, block=block, on_level=begin)
         if out is not None:
             found.write(dataset, out, overwrite=overwrite)
-    if as_json:
+    if printing.as_json:
         click.echo(to_json({"file": None if out is None else str(out), **found.record()}))
         return
     click.echo("\n".join(found.lines()))

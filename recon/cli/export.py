@@ -1,12 +1,13 @@
 """The commands ``recon export`` and ``recon decompose``: results and line integrals for other programs."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import debug_option, grouped, json_option
 from phantomgen.cli.export import PROGRAMS, flat_panel_option
 from recon.cli.run_argument import RunFolder
 
@@ -41,6 +42,14 @@ def export(run: Path, out: Path, overwrite: bool, as_json: bool) -> None:
     click.echo(json.dumps({"file": str(out), **found}) if as_json else f"Wrote {out}: {_said(found)}")
 
 
+@dataclass(frozen=True)
+class _Output:
+    """The folder that is written."""
+
+    out: Path
+    overwrite: bool
+
+
 @click.command(
     epilog="\b\nExamples:\n  recon decompose kedge.h5 --to rtk -o kedge-rtk\n"
     "  recon decompose scan.h5 --to astra --bases 2 -o scan-astra"
@@ -55,14 +64,14 @@ def export(run: Path, out: Path, overwrite: bool, as_json: bool) -> None:
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
 @json_option
 @debug_option
+@grouped(output=_Output)
 def decompose(
     dataset: Path,
-    out: Path,
+    output: _Output,
     program: str,
     bases: int | None,
     air: str | None,
     flat_panel: bool,
-    overwrite: bool,
     threads: int | None,
     as_json: bool,
 ) -> None:
@@ -77,14 +86,14 @@ def decompose(
     from spectra.threads import set_threads
 
     kind_for(program, "line-integrals")
-    check_folder(out, overwrite)
+    check_folder(output.out, output.overwrite)
     set_threads(threads)
     with open_dataset(dataset, air) as opened:
         projections = decomposed_projections(opened, bases)
-        write_folder(out, program, projections.on_flat_panel() if flat_panel else projections)
+        write_folder(output.out, program, projections.on_flat_panel() if flat_panel else projections)
     names = list(projections.names)
-    found = {"folder": str(out), "to": program, "what": "line-integrals", "names": names}
-    text = f"Wrote {out} for {program}: line integrals of {', '.join(names)}; python {out / 'load.py'}"
+    found = {"folder": str(output.out), "to": program, "what": "line-integrals", "names": names}
+    text = f"Wrote {output.out} for {program}: line integrals of {', '.join(names)}; python {output.out / 'load.py'}"
     click.echo(json.dumps(found) if as_json else text)
 
 

@@ -1,12 +1,13 @@
 """``recon fit``: reconstruct a dataset."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from phantomgen.cli.common import FiniteRange, debug_option, json_option
+from phantomgen.cli.common import FiniteRange, Printing, debug_option, grouped, json_option
 from recon.cli.common import (
     ProgressBar,
     exit_where_failed,
@@ -22,6 +23,63 @@ from recon.runs.methods import METHODS, ON_CURVE
 
 if TYPE_CHECKING:
     from recon.runs.interfaces import RunMethod
+
+
+@dataclass(frozen=True)
+class _Data:
+    """What the counts are corrected by, and whose spectrum is believed."""
+
+    air: str | None
+    spectrum: Path | None
+    refine: str | None
+    prior: dict[str, float]
+    scatter: str | None
+
+
+@dataclass(frozen=True)
+class _RecipeOptions:
+    """What steers a fit."""
+
+    recipe: str
+    kernel: str
+    detail: float | None
+    gaussians: int | None
+    sweeps: float | None
+    steps: int | None
+    without: tuple[str, ...]
+    held_out: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class _Approach:
+    """Basis functions, and the method of reconstruction."""
+
+    bases: str
+    edge: str | None
+    method: str | None
+    pipeline: str
+
+
+@dataclass(frozen=True)
+class _Resources:
+    """Memory, device and threads."""
+
+    memory: float | None
+    device: str
+    dry_run: bool
+    threads: int | None
+
+
+@dataclass(frozen=True)
+class _Output:
+    """The run folder, and when a run counts as failed."""
+
+    out: str | None
+    figures: bool
+    strict: bool
+    resume: bool
+    overwrite: bool
 
 
 @click.command(epilog="\b\nExamples:\n  recon fit kedge.h5\n  recon fit scan.h5 --edge auto --air 0:16,0:256")
@@ -133,37 +191,15 @@ if TYPE_CHECKING:
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
 @json_option
 @debug_option
+@grouped(data=_Data, recipe=_RecipeOptions, approach=_Approach, resources=_Resources, output=_Output, printing=Printing)
 def fit(
     dataset: str,
-    out: str | None,
-    bases: str,
-    edge: str | None,
-    sweeps: float | None,
-    recipe: str,
-    kernel: str,
-    detail: float | None,
-    gaussians: int | None,
-    steps: int | None,
-    without: tuple[str, ...],
-    method: str | None,
-    pipeline: str,
-    seed: int,
-    air: str | None,
-    spectrum: Path | None,
-    refine: str | None,
-    prior: dict[str, float],
-    scatter: str | None,
-    figures: bool,
-    held_out: int,
-    memory: float | None,
-    device: str,
-    dry_run: bool,
-    strict: bool,
-    resume: bool,
-    overwrite: bool,
-    threads: int | None,
-    quiet: bool,
-    as_json: bool,
+    output: _Output,
+    approach: _Approach,
+    recipe: _RecipeOptions,
+    data: _Data,
+    resources: _Resources,
+    printing: Printing,
 ) -> None:
     """Fit Gaussians to DATASET, or reconstruct it by another method, and score the result.
 
@@ -193,56 +229,84 @@ def fit(
     from spectra.errors import InputError
     from spectra.threads import set_threads
 
-    refuse_options("a spectrum that is not refined: add --refine", {"prior": not refine and bool(prior)})
-    if out is not None:
-        check_run_name(Path(out))
-    source, edges, asked, scattered = Path(dataset), parse_edges(edge), parse_bases(bases), parse_scatter(scatter)
-    method = method or ("one-step" if isinstance(asked, OnCurve) else "gaussian")
+    refuse_options("a spectrum that is not refined: add --refine", {"prior": not data.refine and bool(data.prior)})
+    if output.out is not None:
+        check_run_name(Path(output.out))
+    source, edges = Path(dataset), parse_edges(approach.edge)
+    asked, scattered = parse_bases(approach.bases), parse_scatter(data.scatter)
+    method = approach.method or ("one-step" if isinstance(asked, OnCurve) else "gaussian")
     if isinstance(asked, OnCurve) and method not in ON_CURVE:
         raise InputError(f"--method {method} takes no curve of materials: take {', '.join(ON_CURVE)}, or other --bases")
-    special = {"resume": resume, "dry-run": dry_run, "memory": memory, "held-out": held_out, "edge": edge}
-    special |= {"kernel": None if kernel == "auto" else kernel, "detail": detail, "gaussians": gaussians}
-    special |= {"device": None if device == "cpu" else device_named(device).type}
+    special = {
+        "resume": output.resume,
+        "dry-run": resources.dry_run,
+        "memory": resources.memory,
+        "held-out": recipe.held_out,
+        "edge": approach.edge,
+    }
+    special |= {
+        "kernel": None if recipe.kernel == "auto" else recipe.kernel,
+        "detail": recipe.detail,
+        "gaussians": recipe.gaussians,
+    }
+    special |= {"device": None if resources.device == "cpu" else device_named(resources.device).type}
     if method != "gaussian":
-        refuse_options(f"--method {method}", special | {"steps": steps, "without": without, "recipe": recipe != "fast"})
-    if recipe == "paper":
-        refuse_options("--recipe paper, whose length is --steps", special | {"sweeps": sweeps})
-        how = PaperRecipe(steps=steps or PAPER_STEPS, without=without, seed=seed)
+        refuse_options(
+            f"--method {method}",
+            special | {"steps": recipe.steps, "without": recipe.without, "recipe": recipe.recipe != "fast"},
+        )
+    if recipe.recipe == "paper":
+        refuse_options("--recipe paper, whose length is --steps", special | {"sweeps": recipe.sweeps})
+        how = PaperRecipe(steps=recipe.steps or PAPER_STEPS, without=recipe.without, seed=recipe.seed)
     else:
-        refuse_options(f"--recipe {recipe}, whose length is --sweeps", {"steps": steps, "without": without})
-        chosen = ("interface" if device == "cpu" else "gaussian") if kernel == "auto" else kernel
-        refuse_options("--gaussians", {"detail": gaussians and detail})
-        how = chosen_recipe(recipe, sweeps, seed, held_out, chosen, detail or 1.0, gaussians or 0)
-    set_threads(threads)
-    if dry_run and not isinstance(how, PaperRecipe):
-        with open_dataset(source, air) as stored:
-            named, count = with_named(ChosenSpectrum.of(stored, spectrum).dataset, asked)
-            found = expected_cost(named, how, count, memory, device)
-        click.echo(json.dumps(found.to_dict()) if as_json else str(found))
+        refuse_options(
+            f"--recipe {recipe.recipe}, whose length is --sweeps", {"steps": recipe.steps, "without": recipe.without}
+        )
+        chosen = (
+            ("interface" if resources.device == "cpu" else "gaussian") if recipe.kernel == "auto" else recipe.kernel
+        )
+        refuse_options("--gaussians", {"detail": recipe.gaussians and recipe.detail})
+        how = chosen_recipe(
+            recipe.recipe,
+            recipe.sweeps,
+            recipe.seed,
+            recipe.held_out,
+            chosen,
+            recipe.detail or 1.0,
+            recipe.gaussians or 0,
+        )
+    set_threads(resources.threads)
+    if resources.dry_run and not isinstance(how, PaperRecipe):
+        with open_dataset(source, data.air) as stored:
+            named, count = with_named(ChosenSpectrum.of(stored, data.spectrum).dataset, asked)
+            found = expected_cost(named, how, count, resources.memory, resources.device)
+        click.echo(json.dumps(found.to_dict()) if printing.as_json else str(found))
         return
-    with joined() as processes, open_dataset(source, air) as stored:
-        bar = ProgressBar(quiet or as_json or not processes.first)
-        energies = ChosenSpectrum.of(stored, spectrum, refine, prior)
+    with joined() as processes, open_dataset(source, data.air) as stored:
+        bar = ProgressBar(printing.silent or not processes.first)
+        energies = ChosenSpectrum.of(stored, data.spectrum, data.refine, data.prior)
         energies.note(bar.note)
         corrected = ChosenScatter.of(energies.dataset, scattered, asked, bar.stage, bar.iterated)
         corrected.note(bar.note)
         opened = corrected.dataset
-        way: RunMethod = GaussianRun(how, asked, edges, memory, processes, device)
+        way: RunMethod = GaussianRun(how, asked, edges, resources.memory, processes, resources.device)
         if not processes.first:
             if method == "gaussian":
-                run(opened, None, way, figures, bar)
+                run(opened, None, way, output.figures, bar)
             return
-        folder = RunFolder(Path(f"{source.stem}-run" if out is None else out), overwrite, resume)
+        folder = RunFolder(
+            Path(f"{source.stem}-run" if output.out is None else output.out), output.overwrite, output.resume
+        )
         if method != "gaussian":
-            chosen = method_named(method, None if sweeps is None else max(round(sweeps), 1), seed)
-            way = (ViewRun if isinstance(chosen, ViewMethod) else VoxelRun)(chosen, pipeline, asked)  # type: ignore[arg-type]
+            chosen = method_named(method, None if recipe.sweeps is None else max(round(recipe.sweeps), 1), recipe.seed)
+            way = (ViewRun if isinstance(chosen, ViewMethod) else VoxelRun)(chosen, approach.pipeline, asked)  # type: ignore[arg-type]
         with folder as part:
             energies.write(part / SPECTRUM)
             corrected.write(part / SCATTER)
-            metrics = run(opened, part, way, figures, bar)
-    if as_json:
+            metrics = run(opened, part, way, output.figures, bar)
+    if printing.as_json:
         click.echo(to_json({"run": str(folder.path), **metrics}))
-        exit_where_failed(metrics, strict)
+        exit_where_failed(metrics, output.strict)
         return
     click.echo("\n".join([score_table(metrics), "", *verdict.lines(metrics)]))
     if isinstance(how, PaperRecipe):
@@ -255,4 +319,4 @@ def fit(
         click.echo(str(folder.path / "figures" / name))
     ways = f"recon view {folder.path}, or recon report {folder.path}" if has_volumes else "look at the figures"
     click.echo(f"Wrote {folder.path}; next: {ways}")
-    exit_where_failed(metrics, strict)
+    exit_where_failed(metrics, output.strict)

@@ -1,12 +1,13 @@
 """The argument RUN of commands: a run folder, its scan, and messages for paths that are none."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import debug_option, grouped, json_option
 from phantomgen.runtime.hdf5_signature import is_hdf5
 from spectra.errors import DatasetError
 
@@ -68,17 +69,44 @@ def check_run_name(path: Path, option: str = "--out") -> None:
         raise DatasetError(f"{option} names a folder, got {path}: write {path.with_suffix('')}, for example")
 
 
+@dataclass(frozen=True)
+class RepeatedRun:
+    """How a run is reconstructed anew.
+
+    Parameters
+    ----------
+    dataset : the scan, where the user named it
+    air : part of the panel that sees only air
+    seed : of the noise
+    threads : number of threads; None for all
+    quiet, as_json : as in `phantomgen.cli.common.Printing`
+    """
+
+    dataset: Path | None
+    air: str | None
+    seed: int
+    threads: int | None
+    quiet: bool
+    as_json: bool
+
+    @property
+    def silent(self) -> bool:
+        """Whether no progress is shown."""
+        return self.quiet or self.as_json
+
+
 def repeated_run_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of commands that reconstruct a run anew.
 
     Parameters
     ----------
-    command : function with the parameters dataset, air, seed, threads, quiet and as_json
+    command : function with the parameter ``again``, a `RepeatedRun`
 
     Returns
     -------
     the function
     """
+    command = grouped(again=RepeatedRun)(command)
     options = (
         click.option(
             "--dataset",

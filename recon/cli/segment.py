@@ -1,12 +1,13 @@
 """The command ``recon segment``: which material is where in a run."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from phantomgen.cli.common import FiniteRange, debug_option, json_option
+from phantomgen.cli.common import FiniteRange, Printing, debug_option, grouped, json_option
 from recon.cli.common import stderr_printer
 from recon.cli.run_argument import RunFolder, check_run_name
 
@@ -15,6 +16,26 @@ if TYPE_CHECKING:
     from recon.segmentation.scoring.reference import Reference
 
 _POSITIVE = FiniteRange(min=0, min_open=True)
+
+
+@dataclass(frozen=True)
+class _Clusters:
+    """How materials are told apart."""
+
+    domain: str | None
+    features: str
+    bandwidth: float
+    energies: tuple[float, ...]
+    seed: int
+
+
+@dataclass(frozen=True)
+class _Output:
+    """The folder that is written."""
+
+    out: Path | None
+    figures: bool
+    overwrite: bool
 
 
 @click.command(
@@ -70,21 +91,15 @@ _POSITIVE = FiniteRange(min=0, min_open=True)
 @click.option("-q", "--quiet", is_flag=True, help="No progress.")
 @json_option
 @debug_option
+@grouped(clusters=_Clusters, output=_Output, printing=Printing)
 def segment(
     run: Path,
-    out: Path | None,
-    domain: str | None,
-    features: str,
-    bandwidth: float,
-    energies: tuple[float, ...],
+    output: _Output,
+    clusters: _Clusters,
     views: tuple[str, ...],
     truth: Path | None,
-    figures: bool,
-    seed: int,
-    overwrite: bool,
     threads: int | None,
-    quiet: bool,
-    as_json: bool,
+    printing: Printing,
 ) -> None:
     """Find and identify the materials of a fitted RUN.
 
@@ -111,15 +126,17 @@ def segment(
     from recon.segmentation.subject import open_subject
     from spectra.threads import set_threads
 
-    if out is not None:
-        check_run_name(out)
-    note = stderr_printer(quiet or as_json)
+    if output.out is not None:
+        check_run_name(output.out)
+    note = stderr_printer(printing.silent)
     chosen = parse_views(views) or DEFAULT_VIEWS
-    options = Options(domain, features, bandwidth, energies or (ENERGY,), seed)
+    options = Options(
+        clusters.domain, clusters.features, clusters.bandwidth, clusters.energies or (ENERGY,), clusters.seed
+    )
     if truth is not None:
         open_file(truth).close()
     subject = open_subject(run)
-    folder = SegmentFolder(out or run / "segment", overwrite)
+    folder = SegmentFolder(output.out or run / "segment", output.overwrite)
     set_threads(threads)
     note("segment ...")
     found = segment_subject(subject, options)
@@ -134,10 +151,10 @@ def segment(
         write_table(part / TABLE, content)
         if found.gaussian_labels is not None:
             write_points(part / POINTS, found)
-        if figures:
+        if output.figures:
             write_views(part, found, chosen)
             draw_materials(part / "materials.png", found, reference)
-    if as_json:
+    if printing.as_json:
         click.echo(json.dumps({"segment": str(folder.path), **content}))
         return
     click.echo(table(found, scores))

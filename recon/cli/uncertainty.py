@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from recon.cli.common import ProgressBar
-from recon.cli.run_argument import RunFolder, repeated_run_options, scan_of_run
+from recon.cli.run_argument import RepeatedRun, RunFolder, repeated_run_options, scan_of_run
 
 if TYPE_CHECKING:
     from recon.uncertainty.summary import Summary
@@ -31,12 +31,7 @@ _RUN = RunFolder()
 def uncertainty(
     run: Path,
     replicates: int,
-    dataset: Path | None,
-    air: str | None,
-    seed: int,
-    threads: int | None,
-    quiet: bool,
-    as_json: bool,
+    again: RepeatedRun,
 ) -> None:
     """Compute the standard deviation that noise causes in every voxel of RUN.
 
@@ -50,15 +45,17 @@ def uncertainty(
     from recon.uncertainty.summary import summary
     from spectra.threads import set_threads
 
-    path = scan_of_run(run, dataset)
-    set_threads(threads)
-    bar = ProgressBar(quiet or as_json)
-    with open_dataset(path, air) as opened:
-        found = estimate(run, opened, replicates, seed, bar, lambda k: bar.note(f"replicate {k + 1} of {replicates}"))
+    path = scan_of_run(run, again.dataset)
+    set_threads(again.threads)
+    bar = ProgressBar(again.silent)
+    with open_dataset(path, again.air) as opened:
+        found = estimate(
+            run, opened, replicates, again.seed, bar, lambda k: bar.note(f"replicate {k + 1} of {replicates}")
+        )
     bar.stage("fit")  # ends the bar
     told = summary(run, found)
     target = run / DEVIATIONS
-    if as_json:
+    if again.as_json:
         content: dict[str, Any] = {row.name: row._asdict() for row in told.rows}
         click.echo(to_json({"uncertainty": str(target), "replicates": len(found.replicates), "volumes": content}))
         return

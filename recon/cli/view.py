@@ -1,13 +1,25 @@
 """The command ``recon view``: a run in a window, a picture or a page."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import debug_option
+from phantomgen.cli.common import debug_option, grouped
 from recon.cli.run_argument import RunFolder
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
+
+
+@dataclass(frozen=True)
+class _Outputs:
+    """Pictures and pages that are written in place of a window."""
+
+    screenshot: Path | None
+    html: Path | None
+    slices: Path | None
+    size: str | None
+    overwrite: bool
 
 
 @click.command(
@@ -35,17 +47,14 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--size", metavar="WIDTHxHEIGHT", help="Pixels [default: 1600x1000, wider for many bases].")
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @debug_option
+@grouped(outputs=_Outputs)
 def view(
     run: Path,
     truth: Path | None,
     basis: str | None,
     levels: tuple[str, ...],
     at: str | None,
-    screenshot: Path | None,
-    html: Path | None,
-    slices: Path | None,
-    size: str | None,
-    overwrite: bool,
+    outputs: _Outputs,
 ) -> None:
     """Look at a RUN: slices of truth, result and difference, surfaces, and Gaussians.
 
@@ -62,22 +71,22 @@ def view(
     from recon.runs.read_run import check_run_folder
 
     check_run_folder(run)
-    if slices is not None:
+    if outputs.slices is not None:
         from phantomgen.display.html import check_page
         from recon.output.slice_page.load import load_slices, write_slices
 
-        check_page(slices, overwrite)
-        write_slices(load_slices(run, truth), slices)
-        click.echo(slices)
-        if screenshot is None and html is None:
+        check_page(outputs.slices, outputs.overwrite)
+        write_slices(load_slices(run, truth), outputs.slices)
+        click.echo(outputs.slices)
+        if outputs.screenshot is None and outputs.html is None:
             return
-    check_outputs(screenshot, html, overwrite)
-    pixels, chosen = size_of(size) if size else None, parse_levels(levels)
+    check_outputs(outputs.screenshot, outputs.html, outputs.overwrite)
+    pixels, chosen = size_of(outputs.size) if outputs.size else None, parse_levels(levels)
     content = load_run(run, truth, point_of(at) if at else None)
     bases = chosen_bases(content, basis)
     checked_levels(content, chosen or {})
     if content.truth is None:
         click.echo("Note: the truth of the scan was not found, so only the result is shown; see --truth.", err=True)
-    show(content, bases, chosen, screenshot, html, pixels)
-    for path in filter(None, (screenshot, html)):
+    show(content, bases, chosen, outputs.screenshot, outputs.html, pixels)
+    for path in filter(None, (outputs.screenshot, outputs.html)):
         click.echo(path)

@@ -2,12 +2,13 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 
-from phantomgen.cli.common import FiniteRange, debug_option, json_option
+from phantomgen.cli.common import FiniteRange, Printing, debug_option, grouped, json_option
 from recon.cli.common import refuse_options
 from recon.cli.run_argument import RunFolder
 
@@ -29,6 +30,35 @@ def _common(command: Callable) -> Callable:
     for option in reversed(options):
         command = option(command)
     return command
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """What is written: basis volumes, or a quantity."""
+
+    what: str | None
+    deviation: bool
+    energy: float | None
+    water: str | None
+
+
+@dataclass(frozen=True)
+class _Place:
+    """The voxels."""
+
+    grid: str | None
+    voxel: float | None
+    size: str | None
+    center: str | None
+    like: Path | None
+
+
+@dataclass(frozen=True)
+class _Output:
+    """The file that is written."""
+
+    out: Path | None
+    overwrite: bool
 
 
 @click.command(
@@ -71,22 +101,14 @@ def _common(command: Callable) -> Callable:
     help="What 0 HU is: water as the basis describes it, of tables, or its attenuation [default: basis].",
 )
 @_common
+@grouped(shown=_Shown, place=_Place, output=_Output, printing=Printing)
 def volume(
     run: Path,
-    out: Path | None,
-    what: str | None,
-    deviation: bool,
-    grid: str | None,
-    voxel: float | None,
-    size: str | None,
-    center: str | None,
-    like: Path | None,
-    energy: float | None,
-    water: str | None,
-    overwrite: bool,
+    output: _Output,
+    shown: _Shown,
+    place: _Place,
     threads: int | None,
-    quiet: bool,
-    as_json: bool,
+    printing: Printing,
 ) -> None:
     """Write the basis volumes of RUN, or a quantity that follows from them, on any grid.
 
@@ -102,31 +124,37 @@ def volume(
     from spectra.errors import InputError
     from spectra.threads import set_threads
 
-    asked = what or (None if energy is None else "vmi")
-    if deviation:
-        _check_deviation(run, asked, {"grid": grid, "voxel": voxel, "size": size, "center": center, "like": like})
-    if asked is None and water is not None:
+    asked = shown.what or (None if shown.energy is None else "vmi")
+    if shown.deviation:
+        _check_deviation(
+            run,
+            asked,
+            {"grid": place.grid, "voxel": place.voxel, "size": place.size, "center": place.center, "like": place.like},
+        )
+    if asked is None and shown.water is not None:
         raise InputError("--water is for CT numbers: add --as hu or --as vnc")
-    target = checked_target(out or Path(f"{run.resolve().name}-volume.h5"), overwrite, asked in CT_NUMBERS)
+    target = checked_target(
+        output.out or Path(f"{run.resolve().name}-volume.h5"), output.overwrite, asked in CT_NUMBERS
+    )
     stored = open_model(run)
     spectrum = detected_spectrum(stored.basis, stored.transmission)
-    wanted = None if asked is None else quantity(Readouts.of(stored.basis, *spectrum), asked, energy, water)
-    chosen = chosen_grid(stored.grid, grid, voxel, size, center, like)
+    wanted = None if asked is None else quantity(Readouts.of(stored.basis, *spectrum), asked, shown.energy, shown.water)
+    chosen = chosen_grid(stored.grid, place.grid, place.voxel, place.size, place.center, place.like)
     if wanted is not None and wanted.caution:
         click.echo(f"Warning: {wanted.caution}.", err=True)
     set_threads(threads)
-    if deviation and wanted is not None:
+    if shown.deviation and wanted is not None:
         stored, wanted = deviation_of(run, stored, wanted)
-    bar = ProgressBar("voxelize", "slice", quiet or as_json)
+    bar = ProgressBar("voxelize", "slice", printing.silent)
     write_volume(target, stored, chosen, wanted, bar.update)
     bar.close()
     shape = " x ".join(map(str, chosen.shape))
     said = "basis volumes" if wanted is None else f"{wanted.about}{'' if wanted.unit == '1' else f' [{wanted.unit}]'}"
     found: dict[str, Any] = {"volume": str(target.path), "shape": list(chosen.shape)}
-    found |= {"spacing_mm": list(chosen.spacing), "energy": energy}
+    found |= {"spacing_mm": list(chosen.spacing), "energy": shown.energy}
     if wanted is not None:
         found |= {"quantity": wanted.name, "unit": wanted.unit, "caution": wanted.caution}
-    _report(as_json, found, f"Wrote {target.path}: {said}, {shape} voxels")
+    _report(printing.as_json, found, f"Wrote {target.path}: {said}, {shape} voxels")
 
 
 def _check_deviation(run: Path, asked: str | None, places: dict[str, Any]) -> None:

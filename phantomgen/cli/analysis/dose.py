@@ -1,11 +1,21 @@
 """``phantomgen dose``: air kerma, CTDI and a dose map of a scan."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import Printing, SceneChoice, debug_option, grouped, json_option
+
+
+@dataclass(frozen=True)
+class _Outputs:
+    """What is written."""
+
+    out: Path | None
+    plot: Path | None
+    overwrite: bool
 
 
 @click.command(
@@ -35,19 +45,15 @@ from phantomgen.cli.common import debug_option, json_option
 @click.option("-q", "--quiet", is_flag=True, help="No progress bars.")
 @json_option
 @debug_option
+@grouped(scene=SceneChoice, outputs=_Outputs, printing=Printing)
 def dose(
-    scene: str | None,
-    preset: str | None,
-    out: Path | None,
-    plot: Path | None,
+    scene: SceneChoice,
+    outputs: _Outputs,
     photons: int,
     voxels: int,
-    settings: tuple[str, ...],
     seed: int,
-    overwrite: bool,
     threads: int | None,
-    quiet: bool,
-    as_json: bool,
+    printing: Printing,
 ) -> None:
     """Compute the dose of the scan of a scene file or a preset by Monte Carlo.
 
@@ -56,7 +62,7 @@ def dose(
     collimators beyond the volume of the scene do not scatter. The volume must hold the objects whole: what lies beyond
     it takes and scatters nothing.
     """
-    if (scene is None) == (preset is None):
+    if (scene.scene is None) == (scene.preset is None):
         raise click.UsageError("name either a scene file or a preset: phantomgen dose clinical-helix")
     from phantomgen.display.figures.style import check_picture
     from phantomgen.exporters.volumes import writer_of
@@ -65,28 +71,32 @@ def dose(
     from phantomgen.scene.file.scene_file import SceneFile
     from spectra.threads import set_threads
 
-    if plot is not None:
-        check_picture(plot)
-        check_output(plot, overwrite, "--plot")
-    if out is not None:
-        writer_of(out)
-        check_output(out, overwrite)
-    file = SceneFile.preset(preset, settings) if preset else find_scene(scene or "", settings)
+    if outputs.plot is not None:
+        check_picture(outputs.plot)
+        check_output(outputs.plot, outputs.overwrite, "--plot")
+    if outputs.out is not None:
+        writer_of(outputs.out)
+        check_output(outputs.out, outputs.overwrite)
+    file = (
+        SceneFile.preset(scene.preset, scene.settings)
+        if scene.preset
+        else find_scene(scene.scene or "", scene.settings)
+    )
     set_threads(threads)
     from phantomgen.dose.report import DoseReport
     from phantomgen.scene.scan import load_scene
     from spectra.errors import InputError
 
-    report = DoseReport.of(load_scene(file), photons, voxels, seed, progress=not (quiet or as_json))
-    if report.map is None and (out is not None or plot is not None):
+    report = DoseReport.of(load_scene(file), photons, voxels, seed, progress=not printing.silent)
+    if report.map is None and (outputs.out is not None or outputs.plot is not None):
         raise InputError(report.missing[-1])
-    if report.map is not None and out is not None:
+    if report.map is not None and outputs.out is not None:
         from phantomgen.exporters.volumes import Volumes, write_volumes
 
         volumes = {"dose": 1e3 * report.map.dose, "standard_error": 1e3 * report.map.error}
-        write_volumes(out, Volumes(report.map.grid, volumes, f"dose of {report.name} [mGy]"))
-    if report.map is not None and plot is not None:
+        write_volumes(outputs.out, Volumes(report.map.grid, volumes, f"dose of {report.name} [mGy]"))
+    if report.map is not None and outputs.plot is not None:
         from phantomgen.dose.figure import write_figure
 
-        write_figure(report.map, report.name, plot)
-    click.echo(json.dumps(report.to_dict()) if as_json else report.text)
+        write_figure(report.map, report.name, outputs.plot)
+    click.echo(json.dumps(report.to_dict()) if printing.as_json else report.text)

@@ -1,16 +1,46 @@
 """The command ``recon compare``: parse, call, print."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import Printing, debug_option, grouped, json_option
 from recon.cli.common import stderr_printer
 from recon.cli.run_argument import check_run_name
 
 CHECK_FAILED = 3  # exit code of a finished comparison in which a requirement is not met
 _METHODS = "fdk,cgls,pdhg-tv,one-step,gaussian"
+
+
+@dataclass(frozen=True)
+class _Rules:
+    """Who takes part, for how long, and how results are scored."""
+
+    methods: str | None
+    study: str | None
+    budget: str
+    protocol: str
+    clock: str
+
+
+@dataclass(frozen=True)
+class _Programs:
+    """Volumes and commands of other programs, and what must not be worse."""
+
+    finished: tuple[str, ...]
+    commands: tuple[str, ...]
+    require: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Output:
+    """The folder that is written."""
+
+    out: Path | None
+    resume: bool
+    overwrite: bool
 
 
 @click.command(
@@ -55,22 +85,14 @@ _METHODS = "fdk,cgls,pdhg-tv,one-step,gaussian"
 @click.option("-q", "--quiet", is_flag=True, help="No progress.")
 @json_option
 @debug_option
+@grouped(rules=_Rules, programs=_Programs, output=_Output, printing=Printing)
 def compare(
     dataset: Path,
-    methods: str | None,
-    study: str | None,
-    budget: str,
-    protocol: str,
-    clock: str,
-    finished: tuple[str, ...],
-    commands: tuple[str, ...],
-    require: tuple[str, ...],
-    out: Path | None,
-    resume: bool,
-    overwrite: bool,
+    rules: _Rules,
+    programs: _Programs,
+    output: _Output,
     threads: int | None,
-    quiet: bool,
-    as_json: bool,
+    printing: Printing,
 ) -> None:
     """Run methods on DATASET at equal time budgets, and score them.
 
@@ -86,30 +108,36 @@ def compare(
     from recon.comparison.scoring.stated import check_programs
     from recon.comparison.studies import study_named
 
-    if methods is not None and study is not None:
+    if rules.methods is not None and rules.study is not None:
         raise click.UsageError("Give either --methods or --study.")
-    if out is not None:
-        check_run_name(out)
-    protocol_named(protocol)
-    chosen = None if study is None else study_named(study, dataset)
-    ours = contenders((_METHODS if methods is None else methods).split(",")) if chosen is None else chosen.contenders
-    others = (*map(finished_volume, finished), *map(command_program, commands))
+    if output.out is not None:
+        check_run_name(output.out)
+    protocol_named(rules.protocol)
+    chosen = None if rules.study is None else study_named(rules.study, dataset)
+    ours = (
+        contenders((_METHODS if rules.methods is None else rules.methods).split(","))
+        if chosen is None
+        else chosen.contenders
+    )
+    others = (*map(finished_volume, programs.finished), *map(command_program, programs.commands))
     check_names(others)
     who = (*ours, *others)
-    budgets = parse_budgets(budget)
+    budgets = parse_budgets(rules.budget)
     named = {other.name: other for other in others}
-    required = tuple(named.get(name) or contenders([name])[0] for name in require)
-    folder = out or Path(f"{dataset.stem}-{study or 'compare'}")
+    required = tuple(named.get(name) or contenders([name])[0] for name in programs.require)
+    folder = output.out or Path(f"{dataset.stem}-{rules.study or 'compare'}")
     if others:
         check_programs(others, dataset)
     stated = tuple(dict.fromkeys(other.statement["as"] for other in others if "as" in other.statement))
-    campaign = Campaign(dataset, folder, clock, threads, resume, overwrite, stated)
-    campaign.run(who, budgets, stderr_printer(quiet or as_json))
+    campaign = Campaign(dataset, folder, rules.clock, threads, output.resume, output.overwrite, stated)
+    campaign.run(who, budgets, stderr_printer(printing.silent))
     results = campaign.results(who, budgets)
-    text = write_outcome(campaign, results, protocol, chosen)
-    failed = requirements(results, required, budgets[-1], protocol)
-    if as_json:
-        click.echo(json.dumps({"compare": str(folder), "protocol": protocol, "failed": failed, "results": results}))
+    text = write_outcome(campaign, results, rules.protocol, chosen)
+    failed = requirements(results, required, budgets[-1], rules.protocol)
+    if printing.as_json:
+        click.echo(
+            json.dumps({"compare": str(folder), "protocol": rules.protocol, "failed": failed, "results": results})
+        )
     else:
         click.echo(text)
         for sentence in failed:

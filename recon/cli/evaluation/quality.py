@@ -8,7 +8,7 @@ import click
 
 from phantomgen.cli.common import FiniteRange
 from recon.cli.common import ProgressBar
-from recon.cli.run_argument import RunFolder, repeated_run_options, scan_of_run
+from recon.cli.run_argument import RepeatedRun, RunFolder, repeated_run_options, scan_of_run
 
 if TYPE_CHECKING:
     from recon.detectability.image_quality import ImageQuality
@@ -54,12 +54,7 @@ def quality(
     energy: float | None,
     pairs: int,
     true: bool,
-    dataset: Path | None,
-    air: str | None,
-    seed: int,
-    threads: int | None,
-    quiet: bool,
-    as_json: bool,
+    again: RepeatedRun,
 ) -> None:
     """Compute how well an insert is detected in the images of RUN, and how well its counts would allow.
 
@@ -84,12 +79,12 @@ def quality(
     from spectra.threads import set_threads
 
     insert = Insert.parse(place)
-    path = scan_of_run(run, dataset)
-    set_threads(threads)
-    bar = ProgressBar(quiet or as_json)
-    with open_dataset(path, air) as opened:
-        again = RepeatableRun.of_run(run, opened)
-        stored = again.stored
+    path = scan_of_run(run, again.dataset)
+    set_threads(again.threads)
+    bar = ProgressBar(again.silent)
+    with open_dataset(path, again.air) as opened:
+        repeatable = RepeatableRun.of_run(run, opened)
+        stored = repeatable.stored
         spectrum = detected_spectrum(stored.basis, stored.transmission)
         shown = quantity(Readouts.of(stored.basis, *spectrum), what, energy)
         if shown.caution:
@@ -98,14 +93,20 @@ def quality(
         if true and truth is None:
             raise DatasetError(f"{opened.path} has no truth: leave --truth out")
         classes = reconstruct_classes(
-            again, insert, pairs, seed, bar, lambda k: bar.note(f"reconstruction {k + 1} of {2 * pairs}"), truth
+            repeatable,
+            insert,
+            pairs,
+            again.seed,
+            bar,
+            lambda k: bar.note(f"reconstruction {k + 1} of {2 * pairs}"),
+            truth,
         )
     bar.stage("measure")
     found = measure(classes, shown)
     target = quality_folder(run, insert) / f"{shown.name}{'_of_truth' if true else ''}.json"
     found.write(target)
     draw_quality(found, target.with_suffix(".png"))
-    if as_json:
+    if again.as_json:
         click.echo(to_json({"quality": str(target), **found.numbers()}))
         return
     click.echo(_table(found))

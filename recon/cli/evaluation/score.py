@@ -1,12 +1,35 @@
 """The command ``recon score``: parse, call, print."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import Printing, debug_option, grouped, json_option
 from recon.cli.common import ProgressBar, exit_where_failed, memory_text, seconds_text
 from recon.cli.run_argument import check_run_name
+
+
+@dataclass(frozen=True)
+class _Stated:
+    """What a file does not say about its volume."""
+
+    quantities: tuple[str, ...]
+    units: str | None
+    axes: str | None
+    voxel_mm: str | None
+    origin_mm: str | None
+    same_grid: bool
+    coordinates: str
+
+
+@dataclass(frozen=True)
+class _Output:
+    """The folder that is written."""
+
+    out: Path | None
+    figures: bool
+    overwrite: bool
 
 
 @click.command(
@@ -48,22 +71,14 @@ from recon.cli.run_argument import check_run_name
 @click.option("-q", "--quiet", is_flag=True, help="No progress.")
 @json_option
 @debug_option
+@grouped(stated=_Stated, output=_Output, printing=Printing)
 def score(
     volume: tuple[str, ...],
     truth: Path,
-    quantities: tuple[str, ...],
-    units: str | None,
-    axes: str | None,
-    voxel_mm: str | None,
-    origin_mm: str | None,
-    same_grid: bool,
-    coordinates: str,
-    out: Path | None,
-    figures: bool,
-    overwrite: bool,
+    stated: _Stated,
+    output: _Output,
     threads: int | None,
-    quiet: bool,
-    as_json: bool,
+    printing: Printing,
 ) -> None:
     """Score a VOLUME of any program against the truth of a dataset.
 
@@ -80,19 +95,24 @@ def score(
     from recon.runs.write_run import RunFolder, score_table
     from spectra.threads import set_threads
 
-    if out is not None:
-        check_run_name(out)
-    place = {"axes": axes, "voxel-mm": voxel_mm, "origin-mm": origin_mm, "same-grid": same_grid}
-    options = {"as": quantities, "units": units, "coordinates": coordinates, **place}
+    if output.out is not None:
+        check_run_name(output.out)
+    place = {
+        "axes": stated.axes,
+        "voxel-mm": stated.voxel_mm,
+        "origin-mm": stated.origin_mm,
+        "same-grid": stated.same_grid,
+    }
+    options = {"as": stated.quantities, "units": stated.units, "coordinates": stated.coordinates, **place}
     set_threads(threads)
-    bar = ProgressBar(quiet or as_json)
+    bar = ProgressBar(printing.silent)
     with open_dataset(truth) as dataset:
-        stated = Statement.of(options, dataset.grid)
+        statement = Statement.of(options, dataset.grid)
         path, inside = split_name(volume[0])
         stem = path.resolve().name.split(".")[0] + (f"-{inside.strip('/').replace('/', '-')}" if inside else "")
-        folder = RunFolder(out or Path(f"{stem}-score"), overwrite)
-        metrics = score_volume(volume, dataset, stated, folder, figures, bar.stage, bar.warn)
-    if as_json:
+        folder = RunFolder(output.out or Path(f"{stem}-score"), output.overwrite)
+        metrics = score_volume(volume, dataset, statement, folder, output.figures, bar.stage, bar.warn)
+    if printing.as_json:
         click.echo(to_json({"score": str(folder.path), **metrics}))
         exit_where_failed(metrics, strict=False)
         return

@@ -1,10 +1,11 @@
 """The commands ``recon suite score`` and ``recon suite table``: parse, call, print."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import Printing, debug_option, grouped, json_option
 from recon.cli.common import stderr_printer
 from recon.cli.run_argument import check_run_name
 
@@ -16,6 +17,23 @@ _METHODS = "fdk,pdhg-tv,one-step,gaussian"
 )
 def suite() -> None:
     """Score methods and programs on the scans that phantomgen suite made."""
+
+
+@dataclass(frozen=True)
+class _Programs:
+    """Volumes and commands of other programs."""
+
+    volumes: tuple[str, ...]
+    commands: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Output:
+    """The folder that is written."""
+
+    out: Path | None
+    resume: bool
+    overwrite: bool
 
 
 @suite.command(
@@ -59,19 +77,16 @@ def suite() -> None:
 @click.option("-q", "--quiet", is_flag=True, help="No progress.")
 @json_option
 @debug_option
+@grouped(programs=_Programs, output=_Output, printing=Printing)
 def score(
     folder: Path,
     methods: str | None,
     budget: str | None,
     clock: str,
-    volumes: tuple[str, ...],
-    commands: tuple[str, ...],
-    out: Path | None,
-    resume: bool,
-    overwrite: bool,
+    programs: _Programs,
+    output: _Output,
     threads: int | None,
-    quiet: bool,
-    as_json: bool,
+    printing: Printing,
 ) -> None:
     """Score methods, and volumes of other programs, on all scans in FOLDER.
 
@@ -86,18 +101,21 @@ def score(
     from recon.suite.scans import read_scans
     from recon.suite.table import page
 
-    if out is not None:
-        check_run_name(out)
-    others = (*(finished_volume(text, "--volumes") for text in volumes), *map(command_program, commands))
+    if output.out is not None:
+        check_run_name(output.out)
+    others = (
+        *(finished_volume(text, "--volumes") for text in programs.volumes),
+        *map(command_program, programs.commands),
+    )
     words = methods or ("" if others else _METHODS)
     ours = contenders(words.split(",")) if words else ()
     budgets = None if budget is None else parse_budgets(budget)
     scans = read_scans(folder)
     wanted = Wanted(ours, others, budgets or (scans.seconds,), clock, threads)
-    place = out or folder.resolve().with_name(f"{folder.resolve().name}-score")
-    tell = stderr_printer(quiet or as_json)
-    results = score_suite(scans, place, wanted, resume=resume, overwrite=overwrite, tell=tell)
-    if as_json:
+    place = output.out or folder.resolve().with_name(f"{folder.resolve().name}-score")
+    tell = stderr_printer(printing.silent)
+    results = score_suite(scans, place, wanted, resume=output.resume, overwrite=output.overwrite, tell=tell)
+    if printing.as_json:
         click.echo(to_json({"score": str(place), **results}))
     else:
         click.echo(page(results))

@@ -86,10 +86,7 @@ def _planes_around(
     for radius in sorted(settings.radii, reverse=True):
         if order is None or not len(todo):
             break
-        fits, shift, tilt = _fit_planes(
-            points, normals, todo, order.sorted, order.starts, order.shape, order.low, order.edge,
-            radius, settings.tolerance, settings.foreign,
-        )  # fmt: skip
+        fits, shift, tilt = _fit_planes(points, normals, todo, order, radius, settings.tolerance, settings.foreign)
         some = todo[fits]
         found[some], shifts[some], tilted[some] = radius, shift[fits], tilt[fits]
         todo = todo[~fits]
@@ -119,12 +116,13 @@ class _Cells(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _fit_planes(points, normals, which, ordered, starts, shape, low, edge, radius, tolerance, foreign):
+def _fit_planes(points, normals, which, cells, radius, tolerance, foreign):
     """Fit a plane to the points within a radius of each of some points, by least squares of heights.
 
     Returns whether the plane describes them (root mean square distance below `tolerance`, fewer than the part `foreign`
     with another normal), its distance along the normal, and its own normal.
     """
+    ordered, starts, shape, low, edge = cells
     fits = np.zeros(len(which), np.bool_)
     shifts, tilted = np.zeros(len(which)), np.zeros((len(which), 3))
     reach = int(np.ceil(radius / edge))

@@ -1,8 +1,9 @@
-"""The arrays that describe divided Gaussians."""
+"""The arrays that describe divided Gaussians, and those that kernels take and write together."""
 
 from typing import NamedTuple
 
-from jaxtyping import Float
+import numpy as np
+from jaxtyping import Float, Float32, Float64, Int64
 from torch import Tensor
 
 
@@ -34,3 +35,88 @@ class DividedTensors(NamedTuple):
         the same Gaussians
         """
         return DividedTensors(*(part.double() for part in self))
+
+
+class Shapes(NamedTuple):
+    """Where Gaussians lie, as kernels read it.
+
+    Parameters
+    ----------
+    centres : positions [mm]
+    log_scales : logarithms of the standard deviations [log mm]
+    matrices : whitening matrices [1/mm]
+    planes : offset of each plane and width of its transition [standard deviations of the third axis]
+    """
+
+    centres: Float64[np.ndarray, "gaussian 3"]
+    log_scales: Float64[np.ndarray, "gaussian 3"]
+    matrices: Float64[np.ndarray, "gaussian 3 3"]
+    planes: Float64[np.ndarray, "gaussian 2"]
+
+
+class ShapeGradients(NamedTuple):
+    """Gradients in the fields of `Shapes` but for the scales.
+
+    Parameters
+    ----------
+    centres, matrices, planes : gradients
+    """
+
+    centres: Float64[np.ndarray, "gaussian 3"]
+    matrices: Float64[np.ndarray, "gaussian 3 3"]
+    planes: Float64[np.ndarray, "gaussian 2"]
+
+
+class Sides(NamedTuple):
+    """Coefficients of both sides.
+
+    Parameters
+    ----------
+    below : below the planes [1/mm]
+    step : above the planes less those below [1/mm]
+    """
+
+    below: Float32[np.ndarray, "gaussian basis"]
+    step: Float32[np.ndarray, "gaussian basis"]
+
+
+class SideGradients(NamedTuple):
+    """What the backward pass over pixels or voxels leaves.
+
+    Parameters
+    ----------
+    sums : over the pixels or voxels of each Gaussian
+    below, step : gradients in the coefficients
+    """
+
+    sums: Float64[np.ndarray, "gaussian sum"]
+    below: Float64[np.ndarray, "gaussian basis"]
+    step: Float64[np.ndarray, "gaussian basis"]
+
+
+class Footprints(NamedTuple):
+    """Footprints of all Gaussians in one view.
+
+    Parameters
+    ----------
+    table : their numbers, see `recon.ops.interface.table`
+    spans : first row of each footprint, and one past its last; equal where there is none
+    """
+
+    table: Float32[np.ndarray, "gaussian number"]
+    spans: Int64[np.ndarray, "gaussian 2"]
+
+
+class VoxelNumbers(NamedTuple):
+    """Numbers of all Gaussians on a grid.
+
+    Parameters
+    ----------
+    table : see `recon.ops.interface.voxel_table`
+    voxels : those that the centres lie in
+    halves : half the extent along z and y [voxels]
+    """
+
+    table: Float32[np.ndarray, "gaussian number"]
+    voxels: Int64[np.ndarray, "gaussian 3"]
+    halves: Float32[np.ndarray, "gaussian 2"]

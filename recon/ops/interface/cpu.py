@@ -121,22 +121,22 @@ def _side_of_row(p, low, high, flat, tilt, level, rise, lean):
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 @no_type_check
-def forward(bases, table, spans, below, step, lengths, cutoff, columns, row_first, row_last, image):
+def forward(bases, footprints, sides, lengths, cutoff, columns, part, image):
     """Add footprints to some rows of an image, and multiply by |d|.
 
     Parameters
     ----------
     bases : a tuple as long as there are bases
-    table : footprints of all Gaussians, see `recon.ops.interface.table`
-    spans : first row of each footprint, and one past its last
-    below : coefficients below the planes [1/mm]
-    step : coefficients above the planes less those below [1/mm]
+    footprints, sides : `Footprints` and `Sides` of all Gaussians
     lengths : length |d| of each ray [mm]
     cutoff : where footprints end [standard deviations]
     columns : of the panel
-    row_first, row_last : first row, and one past the last
+    part : first row, and one past the last
     image : (basis, row, padded column), in place
     """
+    table, spans = footprints
+    below, step = sides
+    row_first, row_last = part
     _, rows, stride = image.shape
     k2 = f4(cutoff * cutoff)
     for g in range(table.shape[0]):
@@ -169,10 +169,10 @@ def forward(bases, table, spans, below, step, lengths, cutoff, columns, row_firs
                 b = x * p[B1] + lean
                 above = ((x * p[Q3] + rise) * x + level) - e * p[OFFSET]
                 z = above * (f4(1) / square_root(e * (e * p[WIDTH] + b * b)))
-                part = normal(z)[0] * value
+                upper = normal(z)[0] * value
                 for m in range(len(bases)):
                     at = (m * rows + r) * stride + base
-                    store(image, at, load(image, at) + value * below[g, m] + part * step[g, m])
+                    store(image, at, load(image, at) + value * below[g, m] + upper * step[g, m])
     for m in range(len(bases)):
         for r in range(row_first, row_last):
             for c in range(columns):
@@ -181,8 +181,10 @@ def forward(bases, table, spans, below, step, lengths, cutoff, columns, row_firs
 
 @njit(forceinline=True, fastmath=True, error_model="numpy")
 @no_type_check
-def _gather(bases, p, span, below, step, cotangent, k2, columns, sums, to_below, to_step):
+def _gather(bases, p, span, sides, cotangent, k2, columns, out):
     """Sums over one Gaussian's pixels: see `backward` for their meaning."""
+    below, step = sides
+    sums, to_below, to_step = out
     _, rows, stride = cotangent.shape
     zero = splat(f4(0))
     w0, ax, ay, axx, axy, ayy = zero, zero, zero, zero, zero, zero
@@ -271,24 +273,18 @@ def _gather(bases, p, span, below, step, cotangent, k2, columns, sums, to_below,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def backward(
-    bases, table, spans, below, step, cotangent, cutoff, columns, first, last, sums, to_below, to_step
-):  # fmt: skip
+def backward(bases, footprints, sides, cotangent, cutoff, columns, part, gradients):
     """Sum over the pixels of some Gaussians in one view.
 
     Parameters
     ----------
     bases : a tuple as long as there are bases
-    table : footprints of all Gaussians, see `recon.ops.interface.table`
-    spans : first row of each footprint, and one past its last
-    below : coefficients below the planes [1/mm]
-    step : coefficients above the planes less those below [1/mm]
+    footprints, sides : `Footprints` and `Sides` of all Gaussians
     cotangent : gradient in the image, multiplied by |d|
     cutoff : where footprints end [standard deviations]
     columns : of the panel
-    first, last : first Gaussian, and one past the last
-    sums : per Gaussian, in place
-    to_below, to_step : gradients in the coefficients, to which those of this view are added
+    part : first Gaussian, and one past the last
+    gradients : `SideGradients`; sums are written, and gradients in the coefficients added to
 
     Notes
     -----
@@ -296,14 +292,18 @@ def backward(
     belongs to the square of the distance, times (x, y, x^2, x y, y^2); the gradient in E, times (1, x, y, x^2, x y,
     y^2); that in OFFSET; that in Q, times the same six; that in B, times (1, x, y); that in WIDTH.
     """
+    table, spans = footprints
+    below, step = sides
+    sums, to_below, to_step = gradients
     k2 = f4(cutoff * cutoff)
     lanes, more = np.empty(len(bases) * LANES, np.float32), np.empty(len(bases) * LANES, np.float32)
-    for g in range(first, last):
+    for g in range(part[0], part[1]):
         if spans[g, 1] <= spans[g, 0]:
             continue
         lanes[:] = f4(0)
         more[:] = f4(0)
-        _gather(bases, table[g], spans[g], below[g], step[g], cotangent, k2, columns, sums[g], lanes, more)
+        out = (sums[g], lanes, more)
+        _gather(bases, table[g], spans[g], (below[g], step[g]), cotangent, k2, columns, out)
         for m in range(len(bases)):
             to_below[g, m] += total(load(lanes, m * LANES))
             to_step[g, m] += total(load(more, m * LANES))

@@ -56,19 +56,17 @@ def _measure_plane(w, box, k):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def footprints(centres, matrices, planes, view, sampling, rows, first, last, out, spans, near):
+def footprints(shapes, view, sampling, rows, part, written, near):
     """Compute the numbers of some Gaussians in one view.
 
     Parameters
     ----------
-    centres, matrices : of the Gaussians [mm], [1/mm]
-    planes : offset of each plane and width of its transition [standard deviations of the third axis]
+    shapes : `recon.ops.interface.arrays.Shapes`
     view : `recon.ops.arguments.RayFrame`
     sampling : `recon.ops.rasterize.projector.PixelSampling`
     rows : of the panel
-    first, last : first Gaussian, and one past the last
-    out : written, see `recon.ops.interface.table`
-    spans : written, first row of each footprint, and one past its last; equal where there is none
+    part : first Gaussian, and one past the last
+    written : `recon.ops.interface.arrays.Footprints`
     near : written, whether a Gaussian comes near the source or the panel, and has no footprint therefore
 
     Notes
@@ -77,8 +75,10 @@ def footprints(centres, matrices, planes, view, sampling, rows, first, last, out
     Gaussian's part in the pixel, and the variance C - C (C + V)^-1 C there. So z is taken at that point, and the
     variance of its numerator is added under its root.
     """
+    centres, _, matrices, planes = shapes
+    out, spans = written
     w, k, k2 = np.zeros((SCRATCH, 3)), np.empty(VALUES), sampling.cutoff * sampling.cutoff
-    for g in range(first, last):
+    for g in range(part[0], part[1]):
         spans[g, 0] = spans[g, 1] = 0
         kind = classify(centres[g], matrices[g], view, k2)
         near[g] = kind == NEAR
@@ -197,20 +197,22 @@ def _backpropagate_plane(w, k, box, s, matrix, view, to_centre, to_matrix):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def backward(centres, matrices, planes, view, box, spans, sums, first, last, to_centres, to_matrices, to_planes):
+def backward(shapes, view, box, spans, sums, part, gradients):
     """Add the gradients of some Gaussians, from the sums over their pixels in one view.
 
     Parameters
     ----------
-    centres, matrices, planes, view : as in `footprints`
+    shapes, view : as in `footprints`
     box : variance that the pixel adds [pixel^2]
     spans : rows of each footprint, of `footprints`
     sums : of `recon.ops.interface.cpu.backward`
-    first, last : first Gaussian, and one past the last
-    to_centres, to_matrices, to_planes : added to
+    part : first Gaussian, and one past the last
+    gradients : `recon.ops.interface.arrays.ShapeGradients`, added to
     """
+    centres, _, matrices, planes = shapes
+    to_centres, to_matrices, to_planes = gradients
     w, k = np.zeros((SCRATCH, 3)), np.empty(VALUES)
-    for g in range(first, last):
+    for g in range(part[0], part[1]):
         if spans[g, 1] <= spans[g, 0]:
             continue
         project_centre(centres[g], matrices[g], view.frame, view.inverse, box, False, w)

@@ -129,26 +129,27 @@ def _nearest(centre, origin, spacing):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def fill_table(centres, log_scales, matrices, planes, origin, spacing, cutoff, first, last, table, voxels, halves):
+def fill_table(shapes, lattice, cutoff, part, written):
     """Compute the numbers of some Gaussians.
 
     Parameters
     ----------
-    centres, log_scales, matrices, planes : of the Gaussians
-    origin, spacing : of the grid, along x, y and z [mm]
+    shapes : `recon.ops.interface.arrays.Shapes`
+    lattice : origin and spacing of the grid, along x, y and z [mm]
     cutoff : where Gaussians end [standard deviations]
-    first, last : first Gaussian, and one past the last
-    table : written, see `recon.ops.interface.voxel_table`
-    voxels : written, those that the centres lie in
-    halves : written, half the extent along z and y [voxels]
+    part : first Gaussian, and one past the last
+    written : `recon.ops.interface.arrays.VoxelNumbers`
 
     Notes
     -----
     A voxel is taken as a Gaussian of its variance V. The part of a Gaussian of covariance C in a voxel then has its
     centre of mass at C (C + V)^-1 times the voxel's offset, and the mean of the plane's transition is as for a pixel.
     """
+    centres, log_scales, matrices, planes = shapes
+    origin, spacing = lattice
+    table, voxels, halves = written
     s = np.empty((25, 3))
-    for g in range(first, last):
+    for g in range(part[0], part[1]):
         voxel = _measure(centres[g], log_scales[g], matrices[g], planes[g], origin, spacing, s)
         upper, root = s[15:18], s[20, 1]
         for i in range(3):
@@ -163,24 +164,25 @@ def fill_table(centres, log_scales, matrices, planes, origin, spacing, cutoff, f
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def backward(
-    centres, log_scales, matrices, planes, origin, spacing, sums, first, last, to_centres, to_matrices, to_planes
-):
+def backward(shapes, lattice, sums, part, gradients):
     """Compute the gradients of some Gaussians from the sums over their voxels.
 
     Parameters
     ----------
-    centres, log_scales, matrices, planes, origin, spacing : as in `fill_table`
+    shapes, lattice : as in `fill_table`
     sums : of `recon.ops.interface.cpu_voxels.backward`
-    first, last : first Gaussian, and one past the last
-    to_centres, to_matrices, to_planes : written
+    part : first Gaussian, and one past the last
+    gradients : `recon.ops.interface.arrays.ShapeGradients`, written
     """
+    centres, log_scales, matrices, planes = shapes
+    origin, spacing = lattice
+    to_centres, to_matrices, to_planes = gradients
     s, t = np.empty((25, 3)), np.empty((15, 3))
     to_x, to_slope = t[12], t[13]
     to_part, to_precision, other, more = t[0:3], t[3:6], t[6:9], t[9:12]
-    for g in range(first, last):
+    for g in range(part[0], part[1]):
         _measure(centres[g], log_scales[g], matrices[g], planes[g], origin, spacing, s)
-        a, narrow, part, u = s[0:3], s[6:9], s[9:12], s[15:18]
+        a, narrow, within, u = s[0:3], s[6:9], s[9:12], s[15:18]
         root, mass = s[20, 1], s[20, 2]
         w, wx, wy, wz, wxx, wxy, wxz, wyy, wyz, wzz, level, px, py, pz = sums[g]
         # the distance and the part on the positive side, both measured from the place x
@@ -216,8 +218,8 @@ def backward(
             for j in range(3):
                 to_part[i, j] = 0.5 * (to_slope[i] * a[2, j] + to_slope[j] * a[2, i]) + to_along * a[2, i] * a[2, j]
                 to_part[i, j] -= to_precision[i, j] / VOXEL
-        _multiply(part, to_part, other)
-        _multiply(other, part, to_part)
+        _multiply(within, to_part, other)
+        _multiply(other, within, to_part)
         # C = (A^T A)^-1, by way of the mass on the lattice and the last entry of the Cholesky factor
         for i in range(3):
             for j in range(3):
@@ -229,11 +231,11 @@ def backward(
         # amplitude = det(1 + V A^T A)^-1/2 / mass
         for i in range(3):
             for j in range(3):
-                to_precision[i, j] = -VOXEL * (to_part[i, j] + 0.5 * w * part[i, j]) - more[i, j]
+                to_precision[i, j] = -VOXEL * (to_part[i, j] + 0.5 * w * within[i, j]) - more[i, j]
         _multiply(a, to_precision, other)
         for i in range(3):
             to_centres[g, i] = to_x[i] / spacing[i]
-            third = part[i, 0] * to_slope[0] + part[i, 1] * to_slope[1] + part[i, 2] * to_slope[2]
+            third = within[i, 0] * to_slope[0] + within[i, 1] * to_slope[1] + within[i, 2] * to_slope[2]
             for j in range(3):
                 to_matrices[g, j, i] = 2 * other[j, i] * spacing[i]
             to_matrices[g, 2, i] += (third + 2 * to_along * s[19, i]) * spacing[i]

@@ -43,22 +43,21 @@ f4 = np.float32
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 @no_type_check
-def fill(bases, table, voxels, halves, below, step, cutoff, columns, first, last, volume):
+def fill(bases, numbers, sides, cutoff, columns, part, volume):
     """Add all Gaussians to some slices of a volume.
 
     Parameters
     ----------
     bases : a tuple as long as there are bases
-    table : numbers of all Gaussians, see `recon.ops.interface.voxel_table`
-    voxels : those that the centres lie in, (gaussian, 3)
-    halves : half the extent along z and y, (gaussian, 2) [voxels]
-    below : coefficients below the planes [1/mm]
-    step : coefficients above the planes less those below [1/mm]
+    numbers, sides : `VoxelNumbers` and `Sides` of all Gaussians
     cutoff : where Gaussians end [standard deviations]
     columns : voxels along x
-    first, last : first slice, and one past the last
+    part : first slice, and one past the last
     volume : (basis, z, y, padded x), in place [1/mm]
     """
+    table, voxels, halves = numbers
+    below, step = sides
+    first, last = part
     _, slices, rows, stride = volume.shape
     k2 = f4(cutoff * cutoff)
     for g in range(table.shape[0]):
@@ -93,16 +92,19 @@ def fill(bases, table, voxels, halves, below, step, cutoff, columns, first, last
                             one_side = below[g, m] + step[g, m] if side > 0 else below[g, m]
                             store(volume, at, load(volume, at) + value * one_side)
                         continue
-                    part = normal(x * p[PART_X] + level)[0] * value
+                    upper = normal(x * p[PART_X] + level)[0] * value
                     for m in range(len(bases)):
                         at = ((m * slices + z) * rows + y) * stride + base
-                        store(volume, at, load(volume, at) + value * below[g, m] + part * step[g, m])
+                        store(volume, at, load(volume, at) + value * below[g, m] + upper * step[g, m])
 
 
 @njit(forceinline=True, fastmath=True, error_model="numpy")
 @no_type_check
-def _gather(bases, p, voxel, halves, below, step, cotangent, k2, columns, sums, to_below, to_step):
+def _gather(bases, p, place, sides, cotangent, k2, columns, out):
     """Sums over one Gaussian's voxels, one row of voxels at a time: see `backward` for their meaning."""
+    voxel, halves = place
+    below, step = sides
+    sums, to_below, to_step = out
     _, slices, rows, stride = cotangent.shape
     nx, ny, nz = voxel[0], voxel[1], voxel[2]
     zero = splat(f4(0))
@@ -173,39 +175,34 @@ def _gather(bases, p, voxel, halves, below, step, cotangent, k2, columns, sums, 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def backward(
-    bases, table, voxels, halves, below, step, cotangent, cutoff, columns, first, last, sums, to_below, to_step
-):
+def backward(bases, numbers, sides, cotangent, cutoff, columns, part, gradients):
     """Sum over the voxels of some Gaussians.
 
     Parameters
     ----------
     bases : a tuple as long as there are bases
-    table : numbers of all Gaussians, see `recon.ops.interface.voxel_table`
-    voxels : those that the centres lie in, (gaussian, 3)
-    halves : half the extent along z and y, (gaussian, 2) [voxels]
-    below : coefficients below the planes [1/mm]
-    step : coefficients above the planes less those below [1/mm]
+    numbers, sides : `VoxelNumbers` and `Sides` of all Gaussians
     cotangent : gradient in the volume
     cutoff : where Gaussians end [standard deviations]
     columns : voxels along x
-    first, last : first Gaussian, and one past the last
-    sums : per Gaussian, in place
-    to_below, to_step : gradients in the coefficients, in place
+    part : first Gaussian, and one past the last
+    gradients : `SideGradients`, written
 
     Notes
     -----
     With v the value of a voxel, w = v times the gradient in that value and t the gradient in the argument of Phi, the
     sums are w (1, x, y, z, xx, xy, xz, yy, yz, zz) and t (1, x, y, z).
     """
+    table, voxels, halves = numbers
+    below, step = sides
+    sums, to_below, to_step = gradients
     k2 = f4(cutoff * cutoff)
     lanes, more = np.empty(len(bases) * WIDTH, np.float32), np.empty(len(bases) * WIDTH, np.float32)
-    for g in range(first, last):
+    for g in range(part[0], part[1]):
         lanes[:] = f4(0)
         more[:] = f4(0)
-        _gather(
-            bases, table[g], voxels[g], halves[g], below[g], step[g], cotangent, k2, columns, sums[g], lanes, more
-        )  # fmt: skip
+        out, place = (sums[g], lanes, more), (voxels[g], halves[g])
+        _gather(bases, table[g], place, (below[g], step[g]), cotangent, k2, columns, out)
         for m in range(len(bases)):
             to_below[g, m] = total(load(lanes, m * WIDTH))
             to_step[g, m] = total(load(more, m * WIDTH))

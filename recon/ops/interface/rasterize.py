@@ -10,7 +10,7 @@ from phantomgen.ops.simd import WIDTH as LANES
 from recon.ops.arguments import RayFrame, inverse_frames
 from recon.ops.cpu_function import apply_on_cpu
 from recon.ops.interface import cpu, cpu_footprints
-from recon.ops.interface.arrays import DividedTensors
+from recon.ops.interface.arrays import DividedTensors, Footprints, ShapeGradients, Shapes, SideGradients, Sides
 from recon.ops.interface.sides import side_moments
 from recon.ops.interface.table import NUMBERS, SUMS
 from recon.ops.pieces import run_all, run_in_pieces
@@ -91,26 +91,25 @@ class _Call:
 
     def __init__(self, gaussians: DividedTensors, frames: Tensor, panel: tuple[int, int], projector: Projector) -> None:
         exact = [part.detach().numpy().astype(np.float64) for part in gaussians[:4]]
-        self.centres, self.log_scales, self.quaternions, self.planes = exact
+        centres, log_scales, self.quaternions, planes = exact
         below, above = gaussians.below.detach(), gaussians.above.detach()
-        self.below, self.step = (part.float().contiguous().numpy() for part in (below, above - below))
+        self.sides = Sides(*(part.float().contiguous().numpy() for part in (below, above - below)))
         self.bases, self.panel, self.sampling = (0,) * below.shape[1], panel, projector.sampling
         self.lengths = _ray_lengths(frames, panel)
         self.frames = frames.numpy().astype(np.float64)
         self.inverses = inverse_frames(self.frames)
-        views, n = len(self.frames), len(self.centres)
-        self.matrices, self.table = np.empty((n, 3, 3)), np.empty((views, n, NUMBERS), np.float32)
-        self.spans, self.near = np.empty((views, n, 2), np.int64), np.empty((views, n), np.bool_)
+        views, n = len(self.frames), len(centres)
+        self.shapes = Shapes(centres, log_scales, np.empty((n, 3, 3)), planes)
+        table, spans = np.empty((views, n, NUMBERS), np.float32), np.empty((views, n, 2), np.int64)
+        self.footprints = [Footprints(*pair) for pair in zip(table, spans, strict=True)]
+        self.near = np.empty((views, n), np.bool_)
         run_in_pieces(self._measure, n, CHUNK)
 
     def _measure(self, first: int, last: int) -> None:
         """Compute the footprints of some Gaussians in all views."""
-        whitening(self.log_scales, self.quaternions, first, last, self.matrices)
-        for view, frame in enumerate(self.views()):
-            cpu_footprints.footprints(
-                self.centres, self.matrices, self.planes, frame, self.sampling, self.panel[0], first, last,
-                self.table[view], self.spans[view], self.near[view],
-            )  # fmt: skip
+        whitening(self.shapes.log_scales, self.quaternions, first, last, self.shapes.matrices)
+        for frame, written, near in zip(self.views(), self.footprints, self.near, strict=True):
+            cpu_footprints.footprints(self.shapes, frame, self.sampling, self.panel[0], (first, last), written, near)
 
     def views(self) -> list[RayFrame]:
         """Return the rays of each view."""
@@ -123,10 +122,10 @@ class _Call:
 
         def splat(piece: tuple[int, int]) -> None:
             view, band = piece
-            first, last = band * rows // BANDS, (band + 1) * rows // BANDS
+            part = band * rows // BANDS, (band + 1) * rows // BANDS
             cpu.forward(
-                self.bases, self.table[view], self.spans[view], self.below, self.step, self.lengths[view],
-                self.sampling.cutoff, columns, first, last, image[view],
+                self.bases, self.footprints[view], self.sides, self.lengths[view], self.sampling.cutoff, columns, part,
+                image[view],
             )  # fmt: skip
 
         run_all(splat, [(view, band) for view in range(len(self.frames)) for band in range(BANDS)])
@@ -134,30 +133,27 @@ class _Call:
 
     def gradients(self, cotangent: Float[Tensor, "view basis row column"]) -> list[np.ndarray]:
         """Compute the gradients in the six arrays of the Gaussians from those in the line integrals."""
-        (rows, columns), n, images = self.panel, len(self.centres), cotangent.detach().numpy()
+        (rows, columns), n, images = self.panel, len(self.shapes.centres), cotangent.detach().numpy()
         padded = np.zeros((*images.shape[:2], rows, columns + LANES), np.float32)
         np.multiply(images, self.lengths[:, None], out=padded[..., :columns])
-        to_below, to_step = np.zeros(self.below.shape), np.zeros(self.below.shape)
-        to_centres, to_matrices, to_planes = np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 2))
-        to_log_scales, to_quaternions, sums = np.empty((n, 3)), np.empty((n, 4)), np.zeros((n, SUMS))
+        bases = (n, len(self.bases))
+        to_sides = SideGradients(np.zeros((n, SUMS)), np.zeros(bases), np.zeros(bases))
+        to_shapes = ShapeGradients(np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 2)))
+        to_log_scales, to_quaternions = np.empty((n, 3)), np.empty((n, 4))
 
         def gather(first: int, last: int) -> None:
-            for view, frame in enumerate(self.views()):
-                cpu.backward(
-                    self.bases, self.table[view], self.spans[view], self.below, self.step, padded[view],
-                    self.sampling.cutoff, columns, first, last, sums, to_below, to_step,
-                )  # fmt: skip
-                cpu_footprints.backward(
-                    self.centres, self.matrices, self.planes, frame, self.sampling.box, self.spans[view], sums,
-                    first, last, to_centres, to_matrices, to_planes,
-                )  # fmt: skip
+            part, cutoff, box = (first, last), self.sampling.cutoff, self.sampling.box
+            for frame, seen, image in zip(self.views(), self.footprints, padded, strict=True):
+                cpu.backward(self.bases, seen, self.sides, image, cutoff, columns, part, to_sides)
+                cpu_footprints.backward(self.shapes, frame, box, seen.spans, to_sides.sums, part, to_shapes)
             whitening_backward(
-                self.log_scales, self.quaternions, self.matrices, to_matrices, first, last, to_log_scales,
-                to_quaternions,
+                self.shapes.log_scales, self.quaternions, self.shapes.matrices, to_shapes.matrices, first, last,
+                to_log_scales, to_quaternions,
             )  # fmt: skip
 
         run_in_pieces(gather, n, CHUNK)
-        return [to_centres, to_log_scales, to_quaternions, to_planes, to_below - to_step, to_step]
+        both = [to_sides.below - to_sides.step, to_sides.step]
+        return [to_shapes.centres, to_log_scales, to_quaternions, to_shapes.planes, *both]
 
 
 def _ray_lengths(frames: Tensor, panel: tuple[int, int]) -> Float[np.ndarray, "view row column"]:

@@ -8,7 +8,7 @@ from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.simd import WIDTH
 from recon.ops.cpu_function import apply_on_cpu
 from recon.ops.interface import cpu_voxel_table, cpu_voxels
-from recon.ops.interface.arrays import DividedTensors
+from recon.ops.interface.arrays import DividedTensors, ShapeGradients, Shapes, SideGradients, Sides, VoxelNumbers
 from recon.ops.interface.voxel_table import NUMBERS, SUMS
 from recon.ops.pieces import run_in_pieces
 from recon.ops.rasterize.cpu import whitening, whitening_backward
@@ -47,23 +47,25 @@ class _Call:
 
     def __init__(self, gaussians: DividedTensors, grid: Grid, cutoff: float) -> None:
         exact = [part.detach().numpy().astype(np.float64) for part in gaussians[:4]]
-        self.centres, self.log_scales, self.quaternions, self.planes = exact
+        centres, log_scales, self.quaternions, planes = exact
         below, above = gaussians.below.detach(), gaussians.above.detach()
-        self.below, self.step = (part.float().contiguous().numpy() for part in (below, above - below))
+        self.sides = Sides(*(part.float().contiguous().numpy() for part in (below, above - below)))
         self.bases, self.shape, self.cutoff = (0,) * below.shape[1], grid.shape, cutoff
         self.lattice = np.array(grid.origin[::-1]), np.array(grid.spacing[::-1])
-        n = len(self.centres)
-        self.matrices, self.table = np.empty((n, 3, 3)), np.empty((n, NUMBERS), np.float32)
-        self.voxels, self.halves = np.empty((n, 3), np.int64), np.empty((n, 2), np.float32)
+        n = len(centres)
+        self.shapes = Shapes(centres, log_scales, np.empty((n, 3, 3)), planes)
+        table, voxels, halves = (
+            np.empty((n, NUMBERS), np.float32),
+            np.empty((n, 3), np.int64),
+            np.empty((n, 2), np.float32),
+        )
+        self.numbers = VoxelNumbers(table, voxels, halves)
         run_in_pieces(self._measure, n, CHUNK)
 
     def _measure(self, first: int, last: int) -> None:
         """Compute the numbers of some Gaussians."""
-        whitening(self.log_scales, self.quaternions, first, last, self.matrices)
-        cpu_voxel_table.fill_table(
-            self.centres, self.log_scales, self.matrices, self.planes, *self.lattice, self.cutoff, first, last,
-            self.table, self.voxels, self.halves,
-        )  # fmt: skip
+        whitening(self.shapes.log_scales, self.quaternions, first, last, self.shapes.matrices)
+        cpu_voxel_table.fill_table(self.shapes, self.lattice, self.cutoff, (first, last), self.numbers)
 
     def values(self) -> Float32[np.ndarray, "basis z y x"]:
         """Compute the means."""
@@ -71,10 +73,7 @@ class _Call:
         volume = np.zeros((len(self.bases), slices, rows, columns + WIDTH), np.float32)
 
         def fill(first: int, last: int) -> None:
-            cpu_voxels.fill(
-                self.bases, self.table, self.voxels, self.halves, self.below, self.step, self.cutoff, columns, first,
-                last, volume,
-            )  # fmt: skip
+            cpu_voxels.fill(self.bases, self.numbers, self.sides, self.cutoff, columns, (first, last), volume)
 
         run_in_pieces(fill, slices, SLAB)
         return volume[..., :columns]
@@ -82,26 +81,23 @@ class _Call:
     def gradients(self, cotangent: Float[Tensor, "basis z y x"]) -> list[np.ndarray]:
         """Compute the gradients in the six arrays of the Gaussians from those in the means."""
         volume = cotangent.detach().numpy()
-        n, columns = len(self.centres), volume.shape[3]
+        n, columns = len(self.shapes.centres), volume.shape[3]
         padded = np.zeros((*volume.shape[:3], columns + WIDTH), np.float32)
         padded[..., :columns] = volume
-        to_below, to_step = np.zeros(self.below.shape), np.zeros(self.below.shape)
-        to_centres, to_matrices, to_planes = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 2))
-        to_log_scales, to_quaternions, sums = np.empty((n, 3)), np.empty((n, 4)), np.zeros((n, SUMS))
+        bases = (n, len(self.bases))
+        to_sides = SideGradients(np.zeros((n, SUMS)), np.zeros(bases), np.zeros(bases))
+        to_shapes = ShapeGradients(np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 2)))
+        to_log_scales, to_quaternions = np.empty((n, 3)), np.empty((n, 4))
 
         def gather(first: int, last: int) -> None:
-            cpu_voxels.backward(
-                self.bases, self.table, self.voxels, self.halves, self.below, self.step, padded, self.cutoff, columns,
-                first, last, sums, to_below, to_step,
-            )  # fmt: skip
-            cpu_voxel_table.backward(
-                self.centres, self.log_scales, self.matrices, self.planes, *self.lattice, sums, first, last,
-                to_centres, to_matrices, to_planes,
-            )  # fmt: skip
+            part = first, last
+            cpu_voxels.backward(self.bases, self.numbers, self.sides, padded, self.cutoff, columns, part, to_sides)
+            cpu_voxel_table.backward(self.shapes, self.lattice, to_sides.sums, part, to_shapes)
             whitening_backward(
-                self.log_scales, self.quaternions, self.matrices, to_matrices, first, last, to_log_scales,
-                to_quaternions,
+                self.shapes.log_scales, self.quaternions, self.shapes.matrices, to_shapes.matrices, first, last,
+                to_log_scales, to_quaternions,
             )  # fmt: skip
 
         run_in_pieces(gather, n, CHUNK)
-        return [to_centres, to_log_scales, to_quaternions, to_planes, to_below - to_step, to_step]
+        both = [to_sides.below - to_sides.step, to_sides.step]
+        return [to_shapes.centres, to_log_scales, to_quaternions, to_shapes.planes, *both]
