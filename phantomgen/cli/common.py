@@ -174,7 +174,7 @@ def grouped(**groups: type) -> Callable[[Callable], Callable]:
 
     Parameters
     ----------
-    groups : dataclass of each parameter of the command that takes several options, which are its fields
+    **groups : dataclass of each parameter of the command that takes several options, which are its fields
 
     Returns
     -------
