@@ -96,7 +96,7 @@ def dose(
         volumes = {"dose": 1e3 * report.map.dose, "standard_error": 1e3 * report.map.error}
         write_volumes(outputs.out, Volumes(report.map.grid, volumes, f"dose of {report.name} [mGy]"))
     if report.map is not None and outputs.plot is not None:
-        from phantomgen.dose.figure import write_figure
+        from phantomgen.display.figures.dose import write_figure
 
         write_figure(report.map, report.name, outputs.plot)
     click.echo(json.dumps(report.to_dict()) if printing.as_json else report.text)

@@ -3,15 +3,20 @@
 from datetime import date
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from phantomgen.dataset.describe import describe, describe_text
 from phantomgen.dataset.reader import open_dataset
-from phantomgen.dataset.truth import read_truth
+from phantomgen.dataset.truth import Truth, read_truth
+from phantomgen.display.dataset_report.dose import dose_parts
 from phantomgen.display.dataset_report.provenance import plan_of, plan_parts, provenance_parts
 from phantomgen.display.dataset_report.scan import energy_parts, geometry_parts, view_parts
 from phantomgen.display.dataset_report.truth import truth_parts
 from phantomgen.display.html import Code, Page, Part, Section
 from phantomgen.runtime.versions import program_version
+from spectra.errors import InputError
+
+_CHANGES_DOSE = ("degrade",)  # processes after which the scene no longer states the dose of the file
 
 
 def dataset_report(path: Path, air: str | None = None) -> Page:
@@ -41,6 +46,12 @@ def dataset_report(path: Path, air: str | None = None) -> Page:
             ("Geometry and energies", [*energy_parts(dataset, folder), *geometry_parts(dataset, folder)]),
             ("Views", view_parts(dataset, folder)),
         ]
+        missing: list[tuple[str, str]] = []
+        if truth is not None and truth.scene:
+            try:
+                chapters.append(("Dose", _dose_parts(path, truth, info, folder)))
+            except InputError as error:
+                missing.append(("Dose", f"{error}."))
         plan = plan_of(dataset)
         if plan:
             chapters.append(("Plan and error", plan_parts(dataset)))
@@ -57,7 +68,7 @@ def dataset_report(path: Path, air: str | None = None) -> Page:
         ]
         if plan:
             facts.append((f"{plan['error']:.0e}", "error of log projections, planned"))
-        missing = [] if truth is not None else [("Truth", "the dataset has none.")]
+        missing += [] if truth is not None else [("Truth", "the dataset has none.")]
         missing += [] if plan else [("Plan and error", "the dataset does not say how it was computed.")]
         return Page(
             title=dataset.name,
@@ -67,3 +78,12 @@ def dataset_report(path: Path, air: str | None = None) -> Page:
             footer=f"Written by phantomgen report {program_version()} on {date.today().isoformat()}.",
             left_out=tuple(missing),
         )
+
+
+def _dose_parts(path: Path, truth: Truth, info: dict[str, Any], folder: Path) -> list[Part]:
+    """Create the parts about dose of a scan that is still as it was simulated."""
+    steps = [step["step"] for step in info["history"]]
+    changed = [step for step in steps if step in _CHANGES_DOSE]
+    if changed:
+        raise InputError(f"the scene states the dose before the step {changed[0]}")
+    return dose_parts(path, truth, folder)

@@ -10,6 +10,9 @@ from numpy.testing import assert_allclose
 from support.tiny_scans import one_sentence
 
 from phantomgen.cli.main import main as phantomgen
+from phantomgen.degradation.run import degrade_file
+from phantomgen.degradation.settings import Degradation
+from phantomgen.display.dataset_report.page import dataset_report
 from phantomgen.dose.beam import ScanBeam
 from phantomgen.dose.ctdi import HEAD, beam_width, ctdi_of, one_turn
 from phantomgen.dose.dose_map import dose_map, resampled
@@ -178,3 +181,17 @@ def test_what_cannot_be_computed_is_one_sentence(words, sentence, tmp_path, monk
         assert json.loads(result.stdout)["missing"] == [
             "CTDI is defined for circular, helical, parallel orbits around z, not for laminography ones"
         ]
+
+
+def test_the_page_about_a_dataset_has_its_dose_until_the_dose_is_changed(tmp_path, monkeypatch):
+    monkeypatch.setattr("phantomgen.display.dataset_report.dose.PHOTONS", 5000)
+    made = CliRunner().invoke(phantomgen, ["make", str(SCENE), "-o", str(tmp_path / "water.h5"), "-q"])
+    assert made.exit_code == 0, made.output
+    page = dataset_report(tmp_path / "water.h5")
+    (parts,) = (section.parts for section in page.sections if section.title == "Dose")
+    table, picture = parts
+    assert [row[0] for row in table.rows][-1] == "mean dose of water"
+    assert "Dose in three planes" in picture.caption
+    degrade_file(tmp_path / "water.h5", tmp_path / "low.h5", Degradation(dose=0.5))
+    left = dict(dataset_report(tmp_path / "low.h5").left_out)
+    assert left["Dose"] == "the scene states the dose before the step degrade."

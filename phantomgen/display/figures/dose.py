@@ -11,7 +11,7 @@ _PLANES = (("axial", 0, "x", "y"), ("coronal", 1, "x", "z"), ("sagittal", 2, "y"
 
 
 def write_figure(found: DoseMap, name: str, path: Path | str) -> Path:
-    """Draw the slices through the middle of a dose map as PNG, PDF or SVG.
+    """Draw the slices through the middle of a dose map as PNG, PDF or SVG; with a CSV of ranges beside SVG.
 
     Parameters
     ----------
