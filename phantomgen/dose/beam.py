@@ -23,23 +23,15 @@ class ScanBeam:
     Parameters
     ----------
     photons : that the scan sends to the panel, before what shapes the beam
-    frames : of each view and module, source, vector to the first pixel's centre, column step and row step [mm]
     views : part of the photons of each view
-    rows, columns : pixels of a module
-    energy : of each bin [keV]
-    spectrum : part of the photons of each bin
-    lengths, shape : of what shapes the beam, as in `Beam`
+    mean_energy : of the photons [keV]
+    drawn : the beam as the kernel draws from it
     """
 
     photons: float
-    frames: Float[np.ndarray, "view module 4 3"]
     views: Float[np.ndarray, " view"]
-    rows: int
-    columns: int
-    energy: Float[np.ndarray, " bin"]
-    spectrum: Float[np.ndarray, " bin"]
-    lengths: Float[np.ndarray, "part row all_columns"]
-    shape: Float[np.ndarray, "part bin"]
+    mean_energy: float
+    drawn: Beam
 
     @classmethod
     def of(cls, scan: Scan) -> "ScanBeam":
@@ -62,37 +54,44 @@ class ScanBeam:
             raise InputError(f"dose is computed for scans of one source, and {scan.name} has several")
         if scan.sample_poses is not None:
             raise InputError(f"dose is computed for samples that rest, and that of {scan.name} moves: leave motion out")
-        panel, views = scan.geometry.panel, _factors(scan)
+        panel, factors = scan.geometry.panel, _factors(scan)
         edges = np.append(np.arange(1.0, scan.source.maximum, _STEP), scan.source.maximum + 1e-9)
         photons, energy = scan.source.photons_in(edges)
         used = photons > 0
-        lengths, shape = np.zeros((0, panel.rows, panel.columns)), np.zeros((0, int(used.sum())))
+        photons, energy = photons[used], energy[used]
+        lengths, shape = np.zeros((0, panel.rows, panel.columns)), np.zeros((0, len(energy)))
         if scan.profile is not None:
-            lengths, shape = scan.profile.lengths, scan.profile.attenuation(energy[used])
-        return cls(
-            float(photons.sum() * panel.rows * panel.columns * views.sum()),
-            module_frames(scan.geometry),
-            views / views.sum(),
-            panel.rows,
-            panel.columns // panel.modules,
-            energy[used],
-            photons[used] / photons.sum(),
-            lengths,
-            shape,
+            lengths, shape = scan.profile.lengths.astype(np.float64), scan.profile.attenuation(energy)
+        views = factors / factors.sum()
+        drawn = Beam(
+            frames=module_frames(scan.geometry),
+            views=_cumulative(views),
+            rows=panel.rows,
+            columns=panel.columns // panel.modules,
+            energy=energy,
+            spectrum=_cumulative(photons / photons.sum()),
+            lengths=lengths,
+            shape=shape,
         )
+        total = float(photons.sum() * panel.rows * panel.columns * factors.sum())
+        return cls(total, views, float(energy @ photons / photons.sum()), drawn)
 
-    @property
-    def drawn(self) -> Beam:
-        """The beam as the kernel draws from it."""
-        return Beam(
-            self.frames,
-            _cumulative(self.views),
-            self.rows,
-            self.columns,
-            self.energy,
-            _cumulative(self.spectrum),
-            np.ascontiguousarray(self.lengths, dtype=np.float64),
-            np.ascontiguousarray(self.shape, dtype=np.float64),
+    def at_height_zero(self, count: int) -> "ScanBeam":
+        """Return the first views, each moved along z so that its source lies at z = 0.
+
+        Parameters
+        ----------
+        count : number of views
+
+        Returns
+        -------
+        their beam
+        """
+        part, frames = float(self.views[:count].sum()), self.drawn.frames[:count].copy()
+        frames[:, :, 0, 2] = 0.0
+        views = self.views[:count] / part
+        return ScanBeam(
+            self.photons * part, views, self.mean_energy, self.drawn._replace(frames=frames, views=_cumulative(views))
         )
 
 

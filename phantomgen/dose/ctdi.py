@@ -1,6 +1,6 @@
 """CTDI: air kerma in cylinders of PMMA, as quality assurance measures it with a pencil chamber."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import pi
 
 import numpy as np
@@ -100,12 +100,7 @@ def ctdi_of(scan: Scan, diameter: float, photons: int, seed: int, title: str | N
     if scan.geometry.kind not in _ORBITS:
         raise InputError(f"CTDI is defined for {', '.join(_ORBITS)} orbits around z, not for {scan.geometry.kind} ones")
     turn, travel = one_turn(scan.geometry)
-    beam, width = ScanBeam.of(scan), beam_width(scan.geometry)
-    part = beam.views[: len(turn)].sum()
-    frames = beam.frames[: len(turn)].copy()
-    frames[:, :, 0, 2] -= scan.geometry.source[: len(turn), None, 2]
-    beam = replace(beam, photons=beam.photons * part, frames=frames, views=beam.views[: len(turn)] / part)
-
+    beam, width = ScanBeam.of(scan).at_height_zero(len(turn)), beam_width(scan.geometry)
     grid = _grid(diameter)
     cylinder = solids_of([(Cylinder((0, 0, 0), diameter / 2, _LENGTH), 0)])
     probes = _chambers(diameter)

@@ -70,7 +70,7 @@ def follow_scan(
     """
     spacing = np.array(grid.spacing)
     medium = Medium(np.ascontiguousarray(fractions, dtype=np.float64), np.array(grid.origin) - spacing / 2, spacing)
-    crossings, drawn = crossings_of(materials, float(beam.energy.max())), beam.drawn
+    crossings, drawn = crossings_of(materials, float(beam.drawn.energy.max())), beam.drawn
     count = -(-photons // BATCHES)
     seeds = np.random.SeedSequence(seed).generate_state(BATCHES)
 
