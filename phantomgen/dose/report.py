@@ -32,7 +32,9 @@ class DoseReport:
     missing: tuple[str, ...]
 
     @classmethod
-    def of(cls, scan: Scan, photons: int, voxels: int, seed: int = 0, progress: bool = False) -> "DoseReport":
+    def of(
+        cls, scan: Scan, photons: int, voxels: int, seed: int = 0, map_needed: bool = False, progress: bool = False
+    ) -> "DoseReport":
         """Compute the dose of a scan.
 
         Parameters
@@ -41,6 +43,7 @@ class DoseReport:
         photons : that are followed, for each cylinder and for the map
         voxels : of the map, along the longest edge of the volume
         seed : of their random numbers
+        map_needed : refuse a scan without a map, before anything is computed
         progress : show bars on stderr
 
         Returns
@@ -50,20 +53,22 @@ class DoseReport:
         Raises
         ------
         InputError
-            When the scan has several sources, or its sample moves.
+            When the scan has several sources, its sample moves, or a map is needed and cannot be computed.
         """
         missing: list[str] = []
+        found = None
+        try:
+            found = dose_map(scan, photons, voxels, seed, "dose map" if progress else None)
+        except InputError as error:
+            if map_needed:
+                raise
+            missing.append(str(error))
         ctdi: tuple[Ctdi, ...] = ()
         try:
             ctdi = tuple(
                 ctdi_of(scan, diameter, photons, seed, f"CTDI, {diameter / 10:g} cm" if progress else None)
                 for diameter in (HEAD, BODY)
             )
-        except InputError as error:
-            missing.append(str(error))
-        found = None
-        try:
-            found = dose_map(scan, photons, voxels, seed, "dose map" if progress else None)
         except InputError as error:
             missing.append(str(error))
         if found is None and not ctdi:

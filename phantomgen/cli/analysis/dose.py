@@ -85,11 +85,9 @@ def dose(
     set_threads(threads)
     from phantomgen.dose.report import DoseReport
     from phantomgen.scene.scan import load_scene
-    from spectra.errors import InputError
 
-    report = DoseReport.of(load_scene(file), photons, voxels, seed, progress=not printing.silent)
-    if report.map is None and (outputs.out is not None or outputs.plot is not None):
-        raise InputError(report.missing[-1])
+    map_needed = outputs.out is not None or outputs.plot is not None
+    report = DoseReport.of(load_scene(file), photons, voxels, seed, map_needed, progress=not printing.silent)
     if report.map is not None and outputs.out is not None:
         from phantomgen.exporters.volumes import Volumes, write_volumes
 
