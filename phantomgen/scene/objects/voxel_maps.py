@@ -11,6 +11,7 @@ from phantomgen.ops.voxel_maps import VoxelMap
 from phantomgen.scene import schema
 from phantomgen.scene.file.scene_file import Location, SceneFile
 from phantomgen.scene.materials import check_material
+from phantomgen.scene.objects.label_tables import TISSUES
 from phantomgen.shapes import Voxels, rotation_matrix
 from phantomgen.volume_files.read import read_volume
 from phantomgen.volume_files.volume import Volume
@@ -60,10 +61,7 @@ def voxels_of(file: SceneFile, model: schema.VoxelsModel, where: Location) -> tu
 
 def _labels(file: SceneFile, model: schema.VoxelsModel, where: Location) -> tuple[Volume, VoxelMap, tuple[str, ...]]:
     """One material for each label."""
-    volume, table = _single(file, model), model.labels or {}
-    for label, name in table.items():
-        if name is not None:
-            check_material(file, name, (*where, "labels", label))
+    volume, table = _single(file, model), _label_table(file, model, where)
     found, counts = np.unique(volume.values, return_counts=True)
     for label, count in zip(found.tolist(), counts.tolist(), strict=True):
         if label != 0 and label not in table:
@@ -71,7 +69,29 @@ def _labels(file: SceneFile, model: schema.VoxelsModel, where: Location) -> tupl
             raise file.error((*where, "labels"), f"label {label} of {count} voxels in {model.file} is missing: {hint}")
     used = [label for label in found.tolist() if table.get(int(label)) is not None]
     names = tuple(str(table[int(label)]) for label in used)
+    if isinstance(model.labels, str) and "lung" in names and "lung" not in file.model.materials:
+        inflated = "lung: {composition: lung, density: 0.26}"
+        raise file.error(
+            (*where, "labels"), f"lungs hold air, the known material does not: add '{inflated}' to materials"
+        )
     return volume, VoxelMap.of_labels(volume.values, used), names
+
+
+def _label_table(file: SceneFile, model: schema.VoxelsModel, where: Location) -> Mapping[int, str | None]:
+    """Material of each label: those that are stated, or those of a program but for those that are stated otherwise."""
+    if isinstance(model.labels, str):
+        changes = model.relabel or {}
+        for label, name in changes.items():
+            if name is not None:
+                check_material(file, name, (*where, "relabel", label))
+        return {**TISSUES[model.labels], **changes}
+    if model.relabel is not None:
+        raise file.error((*where, "relabel"), f"changes labels of a program, and needs labels: {' or '.join(TISSUES)}")
+    table = model.labels or {}
+    for label, name in table.items():
+        if name is not None:
+            check_material(file, name, (*where, "labels", label))
+    return table
 
 
 def _hounsfield(

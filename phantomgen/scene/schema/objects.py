@@ -154,12 +154,14 @@ class VoxelsModel(ObjectModel):
     """A box of voxels from a file: labels, volume fractions, or Hounsfield units, and the materials they stand for.
 
     Spacing [mm] along x, y and z, and the centre, are the file's own unless given; turned about x, then y, then z
-    [degree]. Voxels without material are background. A relative path starts at the folder of the scene file.
+    [degree]. Voxels without material are background. A relative path starts at the folder of the scene file. Labels
+    may be those of a program; ``relabel`` then names other materials of some.
     """
 
     type: Literal["voxels"]
     file: str | None = None
-    labels: dict[int, str | None] | None = None
+    labels: Literal["totalsegmentator"] | dict[int, str | None] | None = None
+    relabel: dict[int, str | None] | None = None
     fractions: dict[str, str] | tuple[str, ...] | None = None
     hu: Literal["default"] | Annotated[dict[str, tuple[FiniteFloat, FiniteFloat]], Field(min_length=1)] | None = None
     spacing: PositiveFloat | Size | None = None

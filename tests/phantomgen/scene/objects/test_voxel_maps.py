@@ -14,12 +14,14 @@ from phantomgen.exporters.nifti import write_nifti
 from phantomgen.exporters.volumes import Volumes
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.scene.file.scene_file import SceneFile
+from phantomgen.scene.objects.label_tables import NAMES, TISSUES
 from phantomgen.scene.scan import load_scene
 from phantomgen.simulation.checks.field_of_view import coverage_warnings
 from phantomgen.simulation.forward_model.truth import scan_truth
 from phantomgen.simulation.run import simulate
 from phantomgen.volume_files.read import read_volume
 from spectra.errors import InputError, NotInstalledError, SceneError
+from spectra.materials.material import Material
 
 HEAD = """\
 version: 1
@@ -268,3 +270,52 @@ def test_without_the_reader_the_sentence_names_the_extra(tmp_path: Path, monkeyp
     monkeypatch.undo()
     with pytest.raises(InputError, match="one DICOM series"):
         read_volume(".", tmp_path)
+
+
+def of_a_program(folder, labels, more=""):
+    np.save(folder / "map.npy", labels)
+    return scan_of(folder, f"file: map.npy, labels: totalsegmentator, spacing: 1{more}")
+
+
+def test_labels_of_a_program_are_tissues(tmp_path):
+    labels = np.array([0, 1, 5, 10, 52, 91, 117, 0], np.uint8).reshape(2, 2, 2)
+    scan = of_a_program(tmp_path, labels)
+    ((_, parts),) = scan.scene.objects
+    assert [scan.scene.materials[i].name for i in parts] == ["spleen", "liver", "lung", "blood", "cranium", "cartilage"]
+    changed = of_a_program(tmp_path, labels, ", relabel: {52: bone, 1: null}")
+    ((_, parts),) = changed.scene.objects
+    assert [changed.scene.materials[i].name for i in parts] == ["liver", "lung", "bone", "cranium", "cartilage"]
+
+
+def test_all_labels_of_a_program_have_a_known_tissue(tmp_path):
+    for program, table in TISSUES.items():
+        assert list(table) == list(range(1, len(table) + 1)) == list(NAMES[program])
+        assert len(set(NAMES[program].values())) == len(table)
+        for name in table.values():
+            assert Material(name, composition=name).density > 0
+    assert {NAMES["totalsegmentator"][n] for n in (26, 50, 92, 115)} == {
+        "vertebrae_S1",
+        "vertebrae_C1",
+        "rib_left_1",
+        "rib_right_12",
+    }
+
+
+@pytest.mark.parametrize(
+    ("labels", "more", "sentence"),
+    [
+        ([1, 118], "", "label 118 of 1 voxels in map.npy is missing"),
+        ([1, 2], ", relabel: {2: unobtainium}", "unobtainium"),
+    ],
+)
+def test_labels_that_a_program_does_not_know_are_refused(labels, more, sentence, tmp_path):
+    with pytest.raises(SceneError, match=sentence):
+        of_a_program(tmp_path, np.array(labels, np.uint8).reshape(1, 1, 2), more)
+
+
+def test_lungs_need_a_density_and_changes_a_table(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys.modules[__name__], "HEAD", HEAD.replace("  lung: {composition: lung, density: 0.26}\n", ""))
+    with pytest.raises(SceneError, match="lungs hold air, the known material does not: add 'lung:"):
+        of_a_program(tmp_path, np.array([1, 10], np.uint8).reshape(1, 1, 2))
+    with pytest.raises(SceneError, match="relabel - changes labels of a program, and needs labels: totalsegmentator"):
+        scan_of(tmp_path, "file: map.npy, labels: {1: bone, 10: bone}, relabel: {1: bone}, spacing: 1")
