@@ -123,7 +123,7 @@ def test_a_dataset_has_a_page_of_its_own(folder, tmp_path):
     )
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["sections"] == [
-        "Truth", "Geometry and energies", "Views", "Plan and error", "Provenance"
+        "Truth", "Geometry and energies", "Views", "Dose", "Plan and error", "Provenance"
     ]  # fmt: skip
     again = CliRunner().invoke(phantomgen, ["report", str(folder / "tiny.h5"), "-o", str(tmp_path / "d.html")])
     assert "add --overwrite" in one_sentence(again)
