@@ -31,7 +31,8 @@ PMMA = Material("PMMA", density=1.19, composition="C5H8O2")
 AIR = Material("air", density=1.205e-3, composition={"C": 0.000124, "N": 0.755268, "O": 0.231781, "Ar": 0.012827})
 BATCHES = 40
 PLACES = ("slice 1", "slice 2", "slice 3", "slice 4", "rod in the middle", "rod near the source", "rod behind")
-# Sechopoulos et al. 2015, doi:10.1118/1.4928676: slices of table 4.1; rods of table 4.2 at 0 and 180 degrees
+# Means of the codes of the report (Sechopoulos et al. 2015, doi:10.1118/1.4928676), case 4.1, and 4.2 at 0 degrees for
+# the rods; at 180 degrees for the one behind. From the validation program of DXMClib (E. Andersen), which quotes them.
 REPORT = {
     10.0: (11592.27, 2576.72, 1766.85, 1330.53, 12.168675, 101.29375, 0.52163),
     80.0: (3380.39, 3332.64, 3176.44, 2559.58, 11.630625, 99.665175, 0.49996925),

@@ -150,7 +150,7 @@ def one_turn(geometry: Geometry) -> tuple[Geometry, float]:
     """
     if geometry.kind != "helical":
         return geometry, 0.0
-    angle = np.abs(np.unwrap(np.arctan2(geometry.source[:, 1], geometry.source[:, 0])))
+    angle = np.unwrap(np.arctan2(geometry.source[:, 1], geometry.source[:, 0]))
     angle = np.abs(angle - angle[0])
     count = int(np.searchsorted(angle, 2 * pi - 1e-6))
     if count >= len(geometry):

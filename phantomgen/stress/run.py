@@ -18,7 +18,7 @@ def run_cases(
     command: str = "phantomgen stress",
     progress: bool = False,
 ) -> tuple[Outcome, ...]:
-    """Compute cases, and write table and figure where a folder is named.
+    """Compute cases, and write table and figure where a folder is named; of finished cases also when interrupted.
 
     Parameters
     ----------
@@ -41,10 +41,12 @@ def run_cases(
         check_output_folder(out, overwrite, command, lambda folder: (folder / FILES[0]).is_file())
     bar = tqdm(cases, desc="stress", unit="case", disable=None if progress else True)
     outcomes = []
-    for case in bar:
-        bar.set_postfix_str(case.name)
-        outcomes.append(case.run())
-    if out is not None:
-        out.mkdir(exist_ok=True)
-        write_report(outcomes, out)
+    try:
+        for case in bar:
+            bar.set_postfix_str(case.name)
+            outcomes.append(case.run())
+    finally:
+        if out is not None and outcomes:
+            out.mkdir(exist_ok=True)
+            write_report(outcomes, out)
     return tuple(outcomes)

@@ -2,14 +2,15 @@
 
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from phantomgen.dataset.reader import open_dataset
+from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.truth import read_truth
+from phantomgen.degradation.degraded_scan import DegradedScan
 from phantomgen.degradation.run import degrade_file
 from phantomgen.degradation.settings import Degradation
 from phantomgen.runtime.stopwatch import Stopwatch
@@ -19,7 +20,7 @@ from recon.runs.interfaces import Unwatched
 from recon.runs.run_gaussians import GaussianRun
 from recon.runs.run_voxels import VoxelRun
 from recon.voxel.iterative.sirt import Sirt
-from spectra.errors import InputError
+from spectra.errors import Error, InputError
 
 _ERROR = "error of the fit over that of SIRT"
 _LIMIT = 1.0
@@ -64,28 +65,46 @@ def cases_of(path: Path) -> tuple[Case, ...]:
 
     Returns
     -------
-    cases; points of each are made and fitted when it runs
+    cases; points of each are made and fitted when it runs. Steps that the scan does not allow are left out, such as
+    more views than it has, and cases without any
 
     Raises
     ------
     InputError
-        When it has no truth.
+        When it has no truth, or fewer channels than basis functions.
     """
     _check(path)
+    with open_dataset(path) as dataset:
+        traps = [replace(trap, steps=[s for s in trap.steps if _allowed(dataset, trap.settings(s))]) for trap in _TRAPS]
     return tuple(
-        Case(trap.name, trap.what, trap.difficulty, _ERROR, _LIMIT, partial(_points, path, trap)) for trap in _TRAPS
+        Case(trap.name, trap.what, trap.difficulty, _ERROR, _LIMIT, partial(_points, path, trap))
+        for trap in traps
+        if trap.steps
     )
+
+
+def _allowed(dataset: Dataset, settings: Degradation) -> bool:
+    """Whether a scan can be made worse in this way."""
+    try:
+        DegradedScan(dataset, settings, 1).check()
+    except Error:
+        return False
+    return True
 
 
 def _check(path: Path) -> None:
     """Refuse what is no dataset with a truth."""
     truth = read_truth(path)
     with open_dataset(path) as dataset:
-        names, grid = dataset.spectra.basis.names, dataset.grid
+        names, grid, channels = dataset.spectra.basis.names, dataset.grid, len(dataset.spectra.channels)
     if truth is None or truth.grid != grid or not set(names) <= set(truth.basis_names):
         raise InputError(
             f"{path} has no truth of all its basis functions on its voxels, which a fit could be compared with: "
             "name a scan that `phantomgen make` wrote"
+        )
+    if channels < len(names):
+        raise InputError(
+            f"{path} has {channels} channels for {len(names)} basis functions: name a scan with one for each"
         )
 
 

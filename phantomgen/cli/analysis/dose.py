@@ -33,7 +33,7 @@ class _Outputs:
 )
 @click.option(
     "--voxels",
-    type=click.IntRange(min=1, max=512),
+    type=click.IntRange(min=1, max=256),
     default=64,
     show_default=True,
     help="Voxels of the map along the longest edge of the volume.",

@@ -14,7 +14,7 @@ from phantomgen.display.dataset_report.scan import energy_parts, geometry_parts,
 from phantomgen.display.dataset_report.truth import truth_parts
 from phantomgen.display.html import Code, Page, Part, Section
 from phantomgen.runtime.versions import program_version
-from spectra.errors import InputError
+from spectra.errors import Error, InputError
 
 _CHANGES_DOSE = ("degrade",)  # processes after which the scene no longer states the dose of the file
 
@@ -50,7 +50,7 @@ def dataset_report(path: Path, air: str | None = None) -> Page:
         if truth is not None and truth.scene:
             try:
                 chapters.append(("Dose", _dose_parts(path, truth, info, folder)))
-            except InputError as error:
+            except Error as error:  # a file of the scene that is not here, a geometry without dose
                 missing.append(("Dose", f"{error}."))
         plan = plan_of(dataset)
         if plan:

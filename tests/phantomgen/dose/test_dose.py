@@ -1,6 +1,7 @@
 """Dose of scans: what CTDI and maps scale with, and what is refused."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -98,6 +99,11 @@ def test_a_helix_counts_one_turn_and_its_pitch():
     assert found.pitch == pytest.approx(30 / beam_width(helix.geometry))
     circle = ctdi_of(scan_of(), HEAD, PHOTONS, 0)
     assert found.weighted == pytest.approx(circle.weighted * len(turn) / 10, rel=0.05)
+    x, y, z = helix.geometry.source.T  # the other sense of rotation, from 0.5 rad on
+    around = 0.5 - np.arctan2(y, x)
+    mirrored = replace(helix.geometry, source=np.stack([500 * np.cos(around), 500 * np.sin(around), z], axis=1))
+    assert len(one_turn(mirrored)[0]) == len(turn)
+    assert one_turn(mirrored)[1] == pytest.approx(30)
     with pytest.raises(InputError, match="one turn at least"):
         one_turn(helix.geometry[np.arange(4)])
 
@@ -195,3 +201,13 @@ def test_the_page_about_a_dataset_has_its_dose_until_the_dose_is_changed(tmp_pat
     degrade_file(tmp_path / "water.h5", tmp_path / "low.h5", Degradation(dose=0.5))
     left = dict(dataset_report(tmp_path / "low.h5").left_out)
     assert left["Dose"] == "the scene states the dose before the step degrade."
+
+
+def test_a_scene_whose_files_are_elsewhere_leaves_the_dose_out(tmp_path):
+    text = SCENE.read_text(encoding="utf-8") + "  - {type: voxels, file: map.npy, labels: {1: water}, spacing: 2}\n"
+    (tmp_path / "scene.yaml").write_text(text, encoding="utf-8")
+    np.save(tmp_path / "map.npy", np.ones((2, 2, 2), np.uint8))
+    made = CliRunner().invoke(phantomgen, ["make", str(tmp_path / "scene.yaml"), "-o", str(tmp_path / "a.h5"), "-q"])
+    assert made.exit_code in (0, 3), made.output
+    (tmp_path / "map.npy").unlink()
+    assert "map.npy" in dict(dataset_report(tmp_path / "a.h5").left_out)["Dose"]
