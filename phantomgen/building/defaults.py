@@ -55,10 +55,10 @@ def reach(file: SceneFile) -> tuple[float, float]:
     largest distance from the z axis and from the plane z = 0 [mm]
     """
     radius = half = 0.0
-    for shape, _ in objects_of(file):
-        half = max(half, float(np.abs([bound[2] for bound in shape.bounds]).max()))
+    for item in objects_of(file):
+        half = max(half, float(np.abs([bound[2] for bound in item.shape.bounds]).max()))
         for turn in np.arange(_TURNS) * np.pi / _TURNS:
-            low, high = Placed(shape, rotation_matrix((0.0, 0.0, float(turn))), np.zeros(3)).bounds
+            low, high = Placed(item.shape, rotation_matrix((0.0, 0.0, float(turn))), np.zeros(3)).bounds
             radius = max(radius, abs(float(low[0])), abs(float(high[0])))
     return radius, half
 

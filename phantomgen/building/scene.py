@@ -13,7 +13,6 @@ from phantomgen.building.defaults import completed
 from phantomgen.building.shapes import Described
 from phantomgen.dataset.truth import Truth
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.ops.trace import trace
 from phantomgen.runtime.outputs import check_output
 from phantomgen.scene.file.find_scene import find_scene
 from phantomgen.scene.file.scene_file import Overrides, SceneFile, plain, scene_text
@@ -213,8 +212,7 @@ class Scene:
             raise InputError(
                 f"rays need starts and ends of equal shape (ray, 3), finite [mm], got {first.shape} and {last.shape}"
             )
-        objects = self.scan.scene
-        return trace(first, last - first, objects.solids, len(objects.materials), objects.background)
+        return self.scan.scene.path_lengths(first, last - first)
 
     def line_integrals(
         self,

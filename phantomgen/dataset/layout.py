@@ -148,7 +148,7 @@ def pack_image(image: Shaped[np.ndarray, "row column"], compression: Compression
 
 
 def write_image(dataset: h5py.Dataset, frame: int, channel: int, packed: list[bytes]) -> None:
-    """Write an image from `pack_image` at its place, each chunk with its checksum.
+    """Write an image from `pack_image` at its place in an array of two leading axes, each chunk with its checksum.
 
     Parameters
     ----------
@@ -156,9 +156,21 @@ def write_image(dataset: h5py.Dataset, frame: int, channel: int, packed: list[by
     frame, channel : indices of the image
     packed : bytes of each chunk
     """
+    write_image_at(dataset, (frame, channel), packed)
+
+
+def write_image_at(dataset: h5py.Dataset, place: tuple[int, ...], packed: list[bytes]) -> None:
+    """Write an image from `pack_image` at its place, each chunk with its checksum.
+
+    Parameters
+    ----------
+    dataset : array of images
+    place : indices along the leading axes
+    packed : bytes of each chunk
+    """
     step = _rows_per_chunk(dataset.shape[-2], dataset.shape[-1] * dataset.dtype.itemsize)
     for i, chunk in enumerate(packed):
-        dataset.id.write_direct_chunk((frame, channel, i * step, 0), chunk + fletcher32(chunk))
+        dataset.id.write_direct_chunk((*place, i * step, 0), chunk + fletcher32(chunk))
 
 
 def _rows_per_chunk(rows: int, row_bytes: int) -> int:

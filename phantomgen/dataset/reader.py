@@ -24,6 +24,7 @@ from phantomgen.dataset.geometry import read_geometry
 from phantomgen.dataset.layout import text_of
 from phantomgen.dataset.pixel_mask import read_mask
 from phantomgen.dataset.spectral_model import Spectra, in_basis
+from phantomgen.dataset.time.view_times import ViewTimes, read_view_times
 from phantomgen.effects.smooth_signal import SmoothSignal
 from phantomgen.geometry.panel import Panel
 from phantomgen.geometry.poses import Geometry
@@ -361,6 +362,11 @@ class Dataset:
                     f"{self.path}: split {scheme}/{name} names a view outside 0..{self.counts.shape[0] - 1}"
                 )
         return {name: views.astype(np.int64) for name, views in parts.items()}
+
+    @cached_property
+    def view_times(self) -> ViewTimes | None:
+        """Times and phases of the views; None where the file has none."""
+        return read_view_times(self.file)
 
     @cached_property
     def exposure(self) -> Float[np.ndarray, "view channel"]:

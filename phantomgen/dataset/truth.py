@@ -2,9 +2,10 @@
 
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
 
 import h5py
 import numpy as np
@@ -22,7 +23,7 @@ from phantomgen.dataset.layout import (
     put,
     put_note,
     text_of,
-    write_image,
+    write_image_at,
 )
 from phantomgen.exporters.volumes import Volumes, basis_volumes
 from phantomgen.geometry.voxel_grid import Grid
@@ -64,6 +65,7 @@ class Truth:
     fractions : part of each voxel that each material fills, 65535 = all
     scene : the scene as YAML
     fit : of the coefficients; None where a file does not say
+    phases : truth of each phase of a scan that has some, when it is written; `read_phases` reads them
     """
 
     grid: Grid
@@ -74,6 +76,7 @@ class Truth:
     fractions: UInt16[np.ndarray, "material z y x"]
     scene: str = ""
     fit: CoefficientFit | None = None
+    phases: tuple["Truth", ...] = ()
 
     @classmethod
     def of(
@@ -141,6 +144,19 @@ class Truth:
         return labels
 
 
+class PhaseFractions(NamedTuple):
+    """Truth of a phase.
+
+    Parameters
+    ----------
+    weight : part of the training views that belong to the phase
+    fractions_on : function that returns the part of each voxel of a grid that each material fills, as a mean over time
+    """
+
+    weight: float
+    fractions_on: Callable[[Grid], Float32[np.ndarray, "material z y x"]]
+
+
 @dataclass(frozen=True, eq=False)
 class StreamedTruth:
     """Truth that is computed slab by slab, so that volumes of any size require the same memory.
@@ -150,6 +166,7 @@ class StreamedTruth:
     grid, basis_names, material_names, coefficients : see `Truth`
     fractions_on : function that returns the part of each voxel of a grid that each material fills
     scene, fit : see `Truth`
+    phases : of a scan that has some; `fractions_on` is their mean, and not called then
     """
 
     grid: Grid
@@ -159,6 +176,7 @@ class StreamedTruth:
     fractions_on: Callable[[Grid], Float32[np.ndarray, "material z y x"]]
     scene: str = ""
     fit: CoefficientFit | None = None
+    phases: tuple[PhaseFractions, ...] = ()
 
     def part(self, grid: Grid) -> Truth:
         """Compute the truth of a part of the grid.
@@ -171,8 +189,21 @@ class StreamedTruth:
         -------
         the truth
         """
-        names = self.basis_names, self.material_names
-        return Truth.of(grid, *names, self.coefficients, self.fractions_on(grid), self.scene, self.fit)
+        if not self.phases:
+            return self._of(grid, self.fractions_on(grid))
+        total = np.zeros((len(self.material_names), *grid.shape), np.float32)
+        found = []
+        for phase in self.phases:
+            filled = phase.fractions_on(grid)
+            total += np.float32(phase.weight) * filled
+            found.append(self._of(grid, filled))
+        return replace(self._of(grid, total), phases=tuple(found))
+
+    def _of(self, grid: Grid, filled: Float32[np.ndarray, "material z y x"]) -> Truth:
+        """The truth of fractions."""
+        return Truth.of(
+            grid, self.basis_names, self.material_names, self.coefficients, filled, self.scene, self.fit
+        )
 
     def slabs(self) -> Iterator[tuple[int, Truth]]:
         """Yield slabs with their first slice; their number depends on the grid only, not on the machine.
@@ -189,7 +220,7 @@ class StreamedTruth:
     def slab(self) -> int:
         """Slices of a slab."""
         _, rows, columns = self.grid.shape
-        return max(1, _SLAB_VALUES // (rows * columns * max(1, len(self.material_names))))
+        return max(1, _SLAB_VALUES // (rows * columns * max(1, len(self.material_names)) * (1 + len(self.phases))))
 
     @property
     def label_type(self) -> type:
@@ -214,8 +245,10 @@ def write_truth(
     """
     group = truth_group(file)
     volumes = _new_volumes(group, truth, compression)
+    phases = _new_phases(group, truth, compression)
     for first, slab in truth.slabs():
         _write_slab(volumes, first, slab, compression)
+        _write_phases(phases, first, slab, compression)
         del slab  # before the next one is made
     table = new_group(group, "materials", "NXcollection")
     put(table, "name", np.array([m.name for m in materials], dtype=object))
@@ -333,12 +366,47 @@ def _write_slab(
     """Write some slices of all volumes, packed in parallel."""
     *parts, labels = volumes
     for dataset, values in zip(parts, (slab.volumes, slab.fractions), strict=True):
-        places = list(np.ndindex(values.shape[:2]))
-        packed = run_parallel(lambda place, values=values: pack_image(values[place], compression), places)
-        for (i, z), image in zip(places, packed, strict=True):
-            write_image(dataset, i, first + z, image)
+        _write_slices(dataset, (), first, values, compression)
     numbers = slab.labels
     labels[first : first + len(numbers)] = numbers
+
+
+def _new_phases(
+    group: h5py.Group, truth: Truth | StreamedTruth, compression: Compression
+) -> tuple[h5py.Dataset, h5py.Dataset] | None:
+    """Create empty basis volumes and fractions of all phases; None where there are none."""
+    if not truth.phases:
+        return None
+    count, shape = len(truth.phases), truth.grid.shape
+    data = new_group(group, "phases", "NXdata", signal="data", axes=("phase", "basis", "z", "y", "x"))
+    basis = new_frames(data, "data", (count, len(truth.basis_names), *shape), np.float32, "1/mm", compression)
+    fractions = new_frames(data, "fractions", (count, len(truth.material_names), *shape), np.uint16, None, compression)
+    fractions.attrs["scale"] = 1 / FRACTION_SCALE
+    put(data, "phase", np.arange(count, dtype=np.int32))
+    put(data, "basis", np.array(truth.basis_names, dtype=object))
+    for axis in "zyx":
+        put(data, axis, truth.grid.axis(axis), "mm")
+    return basis, fractions
+
+
+def _write_phases(
+    arrays: tuple[h5py.Dataset, h5py.Dataset] | None, first: int, slab: Truth, compression: Compression
+) -> None:
+    """Write some slices of the volumes of all phases."""
+    for phase, truth in enumerate(slab.phases):
+        assert arrays is not None
+        for dataset, values in zip(arrays, (truth.volumes, truth.fractions), strict=True):
+            _write_slices(dataset, (phase,), first, values, compression)
+
+
+def _write_slices(
+    dataset: h5py.Dataset, outer: tuple[int, ...], first: int, values: np.ndarray, compression: Compression
+) -> None:
+    """Write slices (part, z, row, column) behind outer indices, packed in parallel."""
+    places = list(np.ndindex(values.shape[:2]))
+    packed = run_parallel(lambda place: pack_image(values[place], compression), places)
+    for (part, z), image in zip(places, packed, strict=True):
+        write_image_at(dataset, (*outer, part, first + z), image)
 
 
 def _label_type(materials: tuple[str, ...]) -> type:

@@ -8,7 +8,6 @@ from jaxtyping import Float
 from phantomgen.dose.beam import ScanBeam
 from phantomgen.dose.run import JOULE, follow_scan, masses
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.ops.voxelize_shapes import fractions
 from phantomgen.scene.scan import Scan
 from spectra.errors import InputError
 
@@ -66,7 +65,7 @@ def dose_map(scan: Scan, photons: int, voxels: int, seed: int, title: str | None
     """
     grid, materials = resampled(scan.grid, voxels), scan.scene.materials
     beam = ScanBeam.of(scan)
-    filled = fractions(grid, scan.scene.solids, len(materials), background=scan.scene.background)
+    filled = scan.scene.fractions(grid)
     used = np.flatnonzero(filled.reshape(len(materials), -1).any(axis=1))
     if not len(used):
         raise InputError(f"the volume of {scan.name} holds no object that could take a dose")

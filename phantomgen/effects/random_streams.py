@@ -27,6 +27,7 @@ class Stream(IntEnum):
     DARK = 14
     DOSE = 15
     FLAT_DOSE = 16
+    SIGNAL = 17
 
 
 def philox_key(seed: int, stream: Stream, frame: int, channel: int) -> int:

@@ -37,6 +37,7 @@ class JitterModel(Model):
 
 Angles = Annotated[tuple[FiniteFloat, ...], Field(min_length=1)]
 Degrees = Annotated[PositiveFloat, Field(le=360)]
+SeveralTurns = Annotated[PositiveFloat, Field(le=36_000)]
 
 
 class DeflectionModel(Model):
@@ -54,7 +55,8 @@ Deflections = Annotated[tuple[DeflectionModel, ...], Field(min_length=1)]
 class CircularModel(Model):
     """Circular orbit: training views at start + i arc/views degrees, or at `angles`; test views between them.
 
-    Left out, `start` is 0 and `arc` 360; `arc: short` is half a turn and the fan. `flying_focal_spot` lists
+    Left out, `start` is 0 and `arc` 360; `arc: short` is half a turn and the fan; several turns take more than 360,
+    of use where objects move. `flying_focal_spot` lists
     deflections of the source that views take in turn, while the panel stays.
     """
 
@@ -63,7 +65,7 @@ class CircularModel(Model):
     sdd: Length
     views: Views | None = None
     angles: Angles | None = None
-    arc: Degrees | Literal["short"] | None = None
+    arc: SeveralTurns | Literal["short"] | None = None
     start: FiniteFloat | None = None
     test_views: Annotated[NonNegativeInt, Field(le=1_000_000)] = 0
     jitter: JitterModel | None = None

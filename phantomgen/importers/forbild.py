@@ -195,7 +195,7 @@ def _scan(name: str, body: str) -> str:
     """Distances, panel and volume that hold all objects."""
     trial = "geometry: {type: circular, sod: 1, sdd: 2, views: 1}\npanel: {rows: 1, columns: 1, pitch: 1}\n"
     file = SceneFile(f"{name}.yaml", f"{_head(name, name)}{trial}volume: {{voxels: 1, size: 1}}\n{body}")
-    corners = np.array([shape.bounds for shape, _ in objects_of(file)]).reshape(-1, 3)
+    corners = np.array([item.shape.bounds for item in objects_of(file)]).reshape(-1, 3)
     reach = np.abs(corners).max(axis=0)
     radius = float(np.hypot(reach[0], reach[1]))
     sod = 50.0 * ceil(max(500.0, 3.5 * radius, 3.5 * reach[2]) / 50)

@@ -27,12 +27,14 @@ class SceneGeometry(NamedTuple):
     true : simulated poses, in the frame of the sample
     nominal : poses given to a reconstructor; None where they equal the true ones
     sample : pose of the sample in each view, as matrices from its rest to there [mm]; None where it does not move
+    times : of the views, from 0 to 1
     splits : indices of the views in ``train``, ``test`` and ``val``
     """
 
     true: Geometry
     nominal: Geometry | None
     sample: Float[np.ndarray, "view 4 4"] | None
+    times: Float[np.ndarray, " view"]
     splits: Mapping[str, Int[np.ndarray, " _view"]]
 
 
@@ -70,7 +72,7 @@ def scene_geometry(file: SceneFile) -> SceneGeometry:
     if model.effects.motion is not None:
         poses = motion_of(model.effects.motion).poses(times, train, model.seed)
         true = seen_from_sample(true, poses)
-    return SceneGeometry(true, None if true is nominal else nominal, poses, splits)
+    return SceneGeometry(true, None if true is nominal else nominal, poses, times, splits)
 
 
 def panel_distance(scene: schema.SceneModel, what: str) -> float:

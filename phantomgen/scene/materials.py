@@ -1,6 +1,7 @@
 """Materials of a scene: compositions, coefficients, and what is mixed from other materials."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from phantomgen.scene import schema
 from phantomgen.scene.file.scene_file import Location, SceneFile, closest
@@ -10,7 +11,7 @@ from spectra.errors import InputError
 from spectra.materials.material import Material
 from spectra.materials.mixing import Part, dissolve, mix_by_mass, mix_by_volume
 
-_WAYS = ("composition", "coefficients", "mixture", "solution")
+_WAYS = ("composition", "coefficients", "mixture", "solution", "inflow")
 
 
 def check_material(file: SceneFile, name: str, place: Location) -> None:
@@ -73,7 +74,7 @@ def _resolve(file: SceneFile, name: str, outer: tuple[str, ...], found: dict[str
     if name not in found:
         model, place = file.model.materials[name], ("materials", name)
         if sum(getattr(model, way) is not None for way in _WAYS) != 1:
-            kinds = "a composition, coefficients, a mixture or a solution"
+            kinds = "a composition, coefficients, a mixture, a solution or an inflow"
             raise file.error(place, f"material {name!r} needs either {kinds}, and one of them only")
         with file.at(*place):
             found[name] = _made(file, name, model, (*outer, name), found)
@@ -96,6 +97,11 @@ def _made(
         solvent = part(model.solution.solvent, 0.0, "solution", "solvent")
         solutes = [part(key, c, "solution", "solutes", key) for key, c in model.solution.solutes.items()]
         return dissolve(name, solvent, solutes, model.density)
+    if model.inflow is not None:
+        rest = model.inflow.rest
+        if rest in file.model.materials and rest not in chain:  # also of coefficients, which are not mixed
+            return replace(_resolve(file, rest, chain, found), name=name)
+        return mix_by_volume(name, [part(rest, 1.0, "inflow", "rest")])
     return Material(name, model.density, model.composition, model.coefficients)
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +13,12 @@ from phantomgen.effects.tube_fluctuation import CurrentModulation
 from phantomgen.geometry.curved_panel import flat_modules
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.ops.solids import Solids
 from phantomgen.scene import schema
 from phantomgen.scene.basis import needed, scene_basis
 from phantomgen.scene.beam_profile import Profile
 from phantomgen.scene.detector import scene_dead_time, scene_detector
+from phantomgen.scene.dynamics.build import inflow_peaks, scene_dynamics
+from phantomgen.scene.dynamics.dynamics import Dynamics
 from phantomgen.scene.effects import scene_effects
 from phantomgen.scene.file.find_scene import find_scene
 from phantomgen.scene.file.scene_file import Overrides, SceneFile, closest
@@ -25,35 +26,15 @@ from phantomgen.scene.geometry import scene_geometry
 from phantomgen.scene.materials import check_material, scene_materials
 from phantomgen.scene.objects.build import ObjectContent, has_curves, objects_of
 from phantomgen.scene.objects.overlap import added_up
+from phantomgen.scene.scene_objects import SceneObjects
 from phantomgen.scene.source import beam_profile_of, modulation_of, source_fields, sources_of
-from phantomgen.shapes import Shape, solids_of
+from phantomgen.shapes import Shape
 from spectra.basis.basis import Basis
 from spectra.detector.dead_time import DeadTime
 from spectra.detector.detector import AnyDetector
 from spectra.detector.multi_source import MultiSource, added
 from spectra.materials.material import Material
 from spectra.source.source import Source
-
-
-@dataclass(frozen=True)
-class SceneObjects:
-    """Objects of a scene; later ones override earlier ones where they overlap.
-
-    Parameters
-    ----------
-    objects : shapes with the index of their material; voxel maps with those of their parts
-    materials : those that an object or the background consists of, in the order of the file, then those known by name
-    background : index of the material around the objects, -1 for vacuum
-    """
-
-    objects: tuple[tuple[Shape, int | tuple[int, ...]], ...]
-    materials: tuple[Material, ...]
-    background: int = -1
-
-    @cached_property
-    def solids(self) -> Solids:
-        """The objects as arrays for kernels."""
-        return solids_of(self.objects)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +63,7 @@ class Scan:
     file : the scene that it was read from, where smooth surfaces may become finer triangles; else None
     nominal : poses that a reconstructor is given; None where they are those of `geometry`, which are simulated
     sample_poses : where a sample that moves is in each view, as matrices [mm]; None where it rests
+    dynamics : objects that move and materials that change in time; None where all rest
     """
 
     name: str
@@ -107,6 +89,7 @@ class Scan:
     file: SceneFile | None = None
     nominal: Geometry | None = None
     sample_poses: Float[np.ndarray, "view 4 4"] | None = None
+    dynamics: Dynamics | None = None
 
     def __repr__(self) -> str:
         objects, channels = len(self.scene.objects), len(self.detector)
@@ -159,12 +142,48 @@ class Scan:
     def by_module(self) -> "Scan":
         """The scan with each module of a curved panel as a view of its own; itself where the panel is flat."""
         flat = flat_modules(self.geometry)
-        return self if flat is self.geometry else replace(self, geometry=flat)
+        if flat is self.geometry:
+            return self
+        time = None if self.dynamics is None else self.dynamics.by_module(self.geometry.panel.modules)
+        return replace(self, geometry=flat, dynamics=time)
+
+    def instant(self, view: int) -> "Scan":
+        """Return the scan with its objects where they are in the middle of a view's exposure.
+
+        Parameters
+        ----------
+        view : number of the view
+
+        Returns
+        -------
+        the scan without `dynamics`; itself where it has none
+        """
+        return self if self.dynamics is None else self.at_time(float(self.dynamics.times[view]))
+
+    def at_time(self, time: float) -> "Scan":
+        """Return the scan with its objects where they are at a time.
+
+        Parameters
+        ----------
+        time : [s]
+
+        Returns
+        -------
+        the scan without `dynamics`; itself where it has none
+        """
+        return self if self.dynamics is None else _at_time(self, time)
 
     @property
     def scheme(self) -> str:
         """Name of the split of views, such as ``sparse75``."""
         return f"sparse{len(self.splits['train'])}"
+
+
+@lru_cache(maxsize=4)
+def _at_time(scan: Scan, time: float) -> Scan:
+    """A scan at one instant, kept for as long as a few others are not asked for."""
+    assert scan.dynamics is not None
+    return replace(scan, scene=scan.dynamics.at(scan.scene, time), dynamics=None)
 
 
 def load_scene(scene: str | Path | SceneFile, overrides: Overrides = ()) -> Scan:
@@ -186,14 +205,18 @@ def load_scene(scene: str | Path | SceneFile, overrides: Overrides = ()) -> Scan
     """
     file = scene.changed(overrides) if isinstance(scene, SceneFile) else find_scene(scene).changed(overrides)
     model = file.model
-    objects = objects_of(file)
+    built = objects_of(file)
+    objects: list[tuple[Shape, ObjectContent]] = [(item.shape, item.content) for item in built]
     source, detector = _source_and_detector(file)
     background = _background(file)
     if model.overlap == "add":
+        if model.time is not None:
+            raise file.error(("time",), "objects that add up cannot move or change: use 'overlap: replace'")
         objects, materials = added_up(file, objects)
         filled = _material_names(objects, background)
     else:
         filled = _material_names(objects, background)
+        filled += inflow_peaks(file, filled)
         materials = scene_materials(file, filled)
     used = [name for name in materials if name in filled]
     basis = scene_basis(file, materials, used, source, detector)
@@ -227,6 +250,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Overrides = ()) -> Scan
         file=file if model.tessellation == "auto" and has_curves(file) else None,
         nominal=geometry.nominal,
         sample_poses=geometry.sample,
+        dynamics=scene_dynamics(file, geometry.times, tuple(item.motions for item in built), used),
     )
 
 

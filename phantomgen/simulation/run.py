@@ -20,12 +20,14 @@ from phantomgen.simulation.forward_model.energy_grids import (
 from phantomgen.simulation.forward_model.fingerprint import identity
 from phantomgen.simulation.forward_model.frames import Views
 from phantomgen.simulation.forward_model.truth import streamed_truth
+from phantomgen.simulation.forward_model.view_times import view_times
 from phantomgen.simulation.options import SimulationOptions
 from phantomgen.simulation.planning.make_plan import make_plan
 from phantomgen.simulation.planning.plan import TOLERANCE
 from phantomgen.simulation.projection_cache.cache import CacheWriter, usable
 from phantomgen.simulation.summary import Summary
 from phantomgen.simulation.write_frames import compute_frames, write_frames
+from spectra.errors import InputError
 
 
 def simulate(scan: Scan, out: Path | str, **options: Any) -> Summary:
@@ -54,6 +56,8 @@ def simulate(scan: Scan, out: Path | str, **options: Any) -> Summary:
 
 def _simulate(scan: Scan, out: Path | str, options: SimulationOptions) -> Summary:
     """Simulate a scan and write its dataset."""
+    if scan.dynamics is not None and (options.keep_paths or options.paths is not None):
+        raise InputError("projections of a scene with `time` are not kept: leave out --keep paths and --paths")
     kept = None if options.paths is None else usable(options.paths, scan, out, options.keep_paths)
     check_collisions(scan)
     watch = Stopwatch(options.on_stage)
@@ -90,6 +94,8 @@ def _simulate(scan: Scan, out: Path | str, options: SimulationOptions) -> Summar
             with watch("truth"):
                 filled = None if kept is None else kept.fractions(scan)
                 writer.write_truth(streamed_truth(scan, filled), scan.scene.materials)
+                if scan.dynamics is not None:
+                    writer.write_time(*view_times(scan.dynamics))
                 if scan.nominal is not None:
                     writer.write_true_geometry(scan.geometry, scan.sample_poses)
             with watch("check"):

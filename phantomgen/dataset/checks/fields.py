@@ -1,7 +1,8 @@
 """The format of a dataset as one table, by which arrays are checked and which `phantomgen schema` prints.
 
 Letters are sizes: V views, C channels, R rows, K columns, E energy bins, M basis functions, P absorbers of the beam
-profile, F flats, D darks, S materials. The first array that has a letter says how large it is.
+profile, F flats, D darks, S materials, G
+cycles, N signals, Q phases. The first array that has a letter says how large it is.
 """
 
 from collections.abc import Iterator
@@ -109,6 +110,11 @@ ENTRY = (
         optional=True,
     ),
     Field("/entry/exposure/scale", "real", "V | V,C", "", "tube output, 0 where a channel has no such view", 0, _MANY),
+    Field("/entry/time/time", "real", "V", "s", "of each view", -_MANY, _MANY, optional=True),
+    Field("/entry/time/phase", "whole", "V", "", "of each view, from 0", 0, 1e6, optional=True),
+    Field("/entry/time/phases", "whole", "", "", "number of phases", 1, 1e6, optional=True),
+    Field("/entry/time/cycle_name", "text", "G", "", "breathing, heartbeat ...", optional=True),
+    Field("/entry/time/cycle", "real", "G,V", "", "position in each cycle", 0, 1, optional=True),
     Field("/entry/splits/<scheme>/train", "whole", "*", "", "views; @default names the scheme", 0, 1e9),
     Field("/entry/splits/<scheme>/test", "whole", "*", "", "views", 0, 1e9),
     Field("/entry/splits/<scheme>/val", "whole", "*", "", "views", 0, 1e9),
@@ -133,6 +139,11 @@ TRUTH = (
     Field("/truth/fractions", "whole", "S,z,y,x", "", "65535 is the whole voxel", large=True),
     Field("/truth/labels", "whole", "z,y,x", "", "0 background, i + 1 material i", optional=True, large=True),
     Field("/truth/expected", "real", "V,C,R,K", "counts", "without noise", optional=True, large=True),
+    Field("/truth/phases/data", "real", "Q,M,z,y,x", "1/mm", "basis volumes of each phase; /truth/basis is their mean",
+          optional=True, large=True),
+    Field("/truth/phases/fractions", "whole", "Q,S,z,y,x", "", "65535 is the whole voxel", optional=True, large=True),
+    Field("/truth/time/signal_name", "text", "N", "", "what drives objects and materials", optional=True),
+    Field("/truth/time/signal", "real", "N,V", "", "its value at each view", -_MANY, _MANY, optional=True),
     Field("/truth/motion/pose", "real", "V,4,4", "mm", "from the sample at rest to where it was", -_FAR, _FAR,
           optional=True),
 )  # fmt: skip

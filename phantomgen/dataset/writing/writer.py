@@ -6,7 +6,7 @@ What takes long is computed before, and kept by `phantomgen.dataset.writing.fram
 import json
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,8 @@ from phantomgen.dataset.geometry import write_geometry
 from phantomgen.dataset.layout import SCHEMA, SCHEMA_VERSION, new_frames, new_group, put, put_note
 from phantomgen.dataset.pixel_mask import write_mask
 from phantomgen.dataset.spectral_model import Spectra
+from phantomgen.dataset.time.true_phases import write_signals
+from phantomgen.dataset.time.view_times import ViewTimes, write_view_times
 from phantomgen.dataset.true_poses import write_true_geometry
 from phantomgen.dataset.truth import StreamedTruth, Truth, truth_group, write_grid, write_truth
 from phantomgen.dataset.writing.nxtomo import write_aliases
@@ -226,6 +228,17 @@ class DatasetWriter:
         materials : the materials
         """
         write_truth(self.file, truth, materials, self.compression)
+
+    def write_time(self, times: ViewTimes, signals: Mapping[str, Float[np.ndarray, " view"]]) -> None:
+        """Write the times of the views, and the signals that drove the objects.
+
+        Parameters
+        ----------
+        times : of the views
+        signals : value at each view, by name
+        """
+        write_view_times(group_at(self.file, "entry"), times)
+        write_signals(truth_group(self.file), signals)
 
     def write_plan(self, text: str) -> None:
         """Write the plan of the simulation and its errors as JSON.

@@ -4,12 +4,14 @@ from collections.abc import Iterator
 from itertools import product
 from math import prod, radians
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from phantomgen.scene import schema
+from phantomgen.scene.dynamics.object_motion import Motions, ObjectMotion
 from phantomgen.scene.file.random_values import MOST_OBJECTS
-from phantomgen.scene.file.scene_file import Location, SceneFile
+from phantomgen.scene.file.scene_file import Location, SceneFile, closest
 from phantomgen.scene.materials import check_material
 from phantomgen.scene.objects.voxel_maps import voxels_of
 from phantomgen.shapes import (
@@ -38,8 +40,30 @@ from phantomgen.shapes import (
 ObjectContent = str | tuple[str, ...]
 
 
-def objects_of(file: SceneFile) -> list[tuple[Shape, ObjectContent]]:
-    """Create shapes with the names of their materials, lowest priority first, groups and patterns resolved.
+class BuiltObject(NamedTuple):
+    """An object as it is at rest, and how it moves.
+
+    Parameters
+    ----------
+    shape : at rest
+    content : name of its material; of a voxel map those of its parts
+    motions : its own and those of its groups; none where it rests
+    """
+
+    shape: Shape
+    content: ObjectContent
+    motions: Motions = ()
+
+    def placed(self, matrix: np.ndarray, offset: np.ndarray) -> "BuiltObject":
+        """Return the object, and its motions with it, where every point x is at ``matrix @ x + offset``."""
+        frame = np.eye(4)
+        frame[:3, :3], frame[:3, 3] = matrix, offset
+        motions = tuple(motion.within(frame) for motion in self.motions)
+        return BuiltObject(Placed(self.shape, matrix, offset), self.content, motions)
+
+
+def objects_of(file: SceneFile) -> list[BuiltObject]:
+    """Create the objects, lowest priority first, groups and patterns resolved.
 
     Parameters
     ----------
@@ -47,7 +71,7 @@ def objects_of(file: SceneFile) -> list[tuple[Shape, ObjectContent]]:
 
     Returns
     -------
-    pairs of a shape and the name of its material, or the names of a voxel map's materials
+    the objects
 
     Raises
     ------
@@ -82,7 +106,7 @@ def _count(model: schema.ObjectModel) -> int:
 
 def _members(
     file: SceneFile, models: tuple[schema.ObjectModel, ...], where: Location
-) -> Iterator[tuple[Shape, ObjectContent]]:
+) -> Iterator[BuiltObject]:
     """Objects of the scene or of a group."""
     for i, model in enumerate(models):
         place = (*where, i)
@@ -92,20 +116,52 @@ def _members(
             _refuse_material(file, model, place)
             shape, materials = voxels_of(file, model, place)
             with file.at(*place):
-                found = [(_clipped(shape, model), materials)]
+                found = [BuiltObject(_clipped(shape, model), materials)]
         else:
-            found = [(_shape(file, model, place), _material(file, model, place))]
+            found = [BuiltObject(_shape(file, model, place), _material(file, model, place))]
+        if model.motion is not None:
+            motion = _motion(file, model.motion, _center(model, found), place)
+            found = [item._replace(motions=(*item.motions, motion)) for item in found]
         for copy in _copies(model):
-            yield from ((copy(shape), material) for shape, material in found)
+            yield from map(copy, found)
 
 
-def _group(file: SceneFile, model: schema.GroupModel, where: Location) -> Iterator[tuple[Shape, ObjectContent]]:
+def _center(model: schema.ObjectModel, found: list[BuiltObject]) -> schema.Vector:
+    """Centre of an object; of a voxel map without one, the middle of its bounds."""
+    if model.center is not None:
+        return model.center
+    low, high = found[0].shape.bounds
+    x, y, z = ((low + high) / 2).tolist()
+    return x, y, z
+
+
+def _motion(
+    file: SceneFile, model: schema.ObjectMotionModel, center: schema.Vector, where: Location
+) -> ObjectMotion:
+    """The motion of an object."""
+    signals = {} if file.model.time is None else file.model.time.signals
+    if model.signal not in signals:
+        hint = closest(model.signal, signals) if signals else ": give it below time.signals"
+        raise file.error((*where, "motion", "signal"), f"there is no signal {model.signal!r}{hint}")
+    x, y, z = np.broadcast_to(np.asarray(model.scale, dtype=np.float64), 3).tolist()
+    return ObjectMotion(
+        signal=model.signal,
+        pivot=center if model.pivot is None else model.pivot,
+        shift=model.shift,
+        rotation=_radians(model.rotation),
+        scale=(x, y, z),
+        path=model.path or (),
+    )
+
+
+def _group(file: SceneFile, model: schema.GroupModel, where: Location) -> Iterator[BuiltObject]:
     """Members of a group where they belong."""
     _refuse_material(file, model, where)
     scale = np.broadcast_to(np.asarray(model.scale, dtype=np.float64), 3)
     matrix = rotation_matrix(_radians(model.rotation)) * scale
-    for shape, material in _members(file, model.objects, (*where, "objects")):
-        yield _clipped(Placed(shape, matrix, np.asarray(model.center)), model), material
+    for member in _members(file, model.objects, (*where, "objects")):
+        placed = member.placed(matrix, np.asarray(model.center))
+        yield placed._replace(shape=_clipped(placed.shape, model))
 
 
 def _material(file: SceneFile, model: schema.ObjectModel, where: Location) -> str:
@@ -165,7 +221,10 @@ def _part(file: SceneFile, model: schema.ObjectModel, where: Location) -> Shape:
     if isinstance(model, schema.VoxelsModel):
         raise file.error((*where, "type"), "voxels cannot be combined with shapes: they bring materials of their own")
     _refuse_material(file, model, where)
-    copies = [copy(_shape(file, model, where)) for copy in _copies(model)]
+    if model.motion is not None:
+        raise file.error((*where, "motion"), "belongs to the whole object, or to the members of a group")
+    whole = BuiltObject(_shape(file, model, where), "")
+    copies = [copy(whole).shape for copy in _copies(model)]
     return copies[0] if len(copies) == 1 else Union(tuple(copies))
 
 
@@ -233,17 +292,17 @@ def _clipped(shape: Shape, model: schema.ObjectModel) -> Shape:
 
 
 def _copies(model: schema.ObjectModel):
-    """Functions that put a shape at each place of the model's pattern."""
+    """Functions that put an object at each place of the model's pattern."""
     pattern = model.repeat
     if pattern is None:
-        return [lambda shape: shape]
+        return [lambda item: item]
     if isinstance(pattern, schema.RingModel):
         turns = [rotation_matrix((0.0, 0.0, 2 * np.pi * i / pattern.count)) for i in range(pattern.count)]
-        return [lambda shape, turn=turn: Placed(shape, turn, np.zeros(3)) for turn in turns]
+        return [lambda item, turn=turn: item.placed(turn, np.zeros(3)) for turn in turns]
     places = product(
         *((np.arange(n) - (n - 1) / 2) * step for n, step in zip(pattern.count, pattern.step, strict=True))
     )
-    return (lambda shape, place=place: Placed(shape, np.eye(3), np.array(place)) for place in places)
+    return (lambda item, place=place: item.placed(np.eye(3), np.array(place)) for place in places)
 
 
 def _radians(degrees: schema.Vector) -> schema.Vector:

@@ -30,6 +30,18 @@ from phantomgen.scene.schema.detectors import (
     PhotonCountingModel,
     ResponseMatrixModel,
 )
+from phantomgen.scene.schema.dynamics import (
+    CardiacSignalModel,
+    GammaVariateSignalModel,
+    InflowModel,
+    ObjectMotionModel,
+    PhasesModel,
+    RespiratorySignalModel,
+    SignalModel,
+    SineSignalModel,
+    TableSignalModel,
+    TimeModel,
+)
 from phantomgen.scene.schema.effects import (
     ApertureModel,
     ComptonScatterModel,
@@ -95,6 +107,7 @@ __all__ = [
     "BowtieModel",
     "BoxModel",
     "CapsuleModel",
+    "CardiacSignalModel",
     "ChargeSharingModel",
     "CircularModel",
     "CombinedModel",
@@ -117,9 +130,11 @@ __all__ = [
     "FocalSpotModel",
     "FunctionModel",
     "GainModel",
+    "GammaVariateSignalModel",
     "GridModel",
     "GroupModel",
     "HelicalModel",
+    "InflowModel",
     "JitterModel",
     "KernelScatterModel",
     "LagModel",
@@ -134,11 +149,13 @@ __all__ = [
     "MotionModel",
     "MultiSourceModel",
     "ObjectModel",
+    "ObjectMotionModel",
     "OffsetModel",
     "OneSourceModel",
     "OrbitModel",
     "PanelModel",
     "ParallelModel",
+    "PhasesModel",
     "PhotonCountingModel",
     "PlainFunctionModel",
     "PlaneModel",
@@ -146,11 +163,14 @@ __all__ = [
     "PosesModel",
     "RandomWalkModel",
     "RepeatModel",
+    "RespiratorySignalModel",
     "ResponseMatrixModel",
     "RingModel",
     "ScatterModel",
     "SceneModel",
     "ShapeModel",
+    "SignalModel",
+    "SineSignalModel",
     "SinusoidModel",
     "SolutionModel",
     "SourceModel",
@@ -158,7 +178,9 @@ __all__ = [
     "SvdFunctionsModel",
     "SweepModel",
     "TableModel",
+    "TableSignalModel",
     "TiltModel",
+    "TimeModel",
     "TorusModel",
     "TubeModel",
     "TubeOutputModel",
@@ -187,6 +209,7 @@ class SceneModel(Model):
     panel: PanelModel
     volume: VolumeModel
     effects: EffectsModel = EffectsModel()
+    time: TimeModel | None = None
     basis: tuple[FunctionModel, ...] | None = None
     materials: dict[str, MaterialModel] = Field(default_factory=dict)
     objects: Annotated[tuple[ShapeModel, ...], Field(min_length=1)]

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, FiniteFloat, PositiveFloat
 
 from phantomgen.scene.schema.base import Composition, Model, NonNegative
+from phantomgen.scene.schema.dynamics import InflowModel
 
 
 class MixtureModel(Model):
@@ -22,7 +23,7 @@ class SolutionModel(Model):
 
 
 class MaterialModel(Model):
-    """One of: composition (formula, name or mass fractions), mixture, solution, or basis coefficients [1/mm].
+    """One of: composition (formula, name or mass fractions), mixture, solution, basis coefficients [1/mm], or inflow.
 
     The density [g/cm^3] is needed for formulas and mass fractions; that of mixtures and solutions follows from their
     parts where it is left out. Coefficients may be negative where objects add up.
@@ -33,3 +34,4 @@ class MaterialModel(Model):
     coefficients: dict[str, FiniteFloat] | None = None
     mixture: MixtureModel | None = None
     solution: SolutionModel | None = None
+    inflow: InflowModel | None = None

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, FiniteFloat, PositiveFloat, PositiveInt
 
 from phantomgen.scene.schema.base import Model, NonNegative, Size, Vector
+from phantomgen.scene.schema.dynamics import ObjectMotionModel
 
 Copies = Annotated[PositiveInt, Field(le=100_000)]
 
@@ -35,7 +36,7 @@ RepeatModel = Annotated[GridModel | RingModel, Field(discriminator="type")]
 
 
 class ObjectModel(Model):
-    """Common keys: the name of a material, the centre (x, y, z) [mm], planes that cut, and a pattern of copies.
+    """Common keys: material, centre (x, y, z) [mm], planes that cut, a pattern of copies, and motion in time.
 
     Objects and members of groups need a material; shapes that others are combined from have none.
     """
@@ -44,6 +45,7 @@ class ObjectModel(Model):
     center: Vector = (0.0, 0.0, 0.0)
     clip: tuple[PlaneModel, ...] = ()
     repeat: RepeatModel | None = None
+    motion: ObjectMotionModel | None = None
 
 
 class SphereModel(ObjectModel):

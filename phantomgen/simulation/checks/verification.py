@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from phantomgen.ops.expected_counts import CROSSED, VOXELS, Sampling, expected_counts, expected_counts_by_grid
-from phantomgen.ops.trace import trace
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.checks.reference_rays import log_errors
 from phantomgen.simulation.forward_model.discretization import Settings
@@ -166,7 +165,7 @@ def _edge_errors(
     primary: Primary | None = None,
 ) -> Errors:
     """Errors of all edge pixels of a view of `Scan.by_module`, or of `count` of them."""
-    whole, scan = scan, scan.by_module
+    whole, scan = scan, scan.by_module.instant(view)
     frame, panel = scan.geometry[[view]].ray_frames()[0], scan.geometry.panel
     beam = scan.scene.solids, spectrum_of(scan, transmission, view), scan.scene.background
     found = expected_counts(frame, panel.rows, panel.columns, *beam, settings.sampling(scan.aperture))
@@ -221,7 +220,7 @@ def _ray_errors(scan: Scan, transmission: Transmission, count: int, rng: np.rand
     frame = frames[view]
     column, row = rng.uniform(-0.5, panel.columns - 0.5, count), rng.uniform(-0.5, panel.rows - 0.5, count)
     directions = frame[:, 1] + column[:, None] * frame[:, 2] + row[:, None] * frame[:, 3]
-    lengths = trace(frame[:, 0], directions, scan.scene.solids, len(scan.scene.materials), scan.scene.background)
+    lengths = _path_lengths(scan.by_module, view, frame[:, 0], directions)
     met = lengths.any(axis=1)
     pixels = np.rint(np.stack([row[met], column[met]], axis=1)).astype(int)
     pixels[:, 1] += (view[met] % scan.geometry.panel.modules) * panel.columns
@@ -229,6 +228,19 @@ def _ray_errors(scan: Scan, transmission: Transmission, count: int, rng: np.rand
     exact = fine_transmission(scan, step=STEP / FINER)
     left, wanted = (t.expected(lengths) / _level(scan, t, pixels) for t in (transmission, exact))
     return log_errors(left, wanted).ravel()
+
+
+def _path_lengths(
+    scan: Scan, view: Int[np.ndarray, " ray"], origins: Float[np.ndarray, "ray 3"], directions: Float[np.ndarray, "ray 3"]
+) -> Float[np.ndarray, "ray material"]:
+    """Path lengths of rays, each with the objects where they are in its view [mm]."""
+    if scan.dynamics is None:
+        return scan.scene.path_lengths(origins, directions)
+    lengths = np.empty((len(view), len(scan.scene.materials)))
+    for number in np.unique(view).tolist():
+        own = view == number
+        lengths[own] = scan.instant(number).scene.path_lengths(origins[own], directions[own])
+    return lengths
 
 
 def _beside_profile(

@@ -43,7 +43,25 @@ def _expected_module(
     middle: Float[np.ndarray, "4 3"],
     settings: Settings,
 ) -> Groups:
-    """Expected signals of one module, whose focal spot lies along the steps of `middle`."""
+    """Expected signals of one module, averaged over the exposure where objects move or change in it."""
+    if scan.dynamics is None:
+        return _expected_instant(scan, transmission, view, frame, middle, settings)
+    total = np.zeros(())
+    for time, weight in zip(scan.dynamics.instants(view), scan.dynamics.weights, strict=True):
+        still = scan.at_time(float(time))
+        total = total + weight * _expected_instant(still, transmission, view, frame, middle, settings)
+    return total
+
+
+def _expected_instant(
+    scan: Scan,
+    transmission: Transmission,
+    view: int,
+    frame: Float[np.ndarray, "4 3"],
+    middle: Float[np.ndarray, "4 3"],
+    settings: Settings,
+) -> Groups:
+    """Expected signals of one module at one instant, whose focal spot lies along the steps of `middle`."""
     spot = scan.effects.focal_spot
     if spot is None:
         return exposed_frame(scan, transmission, view, frame, settings)
@@ -82,7 +100,7 @@ def spectrum_of(scan: Scan, transmission: Transmission, view: int = 0) -> Spectr
 
     Parameters
     ----------
-    scan : what is simulated
+    scan : what is simulated, at one instant
     transmission : path lengths to signals
     view : number of the view
 
@@ -90,7 +108,10 @@ def spectrum_of(scan: Scan, transmission: Transmission, view: int = 0) -> Spectr
     -------
     the energies, with the profile of the beam
     """
-    return Spectrum(transmission.columns, transmission.weights, transmission.starts, scan.view_profile(view))
+    columns, mixing = transmission.columns, scan.scene.mixing
+    if mixing is not None:
+        columns = np.concatenate([mixing @ columns[: len(mixing)], columns[len(mixing) :]])
+    return Spectrum(columns, transmission.weights, transmission.starts, scan.view_profile(view))
 
 
 def open_beam(scan: Scan, transmission: Transmission) -> Groups:

@@ -1,5 +1,6 @@
 """Rays through objects of a scan, and how long their paths are."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -7,8 +8,8 @@ from jaxtyping import Float
 
 from phantomgen.geometry.curved_panel import on_panel
 from phantomgen.ops.primitives import BALL, CONE, CYLINDER, HALFSPACE, TORUS
-from phantomgen.ops.trace import trace
-from phantomgen.scene.scan import Scan, SceneObjects
+from phantomgen.scene.scan import Scan
+from phantomgen.scene.scene_objects import SceneObjects
 from phantomgen.shapes import Part, Shape
 
 # Points of each object that sampled rays pass through.
@@ -21,6 +22,8 @@ _MANY = 64
 _RAYS = 20_000
 # Other scenes are sampled in as many views as give no more rays than this.
 _MOST_RAYS = 150_000
+# Of scenes that change in time, so many views are sampled.
+_INSTANTS = 24
 
 
 @lru_cache(maxsize=1)
@@ -37,6 +40,14 @@ def sampled_lengths(scan: Scan) -> Float[np.ndarray, "ray material"]:
     -------
     path lengths [mm], (ray, material)
     """
+    if scan.dynamics is not None:
+        views = np.unique(np.linspace(0, len(scan.geometry) - 1, _INSTANTS).round().astype(int))
+        return np.concatenate([_lengths(replace(scan.instant(v), geometry=scan.geometry[[v]])) for v in views.tolist()])
+    return _lengths(scan)
+
+
+def _lengths(scan: Scan) -> Float[np.ndarray, "ray material"]:
+    """Path lengths of rays through objects that rest [mm]."""
     objects, geometry = scan.scene.objects, scan.geometry
     many = len(objects) > _MANY
     picked = _largest(scan.scene) if many else range(len(objects))
@@ -47,7 +58,7 @@ def sampled_lengths(scan: Scan) -> Float[np.ndarray, "ray material"]:
     in_front = depth > 1e-6
     directions = to_target[in_front] / depth[in_front][:, None]
     origins = np.broadcast_to(geometry.source[:, None], to_target.shape)[in_front]
-    return trace(origins, directions, scan.scene.solids, len(scan.scene.materials), scan.scene.background)
+    return scan.scene.path_lengths(origins, directions)
 
 
 def _largest(scene: SceneObjects) -> list[int]:

@@ -14,8 +14,6 @@ from phantomgen.geometry.curved_panel import pixel_areas, ray_directions
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.compton import scattered_to
 from phantomgen.ops.compton.inputs import Energies, Points
-from phantomgen.ops.trace import trace
-from phantomgen.ops.voxelize_shapes import fractions
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.forward_model.discretization import Settings
 from phantomgen.simulation.forward_model.exposure import Exposure, Groups
@@ -50,7 +48,10 @@ def scatter_of(scan: Scan, exposure: Exposure, settings: Settings, first: Groups
     if isinstance(model, ScatterKernel):
         strength = model.strength(first, air, panel) * (1.0 if grid is None else grid.scatter / grid.primary)
         return lambda _, primary: strength * model.spread(primary, air, panel)
-    single, passing = SingleScatter.of(scan, exposure, settings), 1.0 if grid is None else grid.scatter
+    passing = 1.0 if grid is None else grid.scatter
+    if scan.dynamics is not None:
+        return lambda view, _: passing * SingleScatter.of(scan.instant(view), exposure, settings).view(view)
+    single = SingleScatter.of(scan, exposure, settings)
     return lambda view, _: passing * single.view(view)
 
 
@@ -171,8 +172,7 @@ class SingleScatter:
         self, origins: Float[np.ndarray, "ray 3"], directions: Float[np.ndarray, "ray 3"]
     ) -> Float[np.ndarray, "ray material"]:
         """Path lengths in the materials [mm]."""
-        scene = self.scan.scene
-        return trace(origins, directions, scene.solids, len(scene.materials), scene.background)
+        return self.scan.scene.path_lengths(origins, directions)
 
 
 def _electrons(scan: Scan, cells: int) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, " point"]]:
@@ -182,7 +182,7 @@ def _electrons(scan: Scan, cells: int) -> tuple[Float[np.ndarray, "point 3"], Fl
     spacing = size / count
     first = np.array(scan.grid.origin) - np.array(scan.grid.spacing) / 2 + spacing / 2
     grid = Grid((count, count, count), tuple(spacing.tolist()), tuple(first.tolist()))
-    filled = fractions(grid, scene.solids, len(scene.materials), background=scene.background)
+    filled = scene.fractions(grid)
     densities = [electron_density(m, scan.basis) for m in scene.materials]
     rng = generator(0, Stream.SCATTER, 0, 0)
     return scatterers(np.tensordot(densities, filled, axes=1), grid, cells, rng)

@@ -5,7 +5,6 @@ from jaxtyping import Float
 
 from phantomgen.effects.random_streams import Stream
 from phantomgen.geometry.curved_panel import ray_directions
-from phantomgen.ops.trace import trace
 from phantomgen.scene.scan import Scan
 from spectra.transmission import Transmission
 
@@ -63,7 +62,7 @@ def attenuation(scan: Scan, transmission: Transmission) -> Float[np.ndarray, " v
         rays = ray_directions(one, columns, rows)[0].reshape(-1, 3)
         starts = np.broadcast_to(one.source, rays.shape)
         lengths = np.zeros((len(rays), count))  # those of a beam profile stay 0
-        lengths[:, :materials] = trace(starts, rays, scan.scene.solids, materials, scan.scene.background)
+        lengths[:, :materials] = scan.instant(view).scene.path_lengths(starts, rays)
         signal = transmission.expected(lengths).sum(axis=-1).reshape(len(rows), len(columns)).mean(axis=0)
         found[view] = np.log(transmission.open_beam.sum() / max(signal.min(), np.finfo(float).tiny))
     return found

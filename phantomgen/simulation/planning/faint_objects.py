@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float
 
 from phantomgen.ops.expected_counts import CROSSED
-from phantomgen.ops.trace import trace
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.forward_model.discretization import RULE_LADDER, Settings
 from phantomgen.simulation.forward_model.sampled_rays import points_of
@@ -104,6 +103,7 @@ class FaintObjects:
         the objects
         """
         part, found = tolerance / FAINT, []
+        scan = scan.instant(len(scan.geometry) // 2)  # objects that move are judged where they are then
         surfaces = scan.scene.solids.surfaces
         few = surfaces is None or len(surfaces.triangles) <= _MOST_TRIANGLES
         if part < 1 and few and len(scan.scene.objects) <= _MOST_OBJECTS:
@@ -149,8 +149,7 @@ def _signals(scan: Scan, transmission: Transmission) -> Iterator[tuple[float, in
         directions = (targets - frames[:, 0])[front] / pixels[front, :1]
         counts = []
         for one in (without(scan, i), scan):
-            scene = one.scene
-            lengths = trace(frames[front, 0], directions, scene.solids, len(scene.materials), scene.background)
+            lengths = one.scene.path_lengths(frames[front, 0], directions)
             if scan.profile is not None:
                 lengths = np.hstack([lengths, np.zeros((len(lengths), len(scan.profile.names)))])
             counts.append(transmission.expected(lengths))

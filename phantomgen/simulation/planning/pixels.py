@@ -286,6 +286,7 @@ def _brute(
     scan: Scan, transmission: Transmission, window: Window, pixels: Int[np.ndarray, "pixel 2"], rays: int
 ) -> Float[np.ndarray, "pixel channel"]:
     """Counts of pixels from a grid of rays."""
+    scan = scan.by_module.instant(window.view)
     scene, spectrum = scan.scene, spectrum_of(scan, transmission)._replace(profile=window.profile)
 
     def expose_part(frame: Frame, aperture: tuple[float, float], n: int) -> Float[np.ndarray, "pixel channel"]:

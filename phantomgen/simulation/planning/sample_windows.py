@@ -31,12 +31,14 @@ class Window:
 
     Parameters
     ----------
+    view : number of the view in the scan with a flat panel
     frame : of the part
     size : rows and columns
     classes : of the pixels
     profile : lengths in the beam's profile, or None
     """
 
+    view: int
     frame: Frame
     size: tuple[int, int]
     classes: UInt8[np.ndarray, "row column"]
@@ -110,6 +112,7 @@ def exposed(scan: Scan, transmission: Transmission, window: Window, settings: Se
     -------
     counts and numbers of rays
     """
+    scan = scan.by_module.instant(window.view)
     spectrum = spectrum_of(scan, transmission)._replace(profile=window.profile)
     scene, sampling = scan.scene, settings.sampling(scan.aperture)
     return expected_counts(window.frame, *window.size, scene.solids, spectrum, scene.background, sampling)
@@ -148,7 +151,8 @@ def whole(scan: Scan, view: int) -> Window:
     """
     panel = scan.geometry.panel
     size = (panel.rows, panel.columns)
-    return Window(scan.geometry.ray_frames()[view], size, np.empty((0, 0), np.uint8), scan.view_profile(view))
+    frame, unknown = scan.geometry.ray_frames()[view], np.empty((0, 0), np.uint8)
+    return Window(view, frame, size, unknown, scan.view_profile(view))
 
 
 def around(scan: Scan, view: int, classes: UInt8[np.ndarray, "row column"], row: int, column: int) -> Window:
@@ -173,7 +177,7 @@ def around(scan: Scan, view: int, classes: UInt8[np.ndarray, "row column"], row:
     frame[1] += left * frame[2] + top * frame[3]
     lengths = scan.view_profile(view)
     profile = None if lengths is None else np.ascontiguousarray(lengths[:, *part])
-    return Window(frame, size, classes[part], profile)
+    return Window(view, frame, size, classes[part], profile)
 
 
 def _corner(scan: Scan, row: int, column: int) -> tuple[int, int]:

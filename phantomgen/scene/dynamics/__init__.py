@@ -1,0 +1,1 @@
+"""Time of a scene: signals, objects that move, materials that change."""

@@ -1,0 +1,149 @@
+"""The time of a scene file: signals, materials that change, and phases."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from phantomgen.scene import schema
+from phantomgen.scene.dynamics.dynamics import Dynamics, Inflow, Phases
+from phantomgen.scene.dynamics.object_motion import Motions
+from phantomgen.scene.dynamics.signals import Cardiac, GammaVariate, Respiratory, Signal, Sine, Table
+from phantomgen.scene.file.scene_file import SceneFile, closest
+
+# Signals are tried at so many times of the scan.
+_TRIED = 1001
+
+
+def scene_dynamics(
+    file: SceneFile, times: Float[np.ndarray, " view"], motions: tuple[Motions, ...], materials: Sequence[str]
+) -> Dynamics | None:
+    """Create the time of a scene.
+
+    Parameters
+    ----------
+    file : the scene file
+    times : of the views, from 0 to 1
+    motions : of each object
+    materials : names of the materials, in the order of their indices
+
+    Returns
+    -------
+    the time; None where the scene has none
+
+    Raises
+    ------
+    SceneError
+        Where a signal is unknown or impossible, where an inflow leaves the range from 0 to 1, or where views are
+        divided by a signal that does not repeat.
+    """
+    model = file.model.time
+    if model is None:
+        return None
+    signals = {}
+    for number, (name, signal) in enumerate(model.signals.items()):
+        with file.at("time", "signals", name):
+            signals[name] = _signal(signal, file.model.seed + number)
+    dynamics = Dynamics(
+        times=times * model.duration,
+        duration=model.duration,
+        signals=signals,
+        motions=motions,
+        inflows=tuple(_inflows(file, signals, materials, model.duration)),
+        phases=None if model.phases is None else _phases(file, model.phases, signals),
+        exposure=model.exposure,
+    )
+    lacking = _empty_phases(dynamics)
+    if lacking:
+        raise file.error(
+            ("time", "phases", "count"),
+            f"phases {', '.join(map(str, lacking))} hold no view: give fewer phases or more views",
+        )
+    return dynamics
+
+
+def inflow_peaks(file: SceneFile, names: Sequence[str]) -> list[str]:
+    """Return the materials that those of objects become.
+
+    Parameters
+    ----------
+    file : the scene file
+    names : materials of objects
+
+    Returns
+    -------
+    names of further materials
+
+    Raises
+    ------
+    SceneError
+        Where an inflow leads to or from another inflow, or ``time`` has no signals.
+    """
+    peaks, known = [], file.model.materials
+    for name, material in known.items():
+        inflow = material.inflow
+        if inflow is None:
+            continue
+        for key, part in (("rest", inflow.rest), ("peak", inflow.peak)):
+            if part in known and known[part].inflow is not None:
+                raise file.error(
+                    ("materials", name, "inflow", key), f"material {part!r} is an inflow itself: name one that is not"
+                )
+        if name in names and inflow.peak not in names:
+            peaks.append(inflow.peak)
+    return list(dict.fromkeys(peaks))
+
+
+def _signal(model: schema.SignalModel, seed: int) -> Signal:
+    """A signal."""
+    match model:
+        case schema.SineSignalModel():
+            return Sine(model.period, model.start)
+        case schema.RespiratorySignalModel():
+            deviations = model.period_deviation, model.amplitude_deviation
+            return Respiratory(model.period, model.exponent, model.start, *deviations, seed)
+        case schema.CardiacSignalModel():
+            return Cardiac(model.period, model.systole, model.relaxation, model.start)
+        case schema.GammaVariateSignalModel():
+            return GammaVariate(model.arrival, model.rise, model.shape)
+        case schema.TableSignalModel():
+            return Table(model.times, model.values, model.period)
+
+
+def _inflows(
+    file: SceneFile, signals: dict[str, Signal], materials: Sequence[str], duration: float
+) -> list[Inflow]:
+    """Materials of objects that change."""
+    found, times = [], np.linspace(0.0, duration, _TRIED)
+    for name, model in file.model.materials.items():
+        inflow = model.inflow
+        if inflow is None or name not in materials:
+            continue
+        place = ("materials", name, "inflow", "signal")
+        if inflow.signal not in signals:
+            raise file.error(place, f"there is no signal {inflow.signal!r}{closest(inflow.signal, signals)}")
+        values = signals[inflow.signal].values(times)
+        if values.min() < -1e-9 or values.max() > 1 + 1e-9:
+            worst = values.min() if values.min() < 0 else values.max()
+            raise file.error(place, f"an inflow follows a signal from 0 to 1, but {inflow.signal!r} reaches {worst:.3g}")
+        found.append(Inflow(materials.index(name), materials.index(inflow.peak), inflow.signal))
+    return found
+
+
+def _phases(file: SceneFile, model: schema.PhasesModel, signals: dict[str, Signal]) -> Phases:
+    """The division of the views."""
+    if model.signal is not None:
+        place = ("time", "phases", "signal")
+        if model.signal not in signals:
+            raise file.error(place, f"there is no signal {model.signal!r}{closest(model.signal, signals)}")
+        if signals[model.signal].cycles(np.zeros(1)) is None:
+            raise file.error(place, f"signal {model.signal!r} does not repeat: leave it out to divide the time")
+    return Phases(model.count, model.signal)
+
+
+def _empty_phases(dynamics: Dynamics) -> list[int]:
+    """Numbers of the phases that hold no view."""
+    phase = dynamics.phase_of_view
+    if phase is None or dynamics.phases is None:
+        return []
+    return sorted(set(range(dynamics.phases.count)) - set(phase.tolist()))
