@@ -9,6 +9,7 @@ import click
 
 if TYPE_CHECKING:
     from recon.gaussians.optimize import Progress
+    from recon.phases.fit import PhaseProgress
     from recon.voxel.method import Iteration
 
 # Parameters of a spectral model, as options name them.
@@ -216,6 +217,20 @@ class ProgressBar:
         if context is not None and context.find_root().meta.get("debug"):
             click.echo("".join(traceback.format_exception(error)), err=True, nl=False)
         click.echo(f"Warning: {sentence}.", err=True)
+
+    def phase_step(self, progress: "PhaseProgress") -> None:
+        """Show a finished step of the fit of phases.
+
+        Parameters
+        ----------
+        progress : number of the step, and the deviance of its phase
+        """
+        from tqdm.auto import tqdm
+
+        if self.bar is None:
+            self.bar = tqdm(total=progress.steps, desc="phases", unit="step", disable=self.quiet)
+        self.bar.set_postfix_str(f"deviance {progress.deviance:.3g}", refresh=False)
+        self.bar.update()
 
     def step(self, progress: "Progress") -> None:
         """Show a finished step of the fit.

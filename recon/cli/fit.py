@@ -59,6 +59,7 @@ class _Approach:
     edge: str | None
     method: str | None
     pipeline: str
+    phases: str | None
 
 
 @dataclass(frozen=True)
@@ -145,6 +146,12 @@ class _Output:
     show_default=True,
     help="Of voxel methods: decompose rays before the reconstruction, or voxels after it.",
 )
+@click.option(
+    "--phases",
+    metavar="auto|NUMBER[:CYCLE]",
+    help="Fit phases of a scan whose object moves or changes as well: those that the file states, so many equal parts "
+    "of the time, or parts of a cycle, such as 8:breath.",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all that is random.")
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
 @click.option(
@@ -215,6 +222,8 @@ def fit(
     from recon.gaussians.processes import joined
     from recon.kedge.basis_names import OnCurve, parse_bases, with_named
     from recon.kedge.report import parse_edges
+    from recon.phases.run import divide, fit_phases_of_run, phase_table
+    from recon.phases.settings import PhaseSettings
     from recon.published_methods.paper.recipe import PAPER_STEPS, PaperRecipe
     from recon.runs.expected_cost import expected_cost
     from recon.runs.methods import method_named
@@ -243,6 +252,7 @@ def fit(
         "memory": resources.memory,
         "held-out": recipe.held_out,
         "edge": approach.edge,
+        "phases": approach.phases,
     }
     special |= {
         "kernel": None if recipe.kernel == "auto" else recipe.kernel,
@@ -283,6 +293,7 @@ def fit(
         click.echo(json.dumps(found.to_dict()) if printing.as_json else str(found))
         return
     with joined() as processes, open_dataset(source, data.air) as stored:
+        division = None if approach.phases is None else divide(stored, approach.phases)
         bar = ProgressBar(printing.silent or not processes.first)
         energies = ChosenSpectrum.of(stored, data.spectrum, data.refine, data.prior)
         energies.note(bar.note)
@@ -304,18 +315,26 @@ def fit(
             energies.write(part / SPECTRUM)
             corrected.write(part / SCATTER)
             metrics = run(opened, part, way, output.figures, bar)
+            if division is not None:
+                bar.stage("phases")
+                settings, figures = PhaseSettings(), output.figures
+                scores = fit_phases_of_run(opened, part, division, how, settings, figures, bar.phase_step)
+                bar.stage("fit")
+                metrics |= {"phases": scores}
     if printing.as_json:
         click.echo(to_json({"run": str(folder.path), **metrics}))
         exit_where_failed(metrics, output.strict)
         return
     click.echo("\n".join([score_table(metrics), "", *verdict.lines(metrics)]))
+    if division is not None:
+        click.echo("\n" + phase_table(metrics["phases"]))
     if isinstance(how, PaperRecipe):
         click.echo(how.description)
     has_volumes = (folder.path / VOLUMES).is_file()
     in_what = "in voxels" if has_volumes else "without a volume"
     what = gaussians_text(metrics) if method == "gaussian" else f"{method} {in_what}"
     click.echo(f"{what}, {seconds_text(metrics)}{memory_text(metrics)}")
-    for name in sorted(path.name for path in (folder.path / "figures").glob("*.png")):
+    for name in sorted(p.name for p in (folder.path / "figures").iterdir() if p.suffix in {".png", ".gif"}):
         click.echo(str(folder.path / "figures" / name))
     ways = f"recon view {folder.path}, or recon report {folder.path}" if has_volumes else "look at the figures"
     click.echo(f"Wrote {folder.path}; next: {ways}")

@@ -1,0 +1,39 @@
+"""Numbers that steer the fit of phases."""
+
+from dataclasses import dataclass
+
+from recon.gaussians.settings import check_positive
+
+
+@dataclass(frozen=True)
+class PhaseSettings:
+    """How phases are fitted.
+
+    Parameters
+    ----------
+    sweeps : times that every view is used
+    steps : steps of a phase in one sweep, each with as many of its views
+    coefficient_rate : step of the coefficients over that of Newton's method with the separable curvature [no unit]
+    momentum : part of the last step of the coefficients that goes into the next [no unit]
+    coupling : information of the coupling of neighbouring phases over that of the data of a phase, where their
+        difference is not larger than noise [no unit]
+    noise : differences of this many times the median of all are half as coupled [no unit]
+    spacing : distance between nodes of the displacement [voxels]
+    first_shift, last_shift : length of the first and of the last step of a node [voxels]
+    stiffness : part of the difference from the mean of the neighbouring nodes, and from the neighbouring phases, that a
+        step takes away [no unit]
+    """
+
+    sweeps: int = 12
+    steps: int = 5
+    coefficient_rate: float = 1.0
+    momentum: float = 0.8
+    coupling: float = 3.0
+    noise: float = 9.0
+    spacing: float = 6.0
+    first_shift: float = 0.1
+    last_shift: float = 0.005
+    stiffness: float = 0.02
+
+    def __post_init__(self) -> None:
+        check_positive(self, "phases", others=())
