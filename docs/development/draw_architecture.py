@@ -23,6 +23,7 @@ TEXTS = {
     "recon.segmentation": "material maps",
     "recon.runs": "one whole run and its folder",
     "recon.calibration": "spectrum, thresholds",
+    "recon.phases": "phases in time",
     "recon.figures": "figures of a run",
     "recon.evaluation": "scores, verdict",
     "recon.quality": "noise, resolution",

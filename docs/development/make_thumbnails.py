@@ -14,9 +14,7 @@ from PIL import Image
 
 from phantomgen.geometry.curved_panel import ray_directions
 from phantomgen.geometry.voxel_grid import Grid
-from phantomgen.ops.trace import trace
-from phantomgen.ops.voxelize_shapes import fractions
-from phantomgen.scene.file.scene_file import preset_names
+from phantomgen.scene.file.scene_file import SceneFile, preset_names
 from phantomgen.scene.scan import Scan, load_scene
 
 FOLDER = Path(__file__).parents[1] / "images" / "presets"
@@ -51,6 +49,7 @@ WINDOWS = {
 }
 
 
+SHOWN = 0.35  # part of the duration of a scene in time, at which it is shown
 FRONT = (("foam", "shepp-logan-3d"), ("aorta", "bird-chest"))
 
 
@@ -62,7 +61,7 @@ def slices(scan: Scan, at: tuple[float, float, float]) -> tuple[np.ndarray, np.n
     axial = Grid((1, PIXELS, PIXELS), (step, step, step), (at[2], first, first))
     coronal = Grid((PIXELS, 1, PIXELS), (step, step, step), (first, at[1], first))
     filled = [
-        fractions(grid, scan.scene.solids, len(scan.scene.materials), background=scan.scene.background)
+        scan.scene.fractions(grid)
         for grid in (axial, coronal)
     ]
     seen, behind = (np.tensordot(attenuation(scan), volume, 1) for volume in filled)
@@ -78,7 +77,7 @@ def projection(scan: Scan) -> np.ndarray:
     rows = (panel.rows - 1) / 2 + places / panel.row_pitch
     rays = ray_directions(scan.geometry[[0]], columns, rows).reshape(-1, 3)
     origins = np.broadcast_to(scan.geometry.source[0], rays.shape)
-    lengths = trace(origins, rays, scan.scene.solids, len(scan.scene.materials), scan.scene.background)
+    lengths = scan.scene.path_lengths(origins, rays)
     return (lengths @ attenuation(scan)).reshape(PIXELS, PIXELS)
 
 
@@ -94,7 +93,10 @@ def grey(values: np.ndarray, low: float, high: float) -> np.ndarray:
 
 def thumbnail(name: str) -> np.ndarray:
     """One picture: three squares side by side."""
-    scan = load_scene(name, ["geometry.views=1", "geometry.test_views=0"])
+    time = SceneFile.preset(name).model.time
+    scan = load_scene(name, ["geometry.views=1", "geometry.test_views=0", *(["time.phases=null"] if time else [])])
+    if time is not None:
+        scan = scan.at_time(SHOWN * time.duration)
     axial, coronal = slices(scan, PLACES.get(name, (0, 0, 0)))
     shadow = projection(scan)
     low, high = (WATER * value for value in WINDOWS.get(name, (0, np.inf)))

@@ -39,7 +39,7 @@ class Scene:
     objects : shapes such as `phantomgen.Cylinder`, or mappings as in scene files; later ones override earlier ones
     name : of the scan
     materials : by name, as mappings or `spectra.Material`; materials known by name, such as water, need none
-    source, detector, geometry, panel, volume, effects : sections of a scene file
+    source, detector, geometry, panel, volume, effects, time : sections of a scene file
     basis : basis functions; those that the materials need where left out
     overlap, background, tessellation : see `phantomgen.scene.schema.SceneModel`
     seed, noise : key of the noise, and whether there is any
@@ -61,6 +61,7 @@ class Scene:
     panel: Section | None = None
     volume: Section | None = None
     effects: Section | None = None
+    time: Section | None = None
     basis: Sequence[Section] | None = None
     overlap: str | None = None
     background: str | None = None

@@ -201,9 +201,7 @@ class StreamedTruth:
 
     def _of(self, grid: Grid, filled: Float32[np.ndarray, "material z y x"]) -> Truth:
         """The truth of fractions."""
-        return Truth.of(
-            grid, self.basis_names, self.material_names, self.coefficients, filled, self.scene, self.fit
-        )
+        return Truth.of(grid, self.basis_names, self.material_names, self.coefficients, filled, self.scene, self.fit)
 
     def slabs(self) -> Iterator[tuple[int, Truth]]:
         """Yield slabs with their first slice; their number depends on the grid only, not on the machine.

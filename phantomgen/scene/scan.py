@@ -33,7 +33,6 @@ from spectra.basis.basis import Basis
 from spectra.detector.dead_time import DeadTime
 from spectra.detector.detector import AnyDetector
 from spectra.detector.multi_source import MultiSource, added
-from spectra.materials.material import Material
 from spectra.source.source import Source
 
 
@@ -206,7 +205,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Overrides = ()) -> Scan
     file = scene.changed(overrides) if isinstance(scene, SceneFile) else find_scene(scene).changed(overrides)
     model = file.model
     built = objects_of(file)
-    objects: list[tuple[Shape, ObjectContent]] = [(item.shape, item.content) for item in built]
+    objects: Sequence[tuple[Shape, ObjectContent]] = [(item.shape, item.content) for item in built]
     source, detector = _source_and_detector(file)
     background = _background(file)
     if model.overlap == "add":
@@ -250,7 +249,9 @@ def load_scene(scene: str | Path | SceneFile, overrides: Overrides = ()) -> Scan
         file=file if model.tessellation == "auto" and has_curves(file) else None,
         nominal=geometry.nominal,
         sample_poses=geometry.sample,
-        dynamics=scene_dynamics(file, geometry.times, tuple(item.motions for item in built), used),
+        dynamics=scene_dynamics(
+            file, geometry.times, geometry.splits["train"], tuple(item.motions for item in built), used
+        ),
     )
 
 

@@ -263,6 +263,7 @@ class ProgressBar:
 
         if self.bar is None:
             self.bar = tqdm(total=iteration.total, desc="iterations", disable=True if self.quiet else None)
+        self.bar.total = iteration.total  # grows where passes follow because the deviance still falls
         self.bar.update(max(iteration.done - self.bar.n, 0))
         if iteration.residual is not None:
             self.bar.set_postfix(residual=f"{iteration.residual:.4g}")

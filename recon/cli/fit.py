@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -22,6 +22,8 @@ from recon.cli.run_argument import check_run_name
 from recon.runs.methods import METHODS, ON_CURVE
 
 if TYPE_CHECKING:
+    from recon.gaussians.recipe import Recipe
+    from recon.published_methods.paper.recipe import PaperRecipe
     from recon.runs.interfaces import RunMethod
 
 
@@ -81,6 +83,30 @@ class _Output:
     strict: bool
     resume: bool
     overwrite: bool
+
+
+def _chosen(recipe: _RecipeOptions, device: str, special: dict[str, Any]) -> "Recipe | PaperRecipe":
+    """Return the recipe that options ask for; refuse those in `special` beside the recipe of the paper."""
+    from recon.published_methods.paper.recipe import PAPER_STEPS, PaperRecipe
+    from recon.runs.run_gaussians import chosen_recipe
+
+    if recipe.recipe == "paper":
+        refuse_options("--recipe paper, whose length is --steps", special | {"sweeps": recipe.sweeps})
+        return PaperRecipe(steps=recipe.steps or PAPER_STEPS, without=recipe.without, seed=recipe.seed)
+    refuse_options(
+        f"--recipe {recipe.recipe}, whose length is --sweeps", {"steps": recipe.steps, "without": recipe.without}
+    )
+    kernel = ("interface" if device == "cpu" else "gaussian") if recipe.kernel == "auto" else recipe.kernel
+    refuse_options("--gaussians", {"detail": recipe.gaussians and recipe.detail})
+    return chosen_recipe(
+        recipe.recipe,
+        recipe.sweeps,
+        recipe.seed,
+        recipe.held_out,
+        kernel,
+        recipe.detail or 1.0,
+        recipe.gaussians or 0,
+    )
 
 
 @click.command(epilog="\b\nExamples:\n  recon fit kedge.h5\n  recon fit scan.h5 --edge auto --air 0:16,0:256")
@@ -224,12 +250,12 @@ def fit(
     from recon.kedge.report import parse_edges
     from recon.phases.run import divide, fit_phases_of_run, phase_table
     from recon.phases.settings import PhaseSettings
-    from recon.published_methods.paper.recipe import PAPER_STEPS, PaperRecipe
+    from recon.published_methods.paper.recipe import PaperRecipe
     from recon.runs.expected_cost import expected_cost
     from recon.runs.methods import method_named
     from recon.runs.run import run
     from recon.runs.run_folder import VOLUMES
-    from recon.runs.run_gaussians import GaussianRun, chosen_recipe
+    from recon.runs.run_gaussians import GaussianRun
     from recon.runs.run_views import ViewRun
     from recon.runs.run_voxels import VoxelRun
     from recon.runs.write_run import RunFolder, score_table
@@ -265,26 +291,7 @@ def fit(
             f"--method {method}",
             special | {"steps": recipe.steps, "without": recipe.without, "recipe": recipe.recipe != "fast"},
         )
-    if recipe.recipe == "paper":
-        refuse_options("--recipe paper, whose length is --steps", special | {"sweeps": recipe.sweeps})
-        how = PaperRecipe(steps=recipe.steps or PAPER_STEPS, without=recipe.without, seed=recipe.seed)
-    else:
-        refuse_options(
-            f"--recipe {recipe.recipe}, whose length is --sweeps", {"steps": recipe.steps, "without": recipe.without}
-        )
-        chosen = (
-            ("interface" if resources.device == "cpu" else "gaussian") if recipe.kernel == "auto" else recipe.kernel
-        )
-        refuse_options("--gaussians", {"detail": recipe.gaussians and recipe.detail})
-        how = chosen_recipe(
-            recipe.recipe,
-            recipe.sweeps,
-            recipe.seed,
-            recipe.held_out,
-            chosen,
-            recipe.detail or 1.0,
-            recipe.gaussians or 0,
-        )
+    how = _chosen(recipe, resources.device, special)
     set_threads(resources.threads)
     if resources.dry_run and not isinstance(how, PaperRecipe):
         with open_dataset(source, data.air) as stored:
@@ -315,7 +322,7 @@ def fit(
             energies.write(part / SPECTRUM)
             corrected.write(part / SCATTER)
             metrics = run(opened, part, way, output.figures, bar)
-            if division is not None:
+            if division is not None and not isinstance(how, PaperRecipe):
                 bar.stage("phases")
                 settings, figures = PhaseSettings(), output.figures
                 scores = fit_phases_of_run(opened, part, division, how, settings, figures, bar.phase_step)

@@ -59,6 +59,8 @@ class Recipe:
     finest_spacing : that distance with any number of views, at least [voxels]; chosen by hand, not measured
     voxel_passes : passes over the views at full resolution, for the voxels that a fit with a prior starts from;
         measured with 180 and 360 views
+    voxel_fall : part of the deviance by which the last of these passes may lower it; as long as one lowers it by more,
+        others follow, up to three times as many [no unit]; measured with a head of thick bone
     approximation : evaluations of the fit to the voxel volumes; measured against 30, and 40 against 20
     dispersion : relative model error eta, which adds (eta Y)^2 to the Poisson variance of an expected count Y [no
         unit]; measured against 0, 0.005 and 0.01
@@ -101,6 +103,7 @@ class Recipe:
     spacing: float = 1.0
     finest_spacing: float = 0.9
     voxel_passes: int = 8
+    voxel_fall: float = 0.005
     approximation: int = 60
     dispersion: float = 0.02
     node_tolerance: float = 1e-3

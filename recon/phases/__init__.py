@@ -1,1 +1,1 @@
-"""Phases of a scan whose object moves or changes: Gaussians with shared shapes, and what differs from phase to phase."""
+"""Phases of a scan whose object moves or changes: Gaussians of shared shapes, and what differs between phases."""

@@ -71,7 +71,11 @@ def draw_phases(volumes: Phases, true: Phases | None, names: Sequence[str], grid
         axes = figure.subplots(2 * len(rows), len(shown), squeeze=False, sharex=True, sharey=True)
         for row, (name, images) in enumerate([*rows.items(), *changes.items()]):
             gray = row < len(rows)
-            limits = {"cmap": "gray", "vmin": 0, "vmax": top} if gray else {"cmap": "RdBu_r", "vmin": -largest, "vmax": largest}
+            limits = (
+                {"cmap": "gray", "vmin": 0, "vmax": top}
+                if gray
+                else {"cmap": "RdBu_r", "vmin": -largest, "vmax": largest}
+            )
             for column, phase in enumerate(shown):
                 one = axes[row, column]
                 drawn = one.imshow(images[phase], origin="lower", extent=extent, **limits)
@@ -82,7 +86,9 @@ def draw_phases(volumes: Phases, true: Phases | None, names: Sequence[str], grid
             axes[row, 0].set_ylabel(name)
             figure.colorbar(drawn, ax=axes[row].tolist(), label=UNIT, fraction=0.02, pad=0.01)
         place = f"{'zy'[axis]} = {grid.axis('zy'[axis])[at]:.3g} mm"
-        figure.suptitle(f"{pretty(names[basis])}, {'axial' if axis == 0 else 'coronal'} slice, {place}", fontsize="medium")
+        figure.suptitle(
+            f"{pretty(names[basis])}, {'axial' if axis == 0 else 'coronal'} slice, {place}", fontsize="medium"
+        )
     return figure
 
 

@@ -133,7 +133,8 @@ class _PhaseSteps:
             part.requires_grad_()
         found = likelihood_and_gradients(model, data, views, self.recipe.dispersion)
         scale = own * float(np.prod(data.counts.shape[1:])) / 2
-        assert model.coefficients.grad is not None and model.centres.grad is not None
+        assert model.coefficients.grad is not None
+        assert model.centres.grad is not None
         with torch.no_grad():
             self._move_coefficients(phase, model.coefficients.grad * scale, step)
             self._move_nodes(phase, model.centres.grad * scale, step)
@@ -161,7 +162,10 @@ class _PhaseSteps:
             curvature = curvature + weight[..., None, None] * self.curvature
         newton = torch.linalg.solve(curvature, gradient[..., None])[..., 0]
         fall = min(1.0, 4 * (1 - step / self.steps))
-        moved = settings.momentum * self.velocity[phase] - (1 - settings.momentum) * settings.coefficient_rate * fall * newton
+        moved = (
+            settings.momentum * self.velocity[phase]
+            - (1 - settings.momentum) * settings.coefficient_rate * fall * newton
+        )
         if not self.phases.shared.SIGNED:
             moved = torch.maximum(moved, -all_phases[phase])
         self.velocity[phase] = moved

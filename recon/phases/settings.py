@@ -27,9 +27,9 @@ class PhaseSettings:
     sweeps: int = 12
     steps: int = 5
     coefficient_rate: float = 1.0
-    momentum: float = 0.8
-    coupling: float = 3.0
-    noise: float = 9.0
+    momentum: float = 0.93
+    coupling: float = 0.3
+    noise: float = 4.0
     spacing: float = 6.0
     first_shift: float = 0.1
     last_shift: float = 0.005

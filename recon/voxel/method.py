@@ -64,6 +64,15 @@ class Report:
     def __init__(self, on_iteration: OnIteration, total: int) -> None:
         self._tell, self._total, self._done = on_iteration, total, 0
 
+    def expect_more(self, iterations: int) -> None:
+        """Add to the number of iterations that the callback is told.
+
+        Parameters
+        ----------
+        iterations : how many more there will be
+        """
+        self._total += iterations
+
     def __call__(self, volumes: Volumes, residual: float | None, grid: Grid | None = None) -> None:
         """Count one more iteration and call the callback."""
         self._done += 1

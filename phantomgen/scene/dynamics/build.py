@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from phantomgen.scene import schema
 from phantomgen.scene.dynamics.dynamics import Dynamics, Inflow, Phases
@@ -16,7 +16,11 @@ _TRIED = 1001
 
 
 def scene_dynamics(
-    file: SceneFile, times: Float[np.ndarray, " view"], motions: tuple[Motions, ...], materials: Sequence[str]
+    file: SceneFile,
+    times: Float[np.ndarray, " view"],
+    train: Int[np.ndarray, " train"],
+    motions: tuple[Motions, ...],
+    materials: Sequence[str],
 ) -> Dynamics | None:
     """Create the time of a scene.
 
@@ -24,6 +28,7 @@ def scene_dynamics(
     ----------
     file : the scene file
     times : of the views, from 0 to 1
+    train : numbers of the training views
     motions : of each object
     materials : names of the materials, in the order of their indices
 
@@ -53,11 +58,11 @@ def scene_dynamics(
         phases=None if model.phases is None else _phases(file, model.phases, signals),
         exposure=model.exposure,
     )
-    lacking = _empty_phases(dynamics)
+    lacking = _empty_phases(dynamics, train)
     if lacking:
         raise file.error(
             ("time", "phases", "count"),
-            f"phases {', '.join(map(str, lacking))} hold no view: give fewer phases or more views",
+            f"phases {', '.join(map(str, lacking))} hold no training view: give fewer phases or more views",
         )
     return dynamics
 
@@ -110,9 +115,7 @@ def _signal(model: schema.SignalModel, seed: int) -> Signal:
             return Table(model.times, model.values, model.period)
 
 
-def _inflows(
-    file: SceneFile, signals: dict[str, Signal], materials: Sequence[str], duration: float
-) -> list[Inflow]:
+def _inflows(file: SceneFile, signals: dict[str, Signal], materials: Sequence[str], duration: float) -> list[Inflow]:
     """Materials of objects that change."""
     found, times = [], np.linspace(0.0, duration, _TRIED)
     for name, model in file.model.materials.items():
@@ -125,7 +128,9 @@ def _inflows(
         values = signals[inflow.signal].values(times)
         if values.min() < -1e-9 or values.max() > 1 + 1e-9:
             worst = values.min() if values.min() < 0 else values.max()
-            raise file.error(place, f"an inflow follows a signal from 0 to 1, but {inflow.signal!r} reaches {worst:.3g}")
+            raise file.error(
+                place, f"an inflow follows a signal from 0 to 1, but {inflow.signal!r} reaches {worst:.3g}"
+            )
         found.append(Inflow(materials.index(name), materials.index(inflow.peak), inflow.signal))
     return found
 
@@ -141,9 +146,9 @@ def _phases(file: SceneFile, model: schema.PhasesModel, signals: dict[str, Signa
     return Phases(model.count, model.signal)
 
 
-def _empty_phases(dynamics: Dynamics) -> list[int]:
-    """Numbers of the phases that hold no view."""
+def _empty_phases(dynamics: Dynamics, train: Int[np.ndarray, " train"]) -> list[int]:
+    """Numbers of the phases that hold no training view."""
     phase = dynamics.phase_of_view
     if phase is None or dynamics.phases is None:
         return []
-    return sorted(set(range(dynamics.phases.count)) - set(phase.tolist()))
+    return sorted(set(range(dynamics.phases.count)) - set(phase[train].tolist()))

@@ -58,8 +58,8 @@ class ObjectMotion:
         scale = 1 + value * (np.array(self.scale) - 1)
         if scale.min() < _LEAST_SCALE:
             raise InputError(
-                f"motion scales to {scale.min():.3g} of the size where signal {self.signal!r} is {value:.3g}: an object "
-                f"keeps at least {_LEAST_SCALE:g} of it"
+                f"motion scales to {scale.min():.3g} of the size where signal {self.signal!r} is {value:.3g}: an "
+                f"object keeps at least {_LEAST_SCALE:g} of it"
             )
         a, b, c = (value * np.array(self.rotation)).tolist()
         linear = rotation_matrix((a, b, c)) * scale

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from phantomgen.effects.random_streams import Stream, generator
 from spectra.errors import InputError
@@ -143,7 +143,7 @@ class Respiratory(Signal):
         return self._located(times)[1]
 
     @cached_property
-    def _drawn(self) -> tuple[Times, Times]:
+    def _drawn(self) -> tuple[Float[np.ndarray, " end"], Float[np.ndarray, " breath"]]:
         """Ends of all breaths [s], and their amplitudes; more breaths than a scan has."""
         random = generator(self.seed, Stream.SIGNAL, 0, 0)
         normal = random.standard_normal((_MOST_CYCLES, 2)) * [self.period_deviation, self.amplitude_deviation]
@@ -154,7 +154,7 @@ class Respiratory(Signal):
         first = ends[whole - 1] + (begin - whole) * (ends[whole] - ends[whole - 1])
         return np.concatenate([[0.0], ends]) - first, amplitudes
 
-    def _located(self, times: Times) -> tuple[np.ndarray, Times]:
+    def _located(self, times: Times) -> tuple[Int[np.ndarray, " time"], Times]:
         """Number of the breath at each time, and the position in it."""
         ends, amplitudes = self._drawn
         number = np.clip(np.searchsorted(ends, times, side="right") - 1, 0, len(amplitudes) - 1)

@@ -55,7 +55,17 @@ class BuiltObject(NamedTuple):
     motions: Motions = ()
 
     def placed(self, matrix: np.ndarray, offset: np.ndarray) -> "BuiltObject":
-        """Return the object, and its motions with it, where every point x is at ``matrix @ x + offset``."""
+        """Move the object, and its motions with it: every point x goes to ``matrix @ x + offset``.
+
+        Parameters
+        ----------
+        matrix : (3, 3)
+        offset : [mm]
+
+        Returns
+        -------
+        the moved object
+        """
         frame = np.eye(4)
         frame[:3, :3], frame[:3, 3] = matrix, offset
         motions = tuple(motion.within(frame) for motion in self.motions)
@@ -104,9 +114,7 @@ def _count(model: schema.ObjectModel) -> int:
     return copies * max(sum(map(_count, parts)), 1)
 
 
-def _members(
-    file: SceneFile, models: tuple[schema.ObjectModel, ...], where: Location
-) -> Iterator[BuiltObject]:
+def _members(file: SceneFile, models: tuple[schema.ObjectModel, ...], where: Location) -> Iterator[BuiltObject]:
     """Objects of the scene or of a group."""
     for i, model in enumerate(models):
         place = (*where, i)
@@ -135,9 +143,7 @@ def _center(model: schema.ObjectModel, found: list[BuiltObject]) -> schema.Vecto
     return x, y, z
 
 
-def _motion(
-    file: SceneFile, model: schema.ObjectMotionModel, center: schema.Vector, where: Location
-) -> ObjectMotion:
+def _motion(file: SceneFile, model: schema.ObjectMotionModel, center: schema.Vector, where: Location) -> ObjectMotion:
     """The motion of an object."""
     signals = {} if file.model.time is None else file.model.time.signals
     if model.signal not in signals:

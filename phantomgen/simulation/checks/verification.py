@@ -231,7 +231,10 @@ def _ray_errors(scan: Scan, transmission: Transmission, count: int, rng: np.rand
 
 
 def _path_lengths(
-    scan: Scan, view: Int[np.ndarray, " ray"], origins: Float[np.ndarray, "ray 3"], directions: Float[np.ndarray, "ray 3"]
+    scan: Scan,
+    view: Int[np.ndarray, " ray"],
+    origins: Float[np.ndarray, "ray 3"],
+    directions: Float[np.ndarray, "ray 3"],
 ) -> Float[np.ndarray, "ray material"]:
     """Path lengths of rays, each with the objects where they are in its view [mm]."""
     if scan.dynamics is None:

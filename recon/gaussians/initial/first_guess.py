@@ -75,7 +75,7 @@ def start_method(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
     if not recipe.prior:
         return starting_method(measured.geometry, grid)
     coarse = OneStep().levels[:-1]
-    return OneStep(levels=(*coarse, (1, recipe.voxel_passes)))
+    return OneStep(levels=(*coarse, (1, recipe.voxel_passes)), least_fall=recipe.voxel_fall)
 
 
 def first_guess(

@@ -122,7 +122,7 @@ def test_scenes_in_the_documentation_load(block):
         (["geometry={type: circular, sod: 100, sdd: 200}"], "needs either views"),
         (["geometry={type: circular, sod: 100, sdd: 200, angles: [1], arc: 90}"], "leave arc and start out"),
         (["geometry={type: circular, sod: 100, sdd: 200, angles: [1], test_views: 1}"], "at most 0 do"),
-        ([ORBIT % "3, arc: 400"], "less than or equal to 360"),
+        ([ORBIT % "3, arc: 40000"], "less than or equal to 36000"),
         ([ORBIT % "3, arc: shirt"], "valid number"),
         (["geometry={type: circular, sod: 300, sdd: 200, views: 3}"], "0 < sod < sdd"),
         (

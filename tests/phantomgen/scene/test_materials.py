@@ -103,7 +103,7 @@ def test_a_name_of_the_scene_goes_before_the_library():
         (["a: {mixture: {by: mass, part: {}}}"], "materials.a.mixture.part - unknown key; did you mean 'parts'?"),
         (
             ["a: {composition: water, solution: {solvent: water, solutes: {I: 1}}}"],
-            "toy.yaml:9:6: materials.a - material 'a' needs either a composition, coefficients, a mixture or a",
+            "toy.yaml:9:6: materials.a - material 'a' needs either a composition, coefficients, a mixture, a",
         ),
         (["a: {composition: CO, density: 8}"], "toy.yaml:9:6: materials.a - CO in 'CO' may mean Co"),
     ],

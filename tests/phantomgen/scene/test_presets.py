@@ -9,6 +9,7 @@ from phantomgen.geometry.curved_panel import ray_directions
 from phantomgen.ops.trace import trace
 from phantomgen.scene.file.scene_file import SceneFile, preset_names, preset_summaries
 from phantomgen.scene.scan import load_scene
+from phantomgen.scene.schema import MaterialModel
 from phantomgen.simulation.checks.field_of_view import coverage_warnings
 from phantomgen.simulation.forward_model.energy_grids import fit_warnings, material_fit
 
@@ -18,7 +19,8 @@ FEW_VIEWS = ("geometry.views=4", "geometry.test_views=1")
 
 @pytest.mark.parametrize("name", preset_names())
 def test_every_preset_is_whole(name: str) -> None:
-    file = SceneFile.preset(name, FEW_VIEWS)
+    time = ("time.phases=null",) if SceneFile.preset(name).model.time else ()
+    file = SceneFile.preset(name, (*FEW_VIEWS, *time))
     assert file.model.name == name
     assert 20 < len(preset_summaries()[name]) < 160
     assert max(map(len, file.text.splitlines())) <= 120
@@ -27,8 +29,9 @@ def test_every_preset_is_whole(name: str) -> None:
     scene = scan.scene
     assert coverage_warnings(scan) == []
     assert fit_warnings(scan, material_fit(scan)) == []
+    used = [name for material in file.model.materials.values() for name in _parts(material)]
     objects = file.text.partition("\nobjects:")[2]
-    assert all(material in objects for material in file.model.materials), "a material of no object"
+    assert all(m in objects or m in used for m in file.model.materials), "a material of no object"
 
     panel = scan.geometry.panel
     rng = np.random.default_rng(0)
@@ -40,6 +43,12 @@ def test_every_preset_is_whole(name: str) -> None:
     assert (lengths >= 0).all()
     assert (lengths.sum(axis=1) <= np.linalg.norm(directions, axis=1) * (1 + 1e-12)).all()
     assert (lengths > 0).any(axis=1).mean() > 0.2
+
+
+def _parts(material: MaterialModel) -> list[str]:
+    """Materials that another one consists of."""
+    inflow, solution = material.inflow, material.solution
+    return ([] if inflow is None else [inflow.rest, inflow.peak]) + ([] if solution is None else [solution.solvent])
 
 
 def test_every_preset_has_its_picture_and_its_sources() -> None:

@@ -59,7 +59,7 @@ def test_line_integrals_are_sums_of_single_objects(objects: str, regions: int) -
     from phantomgen.scene.objects.build import objects_of
 
     wanted = np.zeros((400, 2))
-    for shape, name in objects_of(file):
+    for shape, name, _ in objects_of(file):
         chord = trace(starts, ends - starts, solids_of([(shape, 0)]), 1)
         coefficients = file.model.materials[name].coefficients
         wanted += chord * [coefficients.get(f, 0.0) for f in ("photoelectric", "compton")]
