@@ -11,6 +11,8 @@ from phantomgen.dataset.file import FLAT
 from phantomgen.dataset.layout import pack_image, text_of, write_image
 from phantomgen.dataset.pixel_mask import write_mask
 from phantomgen.dataset.reader import Dataset, open_dataset
+from phantomgen.dataset.time.true_phases import read_signals, write_signals
+from phantomgen.dataset.time.view_times import write_view_times
 from phantomgen.dataset.truth import truth_group
 from phantomgen.dataset.writing.corrected_copy import check_copy, file_digest
 from phantomgen.dataset.writing.writer import DatasetWriter
@@ -19,7 +21,7 @@ from phantomgen.degradation.settings import Degradation
 from spectra.threads import run_parallel
 
 # Parts of the truth that belong to views and pixels: written anew, or left out where they cannot be.
-_OF_VIEWS = ("geometry", "motion", "expected", "paths")
+_OF_VIEWS = ("geometry", "motion", "time", "expected", "paths")
 _BAR_AFTER = 2.0  # s
 
 Frame = tuple[str, int, list[list[bytes]]]  # what it shows, its place, and the packed image of each channel
@@ -148,6 +150,8 @@ def _write_statements(writer: DatasetWriter, scan: DegradedScan) -> None:
     for other in stored:
         if not chosen and other != scheme:
             dataset.file.copy(stored[other], group_at(writer.file, "/entry/splits"), other)
+    if dataset.view_times is not None:
+        write_view_times(group_at(writer.file, "entry"), dataset.view_times[views])
     writer.write_instrument(geometry, spectra, scan.source_fields)
     for name, mask in zip(spectra.channels, scan.masks, strict=True):
         write_mask(writer.file, (name,), mask)
@@ -201,6 +205,9 @@ def _copy_truth(writer: DatasetWriter, scan: DegradedScan) -> None:
     if scan.has_true_geometry:
         poses = value_at(file, "truth/motion/pose")[scan.kept[0]] if has(file, "truth/motion/pose") else None
         writer.write_true_geometry(scan.true_geometry, poses)
+    if has(file, "truth/time"):
+        signals = read_signals(scan.dataset.path)
+        write_signals(new, {name: values[scan.kept[0]] for name, values in signals.items()})
 
 
 def _shown(frames: Iterator[Frame], count: int, progress: bool) -> Iterator[Frame]:

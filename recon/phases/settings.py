@@ -24,7 +24,7 @@ class PhaseSettings:
         step takes away [no unit]
     """
 
-    sweeps: int = 12
+    sweeps: int = 20
     steps: int = 5
     coefficient_rate: float = 1.0
     momentum: float = 0.93

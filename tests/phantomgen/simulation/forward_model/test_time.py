@@ -130,3 +130,18 @@ def test_bits_do_not_depend_on_threads(tmp_path, threads):
     reference.mkdir()
     _, again = counts_of(scan_of("noise=true"), reference)
     assert np.array_equal(counts, again)
+
+
+def test_a_degraded_scan_keeps_the_times_of_the_views_that_are_left(tmp_path):
+    from phantomgen.degradation.run import degrade_file
+    from phantomgen.degradation.settings import Degradation
+
+    path, _ = counts_of(scan_of(), tmp_path)
+    few = tmp_path / "few.h5"
+    degrade_file(path, few, Degradation(views=4))
+    assert not list(validate(few))
+    with open_dataset(few) as dataset:
+        times = dataset.view_times
+    assert times.time.tolist() == [0, 2, 4, 6]
+    assert times.phase.tolist() == [0, 1, 2, 3]
+    assert read_signals(few)["ramp"] == pytest.approx([0, 0.25, 0.5, 0.75])
