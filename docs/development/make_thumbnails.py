@@ -23,6 +23,8 @@ ENERGY = 70.0
 WATER = 0.0193  # 1/mm at 70 keV
 # Where slices cut (x, y, z) [mm], and the window of grey values in multiples of water; else the centre, and all values.
 PLACES = {
+    "breathing-torso": (0, -3, 0),
+    "perfusion": (0, -30, 0),
     "aorta": (-3, -12, -4),
     "bird-chest": (0, 1, 2),
     "clinical-helix": (0, -20, 0),
@@ -38,6 +40,8 @@ PLACES = {
     "shepp-logan-3d": (0, -8, -25),
 }
 WINDOWS = {
+    "breathing-torso": (0, 1.6),
+    "perfusion": (0.8, 1.5),
     "aorta": (0, 2.0),
     "bird-chest": (0, 3.0),
     "clinical-helix": (0.8, 1.6),
@@ -60,10 +64,7 @@ def slices(scan: Scan, at: tuple[float, float, float]) -> tuple[np.ndarray, np.n
     first = (step - size) / 2
     axial = Grid((1, PIXELS, PIXELS), (step, step, step), (at[2], first, first))
     coronal = Grid((PIXELS, 1, PIXELS), (step, step, step), (first, at[1], first))
-    filled = [
-        scan.scene.fractions(grid)
-        for grid in (axial, coronal)
-    ]
+    filled = [scan.scene.fractions(grid) for grid in (axial, coronal)]
     seen, behind = (np.tensordot(attenuation(scan), volume, 1) for volume in filled)
     return seen[0, ::-1], behind[::-1, 0]
 
