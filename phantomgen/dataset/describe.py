@@ -51,6 +51,7 @@ def describe(path: Path) -> dict[str, Any]:
             "photons": float(spectra.source.sum()),
             "profile": [] if spectra.profile is None else list(spectra.profile.names),
             "basis": list(spectra.basis.names),
+            "time": _time(dataset),
             "views": {name: len(views) for name, views in dataset.splits.items()},
             "flats": _frames(dataset, FLAT),
             "darks": _frames(dataset, DARK),
@@ -82,6 +83,7 @@ def describe_text(info: dict[str, Any]) -> str:
         f"{info['file']}: {info['name']}, {info['bytes'] / 1e6:.1f} MB",
         f"{what:<10} {views} views x {channels} channels x {rows} x {columns} pixels, {info['dtype']}{unit}",
         f"views      {', '.join(f'{count} {name}' for name, count in info['views'].items())}",
+        *_time_lines(info["time"]),
         f"frames     {info['flats']} flats, {info['darks']} darks",
         *_mask_lines(info["masked_pixels"], rows * columns),
         f"geometry   {info['orbit']}, {_distance_text(info)}, "
@@ -170,6 +172,25 @@ def _dead_time_lines(dead_time: dict[str, Any] | None) -> list[str]:
     if dead_time is None:
         return []
     return ["dead time  {tau_ns:g} ns per count, {exposure_ms:g} ms per view, {model}".format(**dead_time)]
+
+
+def _time(dataset: Dataset) -> dict[str, Any] | None:
+    """Times of the views; None where the file states none."""
+    times = dataset.view_times
+    if times is None:
+        return None
+    span = [float(times.time.min(initial=0.0)), float(times.time.max(initial=0.0))]
+    return {"range_s": span, "phases": times.phases, "cycles": list(times.cycles)}
+
+
+def _time_lines(time: dict[str, Any] | None) -> list[str]:
+    """Times of the views for people, where there are any."""
+    if time is None:
+        return []
+    first, last = time["range_s"]
+    divided = f", {time['phases']} phases" if time["phases"] > 1 else ""
+    cycles = f"; cycles: {', '.join(time['cycles'])}" if time["cycles"] else ""
+    return [f"time       {first:g} to {last:g} s{divided}{cycles}"]
 
 
 def _frames(dataset: Dataset, name: str) -> int:

@@ -4,6 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
+from phantomgen.dataset.describe import describe, describe_text
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.dataset.time.true_phases import read_phases, read_signals
 from phantomgen.dataset.truth import read_truth
@@ -91,6 +92,7 @@ def test_the_file_states_times_phases_and_truth_of_each_phase(tmp_path):
     assert (times.phase.tolist(), times.phases) == ([0, 0, 1, 1, 2, 2, 3, 3], 4)
     assert times.cycles["beat"] == pytest.approx([0, 0.5] * 4)
     assert "ramp" not in times.cycles  # no scanner knows it
+    assert "time       0 to 7 s, 4 phases; cycles: beat" in describe_text(describe(path))
     assert read_signals(path)["ramp"] == pytest.approx(np.arange(8) / 8)
     phases, whole = read_phases(path), read_truth(path)
     assert phases.mean(axis=0) == pytest.approx(whole.volumes, abs=1e-7)
