@@ -68,9 +68,11 @@ def main() -> None:
             print(f"| phase | all views | phases | phase alone |  ({' / '.join(dataset.spectra.basis.names)})")
             chosen = range(len(true)) if asked.phases is None else asked.phases
             for number in range(len(true)):
-                began = time.perf_counter()
-                one = decibels(alone(dataset, division.phase, number), true[number], peaks) if number in chosen else "-"
-                seconds["phase alone"] = time.perf_counter() - began
+                one = "-"
+                if number in chosen:
+                    began = time.perf_counter()
+                    one = decibels(alone(dataset, division.phase, number), true[number], peaks)
+                    seconds["phase alone"] = time.perf_counter() - began
                 found = decibels(static.volumes, true[number], peaks), decibels(phases[number], true[number], peaks)
                 print(f"| {number} | {found[0]} | {found[1]} | {one} |", flush=True)
             print(", ".join(f"{name} {value:.0f} s" for name, value in seconds.items()))

@@ -55,9 +55,9 @@ Deflections = Annotated[tuple[DeflectionModel, ...], Field(min_length=1)]
 class CircularModel(Model):
     """Circular orbit: training views at start + i arc/views degrees, or at `angles`; test views between them.
 
-    Left out, `start` is 0 and `arc` 360; `arc: short` is half a turn and the fan; several turns take more than 360,
-    of use where objects move. `flying_focal_spot` lists
-    deflections of the source that views take in turn, while the panel stays.
+    Left out, `start` is 0 and `arc` 360; `arc: short` is half a turn and the fan; several turns, of use where objects
+    move, take more than 360. `flying_focal_spot` lists deflections of the source that views take in turn, while the
+    panel stays.
     """
 
     type: Literal["circular"]

@@ -1,6 +1,6 @@
 """Materials of a scene: compositions, coefficients, and what is mixed from other materials."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from phantomgen.scene import schema
@@ -67,6 +67,39 @@ def scene_materials(file: SceneFile, used: Iterable[str] = ()) -> dict[str, Mate
     for name in file.model.materials:
         _resolve(file, name, (), found)
     return found | {name: Material(name, None, name) for name in used if name not in found}
+
+
+def inflow_peaks(file: SceneFile, names: Sequence[str]) -> list[str]:
+    """Return the materials that those of objects become.
+
+    Parameters
+    ----------
+    file : the scene file
+    names : materials of objects
+
+    Returns
+    -------
+    names of further materials
+
+    Raises
+    ------
+    SceneError
+        Where an inflow leads to or from another inflow, or its peak is no known material.
+    """
+    peaks, known = [], file.model.materials
+    for name, material in known.items():
+        inflow = material.inflow
+        if inflow is None:
+            continue
+        for key, part in (("rest", inflow.rest), ("peak", inflow.peak)):
+            if part in known and known[part].inflow is not None:
+                raise file.error(
+                    ("materials", name, "inflow", key), f"material {part!r} is an inflow itself: name one that is not"
+                )
+        if name in names and inflow.peak not in names:
+            check_material(file, inflow.peak, ("materials", name, "inflow", "peak"))
+            peaks.append(inflow.peak)
+    return list(dict.fromkeys(peaks))
 
 
 def _resolve(file: SceneFile, name: str, outer: tuple[str, ...], found: dict[str, Material]) -> Material:

@@ -17,13 +17,13 @@ from phantomgen.scene import schema
 from phantomgen.scene.basis import needed, scene_basis
 from phantomgen.scene.beam_profile import Profile
 from phantomgen.scene.detector import scene_dead_time, scene_detector
-from phantomgen.scene.dynamics.build import inflow_peaks, scene_dynamics
+from phantomgen.scene.dynamics.build import scene_dynamics
 from phantomgen.scene.dynamics.dynamics import Dynamics
 from phantomgen.scene.effects import scene_effects
 from phantomgen.scene.file.find_scene import find_scene
 from phantomgen.scene.file.scene_file import Overrides, SceneFile, closest
 from phantomgen.scene.geometry import scene_geometry
-from phantomgen.scene.materials import check_material, scene_materials
+from phantomgen.scene.materials import check_material, inflow_peaks, scene_materials
 from phantomgen.scene.objects.build import ObjectContent, has_curves, objects_of
 from phantomgen.scene.objects.overlap import added_up
 from phantomgen.scene.scene_objects import SceneObjects

@@ -6,9 +6,10 @@ The unknowns are the coefficients b_p and the displacements d_p of each phase p;
     (b_{p+1,i} - b_{p,i})^\mathsf{T} H_i (b_{p+1,i} - b_{p,i})
 
 with F_data of `recon.gaussians.objective` over the views of a phase, and the curvature H_i of `recon.gaussians.fisher`
-for one phase. The weight w = 1 / (1 + t / (c t_0)) of Cauchy's robust estimate lets go of Gaussians whose difference
-t = (b_{p+1,i} - b_{p,i})^T H_i (b_{p+1,i} - b_{p,i}) is large beside the median t_0 of all: what rests is averaged
-over all phases, what changes is not. Displacements are linear between the nodes of a lattice; steps make them smooth in
+for one phase; kappa is ``coupling`` of `recon.phases.settings`, and c its ``noise``. The weight
+w = 1 / (1 + t / (c t_0)) of Cauchy's robust estimate lets go of Gaussians whose difference
+t = (b_{p+1,i} - b_{p,i})^T H_i (b_{p+1,i} - b_{p,i}) is large beside the median t_0 of all: what rests is averaged over
+all phases, what changes is not. Displacements are linear between the nodes of a lattice; steps make them smooth in
 space and from phase to phase.
 """
 
@@ -30,7 +31,7 @@ from recon.gaussians.recipe import Recipe
 from recon.phases.model import PhaseGaussians
 from recon.phases.settings import PhaseSettings
 
-# Part of the mean curvature of all Gaussians, and of its own, that is added to that of each.
+# Part of the mean curvature of all Gaussians, and of its own, that is added to that of each; chosen by hand.
 _MEAN_DAMPING, _OWN_DAMPING = 0.01, 0.01
 
 

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from phantomgen.dataset.layout import new_group, put
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.time.true_phases import read_phases
+from phantomgen.dataset.time.view_times import ViewTimes
 from phantomgen.dataset.truth import read_truth, write_grid
 from phantomgen.runtime.hdf5_output import hdf5_output
 from phantomgen.runtime.plain_json import write_json
@@ -80,12 +81,15 @@ def divide(dataset: Dataset, asked: str) -> Division:
     own = phase[train]
     lacking = sorted(set(range(count)) - set(own.tolist()))
     if lacking:
-        raise InputError(f"phases {', '.join(map(str, lacking))} of {dataset.path} hold no view: give fewer phases")
+        raise InputError(
+            f"{len(lacking)} of {count} phases of {dataset.path} hold no training view, the first is phase "
+            f"{lacking[0]}: give fewer phases"
+        )
     stated = times.phase is not None and times.phases == count and bool((phase == times.phase).all())
     return Division(own, by is not None, stated)
 
 
-def _cycle_of(phase: Int[np.ndarray, " view"], times: Any) -> str | None:
+def _cycle_of(phase: Int[np.ndarray, " view"], times: ViewTimes) -> str | None:
     """Name of the cycle that views are divided by; None where it is the time."""
     matching = (name for name in times.cycles if (times.divided(times.phases, name) == phase).all())
     return next(matching, None)

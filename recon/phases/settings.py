@@ -7,7 +7,11 @@ from recon.gaussians.settings import check_positive
 
 @dataclass(frozen=True)
 class PhaseSettings:
-    """How phases are fitted.
+    """How phases are fitted; values without a measurement were chosen by hand.
+
+    Momentum and coupling were compared on `perfusion` with 12 sweeps, by the mean PSNR of iodine over its phases:
+    35.2 dB with 0.93 and 3, 36.0 with 0.93 and 1, 36.3 with 0.95, 0.3 and a noise of 4; 36.1 with 0.8 and 3 in 20
+    sweeps.
 
     Parameters
     ----------

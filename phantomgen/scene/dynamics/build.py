@@ -59,56 +59,26 @@ def scene_dynamics(
         exposure=model.exposure,
     )
     lacking = _empty_phases(dynamics, train)
-    if lacking:
+    if lacking and dynamics.phases is not None:
         raise file.error(
             ("time", "phases", "count"),
-            f"phases {', '.join(map(str, lacking))} hold no training view: give fewer phases or more views",
+            f"{len(lacking)} of {dynamics.phases.count} phases hold no training view, the first is phase {lacking[0]}: "
+            "give fewer phases or more views",
         )
     return dynamics
-
-
-def inflow_peaks(file: SceneFile, names: Sequence[str]) -> list[str]:
-    """Return the materials that those of objects become.
-
-    Parameters
-    ----------
-    file : the scene file
-    names : materials of objects
-
-    Returns
-    -------
-    names of further materials
-
-    Raises
-    ------
-    SceneError
-        Where an inflow leads to or from another inflow, or ``time`` has no signals.
-    """
-    peaks, known = [], file.model.materials
-    for name, material in known.items():
-        inflow = material.inflow
-        if inflow is None:
-            continue
-        for key, part in (("rest", inflow.rest), ("peak", inflow.peak)):
-            if part in known and known[part].inflow is not None:
-                raise file.error(
-                    ("materials", name, "inflow", key), f"material {part!r} is an inflow itself: name one that is not"
-                )
-        if name in names and inflow.peak not in names:
-            peaks.append(inflow.peak)
-    return list(dict.fromkeys(peaks))
 
 
 def _signal(model: schema.SignalModel, seed: int) -> Signal:
     """A signal."""
     match model:
         case schema.SineSignalModel():
-            return Sine(model.period, model.start)
+            return Sine(period=model.period, start=model.start)
         case schema.RespiratorySignalModel():
             deviations = model.period_deviation, model.amplitude_deviation
             return Respiratory(model.period, model.exponent, model.start, *deviations, seed)
         case schema.CardiacSignalModel():
-            return Cardiac(model.period, model.systole, model.relaxation, model.start)
+            parts = {"systole": model.systole, "relaxation": model.relaxation}
+            return Cardiac(period=model.period, start=model.start, **parts)
         case schema.GammaVariateSignalModel():
             return GammaVariate(model.arrival, model.rise, model.shape)
         case schema.TableSignalModel():

@@ -51,9 +51,9 @@ class Signal(ABC):
         return None
 
 
-@dataclass(frozen=True)
-class Sine(Signal):
-    """(1 - cos) / 2 of one turn per period.
+@dataclass(frozen=True, kw_only=True)
+class Periodic(Signal):
+    """Signal that repeats after a fixed time.
 
     Parameters
     ----------
@@ -63,19 +63,6 @@ class Sine(Signal):
 
     period: float
     start: float = 0.0
-
-    def values(self, times: Times) -> Times:
-        """Compute (1 - cos) / 2.
-
-        Parameters
-        ----------
-        times : [s]
-
-        Returns
-        -------
-        values from 0 to 1
-        """
-        return (1 - np.cos(2 * np.pi * (times / self.period + self.start))) / 2
 
     def cycles(self, times: Times) -> Times:
         """Compute the position in the cycle.
@@ -89,6 +76,24 @@ class Sine(Signal):
         positions from 0 to 1
         """
         return (times / self.period + self.start) % 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sine(Periodic):
+    """(1 - cos) / 2 of one turn per period; parameters as those of `Periodic`."""
+
+    def values(self, times: Times) -> Times:
+        """Compute (1 - cos) / 2.
+
+        Parameters
+        ----------
+        times : [s]
+
+        Returns
+        -------
+        values from 0 to 1
+        """
+        return (1 - np.cos(2 * np.pi * self.cycles(times))) / 2
 
 
 @dataclass(frozen=True)
@@ -161,15 +166,14 @@ class Respiratory(Signal):
         return number, np.clip((times - ends[number]) / (ends[number + 1] - ends[number]), 0.0, 1.0)
 
 
-@dataclass(frozen=True)
-class Cardiac(Signal):
+@dataclass(frozen=True, kw_only=True)
+class Cardiac(Periodic):
     """Contraction of a heart: a rise and a fall, each half a cosine, then rest.
 
     Parameters
     ----------
-    period : from beat to beat [s]
+    period, start : as those of `Periodic`; contraction begins at position 0
     systole, relaxation : parts of the period in which it contracts, and relaxes
-    start : position in the cycle at time 0
 
     Raises
     ------
@@ -177,10 +181,8 @@ class Cardiac(Signal):
         When contraction and relaxation take longer than the period.
     """
 
-    period: float
     systole: float = 0.35
     relaxation: float = 0.3
-    start: float = 0.0
 
     def __post_init__(self) -> None:
         if self.systole + self.relaxation > 1:
@@ -204,19 +206,6 @@ class Cardiac(Signal):
         rise = np.clip(at / self.systole, 0.0, 1.0)
         fall = np.clip((at - self.systole) / self.relaxation, 0.0, 1.0)
         return (np.cos(np.pi * fall) - np.cos(np.pi * rise)) / 2
-
-    def cycles(self, times: Times) -> Times:
-        """Compute the position in the cycle.
-
-        Parameters
-        ----------
-        times : [s]
-
-        Returns
-        -------
-        positions from 0, where contraction begins, to 1
-        """
-        return (times / self.period + self.start) % 1.0
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,7 @@ def test_views_are_divided_as_stated_or_as_asked(scan):
         ("1", "a number from 2 to 100, with :CYCLE if any, got '1'"),
         ("x", "got 'x'"),
         ("4:heart", "there is no cycle 'heart': choose from breath"),
-        ("99", "hold no view: give fewer phases"),
+        ("99", "hold no training view, the first is phase"),
     ],
 )
 def test_divisions_that_cannot_be_are_refused(scan, asked, words):

@@ -44,11 +44,13 @@ def test_breaths_that_differ_join_without_a_step_and_keep_their_mean_period():
 
 
 def test_heart_contracts_relaxes_and_rests():
-    signal = Cardiac(1.0, systole=0.4, relaxation=0.2)
+    signal = Cardiac(period=1.0, systole=0.4, relaxation=0.2)
     assert signal.values(np.array([0.0, 0.2, 0.4, 0.5, 0.6, 0.9])) == pytest.approx([0, 0.5, 1, 0.5, 0, 0], abs=1e-12)
 
 
-@pytest.mark.parametrize("signal", [Sine(3.0, 0.2), Respiratory(3.0), Cardiac(3.0), Table((0, 1), (0, 1), 3.0)])
+@pytest.mark.parametrize(
+    "signal", [Sine(period=3.0, start=0.2), Respiratory(3.0), Cardiac(period=3.0), Table((0, 1), (0, 1), 3.0)]
+)
 def test_signals_that_repeat_have_equal_values_at_equal_positions_of_the_cycle(signal):
     assert signal.values(TIMES) == pytest.approx(signal.values(TIMES + 3.0), abs=1e-9)
     cycles = signal.cycles(TIMES)
@@ -67,7 +69,7 @@ def test_a_table_is_linear_and_constant_outside():
         (lambda: Table((0.0, 1.0), (0.0,)), "equally many, got 2 and 1"),
         (lambda: Table((0.0, 0.0), (0.0, 1.0)), "must ascend"),
         (lambda: Table((0.0, 2.0), (0.0, 1.0), 1.5), "less than its period of 1.5 s"),
-        (lambda: Cardiac(1.0, 0.8, 0.4), "at most 1, got 0.8 and 0.4"),
+        (lambda: Cardiac(period=1.0, systole=0.8, relaxation=0.4), "at most 1, got 0.8 and 0.4"),
     ],
 )
 def test_impossible_signals_are_refused(make, words):
