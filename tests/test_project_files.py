@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from beartype.roar import BeartypeCallHintViolation
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("spectra", "phantomgen", "recon")
@@ -100,11 +99,11 @@ def test_types_and_axes_of_calls_are_checked_in_all_packages():
     from recon.gaussians.unseen_rays import certainly_larger
     from spectra.basis.basis import klein_nishina
 
-    with pytest.raises(BeartypeCallHintViolation, match="energy"):
+    with pytest.raises(TypeError, match="energy"):
         klein_nishina([70.0])  # a list for an array
-    with pytest.raises(BeartypeCallHintViolation, match="spacing"):
+    with pytest.raises(TypeError, match="spacing"):
         Grid((1, 1, 1), (1.0, 1.0), (0.0, 0.0, 0.0))  # a field of a dataclass
-    with pytest.raises(BeartypeCallHintViolation, match="view"):
+    with pytest.raises(TypeError, match="view"):
         certainly_larger(np.ones(3), np.ones(4))  # an axis of two lengths
     assert certainly_larger(np.array([3.0, 4.0]), np.ones(2)) is True
 

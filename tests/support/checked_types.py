@@ -16,7 +16,9 @@ from beartype import BeartypeConf, beartype
 from jaxtyping import config, jaxtyped
 
 Kind = TypeVar("Kind", bound=type)
-SETTINGS = BeartypeConf(is_pep484_tower=True)  # an int may stand for a float
+# An int may stand for a float. A wrong type is a TypeError, which is what the function would raise without checks: code
+# that reads damaged files answers it.
+SETTINGS = BeartypeConf(is_pep484_tower=True, violation_type=TypeError)
 DECORATOR = f"__import__({__name__!r}, fromlist=['']).{{}}"
 
 
