@@ -1,6 +1,7 @@
 """What makes an operator of Gaussians that runs on the CPU differentiable by torch."""
 
 from collections.abc import Callable, Iterable
+from importlib.util import find_spec
 from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -50,6 +51,20 @@ def apply_on_cpu(prepare: Callable[[Kind], OperatorCall], gaussians: Kind) -> Te
     values on the device of the Gaussians, with the type of their coefficients
     """
     return _OnCpu.apply(prepare, type(gaussians), *gaussians)  # type: ignore[return-value]
+
+
+def on_gpu(tensor: Tensor) -> bool:
+    """Whether kernels of Triton compute what belongs to a tensor: it is on a GPU, and Triton is installed.
+
+    Parameters
+    ----------
+    tensor : any tensor
+
+    Returns
+    -------
+    whether it is
+    """
+    return tensor.device.type == "cuda" and find_spec("triton") is not None
 
 
 class _OnCpu(torch.autograd.Function):

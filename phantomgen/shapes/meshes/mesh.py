@@ -113,6 +113,8 @@ def load_mesh(path: str | Path, unit: str, name: str | None = None, fineness: in
         raise InputError(f"{path}: the file says that its unit is {declared}, not {unit}")
     if not len(triangles):
         raise InputError(f"{path}: the file holds no triangles")
+    if vertices.shape[1:] != (3,):
+        raise InputError(f"{path}: a corner needs the coordinates x, y and z, got {vertices.shape[-1]} of them")
     if not 0 <= triangles.min() <= triangles.max() < len(vertices):
         found = f"0 to {len(vertices) - 1}, got {triangles.min()} to {triangles.max()}"
         raise InputError(f"{path}: indices of corners must lie in {found}")

@@ -2,13 +2,13 @@
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Int64
+from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
 from phantomgen.geometry.curved_panel import join_modules
 from phantomgen.ops.simd import WIDTH as LANES
 from recon.ops.arguments import RayFrame, inverse_frames
-from recon.ops.cpu_function import apply_on_cpu
+from recon.ops.cpu_function import apply_on_cpu, on_gpu
 from recon.ops.interface import cpu, cpu_footprints
 from recon.ops.interface.arrays import DividedTensors, Footprints, ShapeGradients, Shapes, SideGradients, Sides
 from recon.ops.interface.sides import side_moments
@@ -52,29 +52,41 @@ def rasterize_divided(
     if frames.ndim == 4:
         modules, flat, module = frames.shape[1], frames.reshape(-1, 4, 3), (panel[0], panel[1] // frames.shape[1])
         return join_modules(rasterize_divided(gaussians, flat, module, projector), modules)
-    call = _Call(gaussians, frames, panel, projector)
-    images = apply_on_cpu(lambda _: call, gaussians)
-    if not call.near.any():
-        return images
-    near = tuple(torch.from_numpy(np.flatnonzero(some)) for some in call.near)
-    return images + _near_the_ends(gaussians.exact(), near, frames.double(), panel, projector)
+    if on_gpu(gaussians.centres):
+        from recon.ops.interface.gpu.calls import rasterize_on_gpu  # noqa: PLC0415 - Triton only where there is a GPU
+
+        images, near = rasterize_on_gpu(gaussians, frames, panel, projector)
+    else:
+        call = _Call(gaussians, frames, panel, projector)
+        images, near = apply_on_cpu(lambda _: call, gaussians), torch.from_numpy(call.near)
+    return images + near_the_ends(gaussians, near, frames, panel, projector) if near.any() else images
 
 
-def _near_the_ends(
+def near_the_ends(
     gaussians: DividedTensors,
-    near: tuple[Int64[Tensor, " near"], ...],
+    near: Bool[Tensor, "view gaussian"],
     frames: Float[Tensor, "view 4 3"],
     panel: tuple[int, int],
     projector: Projector,
 ) -> Float[Tensor, "view basis row column"]:
-    """Sum Gaussians that come near the source or the panel, each side as a Gaussian of its moments."""
-    images = []
-    for frame, which in zip(frames, near, strict=True):
-        some = DividedTensors(*(part[which] for part in gaussians))
-        matrices, image = (
-            whitening_matrices(some.log_scales, some.quaternions),
-            torch.zeros(some.below.shape[1], *panel),
-        )
+    """Sum Gaussians that come near the source or the panel, each side as a Gaussian of its moments, by plain torch.
+
+    Parameters
+    ----------
+    gaussians : all Gaussians
+    near : which come near in each view
+    frames, panel, projector : as in `rasterize_divided`
+
+    Returns
+    -------
+    line integrals, float32
+    """
+    images, device = [], near.device
+    lengths = torch.from_numpy(_ray_lengths(frames.cpu(), panel)).to(device)
+    for frame, some_near, length in zip(frames.double().to(device), near, lengths, strict=True):
+        some = DividedTensors(*(part[some_near] for part in gaussians.exact()))
+        matrices = whitening_matrices(some.log_scales, some.quaternions)
+        image = torch.zeros(some.below.shape[1], *panel, device=device)
         third = torch.linalg.inv(matrices)[:, :, 2]
         for above, values in ((False, some.below), (True, some.above)):
             mass, mean, spread = side_moments(some.planes[:, 0], above)
@@ -82,7 +94,7 @@ def _near_the_ends(
             moved, scaled = some.centres + third * mean[:, None], values * (mass / spread)[:, None]
             heavy = mass > LIGHTEST
             image = image + near_images((moved[heavy], own[heavy], scaled[heavy]), frame, panel, projector).float()
-        images.append(image * torch.from_numpy(_ray_lengths(frame[None], panel)[0]))
+        images.append(image * length)
     return torch.stack(images)
 
 

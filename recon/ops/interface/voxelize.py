@@ -6,7 +6,7 @@ from torch import Tensor
 
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.simd import WIDTH
-from recon.ops.cpu_function import apply_on_cpu
+from recon.ops.cpu_function import apply_on_cpu, on_gpu
 from recon.ops.interface import cpu_voxel_table, cpu_voxels
 from recon.ops.interface.arrays import DividedTensors, ShapeGradients, Shapes, SideGradients, Sides, VoxelNumbers
 from recon.ops.interface.voxel_table import NUMBERS, SUMS
@@ -39,6 +39,10 @@ def voxelize_divided(
     `recon.ops.interface.cpu_voxel_table.fill_table` has the approximation. Errors are below 0.01 of the difference
     between the sides in voxels that the plane crosses.
     """
+    if on_gpu(gaussians.centres):
+        from recon.ops.interface.gpu.calls import voxelize_on_gpu  # noqa: PLC0415 - Triton only where there is a GPU
+
+        return voxelize_on_gpu(gaussians, grid, cutoff)
     return apply_on_cpu(lambda parts: _Call(parts, grid, cutoff), gaussians)
 
 

@@ -1,13 +1,11 @@
 """Rasterize: exact line integrals of Gaussians along the rays of a panel."""
 
-from importlib.util import find_spec
-
 from jaxtyping import Float
 from torch import Tensor
 
 from phantomgen.geometry.curved_panel import join_modules
 from recon.ops.arguments import GaussianTensors, check_shapes
-from recon.ops.cpu_function import apply_on_cpu
+from recon.ops.cpu_function import apply_on_cpu, on_gpu
 from recon.ops.rasterize.cpu_calls import RasterizeCall
 from recon.ops.rasterize.projector import CUTOFF, EXACT, FARTHEST, PROJECTORS, Projector, cutoff_for
 
@@ -69,7 +67,7 @@ def rasterize(
         "rasterize", centres=centres, log_scales=log_scales, quaternions=quaternions, coefficients=coefficients
     )
     gaussians = GaussianTensors(centres, log_scales, quaternions, coefficients)
-    if centres.device.type == "cuda" and find_spec("triton") is not None:
+    if on_gpu(centres):
         from recon.ops.rasterize.gpu_calls import rasterize_on_gpu  # noqa: PLC0415 - Triton only where there is a GPU
 
         return rasterize_on_gpu(gaussians, frames, (rows, columns), projector)

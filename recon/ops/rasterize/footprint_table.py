@@ -20,16 +20,16 @@ f4 = np.float32
 
 
 class Footprints(NamedTuple):
-    """Footprints of all Gaussians in one view.
+    """Footprints of all Gaussians in some views.
 
     Parameters
     ----------
-    numbers : xc, yc, l11, l21, l22, e1 to e5, amplitude; as in `recon.ops.rasterize.cpu`
+    numbers : xc, yc, l11, l21, l22, e1 to e5, amplitude, as in `recon.ops.rasterize.cpu`; more of divided Gaussians
     bounds : first row, one past the last, first column, one past the last
     """
 
-    numbers: Float32[Tensor, "gaussian 11"]
-    bounds: Int32[Tensor, "gaussian 4"]
+    numbers: Float32[Tensor, "view gaussian number"]
+    bounds: Int32[Tensor, "view gaussian 4"]
 
 
 class Views(NamedTuple):

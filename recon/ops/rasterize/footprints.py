@@ -1,10 +1,10 @@
-"""Footprints of all Gaussians in one view, by torch in float64, differentiable: the steps of `cpu.footprints`."""
+"""Footprints of all Gaussians in some views, by torch in float64, differentiable: the steps of `cpu.footprints`."""
 
 import math
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.ops.arguments import TINY
@@ -14,7 +14,7 @@ from recon.ops.rasterize.projector import Projector
 
 
 class ExactFootprints(NamedTuple):
-    """Footprints of all Gaussians in one view, in float64.
+    """Footprints of all Gaussians in some views, in float64.
 
     Parameters
     ----------
@@ -22,8 +22,8 @@ class ExactFootprints(NamedTuple):
     bounds : first row, one past the last, first column, one past the last
     """
 
-    numbers: Float[Tensor, "gaussian 11"]
-    bounds: Float[Tensor, "gaussian 4"]
+    numbers: Float[Tensor, "view gaussian 11"]
+    bounds: Float[Tensor, "view gaussian 4"]
 
     def rounded(self) -> Footprints:
         """Round the footprints to the types of the kernels.
@@ -34,7 +34,7 @@ class ExactFootprints(NamedTuple):
         """
         return Footprints(self.numbers.detach().float().contiguous(), self.bounds.int().contiguous())
 
-    def gradients(self, sums: Float[Tensor, "gaussian 12"], affine: bool) -> Float[Tensor, "gaussian 11"]:
+    def gradients(self, sums: Float[Tensor, "view gaussian 12"], affine: bool) -> Float[Tensor, "view gaussian 11"]:
         """Compute the gradients in the numbers from sums over pixels.
 
         Parameters
@@ -46,15 +46,15 @@ class ExactFootprints(NamedTuple):
         -------
         gradient in each number
         """
-        _, _, l11, l21, l22, e1, e2, e3, e4, e5, amplitude = self.numbers.detach().unbind(1)
-        w, ax, ay, axx, axy, ayy, b, bx, by, bxx, bxy, byy = sums.unbind(1)
+        _, _, l11, l21, l22, e1, e2, e3, e4, e5, amplitude = self.numbers.detach().unbind(-1)
+        w, ax, ay, axx, axy, ayy, b, bx, by, bxx, bxy, byy = sums.unbind(-1)
         along = l11 * ax + l21 * ay
         bends = [torch.zeros_like(w)] * 5 if affine else [bx, by, bxx, bxy, byy]
         to_x = -2 * l11 * along - (e1 * b + 2 * e3 * bx + e4 * by)
         to_y = -2 * (l21 * along + l22 * l22 * ay) - (e2 * b + e4 * bx + 2 * e5 * by)
         to_l = [2 * (l11 * axx + l21 * axy), 2 * (l11 * axy + l21 * ayy), 2 * l22 * ayy]
         safe = torch.where(amplitude == 0, 1.0, amplitude)
-        return torch.stack([to_x, to_y, *to_l, *bends, w / safe], 1)
+        return torch.stack([to_x, to_y, *to_l, *bends, w / safe], -1)
 
 
 def whitening(
@@ -81,7 +81,7 @@ def whitening(
 
 
 class _View(NamedTuple):
-    """Gaussians in whitened coordinates of one view: offset from the source, place, u, vx, vy, u x vx, u x vy."""
+    """Gaussians in whitened coordinates of some views: offset from the source, place, u, vx, vy, u x vx, u x vy."""
 
     offset: Tensor
     place: Tensor  # inverse frame times offset; the third is the depth
@@ -92,52 +92,96 @@ class _View(NamedTuple):
     b: Tensor
 
 
-def _in_view(centres: Tensor, matrices: Tensor, frame: Tensor) -> tuple[_View, Tensor]:
-    """Whiten the Gaussians in one view; also returns the inverse of the frame."""
-    inverse = torch.linalg.inv(torch.stack([frame[2], frame[3], frame[1]], -1))
-    offset = centres - frame[0]
-    u, vx, vy = ((matrices @ x[..., None])[..., 0] for x in (offset, frame[2], frame[3]))
+class PlacedGaussians(NamedTuple):
+    """Gaussians as they lie in some views; those that are not seen have finite numbers without a meaning.
+
+    Parameters
+    ----------
+    seen : whether a Gaussian has a footprint
+    near : whether it comes near an end of the rays, and has none for that
+    distance : from the source to the centre [mm]
+    x, y : projected centre [pixels]
+    depth : of the centre, 0 at the source and 1 at the panel
+    u, vx, vy : offset of the centre from the source, column step and row step, whitened
+    a, b : u x vx and u x vy
+    volume : u x vx . vy
+    """
+
+    seen: Bool[Tensor, "view gaussian"]
+    near: Bool[Tensor, "view gaussian"]
+    distance: Float[Tensor, "view gaussian"]
+    x: Float[Tensor, "view gaussian"]
+    y: Float[Tensor, "view gaussian"]
+    depth: Float[Tensor, "view gaussian"]
+    u: Float[Tensor, "view gaussian 3"]
+    vx: Float[Tensor, "view gaussian 3"]
+    vy: Float[Tensor, "view gaussian 3"]
+    a: Float[Tensor, "view gaussian 3"]
+    b: Float[Tensor, "view gaussian 3"]
+    volume: Float[Tensor, "view gaussian"]
+
+
+def _in_views(centres: Tensor, matrices: Tensor, frames: Tensor) -> tuple[_View, Tensor]:
+    """Whiten the Gaussians in some views; also returns the inverses of the frames."""
+    inverses = torch.linalg.inv(torch.stack([frames[:, 2], frames[:, 3], frames[:, 1]], -1))
+    offset = centres - frames[:, :1]
+    u = torch.einsum("nij,vnj->vni", matrices, offset)
+    vx, vy = (torch.einsum("nij,vj->vni", matrices, frames[:, i]) for i in (2, 3))
     a, b = torch.linalg.cross(u, vx), torch.linalg.cross(u, vy)
-    return _View(offset, offset @ inverse.mT, u, vx, vy, a, b), inverse
+    return _View(offset, offset @ inverses.mT, u, vx, vy, a, b), inverses
 
 
-def footprints(
+def placed(
     centres: Float[Tensor, "gaussian 3"],
     matrices: Float[Tensor, "gaussian 3 3"],
-    frame: Float[Tensor, "4 3"],
-    panel: tuple[int, int],
+    frames: Float[Tensor, "view 4 3"],
     projector: Projector,
-) -> tuple[ExactFootprints, Int64[Tensor, " near"]]:
-    """Compute the footprints of all Gaussians in one view.
+) -> PlacedGaussians:
+    """Find where Gaussians lie in some views.
 
     Parameters
     ----------
     centres : centres [mm]
     matrices : whitening matrices [1/mm]
-    frame : source, d0, column step and row step [mm]
+    frames : per view source, d0, column step and row step [mm]
+    projector : how Gaussians are projected
+
+    Returns
+    -------
+    their places
+    """
+    view, inverses = _in_views(centres, matrices, frames)
+    seen, near = _places(view, matrices.detach(), inverses, projector)
+    # Gaussians that are not seen here get finite numbers: those of a Gaussian half way from the source to the panel.
+    depth = torch.where(seen, view.place[..., 2], 0.5)
+    u, a, b = (
+        torch.where(seen[..., None], *pair)
+        for pair in ((view.u, 1.0), (view.a, _axis(view.a, 0)), (view.b, _axis(view.b, 1)))
+    )
+    volume = torch.where(seen, _dot(view.a, view.vy), 1.0)
+    x, y = (view.place[..., i] / depth for i in (0, 1))
+    return PlacedGaussians(seen, near, view.offset.norm(dim=-1), x, y, depth, u, view.vx, view.vy, a, b, volume)
+
+
+def footprints(gaussians: PlacedGaussians, panel: tuple[int, int], projector: Projector) -> ExactFootprints:
+    """Compute the footprints of Gaussians in some views.
+
+    Parameters
+    ----------
+    gaussians : where they lie in these views
     panel : rows and columns
     projector : how Gaussians are projected
 
     Returns
     -------
-    footprints, and which Gaussians come near an end of the rays; the bounds of these are empty
+    footprints; the bounds of Gaussians that are not seen are empty
     """
-    view, inverse = _in_view(centres, matrices, frame)
-    seen, near = _places(view, matrices.detach(), inverse, projector)
-    box = projector.box
-    # Gaussians that are not seen here get finite numbers: those of a Gaussian half way from the source to the panel.
-    depth = torch.where(seen, view.place[:, 2], 0.5)
-    safe = view._replace(
-        u=torch.where(seen[:, None], view.u, 1.0), a=torch.where(seen[:, None], view.a, _axis(view.a, 0)),
-        b=torch.where(seen[:, None], view.b, _axis(view.b, 1)),
-    )  # fmt: skip
-    x, y = view.place[:, 0] / depth, view.place[:, 1] / depth
-    v = safe.u / depth[:, None]
+    seen, box, x, y, depth = gaussians.seen, projector.box, gaussians.x, gaussians.y, gaussians.depth
+    vx, vy, a, b, v = gaussians.vx, gaussians.vy, gaussians.a, gaussians.b, gaussians.u / depth[..., None]
     d0 = _dot(v, v)
-    p11, p12, p22 = (_dot(*pair) / d0 for pair in ((safe.a, safe.a), (safe.a, safe.b), (safe.b, safe.b)))
+    p11, p12, p22 = (_dot(*pair) / d0 for pair in ((a, a), (a, b), (b, b)))
     # det of the precision as a triple product, which does not cancel: a x b = (u . (vx x vy)) u
-    volume = torch.where(seen, _dot(view.a, view.vy), 1.0)
-    det = torch.where(seen, (depth * volume) ** 2 / d0, 1.0)
+    det = torch.where(seen, (depth * gaussians.volume) ** 2 / d0, 1.0)
     c11, c12, c22 = p22 / det, -p12 / det, p11 / det
     det_wide = 1 / det + box * (c11 + c22) + box * box
     w11, w12 = (c22 + box) / det_wide, -c12 / det_wide
@@ -145,16 +189,16 @@ def footprints(
     amplitude = torch.sqrt(2 * math.pi / (d0 * det * det_wide)) / mass
     if projector.affine:
         bends = [torch.zeros_like(x)] * 5
-        amplitude = amplitude * view.offset.norm(dim=1) / depth
+        amplitude = amplitude * gaussians.distance / depth
     else:
-        bends = [2 * _dot(v, view.vx), 2 * _dot(v, view.vy), _dot(view.vx, view.vx)]
-        bends = [bend / d0 for bend in (*bends, 2 * _dot(view.vx, view.vy), _dot(view.vy, view.vy))]
+        bends = [2 * _dot(v, vx), 2 * _dot(v, vy), _dot(vx, vx), 2 * _dot(vx, vy), _dot(vy, vy)]
+        bends = [bend / d0 for bend in bends]
     root = torch.sqrt(w11)
-    numbers = torch.stack([x, y, root, w12 / root, 1 / torch.sqrt(c22 + box), *bends, amplitude], 1)
-    numbers = torch.where(seen[:, None], numbers, 0.0)
+    numbers = torch.stack([x, y, root, w12 / root, 1 / torch.sqrt(c22 + box), *bends, amplitude], -1)
+    numbers = torch.where(seen[..., None], numbers, 0.0)
     with torch.no_grad():
         bounds = _bounds(numbers, seen, panel, projector.cutoff)
-    return ExactFootprints(numbers, bounds), near
+    return ExactFootprints(numbers, bounds)
 
 
 def near_images(
@@ -177,7 +221,7 @@ def near_images(
     image of each basis
     """
     centres, matrices, coefficients = gaussians
-    view, _ = _in_view(centres, matrices, frame)
+    view = _View(*(part[0] for part in _in_views(centres, matrices, frame[None])[0]))
     box, depth, square = projector.box, view.place[:, 2], _dot(view.u, view.u).clamp(min=TINY)
     jacobian = torch.stack([view.a, view.b], -1)
     one = torch.eye(3, dtype=square.dtype, device=square.device)
@@ -210,14 +254,16 @@ def near_images(
     return torch.einsum("nrc,nm->mrc", value, coefficients)
 
 
-def _places(view: _View, matrices: Tensor, inverse: Tensor, projector: Projector) -> tuple[Tensor, Tensor]:
+def _places(view: _View, matrices: Tensor, inverses: Tensor, projector: Projector) -> tuple[Tensor, Tensor]:
     """Decide which Gaussians lie between source and panel, and which near one of them; see `near_field.classify`."""
     with torch.no_grad():
-        depth, k2 = view.place[:, 2], projector.cutoff**2
+        depth, k2 = view.place[..., 2], projector.cutoff**2
         if projector.affine:
-            return (depth > 0) & (depth < 1), torch.empty(0, dtype=torch.int64, device=depth.device)
+            seen = (depth > 0) & (depth < 1)
+            return seen, torch.zeros_like(seen)
         square, norms = REACH**2 + k2, (matrices * matrices).sum(-1)
-        distance = torch.sqrt(square * ((matrices @ inverse[2]) ** 2 / norms**2).sum(-1))
+        across = torch.einsum("nij,vj->vni", matrices, inverses[:, 2])
+        distance = torch.sqrt(square * (across**2 / norms**2).sum(-1))
         q11 = _dot(view.a, view.a) - k2 * _dot(view.vx, view.vx)
         q12 = _dot(view.a, view.b) - k2 * _dot(view.vx, view.vy)
         q22 = _dot(view.b, view.b) - k2 * _dot(view.vy, view.vy)
@@ -225,12 +271,12 @@ def _places(view: _View, matrices: Tensor, inverse: Tensor, projector: Projector
         between = (distance < depth) & (depth < 1 - distance)
         hidden = ~((-distance < depth) & (depth < 1 + distance))
         near = ~between & ~hidden & ((depth > 1 - distance) | ~ellipse)
-        return ~hidden & ~near & (depth > 0), torch.nonzero(near)[:, 0]
+        return ~hidden & ~near & (depth > 0), near
 
 
-def _bounds(numbers: Tensor, seen: Tensor, panel: tuple[int, int], cutoff: float) -> Float[Tensor, "gaussian 4"]:
+def _bounds(numbers: Tensor, seen: Tensor, panel: tuple[int, int], cutoff: float) -> Float[Tensor, "view gaussian 4"]:
     """Bound the rows and columns of each footprint; all of them where its shadow is no ellipse."""
-    x, y, l11, l21, l22, e1, e2, e3, e4, e5, _ = numbers.unbind(1)
+    x, y, l11, l21, l22, e1, e2, e3, e4, e5, _ = numbers.unbind(-1)
     k2 = cutoff**2
     q11, q12, q22 = l11 * l11 - k2 * e3, l11 * l21 - k2 * e4 / 2, l21 * l21 + l22 * l22 - k2 * e5
     det = q11 * q22 - q12 * q12
@@ -246,7 +292,7 @@ def _bounds(numbers: Tensor, seen: Tensor, panel: tuple[int, int], cutoff: float
         low = torch.where(ellipse, torch.ceil(middle - half), 0.0).clamp(0, size)
         high = torch.where(ellipse, torch.floor(middle + half) + 1, float(size)).clamp(0, size)
         ends += [low, torch.where(seen, torch.maximum(low, high), low)]
-    return torch.stack(ends, 1)
+    return torch.stack(ends, -1)
 
 
 def _lattice_mass(x: Tensor, y: Tensor, c11: Tensor, c12: Tensor, c22: Tensor) -> Tensor:

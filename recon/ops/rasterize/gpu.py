@@ -1,4 +1,4 @@
-"""Triton kernels of the rasterizer: footprints to pixels of one view, and pixels back to footprints.
+"""Triton kernels of the rasterizer: footprints to pixels of some views, and pixels back to footprints.
 
 A program of `_forward` owns a tile of pixels and adds the Gaussians that its list names, in their order; a program of
 `_backward` owns a Gaussian and sums over its pixels. Nothing is added atomically, so that results repeat bit by bit.
@@ -11,7 +11,7 @@ from typing import no_type_check
 import torch
 import triton
 import triton.language as tl
-from jaxtyping import Float32
+from jaxtyping import Float32, Int32, Int64
 from torch import Tensor
 
 from recon.ops.rasterize.footprint_table import Footprints
@@ -41,34 +41,37 @@ def _value(p, column, row, k2):
 @triton.jit
 @no_type_check
 def _forward(
-    numbers, coefficients, members, starts, out, rows, columns, across, bases, k2,
+    numbers, coefficients, members, starts, out, count, rows, columns, down, across, bases, k2,
     TILE: tl.constexpr, PADDED: tl.constexpr,
 ):  # fmt: skip
-    """Compute the pixels (basis, row, column) of a tile."""
+    """Compute the pixels (view, basis, row, column) of a tile."""
     tile, pixel, basis = tl.program_id(0), tl.arange(0, TILE * TILE), tl.arange(0, PADDED)
-    row, column = tile // across * TILE + pixel // TILE, tile % across * TILE + pixel % TILE
+    view, row = tile // (down * across), tile // across % down * TILE + pixel // TILE
+    column = tile % across * TILE + pixel % TILE
     total = tl.zeros((TILE * TILE, PADDED), dtype=tl.float32)
     for k in range(tl.load(starts + tile), tl.load(starts + tile + 1)):
-        g = tl.load(members + k)
-        value, _, _, _, _ = _value(numbers + g * 11, column, row, k2)
-        total += value[:, None] * tl.load(coefficients + g * bases + basis, mask=basis < bases, other=0.0)[None]
+        seen = tl.load(members + k)
+        value, _, _, _, _ = _value(numbers + seen * 11, column, row, k2)
+        weights = tl.load(coefficients + seen % count * bases + basis, mask=basis < bases, other=0.0)
+        total += value[:, None] * weights[None]
     known = ((row < rows) & (column < columns))[:, None] & (basis < bases)[None]
-    place = (basis[None].to(tl.int64) * rows + row[:, None]) * columns + column[:, None]
+    place = ((view * bases + basis[None]).to(tl.int64) * rows + row[:, None]) * columns + column[:, None]
     tl.store(out + place, total, mask=known)
 
 
 @triton.jit
 @no_type_check
 def _backward(
-    numbers, coefficients, bounds, cotangent, sums, to_coefficients, rows, columns, bases, k2,
+    numbers, coefficients, bounds, cotangent, sums, to_coefficients, count, rows, columns, bases, k2,
     BLOCK: tl.constexpr, PADDED: tl.constexpr,
 ):  # fmt: skip
-    """Sum over the pixels of a Gaussian (gaussian, 12); also the gradient in its coefficients (gaussian, basis)."""
+    """Sum over the pixels of a footprint (view, gaussian, 12); gradient in the coefficients (view, gaussian, basis)."""
     g, basis = tl.program_id(0).to(tl.int64), tl.arange(0, PADDED)
+    view = g // count
     first_row, first_column = tl.load(bounds + 4 * g), tl.load(bounds + 4 * g + 2)
     width = tl.load(bounds + 4 * g + 3) - first_column
     pixels = (tl.load(bounds + 4 * g + 1) - first_row) * width
-    weights = tl.load(coefficients + g * bases + basis, mask=basis < bases, other=0.0)
+    weights = tl.load(coefficients + g % count * bases + basis, mask=basis < bases, other=0.0)
     zero = tl.zeros((BLOCK,), dtype=tl.float32)
     w, ax, ay, axx, axy, ayy = zero, zero, zero, zero, zero, zero
     b, bx, by, bxx, bxy, byy = zero, zero, zero, zero, zero, zero
@@ -78,7 +81,7 @@ def _backward(
         row, column = first_row + pixel // width, first_column + pixel % width
         value, x, y, inverse, q = _value(numbers + g * 11, column, row, k2)
         value = tl.where(pixel < pixels, value, 0.0)
-        place = (basis[None].to(tl.int64) * rows + row[:, None]) * columns + column[:, None]
+        place = ((view * bases + basis[None]).to(tl.int64) * rows + row[:, None]) * columns + column[:, None]
         known = (pixel < pixels)[:, None] & (basis < bases)[None]
         incoming = tl.load(cotangent + place, mask=known, other=0.0)
         to_weights += incoming * value[:, None]
@@ -104,30 +107,49 @@ def _backward(
     tl.store(to_coefficients + g * bases + basis, tl.sum(to_weights, 0), mask=basis < bases)
 
 
+def pixel_tiles(
+    bounds: Int32[Tensor, "view gaussian 4"], panel: tuple[int, int]
+) -> tuple[int, int, Int64[Tensor, " member"], Int64[Tensor, " tile_plus_1"]]:
+    """List the footprints of each tile of pixels of each view.
+
+    Parameters
+    ----------
+    bounds : first row, one past the last, first column, one past the last
+    panel : rows and columns
+
+    Returns
+    -------
+    tiles of a view down and across; numbers of the footprints, and where the list of each tile starts
+    """
+    views, n, _ = bounds.shape
+    down, across = (triton.cdiv(size, _TILE) for size in panel)
+    view = torch.arange(views, device=bounds.device)[:, None, None].expand(views, n, 1)
+    boxes = torch.cat([view, view + 1, bounds.long()], -1).reshape(views * n, 6)
+    return down, across, *tile_lists(boxes, (1, _TILE, _TILE), (views, down, across))
+
+
 def forward(
     footprints: Footprints, coefficients: Float32[Tensor, "gaussian basis"], panel: tuple[int, int], cutoff: float
-) -> Float32[Tensor, "basis row column"]:
+) -> Float32[Tensor, "view basis row column"]:
     """Sum all footprints, times their coefficients.
 
     Parameters
     ----------
-    footprints : of all Gaussians in one view
+    footprints : of all Gaussians in some views
     coefficients : contiguous
     panel : rows and columns
     cutoff : where a footprint ends [standard deviations]
 
     Returns
     -------
-    image of each basis, without |d|
+    images of each basis, without |d|
     """
-    rows, columns = panel
-    bases = coefficients.shape[1]
-    down, across = triton.cdiv(rows, _TILE), triton.cdiv(columns, _TILE)
-    out = coefficients.new_empty((bases, rows, columns))
-    members, starts = tile_lists(footprints.bounds.long(), (_TILE, _TILE), (down, across))
-    if down * across and bases:
-        _forward[(down * across,)](
-            footprints.numbers, coefficients, members, starts, out, rows, columns, across, bases, cutoff**2,
+    (n, bases), views = coefficients.shape, len(footprints.numbers)
+    out = coefficients.new_empty((views, bases, *panel))
+    down, across, members, starts = pixel_tiles(footprints.bounds, panel)
+    if out.numel():
+        _forward[(views * down * across,)](
+            footprints.numbers, coefficients, members, starts, out, n, *panel, down, across, bases, cutoff**2,
             _TILE, triton.next_power_of_2(bases),
         )  # fmt: skip
     return out
@@ -136,27 +158,27 @@ def forward(
 def backward(
     footprints: Footprints,
     coefficients: Float32[Tensor, "gaussian basis"],
-    cotangent: Float32[Tensor, "basis row column"],
+    cotangent: Float32[Tensor, "view basis row column"],
     cutoff: float,
-) -> tuple[Float32[Tensor, "gaussian 12"], Float32[Tensor, "gaussian basis"]]:
+) -> tuple[Float32[Tensor, "view gaussian 12"], Float32[Tensor, "view gaussian basis"]]:
     """Sum over the pixels of every footprint.
 
     Parameters
     ----------
-    footprints : of all Gaussians in one view
+    footprints : of all Gaussians in some views
     coefficients : contiguous
-    cotangent : gradient in the image, times |d|; contiguous
+    cotangent : gradient in the images, times |d|; contiguous
     cutoff : where a footprint ends [standard deviations]
 
     Returns
     -------
-    sums as in `recon.ops.rasterize.cpu.backward`, and the gradient in the coefficients
+    sums as in `recon.ops.rasterize.cpu.backward`, and the gradient in the coefficients, of each view
     """
-    (n, bases), (_, rows, columns) = coefficients.shape, cotangent.shape
-    sums, to_coefficients = coefficients.new_empty((n, SUMS)), torch.empty_like(coefficients)
-    if n and bases:
-        _backward[(n,)](
+    (n, bases), (views, _, rows, columns) = coefficients.shape, cotangent.shape
+    sums, to_coefficients = coefficients.new_empty((views, n, SUMS)), coefficients.new_empty((views, n, bases))
+    if to_coefficients.numel():
+        _backward[(views * n,)](
             footprints.numbers, coefficients, footprints.bounds, cotangent, sums, to_coefficients,
-            rows, columns, bases, cutoff**2, _BLOCK, triton.next_power_of_2(bases),
+            n, rows, columns, bases, cutoff**2, _BLOCK, triton.next_power_of_2(bases),
         )  # fmt: skip
     return sums, to_coefficients

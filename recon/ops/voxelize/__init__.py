@@ -1,7 +1,5 @@
 """Voxelize: Gaussians on a grid of voxels, each voxel holding its mean."""
 
-from importlib.util import find_spec
-
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -10,7 +8,7 @@ from torch import Tensor
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.ops.arguments import GaussianTensors
-from recon.ops.cpu_function import apply_on_cpu
+from recon.ops.cpu_function import apply_on_cpu, on_gpu
 from recon.ops.voxelize.cpu_calls import VoxelizeCall
 
 CUTOFF = 4.5  # standard deviations; a Gaussian is below 4e-5 of its peak there
@@ -43,7 +41,7 @@ def voxelize(
     -------
     volumes [1/mm], float32
     """
-    if _on_gpu(centres):
+    if on_gpu(centres):
         with torch.no_grad():
             volume = voxelize_tensor(centres, log_scales, quaternions, coefficients, grid, footprint, cutoff)
         return volume.float().cpu().numpy()
@@ -85,12 +83,8 @@ def voxelize_tensor(
     volumes [1/mm], on the device and in the type of the coefficients
     """
     gaussians = GaussianTensors(centres, log_scales, quaternions, coefficients)
-    if _on_gpu(centres):
+    if on_gpu(centres):
         from recon.ops.voxelize.gpu_calls import voxelize_on_gpu  # noqa: PLC0415 - Triton only where there is a GPU
 
-        return voxelize_on_gpu(gaussians, grid, footprint, cutoff)
+        return voxelizeon_gpu(gaussians, grid, footprint, cutoff)
     return apply_on_cpu(lambda parts: VoxelizeCall(parts, grid, footprint, cutoff), gaussians)
-
-
-def _on_gpu(centres: Tensor) -> bool:
-    return centres.device.type == "cuda" and find_spec("triton") is not None

@@ -26,11 +26,11 @@ class Ellipsoids(NamedTuple):
 
     Parameters
     ----------
-    numbers : offset x, y, z from the voxel; u11, u12, u13, u22, u23, u33; amplitude
+    numbers : offset x, y, z from the voxel; u11, u12, u13, u22, u23, u33; amplitude; more of divided Gaussians
     places : voxel x, y, z; then first index and one past the last along z, y and x
     """
 
-    numbers: Float32[Tensor, "gaussian 10"]
+    numbers: Float32[Tensor, "gaussian number"]
     places: Int32[Tensor, "gaussian 9"]
 
 

@@ -114,14 +114,24 @@ def _shapes(
     narrow = log_scales.sum(1) - spacing.log().sum()
     log_amplitudes = narrow - torch.logdet(covariances) / 2
     if box >= NARROWEST:
-        log_amplitudes = log_amplitudes - torch.log(_lattice_mass(offsets, covariances))
+        log_amplitudes = log_amplitudes - torch.log(lattice_mass(offsets, covariances))
     return _Shapes(offsets, covariances, log_amplitudes, voxels)
 
 
-def _lattice_mass(
+def lattice_mass(
     offsets: Float[Tensor, "gaussian 3"], covariances: Float[Tensor, "gaussian 3 3"]
 ) -> Float[Tensor, " gaussian"]:
-    """Sum densities of unit mass over all voxels; see `recon.ops.voxelize.cpu.lattice_mass`."""
+    """Sum densities of unit mass over all voxels; see `recon.ops.voxelize.cpu.lattice_mass`.
+
+    Parameters
+    ----------
+    offsets : of the centres from the middle of a voxel [voxels]
+    covariances : averaged over a voxel [voxel^2]
+
+    Returns
+    -------
+    sums, next to 1
+    """
     total = torch.ones_like(offsets[:, 0])
     for k in offsets.new_tensor(_NEIGHBOURS):
         decay = torch.exp(-2 * math.pi**2 * torch.einsum("i,nij,j->n", k, covariances, k))

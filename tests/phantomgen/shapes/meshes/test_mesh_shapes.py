@@ -78,6 +78,7 @@ def test_trimesh_is_imported_for_files_only() -> None:
         ("a.glb", b"not a mesh at all", "mm", "cannot be read as GLB"),
         ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
          b"end_header\n0 0 0\n", "mm", "holds no triangles"),
+        ("a.obj", b"v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", "mm", "needs the coordinates x, y and z, got 2 of them"),
     ],
 )  # fmt: skip
 def test_files_that_are_refused(name: str, content: bytes | None, unit: str, message: str, tmp_path: Path) -> None:
