@@ -6,6 +6,7 @@ integrals, sensitivities of the channels, and functions of energy.
 
 from functools import lru_cache
 from importlib.util import find_spec
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -153,6 +154,27 @@ def transmit(lengths: torch.Tensor, transmission: "Transmission") -> torch.Tenso
     """
     on_gpu = lengths.device.type == "cuda" and find_spec("triton") is not None
     return (TransmitOnGpu if on_gpu else Transmit).apply(lengths, transmission)
+
+
+def transmit_and_jacobian(lengths: Tensor, transmission: "Transmission") -> tuple[Tensor, Tensor]:
+    """Compute expected counts and their derivatives by plain torch, on the device and in the precision of `lengths`.
+
+    Parameters
+    ----------
+    lengths : line integrals, (..., M)
+    transmission : source, detector and columns
+
+    Returns
+    -------
+    counts, (..., C), and dY_c/dL_m, (..., C, M)
+    """
+    columns, weights = (torch.from_numpy(part).to(lengths) for part in (transmission.columns, transmission.weights))
+    left = torch.exp(-lengths @ columns) * weights
+    counts, slopes = [], []
+    for first, last in pairwise(transmission.starts.tolist()):
+        counts.append(left[..., first:last].sum(-1))
+        slopes.append(-left[..., first:last] @ columns[:, first:last].T)
+    return torch.stack(counts, -1), torch.stack(slopes, -2)
 
 
 class TransmitSpectrum(torch.autograd.Function):

@@ -85,7 +85,7 @@ class _Output:
     overwrite: bool
 
 
-def _chosen(recipe: _RecipeOptions, device: str, special: dict[str, Any]) -> "Recipe | PaperRecipe":
+def _chosen(recipe: _RecipeOptions, special: dict[str, Any]) -> "Recipe | PaperRecipe":
     """Return the recipe that options ask for; refuse those in `special` beside the recipe of the paper."""
     from recon.published_methods.paper.recipe import PAPER_STEPS, PaperRecipe
     from recon.runs.run_gaussians import chosen_recipe
@@ -96,7 +96,7 @@ def _chosen(recipe: _RecipeOptions, device: str, special: dict[str, Any]) -> "Re
     refuse_options(
         f"--recipe {recipe.recipe}, whose length is --sweeps", {"steps": recipe.steps, "without": recipe.without}
     )
-    kernel = ("interface" if device == "cpu" else "gaussian") if recipe.kernel == "auto" else recipe.kernel
+    kernel = "interface" if recipe.kernel == "auto" else recipe.kernel
     refuse_options("--gaussians", {"detail": recipe.gaussians and recipe.detail})
     return chosen_recipe(
         recipe.recipe,
@@ -143,7 +143,7 @@ def _chosen(recipe: _RecipeOptions, device: str, special: dict[str, Any]) -> "Re
     type=click.Choice(["auto", "interface", "gaussian"]),
     default="auto",
     show_default=True,
-    help="Gaussians that planes divide at interfaces, or plain ones; auto: planes, but plain ones with --device cuda.",
+    help="Gaussians that planes divide at interfaces, or plain ones; auto: planes.",
 )
 @click.option(
     "--detail",
@@ -291,7 +291,7 @@ def fit(
             f"--method {method}",
             special | {"steps": recipe.steps, "without": recipe.without, "recipe": recipe.recipe != "fast"},
         )
-    how = _chosen(recipe, resources.device, special)
+    how = _chosen(recipe, special)
     set_threads(resources.threads)
     if resources.dry_run and not isinstance(how, PaperRecipe):
         with open_dataset(source, data.air) as stored:

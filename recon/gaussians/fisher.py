@@ -7,6 +7,7 @@ from torch import Tensor
 
 from recon.data.measurements import Measurements
 from recon.gaussians.model import GaussianModel
+from spectra.differentiable import transmit_and_jacobian
 
 VIEWS_AT_ONCE = 5  # views; images of so many are held in memory together; chosen by hand, not measured
 
@@ -48,10 +49,11 @@ def coefficient_curvature(
         images = gaussians.with_values(values).line_integrals(some.geometry)
         # The operator is linear in `values`, so its adjoint may be applied to images other than those it made.
         ray_gradients = torch.zeros_like(images)
+        of_rays = ray_information if images.device.type == "cpu" else ray_information_on_device
         for view in range(len(some)):  # matrices of one view at a time, in float64
-            line_integrals = images[[view], :bases].detach().clamp(min=0).cpu().numpy()
-            information = ray_information(some[[view]], line_integrals, dispersion)[0][:, :, *upper]
-            ray_gradients[view, : len(upper[0])] = torch.from_numpy(information).movedim(-1, 0).to(ray_gradients)
+            line_integrals = images[[view], :bases].detach().clamp(min=0)
+            information = of_rays(some[[view]], line_integrals, dispersion)[0][:, :, *upper]
+            ray_gradients[view, : len(upper[0])] = torch.as_tensor(information).movedim(-1, 0).to(ray_gradients)
         ray_gradients *= images[:, bases : bases + 1].detach()
         sums += torch.autograd.grad(images, values, ray_gradients)[0]
     sums = sums[..., : len(upper[0])]
@@ -62,7 +64,9 @@ def coefficient_curvature(
 
 
 def ray_information(
-    measurements: Measurements, line_integrals: Float[np.ndarray, "view basis row column"], dispersion: float
+    measurements: Measurements,
+    line_integrals: "Float[np.ndarray, 'view basis row column'] | Float[Tensor, 'view basis row column']",
+    dispersion: float,
 ) -> Float[np.ndarray, "view row column basis basis"]:
     """Compute the Fisher matrix of every ray's line integrals.
 
@@ -79,10 +83,38 @@ def ray_information(
     """
     transmission = measurements.transmission
     gains = np.moveaxis(measurements.gains, 0, -1) * measurements.exposure[:, None, None, :]
-    lengths = measurements.with_profile(np.moveaxis(line_integrals, 1, -1))
+    lengths = measurements.with_profile(np.moveaxis(np.asarray(line_integrals), 1, -1))
     expected, jacobian = transmission.expected_and_jacobian(lengths)
     expected, jacobian = expected * gains, jacobian[..., : len(measurements.basis_names)] * gains[..., None]
     precision = 1 / np.maximum(expected * (1 + dispersion**2 * expected), np.finfo(float).tiny)
     if measurements.statistical_weights is not None:
         precision = precision * np.moveaxis(measurements.statistical_weights, 1, -1)
     return np.einsum("...c,...cm,...cn->...mn", precision, jacobian, jacobian, optimize=True)
+
+
+def ray_information_on_device(
+    measurements: Measurements, line_integrals: Float[Tensor, "view basis row column"], dispersion: float
+) -> Float[Tensor, "view row column basis basis"]:
+    """Compute the matrices of `ray_information` on the device of the line integrals, in float64.
+
+    Parameters
+    ----------
+    measurements, line_integrals, dispersion : as in `ray_information`
+
+    Returns
+    -------
+    matrices as `ray_information` returns
+    """
+    device, exact, data = line_integrals.device, torch.float64, measurements
+    lengths = line_integrals.movedim(1, -1).to(exact)
+    if data.profile is not None:
+        known = torch.from_numpy(data.profile).to(device, exact).movedim(0, -1)
+        lengths = torch.cat([lengths, known.expand(len(lengths), *known.shape)], dim=-1)
+    expected, jacobian = transmit_and_jacobian(lengths, data.transmission)
+    gains, exposure = (torch.from_numpy(part).to(device, exact) for part in (data.gains, data.exposure))
+    gains = gains.movedim(0, -1) * exposure[:, None, None]
+    expected, jacobian = expected * gains, jacobian[..., : len(data.basis_names)] * gains[..., None]
+    precision = 1 / (expected * (1 + dispersion**2 * expected)).clamp(min=torch.finfo(exact).tiny)
+    if data.statistical_weights is not None:
+        precision = precision * torch.from_numpy(np.asarray(data.statistical_weights)).to(device).movedim(1, -1)
+    return (jacobian * precision[..., None]).mT @ jacobian

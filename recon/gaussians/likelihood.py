@@ -1,12 +1,15 @@
 """The data term F_data of the objective (`recon.gaussians.objective`): deviance, chi-square and gradients of views.
 
-Images of all channels are held for one view at a time, so that memory does not grow with the views of a step. A ray is
-computed in the same way whichever others are computed with it, so that this changes no bit of the gradients. All is
-computed on the device of the model; only sums are copied to the processor.
+Images of all channels are held for one view at a time, or on a GPU for some, so that memory does not grow with the
+views of a step. A ray is computed in the same way whichever others are computed with it, so that this changes no bit of
+the gradients. All is computed on the device of the model; only sums are copied to the processor. A GPU keeps the counts
+of a scan, where it has room for them.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -20,6 +23,8 @@ from recon.ops.deviance import chi_square, deviance, expected_chi_square, expect
 from recon.voxel.model import Voxels
 from spectra.differentiable import transmit
 
+KEPT_PART = 0.3  # of a GPU's free memory; counts, gains and weights of a scan that need less are kept there
+VALUES_AT_ONCE = 2**24  # views x channels x pixels whose counts a GPU computes together
 MOST_NEGATIVE = 0.1  # no unit; bound of negative line integrals; those of models that fit are above -0.01
 
 
@@ -55,11 +60,12 @@ def likelihood(
     -------
     deviance and chi-square of all views
     """
-    sums = torch.zeros(2 * data.counts.shape[1] + 2, dtype=torch.float64, device="cpu")
+    sums = torch.zeros(2 * data.counts.shape[1] + 2, dtype=torch.float64)
     with torch.no_grad():
         for view in processes.share(np.arange(len(data))):
             one = data[[int(view)]]
-            sums += _view_sums(model.line_integrals(one.geometry), one, dispersion)[1]
+            images = model.line_integrals(one.geometry)
+            sums += _sums(images, _rays(one, images.device), dispersion)[1].cpu()
     return _summed(sums, processes)
 
 
@@ -77,8 +83,12 @@ def deviances(model: GaussianModel | Voxels, data: Measurements, dispersion: flo
     sums over the counts of each view with their statistical weights, (V,)
     """
     with torch.no_grad():
-        ones = [data[[view]] for view in range(len(data))]
-        return np.array([float(_view_sums(model.line_integrals(o.geometry), o, dispersion)[1][0]) for o in ones])
+        found = []
+        for view in range(len(data)):
+            one = data[[view]]
+            images = model.line_integrals(one.geometry)
+            found.append(float(_sums(images, _rays(one, images.device), dispersion)[1][0]))
+        return np.array(found)
 
 
 def likelihood_and_gradients(
@@ -104,19 +114,21 @@ def likelihood_and_gradients(
     """
     parts = list(gaussians.tensors().values())
     values = len(views) * int(np.prod(data.counts.shape[1:]))
-    sums = torch.zeros(2 * data.counts.shape[1] + 2, dtype=torch.float64, device="cpu")
-    mine = data[processes.share(views)]
+    sums = torch.zeros(2 * data.counts.shape[1] + 2, dtype=torch.float64)
+    mine = processes.share(views)
     for part in parts:
         part.grad = None
     if len(mine):
-        images = gaussians.line_integrals(mine.geometry)
+        images = gaussians.line_integrals(data.geometry[mine])
         known, ray_gradient = images.detach(), torch.empty_like(images)
-        for view in range(len(mine)):
-            lengths = known[view : view + 1].requires_grad_()
-            loss, found = _view_sums(lengths, mine[[view]], dispersion)
-            ray_gradient[view] = torch.autograd.grad(loss / values, lengths)[0][0]
-            sums += found
+        rays, on_device = _rays_of_step(data, mine, images.device), sums.to(images.device)
+        for some in _portions(rays):
+            lengths = known[some].requires_grad_()
+            loss, found = _sums(lengths, rays.of_views(some), dispersion)
+            ray_gradient[some] = torch.autograd.grad(loss / values, lengths)[0]
+            on_device += found
         images.backward(ray_gradient)
+        sums += on_device.cpu()
     else:
         for part in parts:
             part.grad = torch.zeros_like(part)
@@ -124,22 +136,18 @@ def likelihood_and_gradients(
     return _summed(sums, processes)
 
 
-def _view_sums(
-    images: Float[Tensor, "1 basis row column"], one: Measurements, dispersion: float
+def _sums(
+    images: Float[Tensor, "view basis row column"], rays: "_Rays", dispersion: float
 ) -> tuple[Tensor, Float[Tensor, " sum"]]:
     """Compute the sum of the deviance; and as numbers that sum, chi-square per channel, and expected values of both."""
-    counts, expected, measuring = _counts(images, one)
-    statistical_weights = (
-        1.0 if one.statistical_weights is None else torch.from_numpy(one.statistical_weights).to(images.device)
-    )
-    loss = (statistical_weights * deviance(counts, expected, dispersion)).sum()
+    expected, measuring, weights = _expected_counts(images, rays), rays.gains > 0, rays.weights
+    loss = (weights * deviance(rays.counts, expected, dispersion)).sum()
     with torch.no_grad():
-        found = torch.where(measuring, chi_square(counts, expected, dispersion), 0.0)
+        found = torch.where(measuring, chi_square(rays.counts, expected, dispersion), 0.0)
         noise = torch.where(measuring, expected_chi_square(expected, dispersion), 0.0)
-        weighted_noise = statistical_weights * expected_deviance(expected, dispersion)
-        least = torch.where(measuring, weighted_noise, 0.0).sum()
+        least = torch.where(measuring, weights * expected_deviance(expected, dispersion), 0.0).sum()
         parts = [loss.reshape(1), found.sum(dim=(0, 2, 3)), least.reshape(1), noise.sum(dim=(0, 2, 3))]
-        return loss, torch.cat([part.double().cpu() for part in parts])
+        return loss, torch.cat([part.double() for part in parts])
 
 
 def bounded(images: Float[Tensor, "view basis row column"]) -> Float[Tensor, "view basis row column"]:
@@ -159,23 +167,58 @@ def bounded(images: Float[Tensor, "view basis row column"]) -> Float[Tensor, "vi
     return torch.where(images < 0, below / (1 - below / MOST_NEGATIVE), images)
 
 
-class _Counts(NamedTuple):
-    """Measured counts y, expected counts Y, and which pixels measure; (V, C, R, K) or broadcast to it."""
+class _Rays(NamedTuple):
+    """Measured counts, gains times exposure and statistical weights (V, C, R, K) on a device; the rest of the scan."""
 
-    measured: Tensor
-    expected: Tensor
-    measuring: Tensor
+    counts: Tensor
+    gains: Tensor
+    weights: Tensor
+    scan: Measurements
+
+    def of_views(self, some: slice | Tensor) -> "_Rays":
+        """Take some of the views."""
+        weights = self.weights if self.weights.ndim == 0 else self.weights[some]
+        return _Rays(self.counts[some], self.gains[some], weights, self.scan)
 
 
-def _counts(images: Float[Tensor, "view basis row column"], data: Measurements) -> _Counts:
-    """Compute expected counts of line integrals, beside the measured ones."""
-    gains = torch.from_numpy(data.gains * data.exposure[:, :, None, None].astype(np.float32)).to(images.device)
+def _rays(data: Measurements, device: torch.device) -> _Rays:
+    """Copy the measurements of all views to a device."""
+    gains = data.gains * data.exposure[:, :, None, None].astype(np.float32)
+    weights = np.ones((), np.float32) if data.statistical_weights is None else data.statistical_weights
+    counts, gains, weights = (torch.from_numpy(np.asarray(part)).to(device) for part in (data.counts, gains, weights))
+    return _Rays(counts, gains, weights, data)
+
+
+def _rays_of_step(data: Measurements, views: Int[np.ndarray, " view"], device: torch.device) -> _Rays:
+    """Take some views of a scan, which a GPU keeps whole where it has room."""
+    if device.type == "cpu":
+        return _rays(data[views], device)
+    if data not in _KEPT and 3 * data.counts.nbytes < KEPT_PART * torch.cuda.mem_get_info(device)[0]:
+        _KEPT[data] = _rays(data, device)
+    if data in _KEPT:
+        return _KEPT[data].of_views(torch.from_numpy(views).to(device))
+    return _rays(data[views], device)
+
+
+_KEPT: "WeakKeyDictionary[Measurements, _Rays]" = WeakKeyDictionary()
+
+
+def _portions(rays: _Rays) -> Iterator[slice]:
+    """Split views into those whose images are held together."""
+    views, *image = rays.counts.shape
+    size = 1 if rays.counts.device.type == "cpu" else max(1, VALUES_AT_ONCE // max(int(np.prod(image)), 1))
+    yield from (slice(first, min(first + size, views)) for first in range(0, views, size))
+
+
+def _expected_counts(
+    images: Float[Tensor, "view basis row column"], rays: _Rays
+) -> Float[Tensor, "view channel row column"]:
+    """Compute expected counts of line integrals."""
     lengths = bounded(images).movedim(1, -1).contiguous()
-    if data.profile is not None:
-        known = torch.from_numpy(data.profile).to(lengths).movedim(0, -1)
+    if rays.scan.profile is not None:
+        known = torch.from_numpy(rays.scan.profile).to(lengths).movedim(0, -1)
         lengths = torch.cat([lengths, known.expand(len(lengths), *known.shape)], dim=-1)
-    expected = transmit(lengths, data.transmission).movedim(-1, 1) * gains
-    return _Counts(torch.from_numpy(data.counts).to(images.device), expected, gains > 0)
+    return transmit(lengths, rays.scan.transmission).movedim(-1, 1) * rays.gains
 
 
 def _summed(sums: Float[Tensor, " sum"], processes: Processes) -> Likelihood:

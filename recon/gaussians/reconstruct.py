@@ -118,16 +118,8 @@ def reconstruct(
     -------
     the fitted model, and what is known of the fit
 
-    Raises
-    ------
-    InputError
-        When the recipe's Gaussians have planes, and the device is not the processor.
     """
     processes, device = resources.processes, device_named(resources.device)
-    if recipe.kernel == "interface" and device.type != "cpu":
-        raise InputError(
-            f"planes divide Gaussians on the processor alone: take --kernel gaussian with --device {device.type}"
-        )
     starting_method(dataset.geometry[dataset.splits["train"]], dataset.grid)  # refuses views from one side alone
     stage = Stopwatch(on_stage)
     with stage("read"):

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from phantomgen.runtime.stopwatch import Stopwatch
+from recon.data.devices import device_named
 from recon.gaussians.divided.fit_to_volume import fit_divided_to_volume, solve_coefficients
 from recon.gaussians.divided.model import DividedGaussians
 from recon.gaussians.divided.placement import place_on_surfaces
@@ -32,18 +33,18 @@ def divided_gaussians(
     recipe : settings
     stage : stopwatch of the stages
     on_iteration : called after every evaluation of the fit to the volumes
-    resources : not used: there are no kernels for other devices than the processor
+    resources : device of the Gaussians
 
     Returns
     -------
-    Gaussians with the width of the transition for the fit to the counts
+    Gaussians on the processor, with the width of the transition for the fit to the counts
     """
-    del resources
     settings, metric = recipe.surfaces, metric_of(occupied.volumes, scan.fisher, recipe.volume_fit)
     with stage("initialize"):
         gaussians = place_on_surfaces(*occupied, metric, scan.measured.basis_names, recipe.seed, settings)
+        gaussians = gaussians.to(device_named(resources.device))
         gaussians = solve_coefficients(gaussians, *occupied, metric, settings.solves)
     with stage("approximate"):
         steps = replace(recipe.volume_fit, cutoff=settings.cutoff)
         gaussians = fit_divided_to_volume(gaussians, *occupied, metric, recipe.approximation, on_iteration, steps)
-    return replace(gaussians, width=settings.width * min(occupied.grid.spacing))
+    return replace(gaussians.to("cpu"), width=settings.width * min(occupied.grid.spacing))

@@ -58,7 +58,8 @@ def fit_divided_to_volume(
     -------
     Gaussians closer to the volumes
     """
-    problem = _Distance(volumes, grid, metric, Report(on_evaluation, evaluations), settings)
+    report = Report(on_evaluation, evaluations)
+    problem = _Distance(volumes, grid, metric, report, settings, start.centres.device)
     problem.widest = start.log_scales.amax(dim=1, keepdim=True) + math.log(settings.widest)
     return descend(start.detached(), problem, evaluations, settings)
 
@@ -85,7 +86,8 @@ def solve_coefficients(
     the model with other coefficients
     """
     volumes, grid = _of_twice_the_size(volumes, grid)
-    problem = _Distance(volumes, grid, metric, Report(no_callback, iterations), replace(DEFAULT, cutoff=CUTOFF))
+    report, settings = Report(no_callback, iterations), replace(DEFAULT, cutoff=CUTOFF)
+    problem = _Distance(volumes, grid, metric, report, settings, start.centres.device)
     problem.renew_diagonal(start)
     scale = problem.overlap[..., None] * torch.diagonal(problem.metric)
     values = start.coefficients.clone()
@@ -116,11 +118,12 @@ class _Distance:
         metric: Float[np.ndarray, "basis basis"],
         report: Report,
         settings: VolumeFitSettings,
+        device: torch.device,
     ) -> None:
         self.grid, self.voxel, self.settings, self.report = grid, min(grid.spacing), settings, report
         kept = np.float32(mass_within(settings.cutoff))
-        self.target = torch.from_numpy(np.ascontiguousarray(kept * volumes, np.float32))
-        self.metric = torch.from_numpy(metric / np.trace(metric)).float()
+        self.target = torch.from_numpy(np.ascontiguousarray(kept * volumes, np.float32)).to(device)
+        self.metric = torch.from_numpy(metric / np.trace(metric)).float().to(device)
         self.inverse_metric = torch.linalg.inv(self.metric)
         self.evaluations, self.widest = 0, torch.empty(0)
 
@@ -133,7 +136,7 @@ class _Distance:
         found.backward(weighted)
         distance = 0.5 * float((difference * weighted).sum(dim=-1).sum(dtype=torch.float64))
         self.evaluations += 1
-        self.report(found.detach().numpy(), distance, self.grid)
+        self.report(found.detach().cpu().numpy(), distance, self.grid)
         return distance, gradient_of_steps(model, [p.grad for p in parts.values() if p.grad is not None])
 
     def pulled(self, model: DividedGaussians, target: Tensor | None) -> tuple[Tensor, float]:

@@ -117,7 +117,7 @@ class DividedGaussians(GaussianModel):
         slabs = [(first, min(SLAB, depth - first)) for first in range(0, depth, SLAB)]
         with torch.no_grad():
             parts = [voxelize_divided(self._arrays(), _parts_of_voxels(grid.slices(*slab)), CUTOFF) for slab in slabs]
-        means = [_means_of_parts(part.numpy(), PARTS_OF_VOXEL) for part in parts]
+        means = [_means_of_parts(part.cpu().numpy(), PARTS_OF_VOXEL) for part in parts]
         return np.maximum(np.concatenate(means, axis=1), 0)
 
     def line_integrals(self, geometry: Geometry) -> Float[Tensor, "view basis row column"]:

@@ -154,10 +154,9 @@ def placed(
     seen, near = _places(view, matrices.detach(), inverses, projector)
     # Gaussians that are not seen here get finite numbers: those of a Gaussian half way from the source to the panel.
     depth = torch.where(seen, view.place[..., 2], 0.5)
-    u, a, b = (
-        torch.where(seen[..., None], *pair)
-        for pair in ((view.u, 1.0), (view.a, _axis(view.a, 0)), (view.b, _axis(view.b, 1)))
-    )
+    others = torch.ones_like(view.u), _axis(view.a, 0), _axis(view.b, 1)
+    pairs = zip((view.u, view.a, view.b), others, strict=True)
+    u, a, b = (torch.where(seen[..., None], known, other) for known, other in pairs)
     volume = torch.where(seen, _dot(view.a, view.vy), 1.0)
     x, y = (view.place[..., i] / depth for i in (0, 1))
     return PlacedGaussians(seen, near, view.offset.norm(dim=-1), x, y, depth, u, view.vx, view.vy, a, b, volume)

@@ -51,10 +51,10 @@ class _RasterizeOnGpu(torch.autograd.Function):
             places = placed(centres.double(), matrices, frames[some], projector)
             found = footprints(places, panel, projector).rounded()
             part = gpu.forward(found, weights, panel, projector.cutoff)
-            for image, frame, near in zip(part, frames[some], places.near, strict=True):
+            for view, (frame, near) in enumerate(zip(frames[some], places.near, strict=True)):
                 for which in _pieces(near, panel):
                     group = centres[which].double(), matrices[which], weights[which].double()
-                    image += near_images(group, frame, panel, projector)
+                    part[view] += near_images(group, frame, panel, projector)
             images[some] = part * _lengths(frames[some], panel, projector)
         return images.to(coefficients.dtype)
 
@@ -121,9 +121,7 @@ def _lengths(frames: Float[Tensor, "view 4 3"], panel: tuple[int, int], projecto
     return torch.ones((), device=frames.device) if projector.affine else ray_lengths(frames, panel)
 
 
-def ray_lengths(
-    frames: Float[Tensor, "view 4 3"], panel: tuple[int, int]
-) -> Float32[Tensor, "view 1 row column"]:
+def ray_lengths(frames: Float[Tensor, "view 4 3"], panel: tuple[int, int]) -> Float32[Tensor, "view 1 row column"]:
     """Compute the length |d| of each ray from source to panel.
 
     Parameters

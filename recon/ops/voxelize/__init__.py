@@ -86,5 +86,5 @@ def voxelize_tensor(
     if on_gpu(centres):
         from recon.ops.voxelize.gpu_calls import voxelize_on_gpu  # noqa: PLC0415 - Triton only where there is a GPU
 
-        return voxelizeon_gpu(gaussians, grid, footprint, cutoff)
+        return voxelize_on_gpu(gaussians, grid, footprint, cutoff)
     return apply_on_cpu(lambda parts: VoxelizeCall(parts, grid, footprint, cutoff), gaussians)

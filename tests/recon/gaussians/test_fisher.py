@@ -6,7 +6,7 @@ import torch
 from support.gaussian_scenes import circular, small_model, small_scan, spectral_model
 from support.tolerances import TOLERANCES
 
-from recon.gaussians.fisher import coefficient_curvature, ray_information
+from recon.gaussians.fisher import coefficient_curvature, ray_information, ray_information_on_device
 from recon.ops.deviance import deviance
 from recon.ops.rasterize import rasterize
 from spectra.ops.transmit import reference
@@ -97,3 +97,18 @@ def test_information_of_rays_follows_gain_and_exposure():
         j = jacobian * scale[:, None]
         right = j.T @ np.diag(1 / (y + (0.02 * y) ** 2)) @ j
         np.testing.assert_allclose(found[view, row, column], right, rtol=1e-10)
+
+
+@pytest.mark.parametrize("profile", [False, True])
+def test_information_on_a_device_is_the_same(profile):
+    scan = small_scan(GEOMETRY)
+    if profile:
+        model = replace(
+            scan.transmission, columns=np.vstack([scan.transmission.columns, scan.transmission.columns[:1]])
+        )
+        scan = replace(scan, transmission=model, profile=np.full((1, *scan.counts.shape[2:]), 0.2, np.float32))
+    random = np.random.default_rng(0)
+    scan = replace(scan, statistical_weights=random.uniform(0, 1, scan.counts.shape).astype(np.float32))
+    lengths = random.uniform(0, 2, (len(scan), len(scan.basis_names), *scan.counts.shape[2:]))
+    found = ray_information_on_device(scan, torch.from_numpy(lengths), 0.02)
+    np.testing.assert_allclose(found.numpy(), ray_information(scan, lengths, 0.02), rtol=1e-9)

@@ -86,7 +86,7 @@ class _Rasterize(torch.autograd.Function):
         for some in view_portions(len(frames), len(below)):
             scaled = (cotangents[0][some] * ray_lengths(frames[some], panel)).float().contiguous()
             with torch.enable_grad():
-                seen = SeenGaussians(*parts, frames[some], panel, projector)
+                seen = SeenGaussians(parts[0], parts[1], parts[2], frames[some], panel, projector)
             sums, *to_some = pixels.backward(seen.rounded(), sides, scaled, projector.cutoff)
             found = torch.autograd.grad(seen.numbers, parts, seen.gradients(sums.double()))
             to_sides = (part.sum(0, dtype=torch.float64) for part in to_some)
@@ -100,11 +100,11 @@ class _Rasterize(torch.autograd.Function):
 class _Voxelize(torch.autograd.Function):
     @staticmethod
     def forward(ctx, *arguments):
-        *parts, grid, cutoff = arguments
-        ctx.save_for_backward(*parts)
+        *_, below, above, grid, cutoff = arguments
+        ctx.save_for_backward(*arguments[:6])
         ctx.settings = grid, cutoff
-        found = GaussiansOnGrid(DividedTensors(*parts).exact(), grid).rounded(grid.shape, cutoff)
-        return voxels.forward(found, _sides(*parts[4:]), grid.shape, cutoff).to(parts[4].dtype)
+        found = GaussiansOnGrid(DividedTensors(*arguments[:6]).exact(), grid).rounded(grid.shape, cutoff)
+        return voxels.forward(found, _sides(below, above), grid.shape, cutoff).to(below.dtype)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -112,7 +112,7 @@ class _Voxelize(torch.autograd.Function):
         (*geometry, below, above), (grid, cutoff) = ctx.saved_tensors, ctx.settings
         leaves = [part.detach().double().requires_grad_() for part in geometry]
         with torch.enable_grad():
-            found = GaussiansOnGrid(DividedTensors(*leaves, below, above), grid)
+            found = GaussiansOnGrid(DividedTensors(leaves[0], leaves[1], leaves[2], leaves[3], below, above), grid)
         sums, to_below, to_step = voxels.backward(
             found.rounded(grid.shape, cutoff), _sides(below, above), cotangents[0].float().contiguous(), cutoff
         )

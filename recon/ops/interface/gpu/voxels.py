@@ -161,12 +161,12 @@ def backward(
     -------
     sums as in `recon.ops.interface.cpu_voxels.backward`, and the gradients below and in the step
     """
-    (n, bases), shape = sides.below.shape, cotangent.shape[1:]
+    (n, bases), (_, layers, rows, columns) = sides.below.shape, cotangent.shape
     sums = sides.below.new_empty((n, SUMS))
     to_below, to_step = (sides.below.new_empty((n, bases)) for _ in sides)
     if to_below.numel():
         _backward[(n,)](
-            *ellipsoids, *sides, cotangent, sums, to_below, to_step, *shape, bases, cutoff**2,
+            *ellipsoids, *sides, cotangent, sums, to_below, to_step, layers, rows, columns, bases, cutoff**2,
             _BLOCK, triton.next_power_of_2(bases),
         )  # fmt: skip
     return sums, to_below, to_step
