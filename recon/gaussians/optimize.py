@@ -290,5 +290,8 @@ def _nearest_non_negative(
     negative in water would leave too much water. So the others change with them.
     """
     rows, columns = np.triu_indices(wanted.shape[1])
-    volumes, blocks = wanted.T.cpu().numpy(), inverse[:, rows, columns].T.cpu().numpy()
-    return torch.from_numpy(nonnegative_newton_step(volumes, blocks, np.zeros_like(volumes))).T.to(wanted)
+    volumes, blocks = wanted.T, inverse[:, rows, columns].T
+    if wanted.device.type != "cpu":
+        return nonnegative_newton_step(volumes, blocks, torch.zeros_like(volumes)).T.to(wanted)
+    found = nonnegative_newton_step(volumes.numpy(), blocks.numpy(), np.zeros_like(volumes.numpy()))
+    return torch.from_numpy(found).T.to(wanted)

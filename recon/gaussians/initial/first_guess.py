@@ -59,7 +59,7 @@ class OccupiedPart(NamedTuple):
 Placement = Callable[[OccupiedPart, Scan, Recipe, Stopwatch, OnIteration, Resources], GaussianModel]
 
 
-def start_method(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
+def start_method(measured: Measurements, grid: Grid, recipe: Recipe, device: str = "cpu") -> Method:
     """Choose the method of the first volumes: voxels from counts for a voxel prior, or decomposed rays without one.
 
     Parameters
@@ -67,6 +67,7 @@ def start_method(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
     measured : training views
     grid : voxels to reconstruct
     recipe : strength of the prior, and passes over the views
+    device : where voxels are computed, ``cpu`` or ``cuda``
 
     Returns
     -------
@@ -75,7 +76,7 @@ def start_method(measured: Measurements, grid: Grid, recipe: Recipe) -> Method:
     if not recipe.prior:
         return starting_method(measured.geometry, grid)
     coarse = OneStep().levels[:-1]
-    return OneStep(levels=(*coarse, (1, recipe.voxel_passes)), least_fall=recipe.voxel_fall)
+    return OneStep(levels=(*coarse, (1, recipe.voxel_passes)), least_fall=recipe.voxel_fall, device=device)
 
 
 def first_guess(
@@ -102,7 +103,7 @@ def first_guess(
     volumes on the grid that is fitted, (M, Z, Y, X) [1/mm]; Gaussians on the processor
     """
     measured, grid = scan.measured, scan.coverage.grid
-    method = start_method(measured, grid, recipe)
+    method = start_method(measured, grid, recipe, resources.device)
     if isinstance(method, CountsMethod):
         with stage(method.name):
             volumes = method.reconstruct_counts(measured, grid, on_iteration)

@@ -1,18 +1,27 @@
 """Newton steps of voxels, in the metric of their curvature, that end at non-negative coefficients."""
 
+from typing import Any
+
 import numpy as np
+import torch
 from jaxtyping import Float
+from torch import Tensor
 
 from recon.ops.nonnegative_newton import cpu
 from recon.ops.pieces import run_in_pieces
 
 CHUNK = 8192  # voxels per piece of work
 
-Volumes = Float[np.ndarray, "basis *voxels"]
+Array = Any  # an array, or a tensor on a GPU
 Blocks = Float[np.ndarray, "pair *voxels"]
 
 
-def nonnegative_newton_step(volumes: Volumes, inverse: Blocks, cotangents: Volumes, bounded: bool = True) -> Volumes:
+def nonnegative_newton_step(
+    volumes: Float[Array, "basis *voxels"],
+    inverse: Float[Array, "pair *voxels"],
+    cotangents: Float[Array, "basis *voxels"],
+    bounded: bool = True,
+) -> Float[Array, "basis *voxels"]:
     """Find the non-negative x nearest to ``volumes - inverse cotangents``, in the metric whose inverse is given.
 
     It is the minimum of ``<cotangents, x> + (x - volumes)^T inverse^-1 (x - volumes) / 2`` over x >= 0, voxel by
@@ -20,7 +29,7 @@ def nonnegative_newton_step(volumes: Volumes, inverse: Blocks, cotangents: Volum
 
     Parameters
     ----------
-    volumes : start
+    volumes : start; arrays, or tensors on a GPU, where more than three bases are computed by the processor
     inverse : inverse of each voxel's positive definite block, upper triangle row by row
     cotangents : gradient at the start
     bounded : whether x >= 0 is required
@@ -29,6 +38,8 @@ def nonnegative_newton_step(volumes: Volumes, inverse: Blocks, cotangents: Volum
     -------
     x, float32
     """
+    if isinstance(volumes, Tensor):
+        return _step_of_tensors(volumes, inverse, cotangents, bounded)
     bases, *shape = volumes.shape
     begin, blocks, slopes = (
         np.ascontiguousarray(a, np.float32).reshape(len(a), -1) for a in (volumes, inverse, cotangents)
@@ -41,6 +52,17 @@ def nonnegative_newton_step(volumes: Volumes, inverse: Blocks, cotangents: Volum
 
     run_in_pieces(chunk, out.shape[1], CHUNK)
     return out.reshape(bases, *shape)
+
+
+def _step_of_tensors(volumes: Tensor, inverse: Tensor, cotangents: Tensor, bounded: bool) -> Tensor:
+    """Compute the step of tensors: by Triton, or by the processor where there are many bases."""
+    from recon.ops.nonnegative_newton import gpu  # noqa: PLC0415 - Triton only where there is a GPU
+
+    if len(volumes) > gpu.MOST_BASES:
+        start, blocks, slopes = (part.cpu().numpy() for part in (volumes, inverse, cotangents))
+        return torch.from_numpy(nonnegative_newton_step(start, blocks, slopes, bounded)).to(volumes)
+    begin, metric, slope = (part.float().flatten(1).contiguous() for part in (volumes, inverse, cotangents))
+    return gpu.nonnegative_newton_step(begin, metric, slope, bounded).reshape(volumes.shape)
 
 
 def inverse_blocks(blocks: Blocks, floor: Float[np.ndarray, " basis"]) -> Blocks:

@@ -10,8 +10,11 @@ Rudin, Osher, Fatemi 1992, doi:10.1016/0167-2789(92)90242-F; jointly over channe
 doi:10.1109/83.661180; the dual: Chambolle 2004, doi:10.1023/B:JMIV.0000011325.36760.1e.
 """
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
+from torch import Tensor
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.ops.pieces import run_in_pieces
@@ -19,8 +22,8 @@ from recon.ops.total_variation import cpu
 
 SLAB = 4  # slices per piece of work
 
+Array = Any  # an array, or a tensor on a GPU
 Volumes = Float[np.ndarray, "basis z y x"]
-Field = Float[np.ndarray, "axis basis z y x"]
 Mixing = Float[np.ndarray, "basis basis"]
 
 
@@ -49,22 +52,27 @@ def total_variation(volumes: Volumes, mixing: Mixing, grid: Grid) -> float:
 
 
 def ascend(
-    field: Field,
-    volumes: Volumes,
+    field: Float[Array, "axis basis z y x"],
+    volumes: Float[Array, "basis z y x"],
     mixing: Mixing,
     grid: Grid,
-    steps: Float[np.ndarray, "z y x"],
-    radii: Float[np.ndarray, "z y x"],
+    steps: Float[Array, "z y x"],
+    radii: Float[Array, "z y x"],
 ) -> None:
     """Move a field, in place, by `steps` times W D x, and project it onto the ball of each voxel's radius around 0.
 
     Parameters
     ----------
-    field : p of every voxel, float32
+    field : p of every voxel, float32; arrays, or tensors on a GPU
     volumes, mixing, grid : x, W and the voxels
     steps : length of the step of each voxel
     radii : largest |p| of each voxel, which is the weight of its differences in the total variation
     """
+    if isinstance(field, Tensor):
+        from recon.ops.total_variation import gpu  # noqa: PLC0415 - Triton only where there is a GPU
+
+        gpu.ascend(field, volumes.contiguous(), mixing, _scales(grid), steps.contiguous(), radii.contiguous())
+        return
     volumes, operator, steps, radii = _plain(volumes), _operator(mixing, grid), _plain(steps), _plain(radii)
 
     def slab(first: int, last: int) -> None:
@@ -74,18 +82,22 @@ def ascend(
     run_in_pieces(slab, field.shape[2], SLAB)
 
 
-def gradient(field: Field, mixing: Mixing, grid: Grid) -> Volumes:
+def gradient(field: Float[Array, "axis basis z y x"], mixing: Mixing, grid: Grid) -> Float[Array, "basis z y x"]:
     """Compute D^T W^T p, the transpose of what `ascend` adds for steps of 1.
 
     Parameters
     ----------
-    field : p of every voxel, float32
+    field : p of every voxel, float32; an array, or a tensor on a GPU
     mixing, grid : W and the voxels
 
     Returns
     -------
     volumes, float32
     """
+    if isinstance(field, Tensor):
+        from recon.ops.total_variation import gpu  # noqa: PLC0415 - Triton only where there is a GPU
+
+        return gpu.gradient(field, mixing, _scales(grid))
     operator = _operator(mixing, grid)
     out = np.empty(field.shape[1:], np.float32)
 

@@ -21,10 +21,13 @@ doi:10.1007/s10208-013-9150-3.
 
 from dataclasses import dataclass
 from math import ceil, sqrt
+from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from scipy.ndimage import convolve1d, minimum_filter
+from torch import Tensor
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements, matching_bin
@@ -97,6 +100,7 @@ class OneStep:
     momentum : whether to use Nesterov's momentum
     curve : materials of the object; then the attenuation at one energy is the only unknown of a voxel, and one channel
         determines it; None for coefficients of all bases
+    device : where rays and voxels are computed, ``cpu`` or ``cuda``; with a curve always by the processor
     least_fall : passes of the last level go on, up to `MOST_TIMES` as many, as long as one lowers the deviance by more
         than this part; None for as many passes as are asked for
     """
@@ -110,6 +114,7 @@ class OneStep:
     momentum: bool = True
     curve: MaterialCurve | None = None
     least_fall: float | None = None
+    device: str = "cpu"
 
     @property
     def name(self) -> str:
@@ -225,29 +230,39 @@ def _descend(
     box = occupied(volumes)
     inner, whole = grid.part(box), np.zeros_like(volumes)
     counts = max(int(np.count_nonzero(data.gains, axis=(1, 2)) @ np.count_nonzero(data.exposure, axis=0)), 1)
-    first = np.ascontiguousarray(volumes[:, *box])
-    state = _State(first, np.zeros((3, *first.shape), np.float32))
+    first = _on_device(np.ascontiguousarray(volumes[:, *box]), settings)
+    state = _State(first, _on_device(np.zeros((3, *first.shape), np.float32), settings))
     ratio, best, least, metric = _view_ratio(data), first, np.inf, None
     parts = min(round(ratio * settings.subsets), len(data))
     last, most = np.inf, passes * (1 if least_fall is None else MOST_TIMES)
     for i in range(most):
         if metric is None or i == ceil(METRIC_RENEWED / ratio):
-            metric = _metric(state.volumes, data, inner, settings)
+            metric = _metric(_as_array(state.volumes), data, inner, settings)
         deviance = _pass(state, data, inner, settings, metric, parts)
         if not deviance < DIVERGED * least and parts > 1:
-            state = _State(best, np.zeros_like(state.field))
+            state = _State(best, 0.0 * state.field)
             parts = parts // 2 | 1
         elif deviance < least:
             best, least = state.volumes, deviance
-        whole[:, *box] = _voxel_means(state.volumes, settings)
+        whole[:, *box] = _voxel_means(_as_array(state.volumes), settings)
         report(settings.coefficients(whole), deviance / counts, grid)
         if i + 1 >= passes and least_fall is not None:
             if not deviance < (1 - least_fall) * last:
                 break
             report.expect_more(1)
         last = deviance
-    whole[:, *box] = state.volumes
+    whole[:, *box] = _as_array(state.volumes)
     return whole
+
+
+def _on_device(values: Float[np.ndarray, "..."], settings: OneStep) -> Any:
+    """Make a tensor of an array where a GPU computes."""
+    return values if settings.device == "cpu" or settings.curve else torch.from_numpy(values).to(settings.device)
+
+
+def _as_array(values: Any) -> Float[np.ndarray, "..."]:
+    """Make an array of a tensor."""
+    return values.cpu().numpy() if isinstance(values, Tensor) else values
 
 
 def _passes(asked: int, views: int) -> int:
@@ -269,11 +284,14 @@ def _voxel_means(volumes: Volumes, settings: OneStep) -> Volumes:
 
 @dataclass
 class _State:
-    """State of a descent: volumes, dual of the total variation, extrapolated point of the next step, momentum."""
+    """State of a descent: volumes, dual of the total variation, extrapolated point of the next step, momentum.
 
-    volumes: Volumes
-    field: Float[np.ndarray, "axis basis z y x"]
-    point: Volumes | None = None
+    Volumes (basis, z, y, x) and dual (axis, basis, z, y, x) are arrays, or tensors where a GPU computes.
+    """
+
+    volumes: Any
+    field: Any
+    point: Any = None
     speed: float = 1.0
 
 
@@ -285,12 +303,12 @@ def _pass(state: _State, data: Measurements, grid: Grid, settings: OneStep, metr
         some = data[subsets[number]]
         point = state.volumes if state.point is None else state.point
         deviance, gradient = _deviance_and_gradient(point, some, grid, settings)
-        gradient *= np.float32(len(data) / len(some))
+        gradient *= len(data) / len(some)
         new = _proximal(point, gradient, state.field, metric, grid, settings)
         step = new - state.volumes
         restart_test += _inner(point - new, step, metric.mixing)
         faster = (1 + np.sqrt(1 + 4 * state.speed**2)) / 2 if settings.momentum else 1.0
-        state.point = new + np.float32((state.speed - 1) / faster) * step
+        state.point = new + float((state.speed - 1) / faster) * step
         state.volumes, state.speed = new, faster
         total += deviance
     if restart_test > 0:
@@ -302,24 +320,22 @@ def _pass(state: _State, data: Measurements, grid: Grid, settings: OneStep, metr
 class _Metric:
     """Metric of the surrogate.
 
-    Inverse blocks; matrix W by which the total variation mixes the bases; steps of its dual and their bounds; precision
-    of the prior at 0, None where there is no metal.
+    Inverse blocks (pair, z, y, x); matrix W by which the total variation mixes the bases; steps of its dual (z, y, x)
+    and their bounds; precision of the prior at 0, None where there is no metal.
     """
 
-    inverse: Float[np.ndarray, "pair z y x"]
+    inverse: Any
     mixing: Float[np.ndarray, "basis basis"]
-    steps: Float[np.ndarray, "z y x"]
-    bounds: Float[np.ndarray, "z y x"]
-    empty: Volumes | None = None
+    steps: Any
+    bounds: Any
+    empty: Any = None
 
 
-def _deviance_and_gradient(
-    unknowns: Volumes, data: Measurements, grid: Grid, settings: OneStep
-) -> tuple[float, Volumes]:
+def _deviance_and_gradient(unknowns: Any, data: Measurements, grid: Grid, settings: OneStep) -> tuple[float, Any]:
     """Deviance of the counts, and the gradient of half of it in the unknowns."""
-    deviance, gradient = deviance_and_gradient(settings.coefficients(unknowns), data, grid, settings.dispersion)
     if settings.curve is None:
-        return deviance, gradient
+        return deviance_and_gradient(unknowns, data, grid, settings.dispersion)
+    deviance, gradient = deviance_and_gradient(settings.coefficients(unknowns), data, grid, settings.dispersion)
     return deviance, np.einsum("mzyx,mzyx->zyx", settings.curve.slopes(unknowns[0]), gradient)[None]
 
 
@@ -327,9 +343,9 @@ def _curvature(
     unknowns: Volumes, data: Measurements, grid: Grid, settings: OneStep
 ) -> tuple[Float[np.ndarray, "pair z y x"], Float[np.ndarray, "unknown unknown"]]:
     """`recon.voxel.iterative.likelihood.curvature` in the unknowns; along a curve, its bend is left out."""
-    blocks, covariance = curvature(settings.coefficients(unknowns), data, grid, settings.dispersion)
     if settings.curve is None:
-        return blocks, covariance
+        return curvature(unknowns, data, grid, settings.dispersion, settings.device)
+    blocks, covariance = curvature(settings.coefficients(unknowns), data, grid, settings.dispersion)
     slopes = settings.curve.slopes(unknowns[0])
     pairs = zip(*np.triu_indices(len(slopes)), strict=True)
     along = sum((1 + (m != n)) * slopes[m] * slopes[n] * block for (m, n), block in zip(pairs, blocks, strict=True))
@@ -363,7 +379,9 @@ def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep)
     ridge = (1e-12 * np.trace(covariance) + 1e-30) * np.eye(len(volumes))
     mixing = np.sqrt(share) * np.linalg.cholesky(covariance + ridge).T
     bounds = np.float32(settings.strength) * _statistical_weights(own, volumes.sum(axis=0))
-    return _Metric(inverse, mixing, 1 / neighbour_sums(_largest(inverse, mixing), grid), bounds, empty)
+    steps = 1 / neighbour_sums(_largest(inverse, mixing), grid)
+    inverse, steps, bounds = (_on_device(part, settings) for part in (inverse, steps, bounds))
+    return _Metric(inverse, mixing, steps, bounds, None if empty is None else _on_device(empty, settings))
 
 
 def _statistical_weights(
@@ -392,14 +410,7 @@ def _largest(inverse: Float[np.ndarray, "pair z y x"], mixing: Float[np.ndarray,
     return out
 
 
-def _proximal(
-    point: Volumes,
-    gradient: Volumes,
-    field: Float[np.ndarray, "axis basis z y x"],
-    metric: _Metric,
-    grid: Grid,
-    settings: OneStep,
-) -> Volumes:
+def _proximal(point: Any, gradient: Any, field: Any, metric: _Metric, grid: Grid, settings: OneStep) -> Any:
     """Approximate minimum of surrogate plus total variation over x >= 0; `field`, the dual, is improved in place."""
     if metric.empty is not None:
         gradient = gradient + metric.empty * point
@@ -416,7 +427,7 @@ def _proximal(
     return new
 
 
-def _inner(one: Volumes, other: Volumes, mixing: Float[np.ndarray, "basis basis"]) -> float:
+def _inner(one: Any, other: Any, mixing: Float[np.ndarray, "basis basis"]) -> float:
     """Inner product in which every basis is weighted by its information."""
     products = one.reshape(len(one), -1) @ other.reshape(len(other), -1).T
-    return float(np.sum(products * (mixing.T @ mixing)))
+    return float(np.sum(_as_array(products) * (mixing.T @ mixing)))

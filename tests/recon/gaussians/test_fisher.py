@@ -101,7 +101,7 @@ def test_information_of_rays_follows_gain_and_exposure():
 
 @pytest.mark.parametrize("profile", [False, True])
 def test_information_on_a_device_is_the_same(profile):
-    scan = small_scan(GEOMETRY)
+    scan = small_scan(small_model(0), GEOMETRY, spectral_model())
     if profile:
         model = replace(
             scan.transmission, columns=np.vstack([scan.transmission.columns, scan.transmission.columns[:1]])

@@ -6,7 +6,7 @@ import torch
 from support.gaussian_scenes import spectral_model
 from support.tolerances import TOLERANCES
 
-from recon.ops.likelihood import BLOCK, MeasuredCounts, likelihood
+from recon.ops.likelihood import BLOCK, MeasuredCounts, likelihood, tensors
 from recon.ops.likelihood.reference import half_deviance
 from recon.ops.nonnegative_newton import as_matrices
 from spectra.errors import InputError
@@ -122,3 +122,20 @@ def test_line_integrals_of_other_views_are_refused():
     lengths, *rest = some_rays(model, 2, columns=5)
     with pytest.raises(InputError, match=r"\(2, 2, 3, 5\), got \(2, 1, 3, 5\)"):
         likelihood(lengths[:, :1], MeasuredCounts(*rest), model, 0.01)
+
+
+@pytest.mark.parametrize("dispersion", [0.0, 0.02])
+@pytest.mark.parametrize("parts", [0, 1])
+def test_tensors_give_the_same_likelihood(dispersion, parts):
+    """Also for a channel that a pixel or a view lacks, counts without photons, and weights."""
+    bases, model = 3 - parts, spectral_model(3)
+    lengths, counts, gains, exposure = some_rays(model, bases)
+    rng = np.random.default_rng(4)
+    gains[1, 0, 0], exposure[1, 2], counts[0, 0, 1], lengths[:, 0, 2, :3] = 0, 0, 0, 300
+    profile = rng.uniform(0, 1, (parts, *gains.shape[1:])).astype(np.float32) if parts else None
+    weights = rng.uniform(0, 1, counts.shape).astype(np.float32)
+    measured = MeasuredCounts(counts, gains, exposure, profile, weights)
+    wanted = likelihood(lengths, measured, model, dispersion, True)
+    found = tensors.likelihood(torch.from_numpy(lengths), measured, model, dispersion, True)
+    for ours, theirs in zip(found, wanted, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-6 * np.abs(theirs).max())

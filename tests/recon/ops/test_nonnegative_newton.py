@@ -1,9 +1,14 @@
+import os
+
 import numpy as np
 import pytest
+import torch
 
 from recon.ops.nonnegative_newton import as_matrices, inverse_blocks, nonnegative_newton_step
 from recon.ops.nonnegative_newton.reference import nonnegative_newton_step as reference
 from spectra.threads import set_threads
+
+DEVICE = "cuda" if os.environ["TRITON_INTERPRET"] == "0" else "cpu"
 
 
 def some_voxels(bases, count=300, seed=1):
@@ -26,6 +31,15 @@ def test_steps_end_where_the_best_set_of_zeros_is(bases):
     columns = zip(volumes.reshape(bases, -1).T, matrices, cotangents.reshape(bases, -1).T, strict=True)
     right = np.array([reference(x.astype(float), h, p.astype(float)) for x, h, p in columns]).T
     np.testing.assert_allclose(found, right, atol=2e-4 * np.abs(right).max())
+
+
+@pytest.mark.parametrize("bounded", [True, False])
+@pytest.mark.parametrize("bases", [1, 2, 3, 4])
+def test_tensors_end_at_the_same_points(bases, bounded):
+    pytest.importorskip("triton")
+    arrays = some_voxels(bases)[:3]
+    found = nonnegative_newton_step(*(torch.from_numpy(part).to(DEVICE) for part in arrays), bounded)
+    np.testing.assert_allclose(found.cpu(), nonnegative_newton_step(*arrays, bounded), rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize("bases", [1, 3])

@@ -1,3 +1,5 @@
+import os
+
 import numpy as np
 import pytest
 import torch
@@ -11,6 +13,7 @@ from recon.ops.total_variation.reference import differences
 from recon.ops.total_variation.reference import total_variation as reference
 from spectra.threads import set_threads
 
+DEVICE = "cuda" if os.environ["TRITON_INTERPRET"] == "0" else "cpu"
 SHAPES = [(1, 1, 1), (5, 1, 7), (6, 5, 4)]
 
 
@@ -31,6 +34,23 @@ def test_value_is_that_of_the_formula(shape, bases):
     volumes, mixing, grid = some_problem(shape, bases)
     right = reference(torch.tensor(volumes).double(), torch.tensor(mixing), scales_of(grid)).item()
     assert total_variation(volumes, mixing, grid) == pytest.approx(right, rel=TOLERANCES["total_variation"], abs=1e-12)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("bases", [1, 3])
+def test_tensors_give_the_same_steps(shape, bases):
+    pytest.importorskip("triton")
+    volumes, mixing, grid = some_problem(shape, bases)
+    rng, mixing = np.random.default_rng(3), mixing.T  # columns first in memory
+    field = rng.normal(size=(3, *volumes.shape)).astype(np.float32)
+    steps, radii = rng.uniform(0, 1, (2, *shape)).astype(np.float32)
+    radii[0, 0, 0] = 0
+    tensors = [torch.from_numpy(part.copy()).to(DEVICE) for part in (field, volumes, steps, radii)]
+    ascend(field, volumes, mixing, grid, steps, radii)
+    ascend(tensors[0], tensors[1], mixing, grid, *tensors[2:])
+    np.testing.assert_allclose(tensors[0].cpu(), field, rtol=1e-5, atol=1e-6)
+    found = gradient(tensors[0], mixing, grid).cpu()
+    np.testing.assert_allclose(found, gradient(field, mixing, grid), rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -3,7 +3,7 @@ import pytest
 from support.voxel_scenes import balls, voxel_scan
 
 from recon.ops.nonnegative_newton import as_matrices
-from recon.voxel.iterative.likelihood import curvature, deviance_and_gradient, forward
+from recon.voxel.iterative.likelihood import _sums, _sums_on_device, curvature, deviance_and_gradient, forward
 
 
 def some_scan(bases=2, seed=1):
@@ -69,3 +69,13 @@ def test_without_any_material_all_voxels_count_alike():
     truth, grid, scan = some_scan(bases=2, seed=None)
     right = true_information(0 * truth, grid, scan)[1].mean(axis=0)
     assert np.abs(curvature(0 * truth, scan, grid, 0.01)[1] - right).max() < 0.15 * np.abs(right).max()
+
+
+@pytest.mark.parametrize("start", [0, 1])
+def test_sums_of_tensors_are_the_same(start):
+    truth, grid = balls()
+    scan, random = voxel_scan(truth, grid), np.random.default_rng(0)
+    probes = random.uniform(0, 1, (3, *grid.shape)).astype(np.float32)
+    arguments = (start * truth.astype(np.float32), probes, scan, grid, 0.01)
+    for found, wanted in zip(_sums_on_device(*arguments, "cpu"), _sums(*arguments, "cpu"), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-5 * np.abs(wanted).max())

@@ -1,8 +1,10 @@
+import os
 from dataclasses import replace
 from math import ceil, sqrt
 
 import numpy as np
 import pytest
+import torch
 from scipy.ndimage import map_coordinates
 from support.gaussian_scenes import circular, tilted
 from support.voxel_scenes import balls, voxel_scan
@@ -46,6 +48,24 @@ def test_momentum_and_subsets_come_further_in_as_many_passes(noisy):
     _, grid, scan = noisy
     slow, fast = (deviances(m, scan, grid)[1][-1] for m in (PLAIN, replace(PLAIN, momentum=True, subsets=4)))
     assert fast - 0.5 < 0.5 * (slow - 0.5)
+
+
+@pytest.mark.parametrize("metal", [False, True])
+def test_tensors_give_the_same_volumes(noisy, monkeypatch, metal):
+    """Kernels of Triton, in its interpreter or on a GPU, beside those of numba."""
+    pytest.importorskip("triton")
+    truth, grid, scan = noisy
+    if metal:
+        truth = truth.copy()
+        truth[:, 6:9, 6:9, 6:9] *= 12
+        scan = voxel_scan(truth, grid, seed=1)
+    method, device = OneStep(levels=((2, 2), (1, 2))), "cuda" if os.environ["TRITON_INTERPRET"] == "0" else "cpu"
+    wanted = method.reconstruct_counts(scan, grid)
+    monkeypatch.setattr(
+        "recon.voxel.iterative.one_step._on_device", lambda values, settings: torch.from_numpy(values.copy()).to(device)
+    )
+    found = replace(method, device=device).reconstruct_counts(scan, grid)
+    assert np.abs(found - wanted).max() < 1e-3 * np.abs(wanted).max()
 
 
 def test_few_views_are_passed_over_more_often(noisy):
