@@ -296,11 +296,11 @@ def _bounds(numbers: Tensor, seen: Tensor, panel: tuple[int, int], cutoff: float
 
 def _lattice_mass(x: Tensor, y: Tensor, c11: Tensor, c12: Tensor, c22: Tensor) -> Tensor:
     """Sum footprints of unit mass over all pixels; see `footprint_table.lattice_mass`."""
-    total = torch.ones_like(x)
-    for i, j in ((1, 0), (-1, 1), (0, 1), (1, 1)):
-        decay = torch.exp(-2 * math.pi**2 * (i * i * c11 + 2 * i * j * c12 + j * j * c22))
-        total = total + 2 * decay * torch.cos(2 * math.pi * (i * x + j * y))
-    return total
+    k = x.new_tensor([[1, 0], [-1, 1], [0, 1], [1, 1]])
+    i, j = k.T
+    exponents = torch.stack([c11, c12, c22], -1) @ torch.stack([i * i, 2 * i * j, j * j])
+    waves = torch.exp(-2 * math.pi**2 * exponents) * torch.cos(2 * math.pi * (torch.stack([x, y], -1) @ k.T))
+    return 1 + 2 * waves.sum(-1)
 
 
 def _dot(a: Tensor, b: Tensor) -> Tensor:

@@ -19,6 +19,8 @@ from recon.ops.tile_lists import tile_lists
 SUMS = 10  # of w, w (x, y, z) and w (xx, xy, xz, yy, yz, zz), as in `recon.ops.voxelize.backward`
 _TILE = (4, 8, 8)  # edges of a tile (z, y, x)
 _BLOCK = 128  # voxels at a time of a Gaussian's program
+# Sizes that make no kernel of their own: a sum that is compiled for one slice may be rounded in another order.
+_SHAPE = ("layers", "rows", "columns", "down", "across")
 
 
 class Ellipsoids(NamedTuple):
@@ -44,11 +46,13 @@ def _value(p, place, column, row, layer, k2):
     along = x * tl.load(p + 3) + y * tl.load(p + 4) + z * tl.load(p + 5)
     across, up = y * tl.load(p + 6) + z * tl.load(p + 7), z * tl.load(p + 8)
     q = along * along + across * across + up * up
-    inside = q < k2
+    # the box as well, so that what rounding lets pass beyond it does not depend on the tiles
+    inside = (q < k2) & (layer >= tl.load(place + 3)) & (layer < tl.load(place + 4)) & (row >= tl.load(place + 5))
+    inside = inside & (row < tl.load(place + 6)) & (column >= tl.load(place + 7)) & (column < tl.load(place + 8))
     return tl.where(inside, tl.exp(-0.5 * tl.where(inside, q, 0.0)) * tl.load(p + 9), 0.0), x, y, z
 
 
-@triton.jit
+@triton.jit(do_not_specialize=_SHAPE)
 @no_type_check
 def _forward(
     numbers, places, coefficients, members, starts, out, layers, rows, columns, down, across, bases, k2,

@@ -379,8 +379,9 @@ def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep)
     ridge = (1e-12 * np.trace(covariance) + 1e-30) * np.eye(len(volumes))
     mixing = np.sqrt(share) * np.linalg.cholesky(covariance + ridge).T
     bounds = np.float32(settings.strength) * _statistical_weights(own, volumes.sum(axis=0))
+    inverse = _on_device(inverse, settings)
     steps = 1 / neighbour_sums(_largest(inverse, mixing), grid)
-    inverse, steps, bounds = (_on_device(part, settings) for part in (inverse, steps, bounds))
+    steps, bounds = (_on_device(part, settings) for part in (steps, bounds))
     return _Metric(inverse, mixing, steps, bounds, None if empty is None else _on_device(empty, settings))
 
 
@@ -401,8 +402,12 @@ def _statistical_weights(
     return minimum_filter(np.minimum((relative / LOW_CURVATURE) ** CURVATURE_POWER, 1), 3)
 
 
-def _largest(inverse: Float[np.ndarray, "pair z y x"], mixing: Float[np.ndarray, "basis basis"]) -> np.ndarray:
+def _largest(inverse: Any, mixing: Float[np.ndarray, "basis basis"]) -> np.ndarray:
     """Upper bound of the eigenvalues of W H^-1 W^T in every voxel: the Frobenius norm."""
+    if isinstance(inverse, Tensor):  # it is linear in the pairs before the norm
+        units = as_matrices(np.eye(len(inverse))).astype(mixing.dtype)
+        factors = inverse.new_tensor((mixing @ units @ mixing.T).reshape(len(units), -1))
+        return torch.stack([(row.movedim(0, -1) @ factors).norm(dim=-1) for row in inverse.unbind(1)]).cpu().numpy()
     out = np.empty(inverse.shape[1:], np.float32)
     for z in range(len(out)):
         mixed = mixing @ as_matrices(inverse[:, z]) @ mixing.T

@@ -1,7 +1,10 @@
 """Calls of the operators of divided Gaussians on a GPU, differentiable by torch.
 
-The numbers of a view are computed again for its gradients; see `recon.ops.rasterize.gpu_calls` for the memory.
+The numbers of Gaussians are kept for the gradients where those of all views are computed together, and else computed
+again; see `recon.ops.rasterize.gpu_calls` for the memory.
 """
+
+from collections.abc import Sequence
 
 import torch
 from jaxtyping import Bool, Float
@@ -59,17 +62,20 @@ def _sides(below: Tensor, above: Tensor) -> DeviceSides:
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx, centres, log_scales, quaternions, planes, below, above, frames, panel, projector):
-        ctx.save_for_backward(centres, log_scales, quaternions, planes, below, above)
-        frames = frames.double()
+        parts, frames = (centres, log_scales, quaternions, planes), frames.double()
+        ctx.save_for_backward(*parts, below, above)
         ctx.settings = frames, panel, projector
         shape = (len(frames), below.shape[1], *panel)
         images = torch.empty(shape, dtype=below.dtype, device=below.device)
         near = torch.empty((len(frames), len(centres)), dtype=torch.bool, device=below.device)
-        matrices, sides = whitening(log_scales.double(), quaternions.double()), _sides(below, above)
-        for some in view_portions(len(frames), len(centres)):
-            seen = SeenGaussians(centres.double(), matrices, planes.double(), frames[some], panel, projector)
-            part = pixels.forward(seen.rounded(), sides, panel, projector.cutoff)
-            images[some], near[some] = part * ray_lengths(frames[some], panel), seen.near
+        sides, portions = _sides(below, above), list(view_portions(len(frames), len(centres)))
+        ctx.kept = None
+        for some in portions:
+            kept = _SomeViews(parts, frames[some], panel, projector, any(ctx.needs_input_grad))
+            if len(portions) == 1:
+                ctx.kept = kept
+            part = pixels.forward(kept.seen.rounded(), sides, panel, projector.cutoff)
+            images[some], near[some] = part * ray_lengths(frames[some], panel), kept.seen.near
         ctx.mark_non_differentiable(near)
         return images, near
 
@@ -77,24 +83,34 @@ class _Rasterize(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx, *cotangents):
         (*geometry, below, above), (frames, panel, projector) = ctx.saved_tensors, ctx.settings
-        leaves = [part.detach().double().requires_grad_() for part in geometry]
-        with torch.enable_grad():
-            matrices = whitening(leaves[1], leaves[2])
-        parts = [part.detach().requires_grad_() for part in (leaves[0], matrices, leaves[3])]
-        to_parts, sides = [torch.zeros_like(part) for part in parts], _sides(below, above)
-        to_below, to_step = (torch.zeros_like(below, dtype=torch.float64) for _ in sides)
+        sides = _sides(below, above)
+        totals = [torch.zeros_like(part, dtype=torch.float64) for part in (*geometry, below, below)]
         for some in view_portions(len(frames), len(below)):
             scaled = (cotangents[0][some] * ray_lengths(frames[some], panel)).float().contiguous()
-            with torch.enable_grad():
-                seen = SeenGaussians(parts[0], parts[1], parts[2], frames[some], panel, projector)
-            sums, *to_some = pixels.backward(seen.rounded(), sides, scaled, projector.cutoff)
-            found = torch.autograd.grad(seen.numbers, parts, seen.gradients(sums.double()))
+            kept = ctx.kept or _SomeViews(geometry, frames[some], panel, projector, True)
+            sums, *to_some = pixels.backward(kept.seen.rounded(), sides, scaled, projector.cutoff)
+            found = torch.autograd.grad(
+                kept.seen.numbers, kept.leaves, kept.seen.gradients(sums.double()), retain_graph=True
+            )
             to_sides = (part.sum(0, dtype=torch.float64) for part in to_some)
-            for whole, part in zip((*to_parts, to_below, to_step), (*found, *to_sides), strict=True):
-                whole.add_(part)
-        to_shape = torch.autograd.grad(matrices, leaves[1:3], to_parts[1])
-        gradients = to_parts[0], *to_shape, to_parts[2], to_below - to_step, to_step
+            for total, part in zip(totals, (*found, *to_sides), strict=True):
+                total.add_(part)
+        *to_geometry, to_below, to_step = totals
+        gradients = *to_geometry, to_below - to_step, to_step
         return *(g.to(part.dtype) for g, part in zip(gradients, ctx.saved_tensors, strict=True)), None, None, None
+
+
+class _SomeViews:
+    """Gaussians in some views, with the arrays of their geometry in float64, which have gradients where asked."""
+
+    def __init__(
+        self, parts: Sequence[Tensor], frames: Tensor, panel: tuple[int, int], projector: Projector, gradients: bool
+    ) -> None:
+        self.leaves = [part.detach().double().requires_grad_(gradients) for part in parts]
+        centres, log_scales, quaternions, planes = self.leaves
+        with torch.set_grad_enabled(gradients):
+            matrices = whitening(log_scales, quaternions)
+            self.seen = SeenGaussians(centres, matrices, planes, frames, panel, projector)
 
 
 class _Voxelize(torch.autograd.Function):
@@ -102,20 +118,20 @@ class _Voxelize(torch.autograd.Function):
     def forward(ctx, *arguments):
         *_, below, above, grid, cutoff = arguments
         ctx.save_for_backward(*arguments[:6])
-        ctx.settings = grid, cutoff
-        found = GaussiansOnGrid(DividedTensors(*arguments[:6]).exact(), grid).rounded(grid.shape, cutoff)
-        return voxels.forward(found, _sides(below, above), grid.shape, cutoff).to(below.dtype)
+        gradients = any(ctx.needs_input_grad)
+        leaves = [part.detach().double().requires_grad_(gradients) for part in arguments[:4]]
+        with torch.set_grad_enabled(gradients):
+            found = GaussiansOnGrid(DividedTensors(leaves[0], leaves[1], leaves[2], leaves[3], below, above), grid)
+        ctx.kept, ellipsoids = (leaves, found, cutoff), found.rounded(grid.shape, cutoff)
+        return voxels.forward(ellipsoids, _sides(below, above), grid.shape, cutoff).to(below.dtype)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx, *cotangents):
-        (*geometry, below, above), (grid, cutoff) = ctx.saved_tensors, ctx.settings
-        leaves = [part.detach().double().requires_grad_() for part in geometry]
-        with torch.enable_grad():
-            found = GaussiansOnGrid(DividedTensors(leaves[0], leaves[1], leaves[2], leaves[3], below, above), grid)
-        sums, to_below, to_step = voxels.backward(
-            found.rounded(grid.shape, cutoff), _sides(below, above), cotangents[0].float().contiguous(), cutoff
-        )
-        to_leaves = torch.autograd.grad(found.numbers, leaves, found.gradients(sums.double()))
+        *_, below, above = ctx.saved_tensors
+        (leaves, found, cutoff), cotangent = ctx.kept, cotangents[0].float().contiguous()
+        ellipsoids = found.rounded(tuple(cotangent.shape[1:]), cutoff)
+        sums, to_below, to_step = voxels.backward(ellipsoids, _sides(below, above), cotangent, cutoff)
+        to_leaves = torch.autograd.grad(found.numbers, leaves, found.gradients(sums.double()), retain_graph=True)
         gradients = *to_leaves, to_below - to_step, to_step
         return *(g.to(part.dtype) for g, part in zip(gradients, ctx.saved_tensors, strict=True)), None, None

@@ -18,6 +18,8 @@ from recon.ops.voxelize.gpu import Ellipsoids
 
 _TILE = (4, 8, 8)  # edges of a tile (z, y, x)
 _BLOCK = 128  # voxels at a time of a Gaussian's program
+# Sizes that make no kernel of their own: a sum that is compiled for one slice may be rounded in another order.
+_SHAPE = ("layers", "rows", "columns", "down", "across")
 
 
 @triton.jit
@@ -30,13 +32,15 @@ def _value(p, place, column, row, layer, k2):
     along = x * tl.load(p + 3) + y * tl.load(p + 4) + z * tl.load(p + 5)
     across, up = y * tl.load(p + 6) + z * tl.load(p + 7), z * tl.load(p + 8)
     q = along * along + across * across + up * up
-    inside = q < k2
+    # the box as well, so that what rounding lets pass beyond it does not depend on the tiles
+    inside = (q < k2) & (layer >= tl.load(place + 3)) & (layer < tl.load(place + 4)) & (row >= tl.load(place + 5))
+    inside = inside & (row < tl.load(place + 6)) & (column >= tl.load(place + 7)) & (column < tl.load(place + 8))
     value = tl.where(inside, tl.exp(-0.5 * tl.where(inside, q, 0.0)) * tl.load(p + 9), 0.0)
     at = tl.load(p + 10) + tl.load(p + 11) * x + tl.load(p + 12) * y + tl.load(p + 13) * z
     return value, at, x, y, z
 
 
-@triton.jit
+@triton.jit(do_not_specialize=_SHAPE)
 @no_type_check
 def _forward(
     numbers, places, below, step, members, starts, out, layers, rows, columns, down, across, bases, k2,
