@@ -1,14 +1,13 @@
 """Every kernel on a GPU beside the processor, and the default fit of two scans on both.
 
-    python -m benchmarks.gpu [--quick] [--scan FILE]
+    python -m benchmarks.gpu [--without-tests] [--quick]
 
 Kernels: largest error of values, and error of gradients (norm of the difference over the norm), in float32 on the GPU
 against the numba kernels, which the tests compare with float64 references; milliseconds of both. The tests of these
-kernels run on the GPU as well. Fits: `recon fit` of `kedge` (128^3 voxels, 75 views of 256^2 in four channels) and of
-the same scene at 256^3 voxels and 512^2 pixels, by the GPU and by the processor, without figures: PSNR, seconds up to
-the last step of the fit by stage, seconds of the whole command, and the most memory. The first command of a process
-compiles kernels; it is told apart. Prints, and writes `results/gpu.md`. `--quick` leaves out the large scan; `--scan`
-fits a file instead of `kedge`.
+kernels run on the GPU as well. Fits: `recon fit` of `kedge-small` (64^3 voxels), `kedge` (128^3 voxels, 75 views of
+256^2 in four channels), and of the same scene at 256^3 voxels and 512^2 pixels, by the GPU and by the processor,
+without figures: PSNR, seconds up to the volumes by stage, seconds of the whole command, and memory. The first command
+compiles kernels; it is told apart. Prints, and writes `results/gpu.md` row by row. `--quick` fits `kedge-small` alone.
 """
 
 import argparse
@@ -18,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -53,7 +52,7 @@ TESTS = (
     "test_tensors_give_the_same_volumes",
 )  # fmt: skip
 VOXELS, PIXELS, VIEWS, GAUSSIANS = 128, 256, 15, 4000
-LARGE = {"volume.voxels": 256, "panel": {"rows": 512, "columns": 512, "pitch": 0.4}}
+LARGE = {"volume.voxels": 256, "panel": {"rows": 512, "columns": 512, "pitch": 0.4}, "geometry.test_views": 20}
 FIT = ("check", "basis", "read", "one-step", "initialize", "approximate", "fit", "judge", "mark")  # up to the volumes
 REPEATS = 5
 
@@ -212,7 +211,7 @@ def fit(dataset: Path, device: str, run: Path) -> dict[str, Any]:
     if device == "cuda":
         torch.cuda.reset_peak_memory_stats()
     began = time.perf_counter()
-    options = ["--device", device, "--out", str(run), "--overwrite", "--quiet", "--no-figures"]
+    options = ["--device", device, "--out", str(run), "--overwrite", "--no-figures"]
     recon.main(["fit", str(dataset), *options], standalone_mode=False)
     whole = time.perf_counter() - began
     metrics = json.loads((run / "metrics.json").read_text(encoding="utf-8"))
@@ -232,8 +231,8 @@ def fit_row(name: str, device: str, found: dict[str, Any]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--without-tests", action="store_true")
     parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--scan", type=Path)
     asked = parser.parse_args()
     if not torch.cuda.is_available():
         raise SystemExit("python -m benchmarks.gpu needs a GPU and a PyTorch that was built for it")
@@ -241,23 +240,31 @@ def main() -> None:
         head := f"{torch.cuda.get_device_name()}, {thread_count()} threads of the processor, torch {torch.__version__}"
     )
     lines = ["# On a GPU", "", head, "", "| kernel | value | gradient | CPU [ms] | GPU [ms] | ratio |"]
-    lines += ["|---|---|---|---|---|---|", *kernel_rows(), "", f"Tests of the kernels on the GPU: {tests()}", ""]
-    print(lines[-2], flush=True)
+    lines += ["|---|---|---|---|---|---|", *kernel_rows(), ""]
+    TABLE.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    if not asked.without_tests:
+        lines += [f"Tests of the kernels on the GPU: {tests()}", ""]
     lines += ["| scan | device | PSNR [dB] | fit [s] | command [s] | GPU memory [GiB] | stages [s] |"]
     lines += ["|---|---|---|---|---|---|---|"]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        small, large = asked.scan or folder / "kedge.h5", folder / "large.h5"
-        if asked.scan is None:
-            phantomgen.make(phantomgen.load("kedge"), small).close()
-        fits = [("kedge, first", small, "cuda"), ("kedge", small, "cuda"), ("kedge", small, "cpu")]
-        if not asked.quick:
-            phantomgen.make(phantomgen.load("kedge", LARGE), large).close()
-            fits += [("256^3, 512^2 x 75", large, "cuda"), ("256^3, 512^2 x 75", large, "cpu")]
-        for title, dataset, device in fits:
+        for title, dataset, device in fits(folder, asked.quick):
             lines.append(fit_row(title, device, fit(dataset, device, folder / "run")))
             print(lines[-1], flush=True)
             TABLE.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def fits(folder: Path, quick: bool) -> Iterator[tuple[str, Path, str]]:
+    """Name, scan and device of each fit; scans are made when their turn comes, and those of the GPU come first."""
+    scans = [("kedge-small", "kedge-small", {}), ("kedge", "kedge", {}), ("256^3, 512^2 x 75", "kedge", LARGE)]
+    scans = scans[:1] if quick else scans
+    for number, (title, preset, changes) in enumerate(scans):
+        phantomgen.make(phantomgen.load(preset, changes), folder / f"{number}.h5").close()
+        if number == 0:
+            yield f"{title}, first", folder / "0.h5", "cuda"
+        yield title, folder / f"{number}.h5", "cuda"
+    for number, (title, _, _) in enumerate(scans):
+        yield title, folder / f"{number}.h5", "cpu"
 
 
 if __name__ == "__main__":

@@ -214,7 +214,7 @@ def _chosen(recipe: _RecipeOptions, special: dict[str, Any]) -> "Recipe | PaperR
     type=click.Choice(["cpu", "cuda"]),
     default="cpu",
     show_default=True,
-    help="Where Gaussians are computed.",
+    help="Where Gaussians and the voxels of their start are computed.",
 )
 @click.option("--dry-run", is_flag=True, help="Estimate Gaussians, time and memory; write nothing.")
 @click.option("--strict", is_flag=True, help="Exit code 3 where a check of the verdict failed.")
