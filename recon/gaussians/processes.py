@@ -116,7 +116,7 @@ class Resources:
     ----------
     processes : those that share the views of each step; all are given the same arguments
     store : where counts, line integrals and statistical weights are kept
-    device : where Gaussians are computed, ``cpu`` or ``cuda``; voxels are computed by the processor
+    device : where Gaussians and the voxels of their start are computed, ``cpu`` or ``cuda``
     """
 
     processes: Processes = ALONE

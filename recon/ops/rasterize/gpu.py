@@ -25,8 +25,19 @@ _BLOCK = 128  # pixels at a time of a Gaussian's program
 
 @triton.jit
 @no_type_check
-def _value(p, column, row, k2):
-    """Compute the value of a footprint in pixels, their places (x, y) from its centre, 1 / E and N / E."""
+def value_in_pixels(p, column, row, k2):
+    """Compute the value of a footprint in pixels, their places (x, y) from its centre, 1 / E and N / E.
+
+    Parameters
+    ----------
+    p : pointer to the numbers of the footprint
+    column, row : the pixels
+    k2 : square of the cutoff
+
+    Returns
+    -------
+    value, x, y, 1 / E, which is 0 beyond the cutoff, and N / E
+    """
     x, y = column.to(tl.float32) - tl.load(p), row.to(tl.float32) - tl.load(p + 1)
     flat = 1.0 + y * (tl.load(p + 6) + y * tl.load(p + 9))
     tilt = tl.load(p + 5) + tl.load(p + 8) * y
@@ -51,7 +62,7 @@ def _forward(
     total = tl.zeros((TILE * TILE, PADDED), dtype=tl.float32)
     for k in range(tl.load(starts + tile), tl.load(starts + tile + 1)):
         seen = tl.load(members + k)
-        value, _, _, _, _ = _value(numbers + seen * 11, column, row, k2)
+        value, _, _, _, _ = value_in_pixels(numbers + seen * 11, column, row, k2)
         weights = tl.load(coefficients + seen % count * bases + basis, mask=basis < bases, other=0.0)
         total += value[:, None] * weights[None]
     known = ((row < rows) & (column < columns))[:, None] & (basis < bases)[None]
@@ -79,7 +90,7 @@ def _backward(
     for begin in range(0, pixels, BLOCK):
         pixel = begin + tl.arange(0, BLOCK)
         row, column = first_row + pixel // width, first_column + pixel % width
-        value, x, y, inverse, q = _value(numbers + g * 11, column, row, k2)
+        value, x, y, inverse, q = value_in_pixels(numbers + g * 11, column, row, k2)
         value = tl.where(pixel < pixels, value, 0.0)
         place = ((view * bases + basis[None]).to(tl.int64) * rows + row[:, None]) * columns + column[:, None]
         known = (pixel < pixels)[:, None] & (basis < bases)[None]

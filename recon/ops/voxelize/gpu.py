@@ -38,8 +38,19 @@ class Ellipsoids(NamedTuple):
 
 @triton.jit
 @no_type_check
-def _value(p, place, column, row, layer, k2):
-    """Compute the value of a Gaussian in voxels, and their places (x, y, z) from its centre."""
+def value_in_voxels(p, place, column, row, layer, k2):
+    """Compute the value of a Gaussian in voxels, and their places (x, y, z) from its centre.
+
+    Parameters
+    ----------
+    p, place : pointers to numbers and places of the Gaussian, see `Ellipsoids`
+    column, row, layer : the voxels
+    k2 : square of the cutoff
+
+    Returns
+    -------
+    value, x, y and z
+    """
     x = (column - tl.load(place)).to(tl.float32) - tl.load(p)
     y = (row - tl.load(place + 1)).to(tl.float32) - tl.load(p + 1)
     z = (layer - tl.load(place + 2)).to(tl.float32) - tl.load(p + 2)
@@ -66,7 +77,7 @@ def _forward(
     total = tl.zeros((DEEP * HIGH * WIDE, PADDED), dtype=tl.float32)
     for k in range(tl.load(starts + tile), tl.load(starts + tile + 1)):
         g = tl.load(members + k)
-        value, _, _, _ = _value(numbers + g * 10, places + g * 9, column, row, layer, k2)
+        value, _, _, _ = value_in_voxels(numbers + g * 10, places + g * 9, column, row, layer, k2)
         total += value[:, None] * tl.load(coefficients + g * bases + basis, mask=basis < bases, other=0.0)[None]
     known = ((layer < layers) & (row < rows) & (column < columns))[:, None] & (basis < bases)[None]
     place = ((basis[None].to(tl.int64) * layers + layer[:, None]) * rows + row[:, None]) * columns + column[:, None]
@@ -94,7 +105,7 @@ def _backward(
         for begin in range(0, area, BLOCK):
             voxel = begin + tl.arange(0, BLOCK)
             row, column = first_row + voxel // width, first_column + voxel % width
-            value, x, y, z = _value(numbers + 10 * g, place, column, row, layer, k2)
+            value, x, y, z = value_in_voxels(numbers + 10 * g, place, column, row, layer, k2)
             value = tl.where(voxel < area, value, 0.0)
             at = ((basis[None].to(tl.int64) * layers + layer) * rows + row[:, None]) * columns + column[:, None]
             incoming = tl.load(cotangent + at, mask=(voxel < area)[:, None] & (basis < bases)[None], other=0.0)

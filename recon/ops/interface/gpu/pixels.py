@@ -15,7 +15,7 @@ from torch import Tensor
 
 from recon.ops.interface.table import SUMS
 from recon.ops.rasterize.footprint_table import Footprints
-from recon.ops.rasterize.gpu import pixel_tiles
+from recon.ops.rasterize.gpu import pixel_tiles, value_in_pixels
 
 _TILE = 16  # edge of a tile
 _BLOCK = 128  # pixels at a time of a Gaussian's program
@@ -52,28 +52,13 @@ def part_above(z):
 
 @triton.jit
 @no_type_check
-def _value(p, x, y, k2):
-    """Compute the value of a footprint x, y pixels from its centre, 1 / E, E, and N / E; 0 beyond the cutoff."""
-    flat = 1.0 + y * (tl.load(p + 6) + y * tl.load(p + 9))
-    tilt = tl.load(p + 5) + tl.load(p + 8) * y
-    e = (x * tl.load(p + 7) + tilt) * x + flat
-    inverse = 1.0 / e
-    along, across = x * tl.load(p + 2) + y * tl.load(p + 3), y * tl.load(p + 4)
-    q = (along * along + across * across) * inverse
-    inside = (q >= 0.0) & (q < k2)
-    e, inverse, q = tl.where(inside, e, 1.0), tl.where(inside, inverse, 1.0), tl.where(inside, q, 0.0)
-    value = tl.sqrt(inverse) * tl.exp(-0.5 * q) * tl.load(p + 10)
-    return tl.where(inside, value, 0.0), inverse, e, q
-
-
-@triton.jit
-@no_type_check
-def _plane(p, x, y, e):
-    """Compute the numerator of z in pixels x, y from the centre, B, and WIDTH E + B^2."""
+def _plane(p, x, y, inverse):
+    """Compute E, the numerator of z, B, and WIDTH E + B^2, in pixels x, y from the centre; E is 1 beyond the cutoff."""
+    e = 1.0 / tl.where(inverse > 0.0, inverse, 1.0)
     level, rise = y * (tl.load(p + 13) + y * tl.load(p + 16)), tl.load(p + 12) + tl.load(p + 15) * y
     above = (x * tl.load(p + 14) + rise) * x + level - e * tl.load(p + 11)
     b = x * tl.load(p + 18) + tl.load(p + 17) + tl.load(p + 19) * y
-    return above, b, e * tl.load(p + 20) + b * b
+    return e, above, b, e * tl.load(p + 20) + b * b
 
 
 @triton.jit
@@ -90,9 +75,8 @@ def _forward(
     for k in range(tl.load(starts + tile), tl.load(starts + tile + 1)):
         seen = tl.load(members + k)
         p, g = numbers + seen * 21, seen % count * bases + basis
-        x, y = column.to(tl.float32) - tl.load(p), row.to(tl.float32) - tl.load(p + 1)
-        value, inverse, e, _ = _value(p, x, y, k2)
-        above, _, under = _plane(p, x, y, e)
+        value, x, y, inverse, _ = value_in_pixels(p, column, row, k2)
+        _, above, _, under = _plane(p, x, y, inverse)
         part, _ = part_above(above * tl.sqrt(inverse / under))
         low = tl.load(below + g, mask=basis < bases, other=0.0)
         more = tl.load(step + g, mask=basis < bases, other=0.0)
@@ -126,10 +110,9 @@ def _backward(
     for begin in range(0, pixels, BLOCK):
         pixel = begin + tl.arange(0, BLOCK)
         row, column = first_row + pixel // width, first_column + pixel % width
-        x, y = column.to(tl.float32) - tl.load(p), row.to(tl.float32) - tl.load(p + 1)
-        value, inverse, e, q = _value(p, x, y, k2)
-        value = tl.where(pixel < pixels, value, 0.0)
-        above, b, under = _plane(p, x, y, e)
+        value, x, y, inverse, q = value_in_pixels(p, column, row, k2)
+        value, q = tl.where(pixel < pixels, value, 0.0), tl.where(inverse > 0.0, q, 0.0)
+        e, above, b, under = _plane(p, x, y, inverse)
         scale = tl.sqrt(inverse / under)
         z = above * scale
         part, density = part_above(z)

@@ -14,7 +14,7 @@ from torch import Tensor
 from recon.ops.interface.gpu.pixels import DeviceSides, part_above
 from recon.ops.interface.voxel_table import SUMS
 from recon.ops.tile_lists import tile_lists
-from recon.ops.voxelize.gpu import Ellipsoids
+from recon.ops.voxelize.gpu import Ellipsoids, value_in_voxels
 
 _TILE = (4, 8, 8)  # edges of a tile (z, y, x)
 _BLOCK = 128  # voxels at a time of a Gaussian's program
@@ -24,20 +24,9 @@ _SHAPE = ("layers", "rows", "columns", "down", "across")
 
 @triton.jit
 @no_type_check
-def _value(p, place, column, row, layer, k2):
-    """Compute the value of a Gaussian in voxels, the argument of Phi, and the places (x, y, z) from the centre."""
-    x = (column - tl.load(place)).to(tl.float32) - tl.load(p)
-    y = (row - tl.load(place + 1)).to(tl.float32) - tl.load(p + 1)
-    z = (layer - tl.load(place + 2)).to(tl.float32) - tl.load(p + 2)
-    along = x * tl.load(p + 3) + y * tl.load(p + 4) + z * tl.load(p + 5)
-    across, up = y * tl.load(p + 6) + z * tl.load(p + 7), z * tl.load(p + 8)
-    q = along * along + across * across + up * up
-    # the box as well, so that what rounding lets pass beyond it does not depend on the tiles
-    inside = (q < k2) & (layer >= tl.load(place + 3)) & (layer < tl.load(place + 4)) & (row >= tl.load(place + 5))
-    inside = inside & (row < tl.load(place + 6)) & (column >= tl.load(place + 7)) & (column < tl.load(place + 8))
-    value = tl.where(inside, tl.exp(-0.5 * tl.where(inside, q, 0.0)) * tl.load(p + 9), 0.0)
-    at = tl.load(p + 10) + tl.load(p + 11) * x + tl.load(p + 12) * y + tl.load(p + 13) * z
-    return value, at, x, y, z
+def _argument(p, x, y, z):
+    """Compute the argument of Phi in voxels x, y, z from the centre."""
+    return tl.load(p + 10) + tl.load(p + 11) * x + tl.load(p + 12) * y + tl.load(p + 13) * z
 
 
 @triton.jit(do_not_specialize=_SHAPE)
@@ -54,8 +43,8 @@ def _forward(
     total = tl.zeros((DEEP * HIGH * WIDE, PADDED), dtype=tl.float32)
     for k in range(tl.load(starts + tile), tl.load(starts + tile + 1)):
         g = tl.load(members + k)
-        value, at, _, _, _ = _value(numbers + g * 14, places + g * 9, column, row, layer, k2)
-        part, _ = part_above(at)
+        value, x, y, z = value_in_voxels(numbers + g * 14, places + g * 9, column, row, layer, k2)
+        part, _ = part_above(_argument(numbers + g * 14, x, y, z))
         low = tl.load(below + g * bases + basis, mask=basis < bases, other=0.0)
         more = tl.load(step + g * bases + basis, mask=basis < bases, other=0.0)
         total += value[:, None] * low[None] + (value * part)[:, None] * more[None]
@@ -88,9 +77,9 @@ def _backward(
         voxel = begin + tl.arange(0, BLOCK)
         layer, rest = first_layer + voxel // area, voxel % area
         row, column = first_row + rest // width, first_column + rest % width
-        value, at, x, y, z = _value(numbers + 14 * g, place, column, row, layer, k2)
+        value, x, y, z = value_in_voxels(numbers + 14 * g, place, column, row, layer, k2)
         value = tl.where(voxel < voxels, value, 0.0)
-        part, density = part_above(at)
+        part, density = part_above(_argument(numbers + 14 * g, x, y, z))
         to = ((basis[None].to(tl.int64) * layers + layer[:, None]) * rows + row[:, None]) * columns + column[:, None]
         incoming = tl.load(cotangent + to, mask=(voxel < voxels)[:, None] & (basis < bases)[None], other=0.0)
         to_low += incoming * value[:, None]
