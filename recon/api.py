@@ -21,10 +21,12 @@ from phantomgen.runtime.plain_json import to_json, write_json
 from phantomgen.runtime.stopwatch import peak_memory_mib
 from phantomgen.runtime.thumbnails import thumbnails
 from recon.callbacks import ProgressBar
+from recon.data.devices import device_named
 from recon.evaluation.stated_volume import Statement
 from recon.evaluation.verdict import Verdict
 from recon.gaussians.model import GaussianModel
 from recon.gaussians.optimize import Progress
+from recon.gaussians.processes import Resources
 from recon.gaussians.recipe import RECIPES, Recipe
 from recon.gaussians.reconstruct import Reconstruction, reconstruct
 from recon.kedge.basis_names import Asked, left_out, with_named
@@ -251,6 +253,7 @@ def fit(
     scatter: str | None = None,
     callbacks: Sequence[Any] = (),
     progress: bool = False,
+    device: str = "cpu",
 ) -> Fit:
     """Fit Gaussians to the training views of a dataset; its truth is not read.
 
@@ -267,6 +270,8 @@ def fit(
         every step and end the fit by returning True; objects may have a method ``on_end`` that gets the finished `Fit`;
         see `recon.EarlyStop`
     progress : show a progress bar, in notebooks as a widget where they have one
+    device : where Gaussians and the voxels of their start are computed, ``cpu`` or ``cuda``; the finished fit is on the
+        processor
 
     Returns
     -------
@@ -275,13 +280,14 @@ def fit(
     Raises
     ------
     InputError
-        When there is no such recipe, or the data cannot be fitted as asked.
+        When there is no such recipe or device, or the data cannot be fitted as asked.
     """
     if not isinstance(dataset, Dataset):
         with open_dataset(dataset) as opened:
             return fit(
-                opened, recipe, bases=bases, edges=edges, scatter=scatter, callbacks=callbacks, progress=progress
-            )
+                opened, recipe, bases=bases, edges=edges, scatter=scatter, callbacks=callbacks, progress=progress,
+                device=device,
+            )  # fmt: skip
     dataset = ChosenScatter.of(dataset, parse_scatter(scatter), bases).dataset
     callbacks = [*callbacks, ProgressBar()] if progress else callbacks
     how, log, stated = _recipe(recipe), [], dataset.spectra.basis.names
@@ -293,14 +299,17 @@ def fit(
         log.append(log_entry(step, dataset.spectra.channels))
         return any([bool(callback(step)) for callback in after_step])  # noqa: C419 - all callbacks are called
 
+    resources = Resources(device=device_named(device).type)
     if isinstance(how, PaperRecipe):
+        if device != "cpu":
+            raise InputError(f"the recipe paper is computed by the processor: leave out device={device!r}")
         chosen, count = with_named(dataset, bases)
         choice, basis = None, chosen.spectra.basis
         result = reconstruct_paper(chosen, how, count, on_step=on_step)
     else:
         choice = choose_basis(dataset, bases, edges)
         basis = choice.basis
-        result = reconstruct(dataset.with_basis(basis), how, on_step=on_step)
+        result = reconstruct(dataset.with_basis(basis), how, on_step=on_step, resources=resources)
     missing = left_out(stated, result.gaussians.basis_names)
     finished = Fit(
         result, basis, dataset.grid, how, dataset.path.absolute(), dataset.air, choice, missing, log, dataset.scatter

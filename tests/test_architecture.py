@@ -236,7 +236,9 @@ def test_nothing_but_kernels_for_gpus_needs_triton():
 
 def kernels():
     for path in files(*PACKAGES, suffix=".py"):
-        if path.name in {"gpu.py", "deepinv.py"} or path.parent.name == "gpu":  # no numba, and Triton and DeepInverse are not everywhere
+        if (
+            path.name in {"gpu.py", "deepinv.py"} or path.parent.name == "gpu"
+        ):  # no numba, and Triton and DeepInverse are not everywhere
             continue
         module = import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
         yield from ((module, name, value) for name, value in vars(module).items() if isinstance(value, Dispatcher))

@@ -49,11 +49,14 @@ def coefficient_curvature(
         images = gaussians.with_values(values).line_integrals(some.geometry)
         # The operator is linear in `values`, so its adjoint may be applied to images other than those it made.
         ray_gradients = torch.zeros_like(images)
-        of_rays = ray_information if images.device.type == "cpu" else ray_information_on_device
         for view in range(len(some)):  # matrices of one view at a time, in float64
             line_integrals = images[[view], :bases].detach().clamp(min=0)
-            information = of_rays(some[[view]], line_integrals, dispersion)[0][:, :, *upper]
-            ray_gradients[view, : len(upper[0])] = torch.as_tensor(information).movedim(-1, 0).to(ray_gradients)
+            if images.device.type == "cpu":
+                matrices = torch.from_numpy(ray_information(some[[view]], line_integrals.numpy(), dispersion))
+            else:
+                matrices = ray_information_on_device(some[[view]], line_integrals, dispersion)
+            information = matrices[0][:, :, *upper].movedim(-1, 0)
+            ray_gradients[view, : len(upper[0])] = information.to(ray_gradients)
         ray_gradients *= images[:, bases : bases + 1].detach()
         sums += torch.autograd.grad(images, values, ray_gradients)[0]
     sums = sums[..., : len(upper[0])]
@@ -64,9 +67,7 @@ def coefficient_curvature(
 
 
 def ray_information(
-    measurements: Measurements,
-    line_integrals: "Float[np.ndarray, 'view basis row column'] | Float[Tensor, 'view basis row column']",
-    dispersion: float,
+    measurements: Measurements, line_integrals: Float[np.ndarray, "view basis row column"], dispersion: float
 ) -> Float[np.ndarray, "view row column basis basis"]:
     """Compute the Fisher matrix of every ray's line integrals.
 
@@ -83,7 +84,7 @@ def ray_information(
     """
     transmission = measurements.transmission
     gains = np.moveaxis(measurements.gains, 0, -1) * measurements.exposure[:, None, None, :]
-    lengths = measurements.with_profile(np.moveaxis(np.asarray(line_integrals), 1, -1))
+    lengths = measurements.with_profile(np.moveaxis(line_integrals, 1, -1))
     expected, jacobian = transmission.expected_and_jacobian(lengths)
     expected, jacobian = expected * gains, jacobian[..., : len(measurements.basis_names)] * gains[..., None]
     precision = 1 / np.maximum(expected * (1 + dispersion**2 * expected), np.finfo(float).tiny)

@@ -60,7 +60,7 @@ def likelihood(
     -------
     deviance and chi-square of all views
     """
-    sums = torch.zeros(2 * data.counts.shape[1] + 2, dtype=torch.float64)
+    sums = torch.zeros(2 * data.counts.shape[1] + 2, dtype=torch.float64, device="cpu")
     with torch.no_grad():
         for view in processes.share(np.arange(len(data))):
             one = data[[int(view)]]
@@ -114,7 +114,7 @@ def likelihood_and_gradients(
     """
     parts = list(gaussians.tensors().values())
     values = len(views) * int(np.prod(data.counts.shape[1:]))
-    sums = torch.zeros(2 * data.counts.shape[1] + 2, dtype=torch.float64)
+    sums = torch.zeros(2 * data.counts.shape[1] + 2, dtype=torch.float64, device="cpu")
     mine = processes.share(views)
     for part in parts:
         part.grad = None

@@ -148,6 +148,20 @@ def test_an_early_stop_ends_a_fit_that_no_longer_improves(path):
         recon.EarlyStop(after=2)
 
 
+@pytest.mark.parametrize(
+    ("recipe", "device", "message"),
+    [
+        ("fast", "cuda", "--device cuda needs a GPU"),
+        ("fast", "tpu", "device must be cpu or cuda, got 'tpu'"),
+        ("paper", "cuda", "--device cuda needs a GPU"),
+    ],
+)
+def test_devices_that_are_not_there(path, recipe, device, message, monkeypatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    with pytest.raises(InputError, match=message):
+        recon.fit(path, recipe, device=device)
+
+
 def test_an_array_scores_as_the_model_that_it_comes_from(fit, path):
     truth = phantomgen.read_truth(path)
     of_array, of_fit = recon.score_truth(truth, fit.volume())["basis"], fit.score()["basis"]
