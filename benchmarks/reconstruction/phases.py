@@ -61,9 +61,9 @@ def main() -> None:
             assert static.volumes is not None
             seconds["all views"] = time.perf_counter() - began
             began = time.perf_counter()
-            measured, voxel = read_with_coverage(dataset, FAST).measured, min(dataset.grid.spacing)
-            how = voxel, FAST, PhaseSettings()
-            phases = fit_phases(static.gaussians, measured, division.phase, division.cyclic, *how).volumes(dataset.grid)
+            scan = read_with_coverage(dataset, FAST)
+            how = division.phase, division.cyclic, scan.coverage.grid, FAST, PhaseSettings()
+            phases = fit_phases(static.gaussians, scan.measured, *how).volumes(dataset.grid)
             seconds["phases"] = time.perf_counter() - began
             print(f"| phase | all views | phases | phase alone |  ({' / '.join(dataset.spectra.basis.names)})")
             chosen = range(len(true)) if asked.phases is None else asked.phases

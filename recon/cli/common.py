@@ -229,7 +229,8 @@ class ProgressBar:
 
         if self.bar is None:
             self.bar = tqdm(total=progress.steps, desc="phases", unit="step", disable=self.quiet)
-        self.bar.set_postfix_str(f"deviance {progress.deviance:.3g}", refresh=False)
+        if progress.deviance is not None:
+            self.bar.set_postfix_str(f"deviance {progress.deviance:.3g}", refresh=False)
         self.bar.update()
 
     def step(self, progress: "Progress") -> None:

@@ -9,8 +9,8 @@ with F_data of `recon.gaussians.objective` over the views of a phase, and the cu
 for one phase; kappa is ``coupling`` of `recon.phases.settings`, and c its ``noise``. The weight
 w = 1 / (1 + t / (c t_0)) of Cauchy's robust estimate lets go of Gaussians whose difference
 t = (b_{p+1,i} - b_{p,i})^T H_i (b_{p+1,i} - b_{p,i}) is large beside the median t_0 of all: what rests is averaged over
-all phases, what changes is not. Displacements are linear between the nodes of a lattice; steps make them smooth in
-space and from phase to phase.
+all phases, what changes is not. Coefficients start from voxels of each phase (`recon.phases.first_phases`).
+Displacements are linear between the nodes of a lattice; steps make them smooth in space and from phase to phase.
 """
 
 from collections.abc import Callable
@@ -21,6 +21,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import golden_section_order
 from recon.gaussians.adam import Adam
@@ -28,6 +29,7 @@ from recon.gaussians.fisher import coefficient_curvature
 from recon.gaussians.likelihood import likelihood_and_gradients
 from recon.gaussians.model import GaussianModel
 from recon.gaussians.recipe import Recipe
+from recon.phases.first_phases import first_coefficients
 from recon.phases.model import PhaseGaussians
 from recon.phases.settings import PhaseSettings
 
@@ -41,15 +43,15 @@ class PhaseProgress:
 
     Parameters
     ----------
-    step, steps : number of steps made, and of all steps
+    step, steps : number of steps made, and of all steps; the first coefficients of a phase count as one
     phase : that the step belongs to
-    deviance : of its views before the step, over its expected value
+    deviance : of its views before the step, over its expected value; None for first coefficients
     """
 
     step: int
     steps: int
     phase: int
-    deviance: float
+    deviance: float | None
 
 
 def fit_phases(
@@ -57,7 +59,7 @@ def fit_phases(
     measured: Measurements,
     phase_of_view: Int[np.ndarray, " view"],
     cyclic: bool,
-    voxel: float,
+    grid: Grid,
     recipe: Recipe,
     settings: PhaseSettings,
     on_step: Callable[[PhaseProgress], object] = lambda progress: None,
@@ -70,22 +72,29 @@ def fit_phases(
     measured : these views
     phase_of_view : phase of each view, from 0 without gaps
     cyclic : whether the first phase follows the last
-    voxel : edge of a voxel of the reconstruction grid [mm]
+    grid : voxels that were fitted to all views
     recipe : of the fit to all views, for its pixels and its model error
     settings : how phases are fitted
-    on_step : called after every step
+    on_step : called after the first coefficients of each phase, and after every step
 
     Returns
     -------
     the phases
     """
+    voxel = min(grid.spacing)
     data = measured.binned(matching_bin(measured.geometry, recipe.stages[-1].pixel * voxel)).weighted(recipe.dispersion)
     count = int(phase_of_view.max()) + 1
-    phases = PhaseGaussians.begin(shared, count, settings.spacing * voxel)
     views = [np.flatnonzero(phase_of_view == phase) for phase in range(count)]
     curvature = _curvature(shared, data, recipe) / count
+    fisher = curvature.flatten(0, -3).double().mean(dim=0).numpy()
+    done, total = 0, (1 + settings.sweeps * settings.steps) * count
+    first = []
+    for coefficients in first_coefficients(shared, measured, phase_of_view, grid, fisher, settings):
+        first.append(coefficients)
+        done += 1
+        on_step(PhaseProgress(done, total, done - 1, None))
+    phases = PhaseGaussians.begin(shared, torch.stack(first), settings.spacing * voxel)
     steps = _PhaseSteps(phases, curvature, cyclic, voxel, recipe, settings, settings.sweeps * settings.steps)
-    total, done = settings.sweeps * settings.steps * count, 0
     for step in range(settings.sweeps * settings.steps):
         for phase in golden_section_order(count):
             own = views[phase]

@@ -124,13 +124,15 @@ class PhaseGaussians:
     lattice: Lattice
 
     @classmethod
-    def begin(cls, shared: GaussianModel, phases: int, spacing: float) -> "PhaseGaussians":
-        """Make phases that are all equal.
+    def begin(
+        cls, shared: GaussianModel, coefficients: Float[Tensor, "phase gaussian *side basis"], spacing: float
+    ) -> "PhaseGaussians":
+        """Make phases that are not displaced.
 
         Parameters
         ----------
         shared : model of the mean of all phases
-        phases : their number
+        coefficients : of each phase [1/mm]
         spacing : distance between nodes of the displacement [mm]
 
         Returns
@@ -138,8 +140,7 @@ class PhaseGaussians:
         the phases
         """
         lattice = Lattice.around(shared.centres.detach(), spacing)
-        same = shared.coefficients.detach().expand(phases, *shared.coefficients.shape).clone()
-        return cls(shared.detached(), same, torch.zeros(phases, lattice.nodes, 3), lattice)
+        return cls(shared.detached(), coefficients, torch.zeros(len(coefficients), lattice.nodes, 3), lattice)
 
     def __len__(self) -> int:
         return len(self.coefficients)

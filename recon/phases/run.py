@@ -114,7 +114,7 @@ def fit_phases_of_run(
     recipe : of the run
     settings : how phases are fitted
     figures : whether to draw
-    on_step : called after every step
+    on_step : called after the first coefficients of each phase, and after every step
 
     Returns
     -------
@@ -122,9 +122,9 @@ def fit_phases_of_run(
     """
     model = load_model(folder / MODEL)
     named = dataset.with_basis(named_basis(dataset.spectra.basis, model.basis_names, dataset.path))
-    measured = read_with_coverage(named, recipe).measured
-    voxel = min(dataset.grid.spacing)
-    found = fit_phases(model, measured, division.phase, division.cyclic, voxel, recipe, settings, on_step)
+    scan = read_with_coverage(named, recipe)
+    how = scan.coverage.grid, recipe, settings, on_step
+    found = fit_phases(model, scan.measured, division.phase, division.cyclic, *how)
     volumes, static = found.volumes(dataset.grid), model.volume(dataset.grid)
     _write(folder / PHASES, found, volumes, dataset)
     scores: dict[str, Any] = {

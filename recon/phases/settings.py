@@ -15,6 +15,8 @@ class PhaseSettings:
 
     Parameters
     ----------
+    passes : passes over the voxels that a phase starts from, more with few views; 0 to start from all views
+    solves : steps of conjugate gradients that give their change to the coefficients
     sweeps : times that every view is used
     steps : steps of a phase in one sweep, each with as many of its views
     coefficient_rate : step of the coefficients over that of Newton's method with the separable curvature [no unit]
@@ -28,6 +30,8 @@ class PhaseSettings:
         step takes away [no unit]
     """
 
+    passes: int = 4
+    solves: int = 20
     sweeps: int = 20
     steps: int = 5
     coefficient_rate: float = 1.0
@@ -40,4 +44,4 @@ class PhaseSettings:
     stiffness: float = 0.02
 
     def __post_init__(self) -> None:
-        check_positive(self, "phases", others=())
+        check_positive(self, "phases", others=("passes",))

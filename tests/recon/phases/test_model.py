@@ -41,7 +41,7 @@ def test_smoothing_keeps_constants_and_levels_a_peak():
 
 def test_phases_begin_as_the_shared_model():
     shared = Gaussians(POINTS, torch.zeros(40, 3), torch.eye(4)[0].repeat(40, 1), torch.rand(40, 2), ("a", "b"))
-    phases = PhaseGaussians.begin(shared, 3, 6.0)
+    phases = PhaseGaussians.begin(shared, shared.coefficients.detach().expand(3, -1, -1).clone(), 6.0)
     assert len(phases) == 3
     for phase in range(3):
         for name, values in phases.at(phase).tensors().items():
