@@ -29,7 +29,7 @@ from recon.gaussians.fisher import coefficient_curvature
 from recon.gaussians.likelihood import likelihood_and_gradients
 from recon.gaussians.model import GaussianModel
 from recon.gaussians.recipe import Recipe
-from recon.phases.first_phases import first_coefficients
+from recon.phases.first_phases import first_phases
 from recon.phases.model import PhaseGaussians
 from recon.phases.settings import PhaseSettings
 
@@ -87,13 +87,13 @@ def fit_phases(
     views = [np.flatnonzero(phase_of_view == phase) for phase in range(count)]
     curvature = _curvature(shared, data, recipe) / count
     fisher = curvature.flatten(0, -3).double().mean(dim=0).numpy()
-    done, total = 0, (1 + settings.sweeps * settings.steps) * count
-    first = []
-    for coefficients in first_coefficients(shared, measured, phase_of_view, grid, fisher, settings):
-        first.append(coefficients)
-        done += 1
-        on_step(PhaseProgress(done, total, done - 1, None))
-    phases = PhaseGaussians.begin(shared, torch.stack(first), settings.spacing * voxel)
+    done, total = count, (1 + settings.sweeps * settings.steps) * count
+
+    def told(phase: int) -> None:
+        on_step(PhaseProgress(phase + 1, total, phase, None))
+
+    first = first_phases(shared, measured, phase_of_view, grid, fisher, settings, told)
+    phases = PhaseGaussians.begin(*first, settings.spacing * voxel)
     steps = _PhaseSteps(phases, curvature, cyclic, voxel, recipe, settings, settings.sweeps * settings.steps)
     for step in range(settings.sweeps * settings.steps):
         for phase in golden_section_order(count):
@@ -132,7 +132,7 @@ class _PhaseSteps:
         self.damping = torch.diag_embed(
             _OWN_DAMPING * diagonal + _MEAN_DAMPING * diagonal.flatten(0, -2).mean(dim=0).clamp_min(1e-30)
         )
-        self.velocity = torch.zeros_like(phases.coefficients)
+        self.first, self.velocity = phases.coefficients.clone(), torch.zeros_like(phases.coefficients)
         self.adam = [Adam([nodes]) for nodes in phases.displacements]
         self.median = 0.0
 
@@ -161,7 +161,9 @@ class _PhaseSteps:
     def _move_coefficients(self, phase: int, gradient: Tensor, step: int) -> None:
         """Make a step of Newton's method with momentum in the coefficients of a phase."""
         settings, all_phases = self.settings, self.phases.coefficients
-        curvature = self.curvature + self.damping
+        start = torch.einsum("...mn,...n->...m", self.curvature, all_phases[phase] - self.first[phase])
+        gradient = gradient + settings.trust * start
+        curvature = (1 + settings.trust) * self.curvature + self.damping
         for other in self._neighbours(phase):
             difference = all_phases[phase] - all_phases[other]
             pulled = torch.einsum("...mn,...n->...m", self.curvature, difference)

@@ -16,7 +16,11 @@ class PhaseSettings:
     Parameters
     ----------
     passes : passes over the voxels that a phase starts from, more with few views; 0 to start from all views
+    change : variance over the phases, over its median in the object, at which voxels keep half of their difference
+        from the mean of all phases [no unit]
+    evaluations : of the fit of the shared Gaussians to the mean of all phases
     solves : steps of conjugate gradients that give their change to the coefficients
+    trust : information of the first coefficients of a phase over that of its data [no unit]
     sweeps : times that every view is used
     steps : steps of a phase in one sweep, each with as many of its views
     coefficient_rate : step of the coefficients over that of Newton's method with the separable curvature [no unit]
@@ -31,8 +35,11 @@ class PhaseSettings:
     """
 
     passes: int = 4
+    change: float = 256.0
+    evaluations: int = 30
     solves: int = 20
-    sweeps: int = 20
+    trust: float = 1.0
+    sweeps: int = 10
     steps: int = 5
     coefficient_rate: float = 1.0
     momentum: float = 0.93
@@ -44,4 +51,4 @@ class PhaseSettings:
     stiffness: float = 0.02
 
     def __post_init__(self) -> None:
-        check_positive(self, "phases", others=("passes",))
+        check_positive(self, "phases", others=("passes", "trust"))
