@@ -74,12 +74,17 @@ def changes_beyond_noise(
     Parameters
     ----------
     volumes : of each phase [1/mm]
-    change : variance over the phases, in units of its median over the object, at which half of a difference from the
-        mean is kept; of each basis, as a mean over 3 x 3 x 3 voxels [no unit]
+    change : variance over the phases, over that of noise, at which half of a difference from the mean is kept; of each
+        basis, as a mean over 3 x 3 x 3 voxels [no unit]
 
     Returns
     -------
-    mean, and the differences from it times t / (t + change t_0), with the variance t and its median t_0 [1/mm]
+    mean, and the differences from it times t / (t + change t_0), with the variance t and that of noise t_0 [1/mm]
+
+    Notes
+    -----
+    Second differences from phase to phase have 6 times the variance of noise, and little of what changes slowly. Their
+    median over the object is that of noise also where most of the object moves.
     """
     mean = volumes.mean(axis=0)
     differences = volumes - mean
@@ -87,6 +92,8 @@ def changes_beyond_noise(
     inside = density > BACKGROUND * large_signal(density)
     for basis, part in enumerate(differences.swapaxes(0, 1)):
         variance = uniform_filter(np.square(part).mean(axis=0), 3, mode="nearest")
-        typical = float(np.median(variance[inside])) if inside.any() else 0.0
+        bends = np.diff(part, 2, axis=0) / np.sqrt(6) if len(part) > 2 else part
+        noise = uniform_filter(np.square(bends).mean(axis=0), 3, mode="nearest")
+        typical = float(np.median(noise[inside])) if inside.any() else 0.0
         differences[:, basis] *= variance / np.maximum(variance + change * typical, np.finfo(np.float32).tiny)
     return mean, differences

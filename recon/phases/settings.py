@@ -11,13 +11,14 @@ class PhaseSettings:
 
     Momentum and coupling were compared on `perfusion` with 12 sweeps, by the mean PSNR of iodine over its phases:
     35.2 dB with 0.93 and 3, 36.0 with 0.93 and 1, 36.3 with 0.95, 0.3 and a noise of 4; 36.1 with 0.8 and 3 in 20
-    sweeps.
+    sweeps; all of these without first coefficients of their own.
 
     Parameters
     ----------
     passes : passes over the voxels that a phase starts from, more with few views; 0 to start from all views
-    change : variance over the phases, over its median in the object, at which voxels keep half of their difference
-        from the mean of all phases [no unit]
+    change : variance over the phases, over that of noise, at which voxels keep half of their difference from the mean
+        of all phases [no unit]; in phase 0 of `perfusion`, voxels have 41.7 / 42.9, 42.3 / 43.1 and 42.6 / 42.0 dB in
+        Compton scattering / iodine with 64, 256 and 1024, and 40.9 / 42.6 without
     evaluations : of the fit of the shared Gaussians to the mean of all phases
     solves : steps of conjugate gradients that give their change to the coefficients
     trust : information of the first coefficients of a phase over that of its data [no unit]
