@@ -9,6 +9,8 @@ alone, and ``fit.save`` writes a run folder that every command reads. Run it as 
     python examples/plot_first_fit.py --quick   # 24^3 voxels, seconds: coarse, to see that everything works
 """
 
+# sphinx_gallery_thumbnail_path = 'images/first-scan/axial.png'
+
 import sys
 from pathlib import Path
 

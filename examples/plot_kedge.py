@@ -16,6 +16,8 @@ The scene below says in Python what ``kedge.yaml`` beside it says as a file: ``p
 writes the same counts, and a test holds the two to each other.
 """
 
+# sphinx_gallery_thumbnail_path = 'images/kedge-axial.png'
+
 import sys
 from dataclasses import dataclass
 from pathlib import Path

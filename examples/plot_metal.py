@@ -10,6 +10,8 @@ the same counts. Run it as one of::
     python examples/plot_metal.py --quick   # 48^3 voxels, seconds
 """
 
+# sphinx_gallery_thumbnail_path = 'images/metal-rods.png'
+
 import sys
 from pathlib import Path
 

@@ -10,6 +10,8 @@ offset as one more unknown. Run it as one of::
     python examples/plot_torch.py --quick   # 32^3 voxels, 40 seconds
 """
 
+# sphinx_gallery_thumbnail_path = 'images/torch.png'
+
 import sys
 from dataclasses import replace
 from pathlib import Path

@@ -21,7 +21,8 @@ class PhaseSettings:
         Compton scattering / iodine with 64, 256 and 1024, and 40.9 / 42.6 without
     evaluations : of the fit of the shared Gaussians to the mean of all phases
     solves : steps of conjugate gradients that give their change to the coefficients
-    trust : information of the first coefficients of a phase over that of its data [no unit]
+    trust : information of the first coefficients of a phase over that of its data [no unit]; 0.3 in 20 sweeps is up to
+        0.5 dB better than 1 in 10 on `perfusion` and `breathing-torso`
     sweeps : times that every view is used
     steps : steps of a phase in one sweep, each with as many of its views
     coefficient_rate : step of the coefficients over that of Newton's method with the separable curvature [no unit]
@@ -39,8 +40,8 @@ class PhaseSettings:
     change: float = 256.0
     evaluations: int = 30
     solves: int = 20
-    trust: float = 1.0
-    sweeps: int = 10
+    trust: float = 0.3
+    sweeps: int = 20
     steps: int = 5
     coefficient_rate: float = 1.0
     momentum: float = 0.93
