@@ -117,7 +117,6 @@ def reconstruct(
     Returns
     -------
     the fitted model, and what is known of the fit
-
     """
     processes, device = resources.processes, device_named(resources.device)
     starting_method(dataset.geometry[dataset.splits["train"]], dataset.grid)  # refuses views from one side alone

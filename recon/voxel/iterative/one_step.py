@@ -100,9 +100,9 @@ class OneStep:
     momentum : whether to use Nesterov's momentum
     curve : materials of the object; then the attenuation at one energy is the only unknown of a voxel, and one channel
         determines it; None for coefficients of all bases
-    device : where rays and voxels are computed, ``cpu`` or ``cuda``; with a curve always by the processor
     least_fall : passes of the last level go on, up to `MOST_TIMES` as many, as long as one lowers the deviance by more
         than this part; None for as many passes as are asked for
+    device : where rays and voxels are computed, ``cpu`` or ``cuda``; with a curve always by the processor
     """
 
     levels: tuple[tuple[int, int], ...] = ((4, 8), (2, 8), (1, 16))
