@@ -4,12 +4,14 @@ The unknowns are the coefficients b_p and the displacements d_p of each phase p;
 
 .. math:: \sum_p F_{\mathrm{data},p}(b_p, d_p) + \frac{\kappa}{2} \sum_{p,i} w_{pi}\,
     (b_{p+1,i} - b_{p,i})^\mathsf{T} H_i (b_{p+1,i} - b_{p,i})
+    + \frac{\tau}{2} \sum_{p,i} (b_{p,i} - b^0_{p,i})^\mathsf{T} H_i (b_{p,i} - b^0_{p,i})
 
 with F_data of `recon.gaussians.objective` over the views of a phase, and the curvature H_i of `recon.gaussians.fisher`
-for one phase; kappa is ``coupling`` of `recon.phases.settings`, and c its ``noise``. The weight
+for one phase; kappa is ``coupling`` of `recon.phases.settings`, c its ``noise``, and tau its ``trust`` in the first
+coefficients b^0, which follow voxels of each phase (`recon.phases.first_phases`). The weight
 w = 1 / (1 + t / (c t_0)) of Cauchy's robust estimate lets go of Gaussians whose difference
 t = (b_{p+1,i} - b_{p,i})^T H_i (b_{p+1,i} - b_{p,i}) is large beside the median t_0 of all: what rests is averaged over
-all phases, what changes is not. Coefficients start from voxels of each phase (`recon.phases.first_phases`).
+all phases, what changes is not.
 Displacements are linear between the nodes of a lattice; steps make them smooth in space and from phase to phase.
 """
 

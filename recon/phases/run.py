@@ -207,6 +207,10 @@ def _write(
         for axis in "zyx":
             put(group, axis, dataset.grid.axis(axis), "mm")
         model = new_group(file, "gaussians", "NXcollection")
+        for name, values in found.shared.tensors().items():
+            if name != "coefficients":  # shapes that all phases share; those of the run's model were the start
+                put(model, name, values.detach().numpy())
+        model.attrs.update(found.shared.header())
         _packed(model, "coefficients", found.coefficients.numpy()).attrs["units"] = "1/mm"
         shifts = np.stack([found.lattice.at_gaussians(nodes).numpy() for nodes in found.displacements])
         _packed(model, "displacements", shifts).attrs["units"] = "mm"

@@ -78,7 +78,8 @@ def curvature(
     probes = np.ones((3, *grid.shape), np.float32)
     probes[1] -= 2 * np.random.default_rng(0).integers(0, 2, grid.shape)
     probes[2] = step_scales
-    sums = (_sums if device == "cpu" else _sums_on_device)(volumes, probes, measurements, grid, dispersion, device)
+    scan = volumes, probes, measurements, grid, dispersion
+    sums = _sums(*scan) if device == "cpu" else _sums_on_device(*scan, device)
     attenuation = volumes.sum(dtype=np.float64) if volumes.any() else float(np.prod(grid.shape))
     covariance = as_matrices(sums.weighted * sums.squares / (max(sums.whole, 1e-30) * attenuation))
     return sums.blocks / step_scales, covariance
@@ -99,10 +100,8 @@ def _sums(
     measurements: Measurements,
     grid: Grid,
     dispersion: float,
-    device: str,
 ) -> _Sums:
     """Compute the sums of `curvature` by the processor."""
-    del device
     bases, empty, whole, squares = len(volumes), not volumes.any(), 0.0, 0.0
     blocks = np.zeros((bases * (bases + 1) // 2, *grid.shape), np.float32)
     weighted = np.zeros(len(blocks))

@@ -257,7 +257,8 @@ def _descend(
 
 def _on_device(values: Float[np.ndarray, "..."], settings: OneStep) -> Any:
     """Make a tensor of an array where a GPU computes."""
-    return values if settings.device == "cpu" or settings.curve else torch.from_numpy(values).to(settings.device)
+    here = settings.device == "cpu" or settings.curve is not None
+    return values if here else torch.from_numpy(values).to(settings.device)
 
 
 def _as_array(values: Any) -> Float[np.ndarray, "..."]:

@@ -1,10 +1,12 @@
 """Phases of a small scan: closer to the truth than all views together, what the run writes, and what is refused."""
 
 import json
+from dataclasses import replace
 
 import h5py
 import numpy as np
 import pytest
+import torch
 from click.testing import CliRunner
 from PIL import Image
 
@@ -14,7 +16,9 @@ from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import load_scene
 from phantomgen.simulation.run import simulate
 from recon.cli.main import main
+from recon.gaussians.divided.model_file import load_model
 from recon.phases.run import divide
+from recon.runs.run_folder import MODEL
 from spectra.errors import InputError
 
 SCENE = """\
@@ -63,7 +67,13 @@ def test_phases_are_closer_to_the_truth_than_all_views_together(scan, tmp_path):
     assert "phase 3" in shown.output
     with h5py.File(run / "phases.h5") as file:
         volumes = file["phases/data"][:]
-        assert file["gaussians/displacements"].shape[0] == 4
+        parts = {name: torch.from_numpy(part[()]) for name, part in file["gaussians"].items()}
+        width = float(file["gaussians"].attrs["width"])
+    moved = {"centres": parts["centres"] + parts["displacements"][3], "coefficients": parts["coefficients"][3]}
+    shapes = {name: parts[name] for name in ("log_scales", "quaternions", "offsets")}
+    last = replace(load_model(run / MODEL), width=width, **shapes, **moved)
+    with open_dataset(scan) as dataset:
+        np.testing.assert_allclose(last.volume(dataset.grid), volumes[3], atol=1e-6)
     true = read_phases(scan)
     inside = np.s_[:, 2, 8:16, 11:13, 15:17]  # in the vessel
     found, wanted = (phases[inside].mean(axis=(1, 2, 3)) for phases in (volumes, true))
