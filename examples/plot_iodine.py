@@ -9,8 +9,6 @@ it from water and acrylic, and the coefficient of its basis function says how mu
     python examples/plot_iodine.py --quick   # 48^3 voxels, well under a minute
 """
 
-# sphinx_gallery_thumbnail_path = 'images/materials.png'
-
 import sys
 from pathlib import Path
 
