@@ -11,10 +11,11 @@ from phantomgen.correction.bad_pixels import find_bad_pixels
 from phantomgen.correction.pixel_gains import LEAST, PixelGains, pixel_gains
 from phantomgen.correction.sums import ScanSums
 from phantomgen.correction.tube_output import TubeOutput, tube_output
+from phantomgen.dataset.checks.counts import check_counts
 from phantomgen.dataset.checks.door import array_at, find_array
 from phantomgen.dataset.file import DARK, FLAT
 from phantomgen.dataset.pixel_mask import mask_of
-from phantomgen.dataset.reader import Dataset, check_counts, open_dataset
+from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.writing.corrected_copy import CorrectedCopy, check_copy
 from spectra.errors import DatasetError, InputError
 
@@ -108,11 +109,11 @@ def correct_file(
     """
     path, out, wanted = Path(path), Path(out), wanted or Wanted()
     check_copy(path, out, overwrite)
-    with open_dataset(path, air=(slice(0, 1), slice(0, 1))) as dataset:
+    with open_dataset(path, air=(slice(0, 1), slice(0, 1)), as_stored=True) as dataset:
         _check_frames(dataset, wanted)
     with CorrectedCopy(path, out, overwrite) as copy:
-        done = _replace_frames(copy, Dataset(path, copy.file), wanted)
-        dataset = Dataset(path, copy.file)
+        done = _replace_frames(copy, Dataset(path, copy.file, as_stored=True), wanted)
+        dataset = Dataset(path, copy.file, as_stored=True)
         masks = tuple(_bits(dataset, name) for name in dataset.spectra.channels)
         if "defects" in wanted.steps:
             masks = tuple(

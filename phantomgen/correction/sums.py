@@ -33,8 +33,7 @@ class ScanSums:
     @cached_property
     def air(self) -> Float[np.ndarray, "channel row column"]:
         """Open beam, darks subtracted and dead time corrected."""
-        dead_time = self.dataset.spectra.dead_time
-        return self.dataset.flat if dead_time is None else dead_time.corrected(self.dataset.flat)
+        return self.dataset.spectra.events(self.dataset.flat)
 
     def signal(self, view: int) -> Float[np.ndarray, "channel row column"]:
         """Read a view, darks subtracted and dead time corrected.
@@ -47,9 +46,7 @@ class ScanSums:
         -------
         the signal
         """
-        dead_time = self.dataset.spectra.dead_time
-        seen = self.dataset.load([view])[0] - self.dataset.dark
-        return seen if dead_time is None else dead_time.corrected(seen)
+        return self.dataset.spectra.events(self.dataset.load([view])[0] - self.dataset.dark)
 
     def statistics(self) -> list[PixelStatistics]:
         """Compute mean and variance between views of each pixel of each channel.

@@ -45,6 +45,7 @@ def describe(path: Path) -> dict[str, Any]:
             "orbit": dataset.geometry.kind,
             **distances(dataset.geometry),
             "channels": _channels(dataset),
+            "counters": "cumulative" if dataset.subtracts else "bins",
             "dead_time": None if spectra.dead_time is None else asdict(spectra.dead_time),
             "energies": len(spectra.energy),
             "range_keV": [float(spectra.edges[0]), float(spectra.edges[-1])],
@@ -89,6 +90,7 @@ def describe_text(info: dict[str, Any]) -> str:
         f"geometry   {info['orbit']}, {_distance_text(info)}, "
         f"pixels of {info['pitch_mm'][1]:g} x {info['pitch_mm'][0]:g} mm",
         f"channels   {', '.join('{name} {lower_keV:g}..{upper_keV:g} keV'.format(**c) for c in info['channels'])}",
+        *_counter_lines(info["counters"]),
         *_dead_time_lines(info["dead_time"]),
         f"spectrum   {info['energies']} bins, {info['range_keV'][0]:g}..{info['range_keV'][1]:g} keV, "
         f"{info['photons']:g} photons per pixel and view"
@@ -165,6 +167,13 @@ def _material_lines(materials: dict[str, Any]) -> list[str]:
 def _mask_lines(masked: int, pixels: int) -> list[str]:
     """Masked pixels for people, where there are any."""
     return [f"mask       {masked} pixels do not measure, {masked / pixels:.2%}"] if masked else []
+
+
+def _counter_lines(counters: str) -> list[str]:
+    """Whether counters are cumulative, for people."""
+    if counters == "bins":
+        return []
+    return ["counters   cumulative: the file has counts above each threshold, which are read as differences"]
 
 
 def _dead_time_lines(dead_time: dict[str, Any] | None) -> list[str]:

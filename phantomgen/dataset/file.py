@@ -16,6 +16,8 @@ from spectra.errors import DatasetError, Error
 
 DETECTOR = "/entry/instrument/detector"
 FLAT, DARK = "/entry/instrument/flat/data", "/entry/instrument/dark/data"
+COUNTERS = f"{DETECTOR}/counters"
+CUMULATIVE, DISJOINT = "cumulative", "bins"  # counts above thresholds, and between them
 
 
 def open_file(path: Path, part: Literal["entry", "truth"] = "entry") -> h5py.File:

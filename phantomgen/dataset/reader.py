@@ -16,10 +16,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Shaped
 
 from phantomgen.dataset.beam_profile import read_profile
+from phantomgen.dataset.checks.counts import check_counts
 from phantomgen.dataset.checks.digest import missing_chunks
 from phantomgen.dataset.checks.door import array_at, find_array, frame_at, group_at, has, value_at
 from phantomgen.dataset.checks.fields import ENTRY, form_problems, value_problems
-from phantomgen.dataset.file import DARK, DETECTOR, FLAT, damaged_file, open_file
+from phantomgen.dataset.file import COUNTERS, CUMULATIVE, DARK, DETECTOR, DISJOINT, FLAT, damaged_file, open_file
 from phantomgen.dataset.geometry import read_geometry
 from phantomgen.dataset.layout import text_of
 from phantomgen.dataset.pixel_mask import read_mask
@@ -31,6 +32,7 @@ from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.thumbnails import thumbnails
 from spectra.basis.basis import Basis
+from spectra.detector.counters import between_thresholds, either_neighbour
 from spectra.detector.dead_time import DeadTime
 from spectra.errors import DatasetError, InputError
 
@@ -46,12 +48,16 @@ Region = tuple[slice, slice]
 class Dataset:
     """Open dataset; close it, or use it in a ``with`` statement.
 
+    Where the counters of a file count all photons above their thresholds, everything but `counts` is that of the
+    channels between thresholds, whose counts are differences of neighbouring counters and independent of each other.
+
     Parameters
     ----------
     path, file : the file
     air : rows and columns of the panel that see nothing but air, used in place of flats
     on_close : called after the file is closed, such as to remove a temporary one
     scatter : estimate of the scattered signal of every view, see `with_scatter`; None where it is not known
+    as_stored : whether counts above thresholds are returned as they are in the file
     """
 
     path: Path
@@ -59,6 +65,7 @@ class Dataset:
     air: Region | None = None
     on_close: Callable[[], object] | None = field(default=None, repr=False)
     scatter: SmoothSignal | None = field(default=None, repr=False)
+    as_stored: bool = False
 
     def __enter__(self) -> "Dataset":
         return self
@@ -194,12 +201,25 @@ class Dataset:
     def mask(self) -> Bool[np.ndarray, "channel row column"]:
         """Pixels that do not measure: where a low bit of ``pixel_mask`` is set, as NeXus defines it."""
         with damaged_file(self.path):
-            return read_mask(self.file, self.spectra.channels, self.counts.shape[2:])
+            mask = read_mask(self.file, self.spectra.channels, self.counts.shape[2:])
+        return either_neighbour(mask) if self.subtracts else mask
 
     @property
     def signed(self) -> bool:
-        """True when signals may be negative, as electronic noise makes signals that are not counts."""
-        return self.spectra.units != "counts"
+        """True when signals may be negative: those that are not counts, and differences of counters that fail."""
+        return self.subtracts or self.spectra.units != "counts"
+
+    @cached_property
+    def subtracts(self) -> bool:
+        """True when the file has counts above thresholds, and differences of these are returned."""
+        return not self.as_stored and self._cumulative()
+
+    def _cumulative(self) -> bool:
+        """Whether the file has counts above thresholds."""
+        stated = text_of(self._value(COUNTERS)) if has(self.file, COUNTERS) else DISJOINT
+        if stated not in (CUMULATIVE, DISJOINT):
+            raise DatasetError(f"{self.path}: {COUNTERS} must be {CUMULATIVE!r} or {DISJOINT!r}, found {stated!r}")
+        return stated == CUMULATIVE
 
     def load(self, views: Iterable[SupportsInt] | None = None) -> Shaped[np.ndarray, "v c row column"]:
         """Read counts of some views into memory.
@@ -246,9 +266,7 @@ class Dataset:
         if not -len(self.exposure) <= view < len(self.exposure):
             raise InputError(f"{self.path} has views 0 to {len(self.exposure) - 1}, there is no view {view}")
         view = view % len(self.exposure)
-        signal, air = self.load([view])[0] - self.dark, self.flat
-        if self.spectra.dead_time is not None:
-            signal, air = self.spectra.dead_time.corrected(signal), self.spectra.dead_time.corrected(air)
+        signal, air = (self.spectra.events(counts) for counts in (self.load([view])[0] - self.dark, self.flat))
         air = air * self.exposure[view][:, None, None]
         least = 0.5 * self.spectra.quantum[:, None, None]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -309,7 +327,7 @@ class Dataset:
             table["basis_composition"] = self._value(_COMPOSITION)
         channels = tuple(text_of(name) for name in self._value("/entry/data/channel"))
         limits = [f"{DETECTOR}/{name}_channel" for name in channels]
-        return Spectra(
+        stored = Spectra(
             energy=table["energy"],
             edges=table["energy_edges"],
             source=table["source"],
@@ -323,7 +341,9 @@ class Dataset:
             variance=self._value("/entry/spectra/variance") if has(self.file, "entry/spectra/variance") else None,
             profile=read_profile(self.file),
             dead_time=self._dead_time(),
+            cumulative=self._cumulative(),
         )
+        return stored.between_thresholds() if self.subtracts else stored
 
     @property
     def tube(self) -> tuple[str | None, float | None]:
@@ -436,7 +456,8 @@ class Dataset:
 
     def _image(self, frames: h5py.Dataset, frame: int) -> Shaped[np.ndarray, "channel row column"]:
         """All channels of one frame."""
-        return frame_at(frames, frame)
+        images = frame_at(frames, frame)
+        return between_thresholds(images) if self.subtracts else images
 
     def _value(self, name: str) -> Any:
         """Content of a small dataset; text as ``str``."""
@@ -459,13 +480,14 @@ _SPECTRA = (
 )
 
 
-def open_dataset(path: Path | str, air: Region | str | None = None) -> Dataset:
+def open_dataset(path: Path | str, air: Region | str | None = None, *, as_stored: bool = False) -> Dataset:
     """Open a dataset for reading.
 
     Parameters
     ----------
     path : of the file
     air : ``"r0:r1,c0:c1"`` or two slices: a part of the panel that sees only air, in place of missing flats
+    as_stored : return counts above thresholds as they are in the file, see `Dataset`
 
     Returns
     -------
@@ -479,7 +501,7 @@ def open_dataset(path: Path | str, air: Region | str | None = None) -> Dataset:
     path = Path(path)
     file = open_file(path)
     try:
-        dataset = Dataset(path, file, parse_region(air) if isinstance(air, str) else air)
+        dataset = Dataset(path, file, parse_region(air) if isinstance(air, str) else air, as_stored=as_stored)
         _check_consistent(dataset)
     except BaseException:
         file.close()
@@ -512,27 +534,6 @@ def parse_region(text: str) -> Region:
     return slice(r0, r1), slice(c0, c1)
 
 
-def check_counts(counts: Shaped[np.ndarray, "..."], where: str, signed: bool = False) -> None:
-    """Refuse values that cannot be counts, or cannot be signals, which may be negative.
-
-    Parameters
-    ----------
-    counts : values of any shape
-    where : their place, for the message
-    signed : whether negative values are allowed
-
-    Raises
-    ------
-    DatasetError
-        When a value is negative, infinite or not a number (NaN).
-    """
-    smallest = counts.min(initial=0)
-    if np.isnan(smallest) or np.isinf(counts.max(initial=0)):
-        raise DatasetError(f"{where} holds a value that is not a number; repair or leave out that view")
-    if smallest < 0 and not signed:
-        raise DatasetError(f"{where} holds negative counts, down to {smallest:g}; store raw counts, with darks apart")
-
-
 def _check_consistent(dataset: Dataset) -> None:
     """Refuse arrays that do not belong together, before any long work."""
     for problem in chain(form_problems(dataset.file, ENTRY), value_problems(dataset.file, ENTRY)):
@@ -548,8 +549,18 @@ def _check_consistent(dataset: Dataset) -> None:
     exposed = dataset.exposure > 0
     if not (dataset.exposure >= 0).all() or not exposed.any(axis=1).all() or not exposed.any(axis=0).all():
         raise DatasetError(f"{dataset.path}: the exposure scale of a view is not positive")
+    if dataset.subtracts:
+        _check_counters(dataset)
     _ = dataset.mask  # is checked as it is read
     _check_open_beam(dataset)
+
+
+def _check_counters(dataset: Dataset) -> None:
+    """Refuse counters that cannot be subtracted from each other."""
+    if dataset.spectra.units != "counts" or not (np.diff(dataset.spectra.lower) > 0).all():
+        raise DatasetError(f"{dataset.path}: {CUMULATIVE} counters need counts, and thresholds that ascend")
+    if (dataset.exposure != dataset.exposure[:, :1]).any():
+        raise DatasetError(f"{dataset.path}: {CUMULATIVE} counters need the same exposure scale in all channels")
 
 
 def _check_whole(dataset: Dataset, name: str) -> None:

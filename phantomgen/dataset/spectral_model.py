@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from phantomgen.dataset.beam_profile import StoredProfile
 from spectra.basis.basis import Basis
+from spectra.detector.counters import above_thresholds, between_thresholds
 from spectra.detector.dead_time import DeadTime
 from spectra.detector.detector import AnyDetector
 from spectra.energy.bin_split import split_bins
@@ -32,6 +33,7 @@ class Spectra:
     variance : what a photon adds to the variance of the signal; None where photons are counted, and it is the response
     profile : how the open beam differs over the panel, None where it does not
     dead_time : of the pixels; None where every event is recorded. Then `weights` are events, and counts are fewer
+    cumulative : whether each channel counts all photons above its lower limit, also those of the channels above it
     """
 
     energy: Float[np.ndarray, " energy"]
@@ -47,6 +49,7 @@ class Spectra:
     variance: Float[np.ndarray, "channel energy"] | None = None
     profile: StoredProfile | None = None
     dead_time: DeadTime | None = None
+    cumulative: bool = False
 
     @classmethod
     def of(cls, source: Source, detector: AnyDetector, basis: Basis, bins: int = 128) -> "Spectra":
@@ -95,6 +98,44 @@ class Spectra:
         if self.variance is None:
             return np.ones_like(signal)
         return (self.source * self.variance).sum(axis=1) / np.where(signal > 0, signal, 1.0)
+
+    def above_thresholds(self) -> "Spectra":
+        """Return the model of counters that count all photons above their thresholds.
+
+        Returns
+        -------
+        the spectral model, `cumulative`
+        """
+        upper = np.full_like(self.upper, self.upper[-1])
+        return replace(self, response=above_thresholds(self.response), upper=upper, cumulative=True)
+
+    def between_thresholds(self) -> "Spectra":
+        """Return the model of the channels between thresholds, the inverse of `above_thresholds`.
+
+        Returns
+        -------
+        the spectral model, not `cumulative`
+        """
+        upper = np.append(self.lower[1:], self.upper[-1])
+        response = np.maximum(between_thresholds(self.response), 0.0)  # rounding errors of a difference
+        return replace(self, response=response, upper=upper, cumulative=False)
+
+    def events(self, counts: Float[np.ndarray, "channel row column"]) -> Float[np.ndarray, "channel row column"]:
+        """Return the counts that pixels without dead time would have had.
+
+        Parameters
+        ----------
+        counts : recorded counts of one frame
+
+        Returns
+        -------
+        corrected counts; `counts` where every event is recorded
+        """
+        if self.dead_time is None:
+            return counts
+        if not self.cumulative:
+            return self.dead_time.corrected(counts)
+        return above_thresholds(self.dead_time.corrected(between_thresholds(counts)))
 
     def transmission(self) -> Transmission:
         """Create the transmission from line integrals of the basis, then lengths in the profile, to expected counts.

@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
+from phantomgen.dataset.checks.counts import check_counts
 from phantomgen.dataset.checks.digest import chunk_problems, seal_problems
 from phantomgen.dataset.checks.door import find_array, frame_at, outside_problems
 from phantomgen.dataset.checks.fields import ENTRY, form_problems, value_problems
 from phantomgen.dataset.file import DARK, DETECTOR, FLAT, open_file
 from phantomgen.dataset.geometry import KINDS
 from phantomgen.dataset.layout import SCHEMA_VERSION
-from phantomgen.dataset.reader import Dataset, check_counts, open_dataset
+from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.true_poses import read_true_geometry
 from phantomgen.dataset.truth import Truth, read_truth
 from phantomgen.geometry.poses import Geometry
@@ -57,7 +58,7 @@ def validate(path: Path | str, air: str | None = None) -> list[str]:
         impossible = list(value_problems(file, ENTRY)) if sound else []
     if impossible:
         return impossible
-    with open_dataset(path, air) as dataset:
+    with open_dataset(path, air, as_stored=True) as dataset:
         problems = [sentence for check in _CHECKS for sentence in check(dataset)]
         for whole in (seal_problems, chunk_problems, outside_problems):
             problems += _checked(lambda whole=whole: list(whole(dataset.file)))

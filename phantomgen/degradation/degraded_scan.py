@@ -5,15 +5,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int64, Shaped, UInt32
+from jaxtyping import Bool, Float, Int64, Shaped, UInt32
 
 from phantomgen.dataset.beam_profile import StoredProfile
+from phantomgen.dataset.checks.counts import check_counts
 from phantomgen.dataset.checks.door import array_at, find_array, frame_at, group_at, has, value_at
 from phantomgen.dataset.file import DARK, FLAT
 from phantomgen.dataset.geometry import read_geometry
 from phantomgen.dataset.layout import text_of
 from phantomgen.dataset.pixel_mask import mask_of
-from phantomgen.dataset.reader import Dataset, check_counts
+from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.spectral_model import Spectra
 from phantomgen.degradation.dose import counts_at_dose, dose_seed, signal_at_dose
 from phantomgen.degradation.misstatements import with_voltage
@@ -30,6 +31,7 @@ from phantomgen.effects.defects import DEAD, Defects, stuck
 from phantomgen.effects.random_streams import Stream, generator
 from phantomgen.geometry.panel_changes import moved_panel, smaller_panel
 from phantomgen.geometry.poses import Geometry
+from spectra.detector.counters import above_thresholds, between_thresholds
 from spectra.errors import InputError
 
 Images = Shaped[np.ndarray, "channel row column"]
@@ -195,7 +197,12 @@ class DegradedScan:
     @cached_property
     def masks(self) -> tuple[UInt32[np.ndarray, "row column"] | None, ...]:
         """Bits of the pixels of each channel; None where a channel has no mask."""
-        return tuple(self._mask(name) for name in self.dataset.spectra.channels)
+        found = tuple(self._mask(name) for name in self.dataset.spectra.channels)
+        if not self.dataset.spectra.cumulative or all(mask is None for mask in found):
+            return found
+        # Where one counter does not measure, none is changed to the dose.
+        joined = np.bitwise_or.reduce([mask for mask in found if mask is not None])
+        return (joined,) * len(found)
 
     def _mask(self, channel: str) -> UInt32[np.ndarray, "row column"] | None:
         """Old and new faults of one channel."""
@@ -241,9 +248,7 @@ class DegradedScan:
         check_counts(images, f"{frames.name}[{frame}] of {dataset.path}", dataset.signed)
         changed = kind == "data" or (kind == "flat" and self.settings.flats == "thin")
         stream = Stream.DOSE if kind == "data" else Stream.FLAT_DOSE
-        at_dose = (
-            [self._at_dose(image, stream, frame, c) for c, image in enumerate(images)] if changed else list(images)
-        )
+        at_dose = self._all_at_dose(images, stream, frame) if changed else list(images)
         return [self._on_panel(image) for image in at_dose]
 
     def expected(self, frame: int) -> list[Float[np.ndarray, "row column"]]:
@@ -262,11 +267,25 @@ class DegradedScan:
         scaled = dose * images + (1 - dose) * self.dataset.dark
         return [self._on_panel(image).astype(np.float32) for image in scaled]
 
-    def _at_dose(self, image: np.ndarray, stream: Stream, frame: int, channel: int) -> np.ndarray:
-        """One image at the dose asked for, before it is cut and binned."""
-        wish, dark = self.settings, self.dataset.dark[channel]
-        if wish.dose == 1 and not wish.noise:
-            return image
+    def _all_at_dose(self, images: np.ndarray, stream: Stream, frame: int) -> list[np.ndarray]:
+        """The images of all channels at the dose asked for, before they are cut and binned."""
+        if self.settings.dose == 1 and not self.settings.noise:
+            return list(images)
+        if not self.dataset.spectra.cumulative:
+            return [self._at_dose(image, self.dataset.dark[c], stream, frame, c) for c, image in enumerate(images)]
+        apart, dark = between_thresholds(images), np.maximum(between_thresholds(self.dataset.dark), 0.0)
+        apart = np.where(self._any_masked, 0, np.maximum(apart, 0))
+        changed = [self._at_dose(image, dark[c], stream, frame, c) for c, image in enumerate(apart)]
+        return list(np.where(self._any_masked, images, above_thresholds(np.stack(changed))))
+
+    @cached_property
+    def _any_masked(self) -> Bool[np.ndarray, "row column"]:
+        """Pixels with a channel that does not measure."""
+        return self.dataset.mask.any(axis=0)
+
+    def _at_dose(self, image: np.ndarray, dark: np.ndarray, stream: Stream, frame: int, channel: int) -> np.ndarray:
+        """One image of independent counts, or signals, at the dose asked for."""
+        wish = self.settings
         random = generator(dose_seed(wish.seed, wish.dose, self.step), stream, frame, channel)
         if self.has_counts:
             changed = counts_at_dose(image, dark, wish.dose, wish.complement, random)

@@ -123,12 +123,12 @@ def level_path(out: Path, level: float) -> Path:
 def _opened(path: Path) -> Dataset:
     """Open a dataset, also one without flats."""
     anywhere = (slice(0, 1), slice(0, 1))
-    dataset = open_dataset(path, air=anywhere)
+    dataset = open_dataset(path, air=anywhere, as_stored=True)
     flats = find_array(dataset.file, FLAT)
     if flats is None or not flats.shape[0]:
         return dataset
     dataset.close()
-    return open_dataset(path)
+    return open_dataset(path, as_stored=True)
 
 
 def _steps(dataset: Dataset) -> int:

@@ -64,6 +64,29 @@ def scene_dead_time(file: SceneFile) -> DeadTime | None:
     return None if model is None else DeadTime(model.tau_ns, model.exposure_ms, model.model)
 
 
+def has_cumulative_counters(file: SceneFile) -> bool:
+    """Return whether each counter of the detector counts all photons above its threshold.
+
+    Parameters
+    ----------
+    file : the scene file
+
+    Returns
+    -------
+    True for counts above thresholds, False for counts between them
+
+    Raises
+    ------
+    SceneError
+        Where the scene has several sources.
+    """
+    if getattr(file.model.detector, "counters", "bins") == "bins":
+        return False
+    if isinstance(file.model.source, schema.MultiSourceModel):
+        raise file.error(("detector", "counters"), "may be cumulative with a single source only, got several")
+    return True
+
+
 def _detector(file: SceneFile, source: Source) -> AnyDetector:
     """The detector by its type."""
     model = file.model.detector

@@ -16,7 +16,7 @@ from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.scene import schema
 from phantomgen.scene.basis import needed, scene_basis
 from phantomgen.scene.beam_profile import Profile
-from phantomgen.scene.detector import scene_dead_time, scene_detector
+from phantomgen.scene.detector import has_cumulative_counters, scene_dead_time, scene_detector
 from phantomgen.scene.dynamics.build import scene_dynamics
 from phantomgen.scene.dynamics.dynamics import Dynamics
 from phantomgen.scene.effects import scene_effects
@@ -63,6 +63,7 @@ class Scan:
     nominal : poses that a reconstructor is given; None where they are those of `geometry`, which are simulated
     sample_poses : where a sample that moves is in each view, as matrices [mm]; None where it rests
     dynamics : objects that move and materials that change in time; None where all rest
+    cumulative : whether the dataset has counts above thresholds, in place of those between them
     """
 
     name: str
@@ -89,6 +90,7 @@ class Scan:
     nominal: Geometry | None = None
     sample_poses: Float[np.ndarray, "view 4 4"] | None = None
     dynamics: Dynamics | None = None
+    cumulative: bool = False
 
     def __repr__(self) -> str:
         objects, channels = len(self.scene.objects), len(self.detector)
@@ -252,6 +254,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Overrides = ()) -> Scan
         dynamics=scene_dynamics(
             file, geometry.times, geometry.splits["train"], tuple(item.motions for item in built), used
         ),
+        cumulative=has_cumulative_counters(file),
     )
 
 

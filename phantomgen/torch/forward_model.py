@@ -61,7 +61,7 @@ class ForwardModel:
         """
         stored = dataset.spectra
         spectra, flat, dead_time = TensorSpectra.of(stored, device), dataset.flat, stored.dead_time
-        flat = flat if dead_time is None else dead_time.corrected(flat)
+        flat = stored.events(flat)
         profile = None if stored.profile is None else torch.tensor(stored.profile.lengths, device=device)
         model = cls(
             grid=dataset.grid,
@@ -90,7 +90,7 @@ class ForwardModel:
 
         Returns
         -------
-        counts of these views, comparable with ``dataset.counts[views]``
+        counts of these views, comparable with ``dataset.load(views)``
         """
         return self.from_line_integrals(project(volume, self.grid, self.geometry[views]), views)
 

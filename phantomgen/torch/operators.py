@@ -108,7 +108,7 @@ def transmit(
 
     Returns
     -------
-    counts at exposure 1, (..., view, channel, row, column), the order of ``dataset.counts``
+    counts at exposure 1, (..., view, channel, row, column), the order of ``dataset.load()``
 
     Raises
     ------

@@ -46,13 +46,12 @@ class SummedCounts:
         """
         shape = (len(views), *dataset.counts.shape[2:])
         counts, air = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        dead_time, unit = dataset.spectra.dead_time, dataset.spectra.quantum[:, None, None]
-        beam = (dataset.flat if dead_time is None else dead_time.corrected(dataset.flat)) / unit
+        unit = dataset.spectra.quantum[:, None, None]
+        beam = dataset.spectra.events(dataset.flat) / unit
         measures = ~dataset.mask & (beam > 0)
         even = _evened(beam, measures)
         for place, view in enumerate(views):
-            seen = dataset.load([int(view)])[0] - dataset.dark
-            seen = seen if dead_time is None else dead_time.corrected(seen)
+            seen = dataset.spectra.events(dataset.load([int(view)])[0] - dataset.dark)
             exposed = dataset.exposure[view][:, None, None]
             used = measures & (exposed > 0)
             counts[place] = np.sum(seen / unit * even, axis=0, where=used)

@@ -349,7 +349,7 @@ def read_measurements(
     flat, dead_time = dataset.flat, dataset.spectra.dead_time
     if dead_time is not None:
         _check_load(dataset, dead_time)
-        flat = dead_time.corrected(flat)
+        flat = dataset.spectra.events(flat)
     measured = Measurements(
         counts=_read_counts(dataset, views, unit, store),
         gains=np.ones(flat.shape, np.float32),
@@ -379,10 +379,8 @@ def _read_counts(
 ) -> Float[np.ndarray, "view channel row column"]:
     """Counts minus dark, corrected for dead time, one view at a time."""
     counts = store.empty("counts", (len(views), *dataset.counts.shape[1:]))
-    dead_time = dataset.spectra.dead_time
     for image, view in zip(counts, views, strict=True):
-        seen = dataset.load([int(view)])[0] - dataset.dark
-        image[:] = (seen if dead_time is None else dead_time.corrected(seen)) / unit
+        image[:] = dataset.spectra.events(dataset.load([int(view)])[0] - dataset.dark) / unit
     release(counts)
     return counts
 

@@ -12,6 +12,7 @@ from phantomgen.dataset.file import DARK, FLAT
 from phantomgen.dataset.inpainting import inpainted
 from phantomgen.dataset.truth import read_truth
 from phantomgen.exporters.projections import Kind, Projections
+from spectra.detector.counters import between_thresholds
 from spectra.errors import DatasetError, InputError
 
 if TYPE_CHECKING:
@@ -108,7 +109,8 @@ def _frames(
     """Flats or darks of the channels."""
     if path not in dataset.file:
         return None
-    return value_at(dataset.file, path)[:, chosen]
+    frames = value_at(dataset.file, path)
+    return (np.stack([*map(between_thresholds, frames)]) if dataset.subtracts else frames)[:, chosen]
 
 
 def _true_attenuation(

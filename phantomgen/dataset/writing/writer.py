@@ -19,7 +19,7 @@ from phantomgen.dataset.beam_profile import write_profile
 from phantomgen.dataset.checks.digest import seal
 from phantomgen.dataset.checks.door import array_at, group_at
 from phantomgen.dataset.compression import Compression
-from phantomgen.dataset.file import DATASET
+from phantomgen.dataset.file import CUMULATIVE, DATASET
 from phantomgen.dataset.geometry import write_geometry
 from phantomgen.dataset.layout import SCHEMA, SCHEMA_VERSION, new_frames, new_group, put, put_note
 from phantomgen.dataset.pixel_mask import write_mask
@@ -163,6 +163,8 @@ class DatasetWriter:
             put(detector, "dead_time", spectra.dead_time.tau_ns, "ns")
             put(detector, "count_time", spectra.dead_time.exposure_ms, "ms")
             put(detector, "dead_time_model", spectra.dead_time.model)
+        if spectra.cumulative:
+            put(detector, "counters", CUMULATIVE)
         for name, lower, upper in zip(spectra.channels, spectra.lower, spectra.upper, strict=True):
             channel = new_group(detector, f"{name}_channel", "NXdetector_channel")
             put(channel, "threshold_energy", float(lower), "keV")

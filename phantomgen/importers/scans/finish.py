@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int64, Shaped
 
+from phantomgen.dataset.checks.counts import check_counts
 from phantomgen.dataset.layout import pack_image, write_image
-from phantomgen.dataset.reader import Region, check_counts
+from phantomgen.dataset.reader import Region
 from phantomgen.dataset.spectral_model import Spectra
 from phantomgen.dataset.writing.writer import DatasetWriter, Splits, check_dataset_name
 from phantomgen.degradation.panel import binned_mask, binned_sum, check_bin

@@ -25,7 +25,8 @@ class DeadTimeModel(Model):
 class PhotonCountingModel(Model):
     """A photon-counting detector; a channel reaches from its threshold to the next.
 
-    It is ideal unless it has a resolution (full width at half maximum [keV]), fluorescence or shared charge.
+    It is ideal unless it has a resolution (full width at half maximum [keV]), fluorescence or shared charge. Its
+    dataset has the counts between thresholds (`bins`), or those above each of them (`cumulative`).
     """
 
     type: Literal["photon_counting"]
@@ -37,6 +38,7 @@ class PhotonCountingModel(Model):
     fluorescence: bool = False
     charge_sharing: ChargeSharingModel | None = None
     dead_time: DeadTimeModel | None = None
+    counters: Literal["bins", "cumulative"] = "bins"
 
 
 class AxisModel(Model):

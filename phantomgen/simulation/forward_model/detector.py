@@ -1,7 +1,7 @@
 """Detector stages: signal and readings from the photons that reach the detector, in the order of physics.
 
 1. `DetectorStages.registered`: what each frame leaves in the sensor.
-   Counters: blur of expected counts, gain, dead time and photon noise.
+   Counters: blur of expected counts, gain, dead time and photon noise; sums above thresholds where these are counted.
    Energy-integrating detectors: photon noise, blur of the light, gain.
 2. afterglow, from view to view: `phantomgen.effects.lag`, which `phantomgen.simulation.forward_model.readout` applies
     in order.
@@ -20,6 +20,7 @@ from phantomgen.effects.defects import stuck
 from phantomgen.effects.random_streams import Stream
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.forward_model.exposure import Exposure, Groups, Images
+from spectra.detector.counters import above_thresholds
 
 Frame = list[Shaped[np.ndarray, "row column"]]
 
@@ -89,7 +90,8 @@ class DetectorStages:
         signals of each channel, (row, column)
         """
         if self.counts_photons:
-            return self._exposed(self._shaped(expected, stream), frame, stream, noise)
+            counts = self._exposed(self._shaped(expected, stream), frame, stream, noise)
+            return list(above_thresholds(np.stack(counts))) if self.scan.cumulative else counts
         signals = self._exposed(expected, frame, stream, noise)
         return list(self._shaped(np.stack(signals), stream)) if self.kernels or self.gains else signals
 
@@ -137,4 +139,6 @@ class DetectorStages:
         defects = self.scan.effects.defects
         if defects is None or self.mask is None:
             return image
-        return stuck(image, self.mask, defects.level * float(self.exposure.transmission.open_beam[channel]))
+        beam = self.exposure.transmission.open_beam
+        level = (above_thresholds(beam) if self.scan.cumulative else beam)[channel]
+        return stuck(image, self.mask, defects.level * float(level))

@@ -227,7 +227,10 @@ def reconstructor_spectra(scan: Scan) -> Spectra:
     profile = None
     if scan.profile is not None:
         profile = StoredProfile(scan.profile.names, scan.profile.lengths, scan.profile.attenuation(spectra.energy))
-    return replace(spectra, profile=profile, dead_time=scan.dead_time)
+    between = replace(spectra, profile=profile, dead_time=scan.dead_time)
+    if not scan.cumulative:
+        return between
+    return replace(between.above_thresholds(), channels=tuple(f"counter{i}" for i in range(len(scan.detector))))
 
 
 def material_coefficients(scan: Scan) -> Float[np.ndarray, "material basis"]:
