@@ -3,6 +3,7 @@
 from math import ceil
 from pathlib import Path
 
+from phantomgen.geometry.config import panel_of
 from phantomgen.scene import schema
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.input_files.response_matrix import read_response
@@ -15,6 +16,8 @@ from spectra.errors import InputError
 from spectra.materials.material import Material
 from spectra.source.source import Source
 
+# A sensor's pixel is that of the panel in spite of rounding errors, no unit.
+_ROUNDING = 1 - 1e-6
 # Channels that count less than this part of the photons see none.
 _LEAST = 1e-12
 
@@ -120,8 +123,29 @@ def _photon_counting(file: SceneFile, model: schema.PhotonCountingModel, source:
     if not (model.resolution or model.fluorescence or model.charge_sharing):
         return ideal
     shared = model.charge_sharing
-    sharing = None if shared is None else ChargeSharing(shared.pitch, shared.cloud)
+    sharing = (
+        None if shared is None else ChargeSharing(shared.pitch, shared.cloud, _with_covariance(file, model, shared))
+    )
     return PulseHeightDetector(ideal.channels, sensor, model.thickness, model.resolution, model.fluorescence, sharing)
+
+
+def _with_covariance(file: SceneFile, model: schema.PhotonCountingModel, shared: schema.ChargeSharingModel) -> bool:
+    """Whether counts of neighbouring pixels are drawn together."""
+    several = isinstance(file.model.source, schema.MultiSourceModel)
+    if model.dead_time is not None or several:
+        if shared.covariance:
+            what = "several sources" if several else "dead time"
+            raise file.error(("detector", "charge_sharing", "covariance"), f"is not known for a detector with {what}")
+        return False
+    pitch = min(panel_of(file.model.panel).pitch)
+    if shared.pitch * _ROUNDING <= pitch:
+        return shared.covariance is not False
+    if shared.covariance:
+        raise file.error(
+            ("detector", "charge_sharing", "pitch"),
+            f"of the sensor, {shared.pitch:g} mm, must not be larger than that of the panel, {pitch:g} mm",
+        )
+    return False
 
 
 def _energy_integrating(model: schema.EnergyIntegratingModel, source: Source) -> AnyDetector:

@@ -75,7 +75,7 @@ def _simulate(scan: Scan, out: Path | str, options: SimulationOptions) -> Summar
         views = Views(scan, plan.exposure, plan.settings, cached=cached_views.primary if cached_views else None)
         cache_writer = CacheWriter.of(plan) if options.keep_paths else None
         warnings = [*plan.warnings, *coverage_warnings(scan), *fit_warnings(scan, material_fit(scan))]
-        warnings += [*scan.detector.model_warnings, *plan.exposure.warnings]
+        warnings += [*scan.detector.model_warnings, *plan.exposure.warnings, *views.detector.warnings]
     nominal = scan.nominal or scan.geometry
     stored = options.stored if kept is None else {**options.stored, "projections": kept.identity}
     same = identity(scan, plan.settings, plan.exposure.groups, stored)

@@ -51,10 +51,12 @@ class ChargeSharing:
     ----------
     pitch : of the sensor's square pixels [mm]
     cloud : standard deviation of a charge cloud [mm]
+    covariance : whether simulated counts of neighbouring pixels have the covariance that shared charge gives them
     """
 
     pitch: float
     cloud: float
+    covariance: bool = False
 
     def __post_init__(self) -> None:
         if not 0 < self.pitch < np.inf:
@@ -108,14 +110,14 @@ class PulseHeightDetector(Detector):
         """Thresholds, also those reached in spite of a lost fluorescence photon, and K edges of the sensor [keV]."""
         top = self.channels[-1].upper
         edges = self.material.k_edges(self.lowest, top)
-        lost = {t + energy for t in self.thresholds for _, energy, _ in self._lines} if self.resolution == 0 else set()
+        lost = {t + energy for t in self.thresholds for _, energy, _ in self.lines} if self.resolution == 0 else set()
         return tuple(sorted({*self.thresholds, *edges, *(e for e in lost if e < top)}))
 
     @property
     def model_warnings(self) -> tuple[str, ...]:
         """A sentence where Compton scattering in the sensor matters."""
         top = self.channels[-1].upper
-        share = float(compton_share(self._composition, np.array([top]))[0])
+        share = float(compton_share(self.composition, np.array([top]))[0])
         if share < _POOR_COMPTON:
             return ()
         return (
@@ -149,8 +151,8 @@ class PulseHeightDetector(Detector):
         counts per absorbed photon, (channel, energy)
         """
         counts = whole = self._counts_of_clouds(energy)
-        for number, line, per_hole in self._lines:
-            emitted = per_hole * k_shell_share(self._composition, number, energy)
+        for number, line, per_hole in self.lines:
+            emitted = per_hole * k_shell_share(self.composition, number, energy)
             counts = counts + emitted * (self._with_fluorescence(energy, line) - whole)
         return np.where(counts > _NEGLIGIBLE, counts, 0.0)
 
@@ -175,20 +177,20 @@ class PulseHeightDetector(Detector):
     def _pixels_above(self) -> CubicSpline:
         """Pixels above each threshold per charge cloud, as a function of its energy [keV]."""
         fractions, pixels = charge_fractions(*self._pitch_and_cloud)
-        energy = self._energy_grid(0.0, _CLOUD_STEPS)
+        energy = self.energy_grid(0.0, _CLOUD_STEPS)
         above = [ndtr((energy[:, None] * fractions - t) / self.sigma) @ pixels for t in self.thresholds]
         return CubicSpline(energy, np.stack(above), axis=1)
 
     @cached_property
     def _raised_by_photon(self) -> dict[float, CubicSpline]:
         """For each line: pixels above each threshold only by the charge that the photon left there."""
-        lines = [line for _, line, _ in self._lines]
+        lines = [line for _, line, _ in self.lines]
         return dict(zip(lines, run_parallel(self._raised_by_photon_of_line, lines), strict=True))
 
     def _raised_by_photon_of_line(self, line: float) -> CubicSpline:
         """Compute the entry of `_raised_by_photon` for one line, as a function of the photon's energy [keV]."""
         mu_line, limits = float(self.material.attenuation(np.array([line]))[0]), np.array(self.thresholds)[:, None]
-        energy = self._energy_grid(line, _EVENT_STEPS)
+        energy = self.energy_grid(line, _EVENT_STEPS)
         above = np.empty((len(self), len(energy)))
         for i, (e, mu) in enumerate(zip(energy, self.material.attenuation(energy), strict=True)):
             events = fluorescence_events(float(mu), mu_line, self.thickness, *self._pitch_and_cloud)
@@ -197,7 +199,7 @@ class PulseHeightDetector(Detector):
             above[:, i] = raised @ events.weights
         return CubicSpline(energy, above, axis=1)
 
-    def _energy_grid(self, low: float, steps: int) -> EnergyArray:
+    def energy_grid(self, low: float, steps: int) -> EnergyArray:
         """Energies from `low` to above the highest one, `steps` to a standard deviation [keV]."""
         width = max(self.channels[-1].upper - low, 0.0) + 1.0
         return np.linspace(low, low + width, int(np.ceil(width / self.sigma * steps)) + 2)
@@ -212,16 +214,16 @@ class PulseHeightDetector(Detector):
         return (energy >= threshold) * 1.0 if self.sigma == 0 else ndtr((energy - threshold) / self.sigma)
 
     @property
-    def _composition(self) -> str | dict[str, float]:
+    def composition(self) -> str | dict[str, float]:
         """Composition of the sensor."""
         return self.material.composition or {}  # type: ignore[return-value]
 
     @cached_property
-    def _lines(self) -> tuple[tuple[int, float, float], ...]:
+    def lines(self) -> tuple[tuple[int, float, float], ...]:
         """Atomic number, energy [keV] and photons per ionised K shell of the lines above `LOWEST_ENERGY`."""
         if not self.fluorescence:
             return ()
-        found = [(number, *line) for number, _ in mass_fractions(self._composition) for line in k_lines(number)]
+        found = [(number, *line) for number, _ in mass_fractions(self.composition) for line in k_lines(number)]
         return tuple((number, line, rate) for number, line, rate in found if line > LOWEST_ENERGY and rate > 0)
 
 

@@ -95,11 +95,9 @@ def fluorescence_events(mu: float, mu_line: float, thickness: float, pitch: floa
     -------
     the events
     """
-    share, azimuth, flight, x, y, cosine = _lattice(_EVENTS, 6)
-    depth, cosine, azimuth = _depths(mu, thickness, share), 2 * cosine - 1, 2 * np.pi * azimuth
-    room = np.where(cosine > 0, thickness - depth, depth)
-    inside = -np.expm1(-mu_line * room / np.abs(cosine))
-    across = -np.log1p(-flight * inside) / mu_line * np.sqrt(1 - cosine**2)
+    share, azimuth, flight, x, y, cosine = lattice(_EVENTS, 6)
+    inside, across = fluorescence_paths(mu, mu_line, thickness, share, flight, 2 * cosine - 1)
+    azimuth = 2 * np.pi * azimuth
     window = pitch + 2 * _CLOUD_REACH * cloud
     x, y = (x - 0.5) * window, (y - 0.5) * window
     photon_fraction = collected(x, pitch, cloud) * collected(y, pitch, cloud)
@@ -107,6 +105,29 @@ def fluorescence_events(mu: float, mu_line: float, thickness: float, pitch: floa
         y + across * np.sin(azimuth), pitch, cloud
     )
     return Events(inside * (window / pitch) ** 2 / _EVENTS, photon_fraction, fluorescence_fraction)
+
+
+def fluorescence_paths(
+    mu: float, mu_line: float, thickness: float, share: Array, flight: Array, cosine: Array
+) -> tuple[Array, Array]:
+    """Compute how far fluorescence goes across the sensor before it is absorbed there.
+
+    Parameters
+    ----------
+    mu, mu_line : attenuation of photon and fluorescence in the sensor [1/mm]
+    thickness : of the sensor [mm]
+    share : part of the photons that are absorbed less deep, 0 to 1
+    flight : part of the fluorescence that is absorbed sooner, 0 to 1
+    cosine : of the angle between its direction and that of the photon
+
+    Returns
+    -------
+    probability that it is absorbed in the sensor, and the distance across [mm]
+    """
+    depth = _depths(mu, thickness, share)
+    room = np.where(cosine > 0, thickness - depth, depth)
+    inside = -np.expm1(-mu_line * room / np.abs(cosine))
+    return inside, -np.log1p(-flight * inside) / mu_line * np.sqrt(1 - cosine**2)
 
 
 @lru_cache(maxsize=16)
@@ -140,9 +161,19 @@ def _depths(mu: Array | float, thickness: float, share: Array) -> Array:
     return np.clip(-np.log1p(share * np.expm1(-mu * thickness)) / mu, 0.0, thickness)
 
 
-@lru_cache(maxsize=1)
-def _lattice(count: int, dimensions: int) -> Float[np.ndarray, "dimension point"]:
-    """Points that fill the unit cube evenly: a scrambled Sobol sequence."""
+@lru_cache(maxsize=2)
+def lattice(count: int, dimensions: int) -> Float[np.ndarray, "dimension point"]:
+    """Compute points that fill the unit cube evenly: a scrambled Sobol sequence.
+
+    Parameters
+    ----------
+    count : number of points, a power of 2
+    dimensions : of the cube
+
+    Returns
+    -------
+    coordinates of the points, 0 to 1
+    """
     from scipy.stats import qmc  # noqa: PLC0415 - half a second that few detectors need
 
     return np.ascontiguousarray(qmc.Sobol(dimensions, scramble=True, rng=0).random(count).T)

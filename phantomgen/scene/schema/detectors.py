@@ -8,10 +8,14 @@ from phantomgen.scene.schema.base import Composition, Model, NonNegative
 
 
 class ChargeSharingModel(Model):
-    """Pixels of the sensor itself: pitch, and the standard deviation of a charge cloud [mm]."""
+    """Pixels of the sensor itself: pitch, and the standard deviation of a charge cloud [mm].
+
+    Counts of neighbouring pixels are drawn with their covariance, unless there is dead time or several sources.
+    """
 
     pitch: PositiveFloat
     cloud: NonNegative
+    covariance: bool | None = None
 
 
 class DeadTimeModel(Model):

@@ -19,8 +19,13 @@ from phantomgen.effects.blur import Kernel, blurred
 from phantomgen.effects.defects import stuck
 from phantomgen.effects.random_streams import Stream
 from phantomgen.scene.scan import Scan
+from phantomgen.simulation.forward_model.energy_grids import photons_behind
 from phantomgen.simulation.forward_model.exposure import Exposure, Groups, Images
+from phantomgen.simulation.forward_model.photon_noise import coincident_counts
+from phantomgen.simulation.forward_model.sampled_rays import sampled_lengths
+from spectra.detector.coincidences import CoincidenceShares
 from spectra.detector.counters import above_thresholds
+from spectra.detector.pulse_height import PulseHeightDetector
 
 Frame = list[Shaped[np.ndarray, "row column"]]
 
@@ -39,6 +44,7 @@ class DetectorStages:
     kernels : of the blur along columns and rows; None where there is none
     gains : of every pixel in views and in flats; empty where there is no gain map
     mask : bits that say what is wrong with each pixel; None where nothing is
+    coincidences : photons that count in two pixels; None where counts of pixels are independent
     """
 
     scan: Scan
@@ -46,6 +52,7 @@ class DetectorStages:
     kernels: tuple[Kernel, Kernel] | None = field(init=False)
     gains: dict[Stream, Float[np.ndarray, "channel row column"]] = field(init=False)
     mask: UInt32[np.ndarray, "row column"] | None = field(init=False)
+    coincidences: CoincidenceShares | None = field(init=False)
 
     def __post_init__(self) -> None:
         seed, effects, panel = self.scan.seed, self.scan.effects, self.scan.geometry.panel
@@ -58,6 +65,26 @@ class DetectorStages:
         object.__setattr__(self, "kernels", None if effects.blur is None else effects.blur.kernels(panel))
         object.__setattr__(self, "gains", gains)
         object.__setattr__(self, "mask", None if effects.defects is None else effects.defects.mask(seed, *shape))
+        object.__setattr__(self, "coincidences", self._coincidences())
+
+    def _coincidences(self) -> CoincidenceShares | None:
+        """Photons that count twice, where counts of neighbours are drawn together."""
+        detector = self.scan.detector
+        if not (self.scan.noise and isinstance(detector, PulseHeightDetector) and detector.charge_sharing is not None):
+            return None
+        if not detector.charge_sharing.covariance:
+            return None
+        return CoincidenceShares.of(detector, *photons_behind(self.scan, sampled_lengths(self.scan)))
+
+    @property
+    def warnings(self) -> list[str]:
+        """A sentence where the covariance of neighbours is not whole."""
+        if self.coincidences is None or self.coincidences.part == 1:
+            return []
+        return [
+            f"so many photons count in three or four pixels that the covariance of neighbours is drawn with "
+            f"{self.coincidences.part:.0%} of its size: mean counts are right"
+        ]
 
     @property
     def recorded_mask(self) -> UInt32[np.ndarray, "row column"] | None:
@@ -115,9 +142,15 @@ class DetectorStages:
 
     def _exposed(self, expected: Groups, frame: int, stream: Stream, noise: bool) -> Frame:
         """Signals by photons."""
-        if noise:
+        if not noise:
+            return list(self.exposure.mean(expected))
+        if self.coincidences is None:
             return self.exposure.noisy(expected, self.scan.seed, frame, stream)
-        return list(self.exposure.mean(expected))
+        detector, pitch = self.scan.detector, self.scan.geometry.panel.pitch
+        assert isinstance(detector, PulseHeightDetector)
+        assert detector.charge_sharing is not None
+        down, right = (along / detector.charge_sharing.pitch for along in pitch)
+        return list(coincident_counts(expected, self.coincidences.shares, (down, right), self.scan.seed, frame, stream))
 
     def _shaped(self, images: Groups, stream: Stream) -> Groups:
         """Images blurred, and times the gain of each pixel."""

@@ -39,6 +39,8 @@ _MOST_COLUMNS = 6
 # Most columns that others are combinations of, and rays that these are sought on.
 _MOST_SPANNING = 10
 _SPANNING_RAYS = 2000
+# Rays along which spectra are computed, at most twice as many.
+_SPECTRUM_RAYS = 300
 # Sampled rays may miss the longest path of all.
 _MARGIN = 1.1
 
@@ -192,6 +194,26 @@ def node_energies(
         apart = np.abs(own[:, None] / curves[:, row, None] - 1).max(axis=0)
         found.append(energies.nodes[row][apart.argmin(axis=0)] if last > first else np.empty(0))
     return np.concatenate(found)
+
+
+def photons_behind(
+    scan: Scan, lengths: Float[np.ndarray, "ray material"]
+) -> tuple[Energies, Float[np.ndarray, "ray_and_air energy"]]:
+    """Compute the photons that arrive along rays, and those of a ray through air, in bins of at most 1 keV.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    lengths : path lengths of rays that meet every object [mm]
+
+    Returns
+    -------
+    bins, and photons in each of them
+    """
+    air = np.zeros((1, lengths.shape[1]))
+    rays = _with_profile_lengths(scan, np.concatenate([air, lengths[:: max(1, len(lengths) // _SPECTRUM_RAYS)]]))
+    energies, photons, _ = _sampled(scan, ceil(_range(scan)), scan.basis.breaks)
+    return energies, photons * np.exp(-rays @ _curves(scan, energies.nodes))
 
 
 def photon_quanta(scan: Scan, cuts: Float[np.ndarray, " cut"] = NO_CUTS) -> list[Float[np.ndarray, " group"]] | None:

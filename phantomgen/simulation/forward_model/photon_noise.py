@@ -36,6 +36,75 @@ def poisson_counts(
     return generator(seed, stream, frame, channel).poisson(mean).astype(np.int32)
 
 
+def coincident_counts(
+    mean: Float[np.ndarray, "channel row column"],
+    shares: Float[np.ndarray, "step channel channel channel"],
+    sensor_pixels: tuple[float, float],
+    seed: int,
+    frame: int,
+    stream: Stream = Stream.PROJECTION,
+) -> list[Int32[np.ndarray, "row column"]]:
+    """Draw one frame whose photons may count in two neighbouring pixels of the sensor.
+
+    Parameters
+    ----------
+    mean : expected counts of each channel
+    shares : see `spectra.detector.coincidences.CoincidenceShares`
+    sensor_pixels : pixels of the sensor along rows and along columns of a pixel of the panel
+    seed, frame, stream : the key
+
+    Returns
+    -------
+    counts of each channel, (row, column)
+
+    Notes
+    -----
+    Photons that count twice are Poisson numbers, which are added to both pixels; what is missing of the expected counts
+    is drawn for each pixel alone. Of two pixels that expect different numbers of such photons, the smaller one is
+    taken. So all means are the expected ones, and the covariance is exact where neighbours expect the same.
+    """
+    _check_mean(mean)
+    channels, random = len(mean), generator(seed, stream, frame, len(mean))
+    twice, single = np.zeros(mean.shape, np.int64), mean.copy()
+    for step, factor in _steps_of_panel(*sensor_pixels).items():
+        for a, b in np.ndindex(channels, channels):
+            expected = np.tensordot(factor @ shares[:, a, b], mean, axes=1)
+            here, there = _neighbours(mean.shape[1:], *step)
+            both = np.minimum(expected[here], expected[there])
+            drawn = random.poisson(both)
+            for channel, place in ((a, here), (b, there)):
+                single[channel][place] -= both
+                twice[channel][place] += drawn
+    return [
+        (twice[c] + generator(seed, stream, frame, c).poisson(np.maximum(single[c], 0.0))).astype(np.int32)
+        for c in range(channels)
+    ]
+
+
+def _steps_of_panel(down: float, right: float) -> dict[tuple[int, int], Float[np.ndarray, " step"]]:
+    """Pixels of the panel that neighbours on the sensor lie in, and how many of them, along an edge and a corner.
+
+    Two neighbours lie in one pixel of the panel, or in two: of the pairs across n pixels of the sensor 1 / n is cut.
+    """
+    cut, whole = np.array([1 / down, 1 / right]), np.array([1 - 1 / down, 1 - 1 / right])
+    return {
+        (0, 0): np.array([whole.sum(), 2 * whole.prod()]),
+        (0, 1): np.array([cut[1], 2 * whole[0] * cut[1]]),
+        (1, 0): np.array([cut[0], 2 * whole[1] * cut[0]]),
+        (1, 1): np.array([0.0, cut.prod()]),
+        (1, -1): np.array([0.0, cut.prod()]),
+    }
+
+
+def _neighbours(shape: tuple[int, ...], down: int, right: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Pixels that have a neighbour so far down and right, and these neighbours."""
+    rows, columns = shape
+    return (
+        (slice(0, rows - down), slice(max(-right, 0), columns - max(right, 0))),
+        (slice(down, rows), slice(max(right, 0), columns + min(right, 0))),
+    )
+
+
 def compound_signal(
     mean: Float[np.ndarray, "group row column"],
     quanta: Float[np.ndarray, " group"],

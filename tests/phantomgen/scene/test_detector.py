@@ -41,7 +41,7 @@ def test_a_detector_is_ideal_unless_the_scene_says_more():
     assert type(toy().detector) is Detector
     real = toy(*REAL).detector
     assert isinstance(real, PulseHeightDetector)
-    assert (real.resolution, real.fluorescence, real.charge_sharing) == (4.7, True, ChargeSharing(0.25, 0.018))
+    assert (real.resolution, real.fluorescence, real.charge_sharing) == (4.7, True, ChargeSharing(0.25, 0.018, True))
 
 
 def test_a_dataset_holds_the_response_with_all_effects(tmp_path):
