@@ -150,5 +150,17 @@ class Group(Described, schema.GroupModel):
     type: Literal["group"] = "group"  # pyright: ignore
 
 
+class Torso(Described, schema.TorsoModel):
+    """A torso from the shoulders to the kidneys: x points to its left, y to its back, z to its head."""
+
+    type: Literal["torso"] = "torso"  # pyright: ignore
+
+
+class Head(Described, schema.HeadModel):
+    """A head with its neck: x points to its left, y to its back, z to its top."""
+
+    type: Literal["head"] = "head"  # pyright: ignore
+
+
 for _kind in (Union, Intersection, Difference, Group):
     _kind.model_rebuild(_types_namespace={"ShapeModel": schema.ShapeModel})  # named before it exists

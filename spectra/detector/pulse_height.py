@@ -17,6 +17,7 @@ from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
+from spectra.detector.counters import between_thresholds
 from spectra.detector.detector import Detector
 from spectra.detector.semiconductor import charge_fractions, escape, fluorescence_events
 from spectra.elements.attenuation import LOWEST_ENERGY, compton_share, k_lines, k_shell_share, mass_fractions
@@ -165,13 +166,13 @@ class PulseHeightDetector(Detector):
             return escaped * without + (1 - escaped) * self._counts_of_clouds(energy)
         # Pixels that get charge of the fluorescence, and what charge of the photon itself adds to them.
         moved = self._counts_of_clouds(np.array([line])) * (1 - escaped)
-        return escaped * without + moved + _disjoint(self._raised_by_photon[line](np.maximum(energy, line)))
+        return escaped * without + moved + between_thresholds(self._raised_by_photon[line](np.maximum(energy, line)))
 
     def _counts_of_clouds(self, deposited: EnergyArray) -> PerChannel:
         """Counts of each channel in all pixels, per charge cloud of each energy [keV]."""
         if self.charge_sharing is None:
-            return _disjoint(np.stack([self._fraction_above(deposited, t) for t in self.thresholds]))
-        return np.maximum(_disjoint(self._pixels_above(deposited)), 0.0)
+            return between_thresholds(np.stack([self._fraction_above(deposited, t) for t in self.thresholds]))
+        return np.maximum(between_thresholds(self._pixels_above(deposited)), 0.0)
 
     @cached_property
     def _pixels_above(self) -> CubicSpline:
@@ -200,7 +201,17 @@ class PulseHeightDetector(Detector):
         return CubicSpline(energy, above, axis=1)
 
     def energy_grid(self, low: float, steps: int) -> EnergyArray:
-        """Energies from `low` to above the highest one, `steps` to a standard deviation [keV]."""
+        """Compute evenly spaced energies from a lowest one to above the highest threshold.
+
+        Parameters
+        ----------
+        low : lowest energy [keV]
+        steps : energies per standard deviation of the photopeak
+
+        Returns
+        -------
+        energies [keV]
+        """
         width = max(self.channels[-1].upper - low, 0.0) + 1.0
         return np.linspace(low, low + width, int(np.ceil(width / self.sigma * steps)) + 2)
 
@@ -225,8 +236,3 @@ class PulseHeightDetector(Detector):
             return ()
         found = [(number, *line) for number, _ in mass_fractions(self.composition) for line in k_lines(number)]
         return tuple((number, line, rate) for number, line, rate in found if line > LOWEST_ENERGY and rate > 0)
-
-
-def _disjoint(above: PerChannel) -> PerChannel:
-    """Counts between thresholds from counts above each."""
-    return above - np.append(above[1:], np.zeros((1, above.shape[1])), axis=0)

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int64
 
-from phantomgen.ops.primitives import BALL, BOX, CONE, CYLINDER, HALFSPACE
+from phantomgen.ops.primitives import BALL, BOX, CONE, CYLINDER, HALFSPACE, TORUS
 from phantomgen.ops.solids import half_axes
 
 # No unit, relative to squares of directions and moments; a smaller form is rounding, (1e-13)^2: every ray, or none, is
@@ -85,7 +85,68 @@ def parallel_silhouettes(
     """
     direction = np.zeros((3, 3))
     direction[:, 0] = frame[0]
-    return _silhouettes(frame[1:].T, direction, kinds, locals_, _parallel_bounds(frame, kinds, locals_))
+    return _silhouettes(frame[1:].T, direction, kinds, locals_, parallel_bounds(frame, kinds, locals_))
+
+
+def with_sections(
+    outline: Silhouettes,
+    frame: Float[np.ndarray, "4 3"],
+    kinds: Int64[np.ndarray, " shape"],
+    locals_: Float[np.ndarray, "shape 3 4"],
+) -> Silhouettes:
+    """Add the curves along which the shapes cut the planes where parallel rays begin and end.
+
+    Path lengths between the planes have a kink there.
+
+    Parameters
+    ----------
+    outline : of the same rays
+    frame, kinds, locals_ : as in `parallel_silhouettes`
+
+    Returns
+    -------
+    the silhouettes with these curves
+    """
+    forms, shapes = [outline.forms], [outline.shapes]
+    for end in (0.0, 1.0):
+        w = frame[1:].T.copy()
+        w[:, 0] += end * frame[0]
+        place = locals_[:, :, :3] @ w
+        place[:, :, 0] += locals_[:, :, 3]
+        for kind in (BALL, CYLINDER, CONE, BOX, HALFSPACE):
+            rows = np.flatnonzero(kinds == kind)
+            found = _section_forms(kind, place[rows])
+            size = np.abs(found).max(axis=(2, 3))
+            s, f = np.nonzero(size > 0)
+            forms.append(_coefficients(found[s, f] / size[s, f, None, None]))
+            shapes.append(rows[s])
+    order = np.argsort(np.concatenate(shapes), kind="stable")
+    roots = np.append(outline.roots, np.zeros(len(order) - len(outline.roots)))
+    return Silhouettes(np.concatenate(forms)[order], np.concatenate(shapes)[order], roots[order], outline.bounds)
+
+
+def _section_forms(kind: int, place: Float[np.ndarray, "shape 3 3"]) -> Float[np.ndarray, "shape form 3 3"]:
+    """Forms that vanish where points are on the surface of a primitive; points come as rows over (1, u, v)."""
+    one = np.zeros((3, 3))
+    one[0, 0] = 1.0
+    x, y, z = (place[:, i, :, None] * place[:, i, None, :] for i in range(3))
+    if kind == BALL:
+        return (x + y + z - one)[:, None]
+    if kind == CYLINDER:
+        return np.stack([x + y - one, z - one], axis=1)
+    if kind == CONE:
+        return np.stack([x + y - z, z - one], axis=1)
+    if kind == BOX:
+        return np.stack([x - one, y - one, z - one], axis=1)
+    linear = np.zeros((len(place), 3, 3))
+    linear[:, 0] += place[:, 2] / 2
+    linear[:, :, 0] += place[:, 2] / 2
+    return linear[:, None]
+
+
+def _coefficients(q: Float[np.ndarray, "form 3 3"]) -> Float[np.ndarray, "form 6"]:
+    """Coefficients of 1, u, v, u^2, u v and v^2."""
+    return np.stack([q[:, 0, 0], 2 * q[:, 0, 1], 2 * q[:, 0, 2], q[:, 1, 1], 2 * q[:, 1, 2], q[:, 2, 2]], 1)
 
 
 def no_silhouettes(bounds: Float[np.ndarray, "shape 4"]) -> Silhouettes:
@@ -121,7 +182,7 @@ def _silhouettes(
         largest = np.maximum(np.abs(d[rows]).max(axis=(1, 2)), np.abs(moment[rows]).max(axis=(1, 2)))
         s, f = np.nonzero(size > _ZERO_FORM * largest[:, None] ** 2)
         q = found[s, f] / size[s, f, None, None]
-        forms.append(np.stack([q[:, 0, 0], 2 * q[:, 0, 1], 2 * q[:, 0, 2], q[:, 1, 1], 2 * q[:, 1, 2], q[:, 2, 2]], 1))
+        forms.append(_coefficients(q))
         shapes.append(rows[s])
         roots.append(root[f].astype(np.float64))
     order = np.argsort(np.concatenate(shapes), kind="stable")
@@ -213,13 +274,28 @@ def _ellipsoid_bounds(
     return np.stack(bounds, axis=1)
 
 
-def _parallel_bounds(
-    frame: Float[np.ndarray, "4 3"], kinds: Int64[np.ndarray, " shape"], locals_: Float[np.ndarray, "shape 3 4"]
+def parallel_bounds(
+    frame: Float[np.ndarray, "4 3"],
+    kinds: Int64[np.ndarray, " shape"],
+    locals_: Float[np.ndarray, "shape 3 4"],
+    tubes: Float[np.ndarray, " shape"] | None = None,
 ) -> Float[np.ndarray, "shape 4"]:
-    """Rectangles around the shadows for parallel rays."""
+    """Compute the rectangles around the shadows for parallel rays.
+
+    Parameters
+    ----------
+    frame, kinds, locals_ : as in `parallel_silhouettes`
+    tubes : radius of the tube of a torus in local coordinates; None for rectangles around whole cubes
+
+    Returns
+    -------
+    lowest u, highest u, lowest v, highest v of each shape
+    """
     center, axes = _projected(np.linalg.inv(frame[[0, 2, 3]].T), frame[1], locals_)
     x, y, z = np.abs(np.moveaxis(axes[:, 1:], 2, 0))
     ball, round_ = (kinds == BALL)[:, None], np.isin(kinds, (CYLINDER, CONE))[:, None]
+    if tubes is not None:
+        z, round_ = np.where((kinds == TORUS)[:, None], z * tubes[:, None], z), round_ | (kinds == TORUS)[:, None]
     reach = np.where(ball, np.sqrt(x**2 + y**2 + z**2), np.where(round_, np.hypot(x, y) + z, x + y + z))
     reach[kinds == HALFSPACE] = np.inf
     return np.stack([center[:, 1:] - reach, center[:, 1:] + reach], axis=2).reshape(-1, 4)

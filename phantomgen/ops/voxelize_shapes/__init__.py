@@ -1,10 +1,14 @@
 """Volume fraction of each material in each voxel of a grid."""
 
+from collections.abc import Iterator
+from types import ModuleType
+
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Bool, Float, Float32
 
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.mesh import mesh_view
+from phantomgen.ops.primitives import BOX, CYLINDER
 from phantomgen.ops.solids import Solids
 from phantomgen.ops.voxel_maps import VoxelMaps
 from phantomgen.ops.voxelize_shapes.resample import mean_mixture
@@ -13,6 +17,8 @@ from spectra.threads import run_parallel, thread_count
 # Gauss nodes across and along a silhouette: of the rule, and of a weaker one that must agree with it; errors in
 # `benchmarks/operators/volume_fractions.py`.
 RULES = ((4, 4), (3, 3))
+# No unit; an axis closer to z than this is upright, far above rounding.
+_UPRIGHT = 1e-12
 # Pieces of work per thread; changes time, not results.
 _PIECES = 8
 
@@ -52,20 +58,12 @@ def fractions(
     from phantomgen.ops.voxelize_shapes.cpu import Columns, ColumnScratch, voxelize_rows  # noqa: PLC0415
 
     solids = solids.checked(count, background)
-    frame = column_frame(grid)
-    outline = forms.parallel_silhouettes(frame, solids.kinds, solids.locals_)
     rules = quadrature.make_rules(*RULES)
     depth, rows, columns = grid.shape
-    near = tiles.Tiles.of(outline.bounds, outline.shapes, rows, columns)
     # Each map is a material of its own until the end.
     maps = None if solids.voxels is None else solids.voxels.numbers
     kinds = count if maps is None else count + int(maps.max()) + 1
     out = np.empty((kinds, depth, rows, columns), dtype=np.float32)
-
-    seen = None
-    if solids.surfaces is not None:
-        seen = mesh_view(frame, rows, columns, solids.surfaces, parallel=True, with_outline=False)
-
     traced = TracedSolids.of(solids, background)
     if maps is not None:
         traced.table[maps >= 0, MATERIAL] = count + maps[maps >= 0]
@@ -73,18 +71,96 @@ def fractions(
 
     # Some rows at a time, as a call of the kernel takes as long as a few columns.
     step = max(1, rows // (_PIECES * thread_count()))
+    heights = _heights(solids, forms)
+    for low, high in _slabs(grid, solids, heights):
+        slab = _slab(grid, low, high)
+        frame = column_frame(slab)
+        outline = forms.parallel_silhouettes(frame, solids.kinds, solids.locals_)
+        if high - low == 1:
+            outline = forms.with_sections(outline, frame, solids.kinds, solids.locals_)
+        outline = outline._replace(bounds=_term_bounds(solids, frame, heights, forms))
+        near = tiles.Tiles.of(outline.bounds, outline.shapes, rows, columns)
+        seen = None
+        if solids.surfaces is not None:
+            seen = mesh_view(frame, rows, columns, solids.surfaces, parallel=True, with_outline=False)
 
-    def voxelize(first: int) -> None:
-        mesh, pieces = (None, 0) if seen is None else (seen.traced(), seen.pieces)
-        part = np.empty((kinds, depth, min(step, rows - first), columns), dtype=np.float32)
-        own = traced._replace(table=traced.table.copy())  # where this thread writes the origins of lines
-        scratch = ColumnScratch.of(rules, RayScratch.of(solids.rows, pieces), kinds, depth)
-        voxelize_rows(Columns(frame, own, mesh, near, outline, rules), scratch, first, part)
-        out[:, :, first : first + step] = part
+        def voxelize(
+            first: int, low=low, frame=frame, outline=outline, near=near, seen=seen, layers=slab.shape[0]
+        ) -> None:
+            mesh, pieces = (None, 0) if seen is None else (seen.traced(), seen.pieces)
+            part = np.empty((kinds, layers, min(step, rows - first), columns), dtype=np.float32)
+            own = traced._replace(table=traced.table.copy())  # where this thread writes the origins of lines
+            scratch = ColumnScratch.of(rules, RayScratch.of(solids.rows, pieces), kinds, layers)
+            voxelize_rows(Columns(frame, own, mesh, near, outline, rules), scratch, first, part)
+            out[:, low : low + layers, first : first + step] = part
 
-    for _ in run_parallel(voxelize, range(0, rows, step)):
-        pass
+        for _ in run_parallel(voxelize, range(0, rows, step)):
+            pass
     return out if solids.voxels is None else _with_contents(grid, solids, solids.voxels, out, count, background)
+
+
+def _slabs(grid: Grid, solids: Solids, heights: Float[np.ndarray, "shape 2"]) -> Iterator[tuple[int, int]]:
+    """First layer, and the one after the last, of parts of a grid that are computed together.
+
+    They are single layers, in which a line meets few shapes, and in which the kinks of sloped surfaces are known
+    curves. Where all walls are upright, as many layers as possible are one part; so is a whole grid with meshes.
+    """
+    depth, spacing = grid.shape[0], grid.spacing[0]
+    if solids.surfaces is not None:
+        yield 0, depth
+        return
+    sloped = heights[~_are_upright(solids)]
+    faces = grid.origin[0] + (np.arange(depth + 1) - 0.5) * spacing
+    first = np.clip(np.searchsorted(faces, sloped[:, 0], side="right") - 1, 0, depth)
+    last = np.clip(np.searchsorted(faces, sloped[:, 1], side="left"), 0, depth)
+    change = np.zeros(depth + 1, np.int64)
+    np.add.at(change, first, 1)
+    np.add.at(change, np.maximum(first, last), -1)
+    alone = np.cumsum(change)[:depth] > 0
+    low = 0
+    while low < depth:
+        high = low + 1
+        while high < depth and not alone[low] and not alone[high]:
+            high += 1
+        yield low, high
+        low = high
+
+
+def _are_upright(solids: Solids) -> Bool[np.ndarray, " row"]:
+    """Whether all walls of a shape are parallel to z: those of cylinders along z and of boxes turned about z only."""
+    local = np.abs(solids.locals_[:, :, :3])
+    size = local.max(axis=(1, 2), initial=0.0)
+    along = local[:, 2, :2].max(axis=1) <= _UPRIGHT * size  # local z does not change across
+    across = local[:, :2, 2].max(axis=1) <= _UPRIGHT * size  # local x and y do not change along z
+    return np.isin(solids.kinds, (CYLINDER, BOX)) & along & across
+
+
+def _slab(grid: Grid, low: int, high: int) -> Grid:
+    """Some layers of a grid."""
+    z, y, x = grid.origin
+    return Grid((high - low, *grid.shape[1:]), grid.spacing, (z + low * grid.spacing[0], y, x))
+
+
+def _heights(solids: Solids, forms: ModuleType) -> Float[np.ndarray, "shape 2"]:
+    """Lowest and highest z of each shape [mm]."""
+    along_x = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    return forms.parallel_bounds(along_x, solids.kinds, solids.locals_, solids.tubes)[:, 2:]
+
+
+def _term_bounds(
+    solids: Solids, frame: Float[np.ndarray, "4 3"], heights: Float[np.ndarray, "shape 2"], forms: ModuleType
+) -> Float[np.ndarray, "shape 4"]:
+    """Bounds of the shapes within columns; none of shapes whose term lies above or below these, or nowhere."""
+    low, high = frame[1, 2], frame[1, 2] + frame[0, 2]
+    own = forms.parallel_bounds(frame, solids.kinds, solids.locals_, solids.tubes)
+    signs = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])  # of lower and upper limits
+    limits = signs * np.column_stack([own, heights])
+    joint = np.full_like(limits, -np.inf)
+    inside = solids.inside
+    np.maximum.at(joint, solids.terms[inside], limits[inside])  # all limits of a term hold
+    found = signs * joint[solids.terms]
+    missed = (found[:, 4] >= high) | (found[:, 5] <= low)
+    return np.where(missed[:, None], np.array([np.inf, -np.inf, np.inf, -np.inf]), found[:, :4])
 
 
 def _with_contents(

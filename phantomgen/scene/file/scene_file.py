@@ -16,6 +16,7 @@ from pydantic import BaseModel, ValidationError
 
 from phantomgen.runtime.yaml_text import YamlText, YamlTextError, parse_yaml
 from phantomgen.scene import schema
+from phantomgen.scene.bodies.expand import BodyError, expanded
 from phantomgen.scene.file.random_values import DISTRIBUTIONS, draw, drawn_item, source_place
 from phantomgen.scene.schema import SceneModel
 from spectra.errors import Error, SceneError, shortened
@@ -116,7 +117,10 @@ class SceneFile:
     @cached_property
     def values(self) -> dict[str, Any]:
         """The mapping in the file, with the overrides put in and all distributions drawn."""
-        return draw(self.template, self._error_at)
+        try:
+            return expanded(draw(self.template, self._error_at))
+        except BodyError as problem:
+            raise self._error_at(*problem.of(_worst)) from None
 
     @cached_property
     def template(self) -> dict[str, Any]:

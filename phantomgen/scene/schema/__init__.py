@@ -21,6 +21,8 @@ from phantomgen.geometry.schema import (
     TiltModel,
 )
 from phantomgen.scene.schema.base import Composition, Model, NonNegativeInt, Vector
+from phantomgen.scene.schema.bodies import HeadModel, TorsoModel
+from phantomgen.scene.schema.common import GridModel, ObjectModel, PlaneModel, RepeatModel, RingModel
 from phantomgen.scene.schema.detectors import (
     AxisModel,
     ChargeSharingModel,
@@ -70,14 +72,9 @@ from phantomgen.scene.schema.objects import (
     CylinderModel,
     DifferenceModel,
     EllipsoidModel,
-    GridModel,
     GroupModel,
     MeshModel,
-    ObjectModel,
-    PlaneModel,
     PolygonModel,
-    RepeatModel,
-    RingModel,
     ShapeModel,
     SphereModel,
     SweepModel,
@@ -133,6 +130,7 @@ __all__ = [
     "GammaVariateSignalModel",
     "GridModel",
     "GroupModel",
+    "HeadModel",
     "HelicalModel",
     "InflowModel",
     "JitterModel",
@@ -181,6 +179,7 @@ __all__ = [
     "TableSignalModel",
     "TiltModel",
     "TimeModel",
+    "TorsoModel",
     "TorusModel",
     "TubeModel",
     "TubeOutputModel",
