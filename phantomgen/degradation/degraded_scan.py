@@ -281,7 +281,7 @@ class DegradedScan:
     @cached_property
     def _any_masked(self) -> Bool[np.ndarray, "row column"]:
         """Pixels with a channel that does not measure."""
-        return self.dataset.mask.any(axis=0)
+        return np.asarray(self.dataset.mask.any(axis=0))
 
     def _at_dose(self, image: np.ndarray, dark: np.ndarray, stream: Stream, frame: int, channel: int) -> np.ndarray:
         """One image of independent counts, or signals, at the dose asked for."""

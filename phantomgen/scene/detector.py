@@ -137,7 +137,8 @@ def _with_covariance(file: SceneFile, model: schema.PhotonCountingModel, shared:
             what = "several sources" if several else "dead time"
             raise file.error(("detector", "charge_sharing", "covariance"), f"is not known for a detector with {what}")
         return False
-    pitch = min(panel_of(file.model.panel).pitch)
+    panel = panel_of(file.model.panel)
+    pitch = min(panel.row_pitch, panel.column_pitch)
     if shared.pitch * _ROUNDING <= pitch:
         return shared.covariance is not False
     if shared.covariance:

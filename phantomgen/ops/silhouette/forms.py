@@ -88,26 +88,28 @@ def parallel_silhouettes(
     return _silhouettes(frame[1:].T, direction, kinds, locals_, parallel_bounds(frame, kinds, locals_))
 
 
-def with_sections(
-    outline: Silhouettes,
-    frame: Float[np.ndarray, "4 3"],
-    kinds: Int64[np.ndarray, " shape"],
-    locals_: Float[np.ndarray, "shape 3 4"],
+def layer_curves(
+    frame: Float[np.ndarray, "4 3"], kinds: Int64[np.ndarray, " shape"], locals_: Float[np.ndarray, "shape 3 4"]
 ) -> Silhouettes:
-    """Add the curves along which the shapes cut the planes where parallel rays begin and end.
+    """Compute all curves where path lengths of parallel rays between two planes have a kink.
 
-    Path lengths between the planes have a kink there.
+    They are silhouettes, as far as they may lie between the planes where rays begin and end, and the curves along which
+    the shapes cut these planes.
 
     Parameters
     ----------
-    outline : of the same rays
     frame, kinds, locals_ : as in `parallel_silhouettes`
 
     Returns
     -------
-    the silhouettes with these curves
+    silhouettes and curves, and bounds
     """
-    forms, shapes = [outline.forms], [outline.shapes]
+    whole = parallel_silhouettes(frame, kinds, locals_)
+    center, axes = half_axes(locals_)
+    along = frame[0] / (frame[0] @ frame[0])  # 0 and 1 on the planes
+    middle, reach = (center - frame[1]) @ along, np.einsum("k,ski->si", along, axes)
+    kept = _between(whole, kinds, middle, reach, locals_ @ np.append(frame[0], 0.0))
+    forms, shapes = [whole.forms[kept]], [whole.shapes[kept]]
     for end in (0.0, 1.0):
         w = frame[1:].T.copy()
         w[:, 0] += end * frame[0]
@@ -117,12 +119,52 @@ def with_sections(
             rows = np.flatnonzero(kinds == kind)
             found = _section_forms(kind, place[rows])
             size = np.abs(found).max(axis=(2, 3))
-            s, f = np.nonzero(size > 0)
+            met = size > 0
+            if kind == CYLINDER:  # its ends, where they may meet the plane
+                low, high = _ends(middle[rows], reach[rows])
+                met[:, 1] &= ((low <= end) & (end <= high)).any(axis=1)
+            s, f = np.nonzero(met)
             forms.append(_coefficients(found[s, f] / size[s, f, None, None]))
             shapes.append(rows[s])
     order = np.argsort(np.concatenate(shapes), kind="stable")
-    roots = np.append(outline.roots, np.zeros(len(order) - len(outline.roots)))
-    return Silhouettes(np.concatenate(forms)[order], np.concatenate(shapes)[order], roots[order], outline.bounds)
+    roots = np.append(whole.roots[kept], np.zeros(len(order) - np.count_nonzero(kept)))
+    return Silhouettes(np.concatenate(forms)[order], np.concatenate(shapes)[order], roots[order], whole.bounds)
+
+
+def _between(
+    outline: Silhouettes,
+    kinds: Int64[np.ndarray, " shape"],
+    middle: Float[np.ndarray, " shape"],
+    reach: Float[np.ndarray, "shape 3"],
+    direction: Float[np.ndarray, "shape 3"],
+) -> Bool[np.ndarray, " form"]:
+    """Which silhouettes may lie between heights 0 and 1: all but those of balls and of the ends of cylinders elsewhere.
+
+    `middle` and `reach` are the heights of centres and half axes, `direction` that of the rays in local coordinates.
+    """
+    kept, owner = np.ones(len(outline.shapes), np.bool_), outline.shapes
+    # A ball is touched in the plane through its centre that the local direction of rays is normal to.
+    length = np.linalg.norm(direction, axis=1, keepdims=True)
+    unit = np.divide(direction, length, out=np.zeros_like(direction), where=length > 0)
+    across = np.linalg.norm(reach - (reach * unit).sum(axis=1, keepdims=True) * unit, axis=1)
+    outside = (middle - across > 1) | (middle + across < 0)
+    kept[(kinds == BALL)[owner] & outside[owner]] = False
+    low, high = _ends(middle, reach)
+    missed = (low > 1) | (high < 0)
+    rims = (kinds == CYLINDER)[owner] & (outline.roots == 0)  # two of each cylinder, in this order
+    second = rims & np.append(False, rims[:-1] & (owner[1:] == owner[:-1]))
+    paired = rims & (second | np.append(second[1:], False))
+    kept[paired & np.where(second, missed[owner, 1], missed[owner, 0])] = False
+    return kept
+
+
+def _ends(
+    middle: Float[np.ndarray, " shape"], reach: Float[np.ndarray, "shape 3"]
+) -> tuple[Float[np.ndarray, "shape 2"], Float[np.ndarray, "shape 2"]]:
+    """Lowest and highest point of both ends of cylinders, from the heights of their centres and half axes."""
+    ends = middle[:, None] + reach[:, 2:] * np.array([-1.0, 1.0])
+    disc = np.hypot(reach[:, 0], reach[:, 1])[:, None]
+    return ends - disc, ends + disc
 
 
 def _section_forms(kind: int, place: Float[np.ndarray, "shape 3 3"]) -> Float[np.ndarray, "shape form 3 3"]:

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Float32
 
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.mesh import mesh_view
-from phantomgen.ops.primitives import BOX, CYLINDER
+from phantomgen.ops.primitives import BOX, CYLINDER, TORUS
 from phantomgen.ops.solids import Solids
 from phantomgen.ops.voxel_maps import VoxelMaps
 from phantomgen.ops.voxelize_shapes.resample import mean_mixture
@@ -75,9 +75,8 @@ def fractions(
     for low, high in _slabs(grid, solids, heights):
         slab = _slab(grid, low, high)
         frame = column_frame(slab)
-        outline = forms.parallel_silhouettes(frame, solids.kinds, solids.locals_)
-        if high - low == 1:
-            outline = forms.with_sections(outline, frame, solids.kinds, solids.locals_)
+        curves = forms.layer_curves if high - low == 1 else forms.parallel_silhouettes
+        outline = curves(frame, solids.kinds, solids.locals_)
         outline = outline._replace(bounds=_term_bounds(solids, frame, heights, forms))
         near = tiles.Tiles.of(outline.bounds, outline.shapes, rows, columns)
         seen = None
@@ -103,27 +102,34 @@ def _slabs(grid: Grid, solids: Solids, heights: Float[np.ndarray, "shape 2"]) ->
     """First layer, and the one after the last, of parts of a grid that are computed together.
 
     They are single layers, in which a line meets few shapes, and in which the kinks of sloped surfaces are known
-    curves. Where all walls are upright, as many layers as possible are one part; so is a whole grid with meshes.
+    curves. Where all walls are upright, as many layers as possible are one part. So are the layers of a torus, whose
+    curves are no conics and which is averaged more finely then, and a whole grid with meshes.
     """
-    depth, spacing = grid.shape[0], grid.spacing[0]
+    depth = grid.shape[0]
     if solids.surfaces is not None:
         yield 0, depth
         return
-    sloped = heights[~_are_upright(solids)]
-    faces = grid.origin[0] + (np.arange(depth + 1) - 0.5) * spacing
-    first = np.clip(np.searchsorted(faces, sloped[:, 0], side="right") - 1, 0, depth)
-    last = np.clip(np.searchsorted(faces, sloped[:, 1], side="left"), 0, depth)
-    change = np.zeros(depth + 1, np.int64)
-    np.add.at(change, first, 1)
-    np.add.at(change, np.maximum(first, last), -1)
-    alone = np.cumsum(change)[:depth] > 0
+    single = _reached(grid, heights[~_are_upright(solids)])
+    torus = _reached(grid, heights[solids.kinds == TORUS])
     low = 0
     while low < depth:
         high = low + 1
-        while high < depth and not alone[low] and not alone[high]:
+        while high < depth and torus[low] == torus[high] and (torus[low] or not (single[low] or single[high])):
             high += 1
         yield low, high
         low = high
+
+
+def _reached(grid: Grid, heights: Float[np.ndarray, "some 2"]) -> Bool[np.ndarray, " layer"]:
+    """Layers that some shapes reach into."""
+    depth = grid.shape[0]
+    faces = grid.origin[0] + (np.arange(depth + 1) - 0.5) * grid.spacing[0]
+    first = np.clip(np.searchsorted(faces, heights[:, 0], side="right") - 1, 0, depth)
+    last = np.clip(np.searchsorted(faces, heights[:, 1], side="left"), 0, depth)
+    change = np.zeros(depth + 1, np.int64)
+    np.add.at(change, first, 1)
+    np.add.at(change, np.maximum(first, last), -1)
+    return np.cumsum(change)[:depth] > 0
 
 
 def _are_upright(solids: Solids) -> Bool[np.ndarray, " row"]:

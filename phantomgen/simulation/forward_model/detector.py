@@ -146,10 +146,10 @@ class DetectorStages:
             return list(self.exposure.mean(expected))
         if self.coincidences is None:
             return self.exposure.noisy(expected, self.scan.seed, frame, stream)
-        detector, pitch = self.scan.detector, self.scan.geometry.panel.pitch
+        detector, panel = self.scan.detector, self.scan.geometry.panel
         assert isinstance(detector, PulseHeightDetector)
         assert detector.charge_sharing is not None
-        down, right = (along / detector.charge_sharing.pitch for along in pitch)
+        down, right = (pitch / detector.charge_sharing.pitch for pitch in (panel.row_pitch, panel.column_pitch))
         return list(coincident_counts(expected, self.coincidences.shares, (down, right), self.scan.seed, frame, stream))
 
     def _shaped(self, images: Groups, stream: Stream) -> Groups:

@@ -59,7 +59,8 @@ def test_tensors_give_the_same_volumes(noisy, monkeypatch, metal):
         truth = truth.copy()
         truth[:, 6:9, 6:9, 6:9] *= 12
         scan = voxel_scan(truth, grid, seed=1)
-    method, device = OneStep(levels=((2, 2), (1, 2))), "cuda" if os.environ["TRITON_INTERPRET"] == "0" else "cpu"
+    scan = scan[::4]  # interpreted kernels take seconds per pass
+    method, device = OneStep(levels=((2, 1), (1, 1))), "cuda" if os.environ["TRITON_INTERPRET"] == "0" else "cpu"
     wanted = method.reconstruct_counts(scan, grid)
     monkeypatch.setattr(
         "recon.voxel.iterative.one_step._on_device", lambda values, settings: torch.from_numpy(values.copy()).to(device)
