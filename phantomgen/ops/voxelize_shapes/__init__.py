@@ -17,6 +17,9 @@ from spectra.threads import run_parallel, thread_count
 # Gauss nodes across and along a silhouette: of the rule, and of a weaker one that must agree with it; errors in
 # `benchmarks/operators/volume_fractions.py`.
 RULES = ((4, 4), (3, 3))
+# Scenes of more primitives are computed layer by layer: a line through one layer meets few of them, and the curves
+# where walls cut its faces are known. Columns of few primitives are as fast whole, and exact to more digits in sums.
+CROWDED = 100
 # No unit; an axis closer to z than this is upright, far above rounding.
 _UPRIGHT = 1e-12
 # Pieces of work per thread; changes time, not results.
@@ -72,12 +75,14 @@ def fractions(
     # Some rows at a time, as a call of the kernel takes as long as a few columns.
     step = max(1, rows // (_PIECES * thread_count()))
     heights = _heights(solids, forms)
-    for low, high in _slabs(grid, solids, heights):
+    crowded = solids.rows > CROWDED and solids.surfaces is None
+    for low, high in _slabs(grid, solids, heights) if crowded else [(0, depth)]:
         slab = _slab(grid, low, high)
         frame = column_frame(slab)
-        curves = forms.layer_curves if high - low == 1 else forms.parallel_silhouettes
+        curves = forms.layer_curves if crowded and high - low == 1 else forms.parallel_silhouettes
         outline = curves(frame, solids.kinds, solids.locals_)
-        outline = outline._replace(bounds=_term_bounds(solids, frame, heights, forms))
+        if crowded:
+            outline = outline._replace(bounds=_term_bounds(solids, frame, heights, forms))
         near = tiles.Tiles.of(outline.bounds, outline.shapes, rows, columns)
         seen = None
         if solids.surfaces is not None:
@@ -103,12 +108,9 @@ def _slabs(grid: Grid, solids: Solids, heights: Float[np.ndarray, "shape 2"]) ->
 
     They are single layers, in which a line meets few shapes, and in which the kinks of sloped surfaces are known
     curves. Where all walls are upright, as many layers as possible are one part. So are the layers of a torus, whose
-    curves are no conics and which is averaged more finely then, and a whole grid with meshes.
+    curves are no conics and which is averaged more finely then.
     """
     depth = grid.shape[0]
-    if solids.surfaces is not None:
-        yield 0, depth
-        return
     single = _reached(grid, heights[~_are_upright(solids)])
     torus = _reached(grid, heights[solids.kinds == TORUS])
     low = 0

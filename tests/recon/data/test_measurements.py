@@ -111,8 +111,9 @@ def fake_dataset(model, counts, flat, dark):
     """What `read_measurements` asks of a dataset."""
     basis = SimpleNamespace(names=NAMES[: len(model.columns)], signed=False)
     spectra = SimpleNamespace(
-        basis=basis, transmission=lambda: model, quantum=np.ones(len(model)), profile=None, dead_time=None
-    )
+        basis=basis, transmission=lambda: model, quantum=np.ones(len(model)), profile=None, dead_time=None,
+        events=lambda counts: counts,
+    )  # fmt: skip
     geometry = Geometry.circular(60, 100, np.arange(3.0), Panel(4, 5, 1.0))
     return Mock(
         spec=Dataset, path=Path("scan.h5"), spectra=spectra, geometry=geometry, flat=flat, dark=dark,
