@@ -76,28 +76,32 @@ def expanded(values: dict[str, Any]) -> dict[str, Any]:
         return values
     materials: dict[str, Any] = {}
     groups = [_replaced(item, ("objects", i), materials) for i, item in enumerate(objects)]
-    own = values.get("materials")
-    return {**values, "materials": {**materials, **(own if isinstance(own, dict) else {})}, "objects": groups}
+    own = values.get("materials") or {}
+    all_materials = {**materials, **own} if isinstance(own, dict) else own  # which is refused later
+    return {**values, "materials": all_materials, "objects": groups}
 
 
 def _has_body(item: Any) -> bool:
     """Whether an object is a body or a group with one."""
     if not isinstance(item, dict):
         return False
-    members = item.get("objects")
-    return item.get("type") in _BODIES or (isinstance(members, list) and any(map(_has_body, members)))
+    kind, members = item.get("type"), item.get("objects")
+    if isinstance(kind, str) and kind in _BODIES:
+        return True
+    return isinstance(members, list) and any(map(_has_body, members))
 
 
 def _replaced(item: Any, where: Location, materials: dict[str, Any]) -> Any:
     """A group in place of a body; `materials` gets its materials."""
     if not _has_body(item):
         return item
-    if item.get("type") not in _BODIES:
+    kind = item.get("type")
+    if not (isinstance(kind, str) and kind in _BODIES):
         members = [_replaced(one, (*where, "objects", i), materials) for i, one in enumerate(item["objects"])]
         return _like(item, {**item, "objects": members})
-    kind, build = _BODIES[item["type"]]
+    model_class, build = _BODIES[kind]
     try:
-        model = kind.model_validate(dict(item))
+        model = model_class.model_validate(dict(item))
         if model.material is not None:
             raise InputError("a body has tissues, and no material of its own")
         objects, needed, scale = build(model)
