@@ -74,11 +74,11 @@ def expected_deviance(expected: Float[Tensor, "..."], dispersion: float = 0.0) -
 
     Returns
     -------
-    mean deviance of each count
+    mean deviance of each count; NaN where the expectation is NaN, as in a fit that diverges
     """
     table = torch.from_numpy(_poisson_table()).to(expected)
     place = ((expected.clamp_min(_LOW).log() - np.log(_LOW)) / _STEP).clamp(0, len(table) - 1.001)
-    low = place.long()
+    low = place.nan_to_num().long()
     mean = torch.lerp(table[low], table[low + 1], place - low)
     return torch.where(expected < _LOW, mean * expected / _LOW, mean) / (1 + dispersion**2 * expected)
 

@@ -78,3 +78,9 @@ def test_what_noise_alone_leaves_is_expected(mean, dispersion):
         values = found(counts, model, dispersion)
         error = 5 * float(values.std()) / np.sqrt(len(values)) + 0.01 * float(values.mean())
         assert float(wanted(model, dispersion)) == pytest.approx(float(values.mean()), abs=error)
+
+
+def test_an_expectation_that_is_not_a_number_spoils_its_own_count_only():
+    found = expected_deviance(torch.tensor([5.0, float("nan"), float("inf")]))
+    assert found[0] == expected_deviance(torch.tensor([5.0]))[0]
+    assert torch.isnan(found[1])
