@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import qr, solve_triangular
 
+# A column that no ray meets counts as if one met it over this part of the longest path.
+_UNMET = 1e-3
 # One ray in so many shows that too few columns are kept, before all rays are summed.
 _GLANCE = 50
 
@@ -48,7 +50,9 @@ def interpolative_decomposition(
     Columns are chosen by QR decomposition with pivoting, scaled by their longest path (interpolative decomposition:
     Cheng, Gimbutas, Martinsson, Rokhlin 2005, doi:10.1137/030602678).
     """
-    sizes = np.maximum(np.abs(lengths).max(axis=0, initial=0.0), np.finfo(float).tiny)
+    longest = np.abs(lengths).max(axis=0, initial=0.0)
+    largest = float(longest.max(initial=0.0)) or 1.0
+    sizes = np.where(longest > 0, longest, _UNMET * largest)
     _, upper, order = qr((columns * sizes[:, None]).T, mode="economic", pivoting=True)  # pyright: ignore[reportAssignmentType]
     for rank in range(1, len(columns)):
         picked = order[:rank]

@@ -167,7 +167,8 @@ def _group(file: SceneFile, model: schema.GroupModel, where: Location) -> Iterat
     matrix = rotation_matrix(_radians(model.rotation)) * scale
     for member in _members(file, model.objects, (*where, "objects")):
         placed = member.placed(matrix, np.asarray(model.center))
-        yield placed._replace(shape=_clipped(placed.shape, model))
+        if not any(_sides(placed.shape, plane)[0] for plane in model.clip):
+            yield placed._replace(shape=_clipped(placed.shape, model))
 
 
 def _material(file: SceneFile, model: schema.ObjectModel, where: Location) -> str:
@@ -291,10 +292,19 @@ def _simple(m: schema.ObjectModel, fineness: int) -> Shape:  # noqa: PLR0911 - o
 
 
 def _clipped(shape: Shape, model: schema.ObjectModel) -> Shape:
-    """The part of a shape below all of the model's planes."""
-    if not model.clip:
+    """The part of a shape below all of the model's planes; those that do not reach it are left out."""
+    cutting = [plane for plane in model.clip if not _sides(shape, plane)[1]]
+    if not cutting:
         return shape
-    return Intersection((shape, *(HalfSpace(plane.normal, plane.offset) for plane in model.clip)))
+    return Intersection((shape, *(HalfSpace(plane.normal, plane.offset) for plane in cutting)))
+
+
+def _sides(shape: Shape, plane: schema.PlaneModel) -> tuple[bool, bool]:
+    """Whether the bounds of a shape lie beyond a plane, and whether they lie below it."""
+    low, high = shape.bounds
+    normal = np.asarray(plane.normal)
+    nearest, farthest = (float(np.where(normal > 0, a, b) @ normal) for a, b in ((low, high), (high, low)))
+    return bool(normal.any()) and nearest >= plane.offset, farthest < plane.offset
 
 
 def _copies(model: schema.ObjectModel):

@@ -50,7 +50,7 @@ def coincident_counts(
     ----------
     mean : expected counts of each channel
     shares : see `spectra.detector.coincidences.CoincidenceShares`
-    sensor_pixels : pixels of the sensor along rows and along columns of a pixel of the panel
+    sensor_pixels : pixels of the sensor in one of the panel, from row to row and from column to column
     seed, frame, stream : the key
 
     Returns
@@ -67,6 +67,8 @@ def coincident_counts(
     channels, random = len(mean), generator(seed, stream, frame, len(mean))
     twice, single = np.zeros(mean.shape, np.int64), mean.copy()
     for step, factor in _steps_of_panel(*sensor_pixels).items():
+        if not factor.any():
+            continue
         for a, b in np.ndindex(channels, channels):
             expected = np.tensordot(factor @ shares[:, a, b], mean, axes=1)
             here, there = _neighbours(mean.shape[1:], *step)

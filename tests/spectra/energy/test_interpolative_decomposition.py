@@ -34,3 +34,13 @@ def test_columns_that_nothing_spans_are_all_kept():
     assert (len(picked), error) == (4, 0.0)
     np.testing.assert_array_equal(mixture @ np.eye(4)[picked], np.eye(4))
     assert len(interpolative_decomposition(np.ones((2, 3)), np.empty((0, 2)), 1e-6)[0]) == 1
+
+
+def test_a_column_that_no_ray_meets_stays_a_finite_combination():
+    energy = np.linspace(30, 100, 40)
+    one, other = (Material(name, composition=name).attenuation(energy) for name in ("Al", "Fe"))
+    columns = np.stack([one, other, one + other])
+    lengths = np.column_stack([np.linspace(1, 5, 20), np.linspace(5, 0, 20), np.zeros(20)])
+    found = interpolative_decomposition(columns, lengths, 1e-9)
+    assert found.error <= 1e-9
+    np.testing.assert_allclose(found.mixture @ columns[found.picked], columns)

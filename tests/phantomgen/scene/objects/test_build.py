@@ -115,3 +115,12 @@ def test_mistakes_are_one_sentence(text: str, words: str) -> None:
         scan_of(text)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_planes_that_do_not_reach_a_member_of_a_group_are_left_out():
+    members = ", ".join(f"{{type: sphere, material: water, radius: 1, center: [0, 0, {z}]}}" for z in (-9, 0, 9))
+    scan = scan_of(f"objects: [{{type: group, objects: [{members}], clip: [{{normal: [0, 0, 1], offset: 0.5}}]}}]")
+    below, cut = (shape for shape, _ in scan.scene.objects)
+    assert [len(term) for term in below.terms] == [1]
+    assert [len(term) for term in cut.terms] == [2]
+    assert cut.contains(np.array([[0, 0, 0.4], [0, 0, 0.6]])).tolist() == [True, False]
