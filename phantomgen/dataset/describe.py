@@ -47,6 +47,7 @@ def describe(path: Path) -> dict[str, Any]:
             "channels": _channels(dataset),
             "counters": "cumulative" if dataset.subtracts else "bins",
             "dead_time": None if spectra.dead_time is None else asdict(spectra.dead_time),
+            "pile_up": spectra.pulses is not None,
             "energies": len(spectra.energy),
             "range_keV": [float(spectra.edges[0]), float(spectra.edges[-1])],
             "photons": float(spectra.source.sum()),
@@ -91,7 +92,7 @@ def describe_text(info: dict[str, Any]) -> str:
         f"pixels of {info['pitch_mm'][1]:g} x {info['pitch_mm'][0]:g} mm",
         f"channels   {', '.join('{name} {lower_keV:g}..{upper_keV:g} keV'.format(**c) for c in info['channels'])}",
         *_counter_lines(info["counters"]),
-        *_dead_time_lines(info["dead_time"]),
+        *_dead_time_lines(info["dead_time"], info["pile_up"]),
         f"spectrum   {info['energies']} bins, {info['range_keV'][0]:g}..{info['range_keV'][1]:g} keV, "
         f"{info['photons']:g} photons per pixel and view"
         + (f"; differs over the panel: {', '.join(info['profile'])}" if info["profile"] else ""),
@@ -176,11 +177,12 @@ def _counter_lines(counters: str) -> list[str]:
     return ["counters   cumulative: the file has counts above each threshold, which are read as differences"]
 
 
-def _dead_time_lines(dead_time: dict[str, Any] | None) -> list[str]:
+def _dead_time_lines(dead_time: dict[str, Any] | None, pile_up: bool) -> list[str]:
     """Dead time for people, where there is any."""
     if dead_time is None:
         return []
-    return ["dead time  {tau_ns:g} ns per count, {exposure_ms:g} ms per view, {model}".format(**dead_time)]
+    heights = "; heights of pulses add" if pile_up else ""
+    return ["dead time  {tau_ns:g} ns per count, {exposure_ms:g} ms per view, {model}".format(**dead_time) + heights]
 
 
 def _time(dataset: Dataset) -> dict[str, Any] | None:

@@ -34,6 +34,7 @@ from phantomgen.runtime.thumbnails import thumbnails
 from spectra.basis.basis import Basis
 from spectra.detector.counters import between_thresholds, either_neighbour
 from spectra.detector.dead_time import DeadTime
+from spectra.detector.pile_up import PulseResponse
 from spectra.errors import DatasetError, InputError
 
 if TYPE_CHECKING:
@@ -341,6 +342,7 @@ class Dataset:
             variance=self._value("/entry/spectra/variance") if has(self.file, "entry/spectra/variance") else None,
             profile=read_profile(self.file),
             dead_time=self._dead_time(),
+            pulses=self._pulses(),
             cumulative=self._cumulative(),
         )
         return stored.between_thresholds() if self.subtracts else stored
@@ -361,6 +363,12 @@ class Dataset:
             return None
         tau, exposure = (float(self._value(f"{DETECTOR}/{name}")) for name in ("dead_time", "count_time"))
         return DeadTime(tau, exposure, str(self._value(f"{DETECTOR}/dead_time_model")))  # type: ignore[arg-type]
+
+    def _pulses(self) -> PulseResponse | None:
+        """Heights of pulses, where they pile up."""
+        if not has(self.file, f"{DETECTOR}/pulse_edges"):
+            return None
+        return PulseResponse(*(self._value(f"{DETECTOR}/{name}") for name in ("pulse_edges", "pulse_response")))
 
     @cached_property
     def grid(self) -> Grid:

@@ -1,6 +1,7 @@
 """Spectral model of a dataset: source, channels and basis functions."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -8,9 +9,11 @@ from jaxtyping import Float
 from phantomgen.dataset.beam_profile import StoredProfile
 from spectra.basis.basis import Basis
 from spectra.detector.counters import above_thresholds, between_thresholds
-from spectra.detector.dead_time import DeadTime
+from spectra.detector.dead_time import DeadTime, corrected_spread
 from spectra.detector.detector import AnyDetector
+from spectra.detector.pile_up import PileUp, PulseResponse, PulseSpectra
 from spectra.energy.bin_split import split_bins
+from spectra.materials.material import Material
 from spectra.source.source import Source
 from spectra.transmission import Transmission
 
@@ -33,6 +36,7 @@ class Spectra:
     variance : what a photon adds to the variance of the signal; None where photons are counted, and it is the response
     profile : how the open beam differs over the panel, None where it does not
     dead_time : of the pixels; None where every event is recorded. Then `weights` are events, and counts are fewer
+    pulses : heights of the pulses of photons, where they pile up and their heights add; else None
     cumulative : whether each channel counts all photons above its lower limit, also those of the channels above it
     """
 
@@ -49,6 +53,7 @@ class Spectra:
     variance: Float[np.ndarray, "channel energy"] | None = None
     profile: StoredProfile | None = None
     dead_time: DeadTime | None = None
+    pulses: PulseResponse | None = None
     cumulative: bool = False
 
     @classmethod
@@ -133,9 +138,57 @@ class Spectra:
         """
         if self.dead_time is None:
             return counts
+        corrected = self.dead_time.corrected if self.pulses is None else self._without_pile_up
         if not self.cumulative:
-            return self.dead_time.corrected(counts)
-        return above_thresholds(self.dead_time.corrected(between_thresholds(counts)))
+            return corrected(counts)
+        return above_thresholds(corrected(between_thresholds(counts)))
+
+    def recorded(self, events: Float[np.ndarray, "channel row column"]) -> Float[np.ndarray, "channel row column"]:
+        """Return the mean counts that pixels record of events, the inverse of `events`.
+
+        Parameters
+        ----------
+        events : mean events of one frame, between thresholds
+
+        Returns
+        -------
+        mean recorded counts between thresholds; `events` where every event is recorded
+        """
+        if self.dead_time is None:
+            return events
+        if self.pulses is None:
+            return self.dead_time.recorded(events)
+        pile_up = PileUp(self.dead_time, tuple(self.lower.tolist()), self.pulses.edges)
+        return pile_up.recorded(pile_up.pulses(np.asarray(events, dtype=np.float64), self._pulse_spectra))
+
+    def spread(self, events: Float[np.ndarray, "channel row column"]) -> Float[np.ndarray, "channel row column"]:
+        """Return the variance of corrected counts over their mean; see `spectra.detector.dead_time.corrected_spread`.
+
+        Parameters
+        ----------
+        events : mean events of one frame, between thresholds
+
+        Returns
+        -------
+        variance over mean of what `events` gives; 1 where every event is recorded
+        """
+        if self.dead_time is None:
+            return np.ones_like(events)
+        return corrected_spread(np.asarray(events, dtype=np.float64), self.recorded, self.dead_time)
+
+    def _without_pile_up(self, counts: Float[np.ndarray, "channel row column"]) -> Float[np.ndarray, "c r k"]:
+        """Return the counts between thresholds that pixels without dead time would have had, where heights add."""
+        assert self.dead_time is not None
+        assert self.pulses is not None
+        pile_up = PileUp(self.dead_time, tuple(self.lower.tolist()), self.pulses.edges)
+        return pile_up.corrected(np.asarray(counts, dtype=np.float64), self._pulse_spectra)
+
+    @cached_property
+    def _pulse_spectra(self) -> PulseSpectra:
+        """Pulse heights behind water."""
+        assert self.pulses is not None
+        water = Material("water", 1.0, "H2O").attenuation(self.energy)
+        return PulseSpectra.behind_water(self.source * self.pulses.response, water)
 
     def transmission(self) -> Transmission:
         """Create the transmission from line integrals of the basis, then lengths in the profile, to expected counts.
@@ -162,7 +215,9 @@ def in_basis(spectra: "Spectra", basis: Basis) -> "Spectra":
     """
     split = split_bins(spectra.edges, spectra.energy, basis.breaks)
     parents = split.parents
-    profile = spectra.profile
+    profile, pulses = spectra.profile, spectra.pulses
+    if pulses is not None:
+        pulses = PulseResponse(pulses.edges, pulses.response[:, parents])
     if profile is not None:
         profile = StoredProfile(profile.names, profile.lengths, profile.attenuation[:, parents])
     return replace(
@@ -175,4 +230,5 @@ def in_basis(spectra: "Spectra", basis: Basis) -> "Spectra":
         basis_values=basis.evaluate(split.nodes),
         variance=None if spectra.variance is None else spectra.variance[:, parents],
         profile=profile,
+        pulses=pulses,
     )

@@ -67,6 +67,29 @@ def scene_dead_time(file: SceneFile) -> DeadTime | None:
     return None if model is None else DeadTime(model.tau_ns, model.exposure_ms, model.model)
 
 
+def has_pile_up(file: SceneFile) -> bool:
+    """Return whether the heights of pulses add while a pixel is busy.
+
+    Parameters
+    ----------
+    file : the scene file
+
+    Returns
+    -------
+    True for counts of summed energies, False where later pulses are only lost
+
+    Raises
+    ------
+    SceneError
+        Where pixels have no dead time.
+    """
+    if not getattr(file.model.detector, "pile_up", False):
+        return False
+    if getattr(file.model.detector, "dead_time", None) is None:
+        raise file.error(("detector", "pile_up"), "needs detector.dead_time, in which pulses pile up")
+    return True
+
+
 def has_cumulative_counters(file: SceneFile) -> bool:
     """Return whether each counter of the detector counts all photons above its threshold.
 

@@ -14,6 +14,7 @@ from phantomgen.torch.geometry import TensorGeometry
 from phantomgen.torch.operators import project, transmit
 from phantomgen.torch.spectra import TensorSpectra
 from spectra.detector.dead_time import DeadTime
+from spectra.errors import DatasetError
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +58,14 @@ class ForwardModel:
         Raises
         ------
         DatasetError
-            When the dataset has no flats.
+            When the dataset has no flats, or pulses that pile up.
         """
         stored = dataset.spectra
+        if stored.pulses is not None:
+            raise DatasetError(
+                f"{dataset.path} has pulses that pile up (detector/pulse_response), which this model does not know: "
+                "make the scan without detector.pile_up"
+            )
         spectra, flat, dead_time = TensorSpectra.of(stored, device), dataset.flat, stored.dead_time
         flat = stored.events(flat)
         profile = None if stored.profile is None else torch.tensor(stored.profile.lengths, device=device)

@@ -198,6 +198,7 @@ class HeldOutView:
     open_beam : counts without an object; a pixel with 0 is blind and left out
     away : mask of the rays away from edges
     marked : mask of the rays through voxels whose bases the counts do not determine; None where there are none
+    spread : variance of the counts over their mean; None where it is 1, as that of Poisson counts
     """
 
     counts: Real[np.ndarray, "channel row column"]
@@ -205,6 +206,7 @@ class HeldOutView:
     open_beam: Real[np.ndarray, "channel row column"]
     away: Bool[np.ndarray, "row column"]
     marked: Bool[np.ndarray, "row column"] | None = None
+    spread: Real[np.ndarray, "channel row column"] | None = None
 
     @classmethod
     def of(
@@ -214,6 +216,7 @@ class HeldOutView:
         open_beam: Real[np.ndarray, "channel row column"],
         distance: float = 2.0,
         marked: Bool[np.ndarray, "row column"] | None = None,
+        spread: Real[np.ndarray, "channel row column"] | None = None,
     ) -> "HeldOutView":
         """Make a view, with edges from the log projections of the model.
 
@@ -221,7 +224,7 @@ class HeldOutView:
         ----------
         counts, expected, open_beam : see `HeldOutView`
         distance : least distance of rays away from edges [pixel]
-        marked : see `HeldOutView`
+        marked, spread : see `HeldOutView`
 
         Returns
         -------
@@ -229,7 +232,7 @@ class HeldOutView:
         """
         logs = log_projections(expected, open_beam)
         whole = np.stack([inpainted(image, air <= 0) for image, air in zip(logs, open_beam, strict=True)])
-        return cls(counts, expected, open_beam, edge_mask(whole, distance), marked)
+        return cls(counts, expected, open_beam, edge_mask(whole, distance), marked, spread)
 
 
 def score_projections(views: Iterable[HeldOutView], channel_names: Sequence[str]) -> dict[str, Scores]:
@@ -243,8 +246,9 @@ def score_projections(views: Iterable[HeldOutView], channel_names: Sequence[str]
     Returns
     -------
     By channel: ``psnr`` of the log projections [dB], its peak the largest expected log projection; ``psnr_noise`` the
-    PSNR of the true model, from var(log y) = 1 / Y; ``chi_square_all`` mean of (y - Y)^2 / Y over all rays and
-    ``chi_square_away`` over rays away from edges, both 1 for Poisson counts of the true model; ``away`` the part of
+    PSNR of the true model, from var(log y) = v / Y; ``chi_square_all`` mean of (y - Y)^2 / (v Y) over all rays and
+    ``chi_square_away`` over rays away from edges, both 1 for counts of the true model, whose variance is v Y with v the
+    `spread` of `HeldOutView`; ``away`` the part of
     these rays, ``rays_away`` their number, and ``counts_away`` the mean of their expected counts, with 0 for rays
     beside the object: a relative model error e inside the object adds e^2 times that to ``chi_square_away``. Where rays
     are marked, also ``chi_square_marked``, ``rays_marked`` and ``counts_marked`` of these. In logarithms counts below
@@ -365,7 +369,8 @@ def _sums_of_view(view: HeldOutView) -> _ViewSums:
     logged = np.maximum(expected, LEAST_COUNTS)
     projection = log_projections(expected, view.open_beam)
     away = seen & view.away
-    chi_square = (counts - expected) ** 2 / expected
+    variance = expected if view.spread is None else expected * view.spread
+    chi_square = (counts - expected) ** 2 / variance
     log_error = np.log(np.maximum(counts, LEAST_COUNTS) / logged)
     marked = np.zeros_like(seen) if view.marked is None else seen & view.marked
 
@@ -378,7 +383,7 @@ def _sums_of_view(view: HeldOutView) -> _ViewSums:
         chi_all=total(seen * chi_square),
         chi_away=total(away * chi_square),
         square=total(seen * log_error**2),
-        variance=total(seen / logged),
+        variance=total(seen * variance / expected / logged),
         counts_away=total((away & (projection > SHALLOW)) * expected),
         rays_marked=total(marked * 1),
         chi_marked=total(marked * chi_square),

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Real
 
 from phantomgen.dataset.reader import Dataset
+from phantomgen.dataset.spectral_model import Spectra
 from phantomgen.dataset.truth import Truth
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements, read_measurements
@@ -48,11 +49,11 @@ def held_out_views(
     for first in range(0, len(test), VIEWS_AT_ONCE):
         views = test[first : first + VIEWS_AT_ONCE]
         measured = read_measurements(dataset, views, len(model.basis_names), separable=False)
-        yield from run_parallel(lambda view: view(), _predict(measured, model, unreliable))
+        yield from run_parallel(lambda view: view(), _predict(measured, model, unreliable, dataset.spectra))
 
 
 def _predict(
-    measured: Measurements, model: GaussianModel | Voxels, unreliable: Unreliable | None
+    measured: Measurements, model: GaussianModel | Voxels, unreliable: Unreliable | None, spectra: Spectra
 ) -> Iterator[Callable[[], HeldOutView]]:
     """Predict some views together; the edges of each are found when its function is called."""
     lengths = model.line_integrals(measured.geometry).numpy()
@@ -65,7 +66,8 @@ def _predict(
         through = None if marked is None else marked[view]
         scattered = measured.scattered(view)
         now = expected[view] * measured.gains * scale + scattered
-        yield partial(HeldOutView.of, counts + scattered, now, open_beam * scale, marked=through)
+        spread = None if spectra.dead_time is None else spectra.spread(now)
+        yield partial(HeldOutView.of, counts + scattered, now, open_beam * scale, marked=through, spread=spread)
 
 
 def _rays_through(unreliable: Unreliable, measured: Measurements) -> Bool[np.ndarray, "view row column"]:

@@ -18,10 +18,10 @@ from torch import Tensor
 from phantomgen.dataset.checks.door import find_array
 from phantomgen.dataset.file import FLAT
 from phantomgen.dataset.reader import Dataset
+from phantomgen.dataset.spectral_model import Spectra
 from phantomgen.geometry.poses import Geometry
 from recon.data.measurements import Measurements, read_measurements
 from recon.data.readout_noise import without_floor
-from spectra.detector.dead_time import DeadTime
 
 _FLATS = (1 << 63) - 1  # in place of the number of a view, for the random numbers of flats
 
@@ -134,15 +134,16 @@ class Replicate(Dataset):
         expected = expected + one.scattered(0)
         events = (self._random(view).poisson(expected) - floor) * unit
         if self.spectra.dead_time is not None:
-            events = _with_losses(events, (expected - floor) * unit, self.spectra.dead_time)
+            events = _with_losses(events, (expected - floor) * unit, self.spectra)
         reading = events + self.dark
         return reading if self.signed else np.maximum(reading, 0.0)
 
 
-def _with_losses(events: Image, mean: Image, dead_time: DeadTime) -> Image:
+def _with_losses(events: Image, mean: Image, spectra: Spectra) -> Image:
     """Counts that are left of events after dead time, with the mean and the variance that it leaves."""
-    total = mean.sum(axis=0)
-    return dead_time.recorded(mean) + np.sqrt(dead_time.live(total) * dead_time.fano(total)) * (events - mean)
+    dead_time, total = spectra.dead_time, mean.sum(axis=0)
+    assert dead_time is not None
+    return spectra.recorded(mean) + np.sqrt(dead_time.live(total) * dead_time.fano(total)) * (events - mean)
 
 
 def expected_quanta(one: Measurements, model: ProjectedModel) -> Image:

@@ -2,10 +2,11 @@
 
 With n the rate of events above the lowest threshold and tau the dead time, a non-paralyzable counter records
 n / (1 + n tau), a paralyzable one, whose dead time every event prolongs, n exp(-n tau) (Knoll, Radiation Detection and
-Measurement, chapter 4). All channels of a pixel lose the same part. Pile-up also changes the height of pulses;
-that is left out.
+Measurement, chapter 4). All channels of a pixel lose the same part. That pile-up also changes the height of pulses is
+left to `spectra.detector.pile_up`.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,6 +21,9 @@ _SATURATED = 20.0
 
 # Recorded counts per dead time of a paralyzable counter at the load 1, less rounding.
 _MOST_RECORDED = np.exp(-1) * (1 - 1e-12)
+
+# Part of a pixel's events by which each channel is changed to find how recorded counts depend on events.
+_CHANGE = 1e-4
 
 Counts = Float[np.ndarray, "... channel row column"]
 Image = Float[np.ndarray, "..."]
@@ -120,3 +124,36 @@ class DeadTime:
             return recorded * (1 + np.minimum(load / np.maximum(1 - load, 1e-9), _SATURATED))
         true_load = -np.real(lambertw(-np.clip(load, 0.0, _MOST_RECORDED)))
         return recorded * np.exp(true_load)
+
+
+def corrected_spread(
+    events: Float[np.ndarray, "channel row column"],
+    recorded: Callable[[Float[np.ndarray, "channel row column"]], Float[np.ndarray, "channel row column"]],
+    dead_time: DeadTime,
+) -> Float[np.ndarray, "channel row column"]:
+    """Compute the variance over the mean of events that are found from recorded counts.
+
+    All recorded counts together have the variance of `DeadTime.fano`, and are split between channels at random. A
+    correction magnifies that: by 1 + x in a non-paralyzable counter with x events per dead time, by more where heights
+    of pulses add.
+
+    Parameters
+    ----------
+    events : mean events of one frame
+    recorded : function from mean events to mean recorded counts
+    dead_time : of the pixels
+
+    Returns
+    -------
+    variance over mean of each channel; 1 where there are no events
+    """
+    counts, total = recorded(events), events.sum(axis=0)
+    change = _CHANGE * np.maximum(total, 1.0)
+    unit = np.eye(len(events))[:, :, None, None]
+    slopes = np.stack([(recorded(events + change * one) - counts) / change for one in unit], axis=-1)
+    inverse = np.linalg.inv(np.moveaxis(slopes, 0, -2))  # (row, column, channel of events, channel of counts)
+    pixels = np.moveaxis(counts, 0, -1)
+    independent = (inverse**2 @ pixels[..., None])[..., 0]
+    together = (inverse @ pixels[..., None])[..., 0] ** 2 / np.maximum(counts.sum(axis=0), 1e-30)[..., None]
+    variance = independent + (dead_time.fano(total)[..., None] - 1) * together
+    return np.where(events > 0, np.moveaxis(variance, -1, 0) / np.where(events > 0, events, 1.0), 1.0)

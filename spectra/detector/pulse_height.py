@@ -6,7 +6,8 @@ energy of fluorescence that got away, fluorescence absorbed in another pixel, an
 normalised, as a photon may count in several pixels.
 
 Left out: Compton scattering in the sensor (every absorbed photon counts as photoelectric, which is wrong for silicon),
-a second generation of fluorescence, the loss of charge on its way through the sensor, and pile-up.
+a second generation of fluorescence, and the loss of charge on its way through the sensor. Pile-up is in
+`spectra.detector.pile_up`.
 """
 
 from dataclasses import dataclass

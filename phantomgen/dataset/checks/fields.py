@@ -67,6 +67,8 @@ ENTRY = (
     Field(f"{_DETECTOR}/dead_time", "real", "", "ns", "of a pixel", 0, _MANY, optional=True),
     Field(f"{_DETECTOR}/count_time", "real", "", "ms", "of a view", 0, _MANY, optional=True),
     Field(f"{_DETECTOR}/dead_time_model", "text", "", "", "paralyzable or not", optional=True),
+    Field(f"{_DETECTOR}/pulse_edges", "real", "G+1", "keV", "of pulse heights that add", 0, _HARD, optional=True),
+    Field(f"{_DETECTOR}/pulse_response", "real", "G,E", "", "pulses per photon", 0, _MANY, optional=True),
     Field(f"{_DETECTOR}/counters", "text", "", "", "bins, or cumulative: channels count above", optional=True),
     Field("/entry/data/channel", "text", "C", "", "names of the channels"),
     Field(f"{_DETECTOR}/<channel>_channel/threshold_energy", "real", "", "keV", "lower limit", 0, _HARD),

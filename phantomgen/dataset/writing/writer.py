@@ -163,6 +163,9 @@ class DatasetWriter:
             put(detector, "dead_time", spectra.dead_time.tau_ns, "ns")
             put(detector, "count_time", spectra.dead_time.exposure_ms, "ms")
             put(detector, "dead_time_model", spectra.dead_time.model)
+        if spectra.pulses is not None:
+            put(detector, "pulse_edges", spectra.pulses.edges, "keV")
+            put(detector, "pulse_response", spectra.pulses.response, "")
         if spectra.cumulative:
             put(detector, "counters", CUMULATIVE)
         for name, lower, upper in zip(spectra.channels, spectra.lower, spectra.upper, strict=True):

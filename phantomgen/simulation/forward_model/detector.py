@@ -156,7 +156,10 @@ class DetectorStages:
         """Images blurred, and times the gain of each pixel."""
         if self.kernels is not None:
             images = np.stack([blurred(image, self.kernels) for image in images])
-        return images * self.gains[stream] if self.gains else images
+        if not self.gains:
+            return images
+        gains = self.gains[stream]
+        return images * (gains[self.exposure.channels] if self.counts_photons else gains)
 
     def _offset(self, signals: Frame | Images, frame: int, stream: Stream, noise: bool) -> Frame:
         """Signals after the amplifier."""

@@ -17,6 +17,8 @@ from phantomgen.dataset.beam_profile import StoredProfile
 from phantomgen.dataset.spectral_model import Spectra
 from phantomgen.dataset.truth import CoefficientFit
 from phantomgen.scene.scan import Scan
+from spectra.detector.detector import AnyDetector, Detector
+from spectra.detector.pile_up import PulseResponse, pulse_detector
 from spectra.detector.scintillator import energy_groups
 from spectra.energy.grid import Energies
 from spectra.energy.interpolative_decomposition import interpolative_decomposition
@@ -56,7 +58,8 @@ def fine_transmission(
     ----------
     scan : what is simulated
     cuts : where bins end besides [keV], see `fine_cuts`
-    grouped : whether energy-integrating channels are split into the groups of `photon_quanta`, one channel each
+    grouped : whether energy-integrating channels are split into the groups of `photon_quanta`, and counters where
+        pulses pile up into groups of heights, one channel each
     step : bin width [keV]
 
     Returns
@@ -148,7 +151,7 @@ def compressed_transmission(
     tolerance : worst error of log counts that is wanted
     cuts : where bins end besides [keV], see `fine_cuts`
     refine : whether nodes are merged and moved, for the fewest of them, or chosen only
-    grouped : whether energy-integrating channels are split into the groups of `photon_quanta`, one channel each
+    grouped : as for `fine_transmission`
     step : bin width before nodes are sought [keV]
 
     Returns
@@ -249,7 +252,11 @@ def reconstructor_spectra(scan: Scan) -> Spectra:
     profile = None
     if scan.profile is not None:
         profile = StoredProfile(scan.profile.names, scan.profile.lengths, scan.profile.attenuation(spectra.energy))
-    between = replace(spectra, profile=profile, dead_time=scan.dead_time)
+    pulses = None
+    if scan.pile_up is not None:
+        assert isinstance(scan.detector, Detector)
+        pulses = PulseResponse.of(scan.detector, Energies(spectra.edges, spectra.energy))
+    between = replace(spectra, profile=profile, dead_time=scan.dead_time, pulses=pulses)
     if not scan.cumulative:
         return between
     return replace(between.above_thresholds(), channels=tuple(f"counter{i}" for i in range(len(scan.detector))))
@@ -323,21 +330,23 @@ def _range(scan: Scan) -> float:
 
 
 def _sampled(
-    scan: Scan, count: int, breaks: tuple[float, ...]
+    scan: Scan, count: int, breaks: tuple[float, ...], detector: AnyDetector | None = None
 ) -> tuple[Energies, Float[np.ndarray, " energy"], Float[np.ndarray, "channel energy"]]:
-    """Grid, photons per bin and response."""
-    grid = scan.source.grid(scan.detector.lowest, count, (*scan.detector.breaks, *breaks))
+    """Grid, photons per bin and response, of the scan's detector if no other is given."""
+    detector = scan.detector if detector is None else detector
+    grid = scan.source.grid(detector.lowest, count, (*detector.breaks, *breaks))
     energies, photons = scan.source.sampled(grid)
-    return energies, photons, scan.detector.response(energies)
+    return energies, photons, detector.response(energies)
 
 
 def _weights(
-    scan: Scan, step: float, cuts: Float[np.ndarray, " cut"] = NO_CUTS
+    scan: Scan, step: float, cuts: Float[np.ndarray, " cut"] = NO_CUTS, detector: AnyDetector | None = None
 ) -> tuple[Energies, Float[np.ndarray, "channel energy"]]:
     """Bins of `step` keV that end at every edge of the scene and at `cuts`, and open-beam counts in each."""
     low, high = scan.detector.lowest, scan.source.maximum
     edges = (edge for material in scan.scene.materials for edge in material.k_edges(low, high))
-    energies, photons, response = _sampled(scan, ceil(_range(scan) / step), (*scan.basis.breaks, *edges, *cuts))
+    breaks = (*scan.basis.breaks, *edges, *cuts)
+    energies, photons, response = _sampled(scan, ceil(_range(scan) / step), breaks, detector)
     return energies, photons * response
 
 
@@ -345,6 +354,10 @@ def _rows(
     scan: Scan, step: float, cuts: Float[np.ndarray, " cut"], grouped: bool
 ) -> tuple[Energies, Float[np.ndarray, "row energy"], tuple[str, ...]]:
     """Bins, open-beam counts per bin of each channel, or of each group of photons, and their names."""
+    if grouped and scan.pile_up is not None:
+        assert isinstance(scan.detector, Detector)
+        heights = pulse_detector(scan.detector)
+        return *_weights(scan, step, cuts, heights), heights.names
     energies, weights = _weights(scan, step, cuts)
     if not grouped or scan.detector.variance(energies) is None:
         return energies, weights, scan.detector.names

@@ -10,6 +10,7 @@ from phantomgen.scene.scan import Scan
 from phantomgen.simulation.forward_model.energy_grids import NO_CUTS, compressed_transmission, photon_quanta
 from phantomgen.simulation.forward_model.photon_noise import compound_signal, dead_time_counts, poisson_counts
 from spectra.detector.dead_time import DeadTime
+from spectra.detector.pile_up import PileUp
 from spectra.transmission import Transmission
 
 Images = Float[np.ndarray, "channel row column"]
@@ -23,11 +24,12 @@ class Exposure:
     Parameters
     ----------
     groups : path lengths to expected signals; one channel for each channel of the detector where photons are counted,
-        one for each group of energies where their energy is summed up
+        one for each group of energies where their energy is summed up, or for each group of heights that pile up
     names : of the detector's channels
     channels : of the detector, that each group belongs to
     quanta : signal of one photon of each group [keV]; None where photons are counted
     dead_time : of the pixels, None where every event is recorded
+    pile_up : of pulses in a dead time, whose heights are those of the groups; None where later pulses are only lost
     """
 
     groups: Transmission
@@ -35,6 +37,7 @@ class Exposure:
     channels: Int[np.ndarray, " group"]
     quanta: Float[np.ndarray, " group"] | None
     dead_time: DeadTime | None = None
+    pile_up: PileUp | None = None
 
     @classmethod
     def of(
@@ -66,7 +69,9 @@ class Exposure:
         if scan.effects.grid is not None:
             groups = replace(groups, weights=groups.weights * scan.effects.grid.primary)
         if quanta is None:
-            return cls(groups, scan.detector.names, np.arange(len(scan.detector)), None, scan.dead_time), error
+            pile_up = scan.pile_up
+            channels = np.arange(len(scan.detector)) if pile_up is None else pile_up.channels
+            return cls(groups, scan.detector.names, channels, None, scan.dead_time, pile_up), error
         channels = np.repeat(np.arange(len(quanta)), [len(own) for own in quanta])
         return cls(groups, scan.detector.names, channels, np.concatenate(quanta)), error
 
@@ -105,6 +110,8 @@ class Exposure:
         -------
         signals, (channel, row, column)
         """
+        if self.pile_up is not None:
+            return self.pile_up.recorded(expected)
         if self.dead_time is not None:
             return self.dead_time.recorded(expected)
         return expected if self.quanta is None else np.add.reduceat(expected, self.firsts, axis=0)
@@ -122,7 +129,8 @@ class Exposure:
         images of all channels
         """
         if self.dead_time is not None:
-            return list(dead_time_counts(expected, self.dead_time, seed, frame, stream))
+            parts = expected if self.pile_up is None else self.pile_up.recorded(expected)
+            return list(dead_time_counts(parts, expected.sum(axis=0), self.dead_time, seed, frame, stream))
         if self.quanta is None:
             return [poisson_counts(image, seed, frame, c, stream) for c, image in enumerate(expected)]
         parts = zip(np.split(expected, self.firsts[1:]), np.split(self.quanta, self.firsts[1:]), strict=True)

@@ -137,7 +137,8 @@ def compound_signal(
 
 
 def dead_time_counts(
-    events: Float[np.ndarray, "channel row column"],
+    parts: Float[np.ndarray, "channel row column"],
+    total: Float[np.ndarray, "row column"],
     dead_time: DeadTime,
     seed: int,
     frame: int,
@@ -147,7 +148,8 @@ def dead_time_counts(
 
     Parameters
     ----------
-    events : expected events of each channel, recorded or not
+    parts : expected counts of each channel, in proportion
+    total : expected events of all channels, recorded or not
     dead_time : of the pixels
     seed, frame, stream : the key
 
@@ -161,16 +163,15 @@ def dead_time_counts(
     split between channels, as every recorded count has a channel of its own. Without dead time both steps together are
     independent Poisson counts.
     """
-    _check_mean(events)
-    total = events.sum(axis=0)
-    random = generator(seed, stream, frame, len(events))
+    _check_mean(parts)
+    random = generator(seed, stream, frame, len(parts))
     left = _sub_poisson(total * dead_time.live(total), dead_time.fano(total), random)
-    images = []
-    for channel, mean in enumerate(events):
-        share = np.divide(mean, total, out=np.ones_like(mean), where=total > 0)
+    rest, images = parts.sum(axis=0), []
+    for channel, mean in enumerate(parts):
+        share = np.divide(mean, rest, out=np.ones_like(mean), where=rest > 0)
         taken = generator(seed, stream, frame, channel).binomial(left, np.clip(share, 0.0, 1.0))
         images.append(taken.astype(np.int32))
-        left, total = left - taken, total - mean
+        left, rest = left - taken, rest - mean
     return images
 
 

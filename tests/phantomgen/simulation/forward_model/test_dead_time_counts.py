@@ -60,7 +60,7 @@ def test_counts_have_the_moments_of_arrivals_followed_one_by_one(model, load):
     truth = followed(load, model, 1500, np.random.default_rng(3)).astype(float)
     dead_time = DeadTime(1e3, 1.0, model)  # 1 us in 1 ms
     means = np.broadcast_to((load * 1000 * SHARES)[:, None, None], (3, 200, 200))
-    drawn = np.stack(dead_time_counts(means, dead_time, 1, 0)).reshape(3, -1).astype(float)
+    drawn = np.stack(dead_time_counts(means, means.sum(axis=0), dead_time, 1, 0)).reshape(3, -1).astype(float)
     for counts, other in ((drawn.sum(axis=0), truth.sum(axis=0)), *zip(drawn, truth, strict=True)):
         assert counts.mean() == pytest.approx(other.mean(), abs=5 * other.std() / np.sqrt(other.size) + 0.5)
         assert counts.var() == pytest.approx(other.var(), rel=5 * np.sqrt(2 / other.size))
@@ -73,18 +73,20 @@ def test_counts_have_the_moments_of_arrivals_followed_one_by_one(model, load):
 
 
 def test_without_load_counts_are_poisson():
-    counts = np.stack(dead_time_counts(np.full((2, 300, 300), 5.0), DeadTime(1e-6, 1.0), 0, 0)).astype(float)
+    counts = np.stack(
+        dead_time_counts(np.full((2, 300, 300), 5.0), np.full((300, 300), 10.0), DeadTime(1e-6, 1.0), 0, 0)
+    ).astype(float)
     np.testing.assert_allclose(counts.mean(axis=(1, 2)), 5.0, atol=0.05)
     np.testing.assert_allclose(counts.var(axis=(1, 2)), 5.0, rtol=0.03)
     assert abs(np.corrcoef(counts.reshape(2, -1))[0, 1]) < 0.02
-    assert np.max(dead_time_counts(np.zeros((2, 3, 3)), DeadTime(10, 1.0), 0, 0)) == 0
+    assert np.max(dead_time_counts(np.zeros((2, 3, 3)), np.zeros((3, 3)), DeadTime(10, 1.0), 0, 0)) == 0
 
 
 def test_images_depend_on_their_key_only():
     means, dead_time = np.full((2, 8, 8), 500.0), DeadTime(1e3, 1.0)
-    first = np.stack(dead_time_counts(means, dead_time, 1, 5))
-    np.testing.assert_array_equal(first, dead_time_counts(means, dead_time, 1, 5))
-    assert (first != np.stack(dead_time_counts(means, dead_time, 1, 6))).any()
+    first = np.stack(dead_time_counts(means, means.sum(axis=0), dead_time, 1, 5))
+    np.testing.assert_array_equal(first, dead_time_counts(means, means.sum(axis=0), dead_time, 1, 5))
+    assert (first != np.stack(dead_time_counts(means, means.sum(axis=0), dead_time, 1, 6))).any()
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -1,0 +1,113 @@
+"""Pulses that pile up in the pixels of a detector: photons followed one by one, and what is corrected."""
+
+import numpy as np
+import pytest
+
+from spectra.detector.dead_time import DeadTime
+from spectra.detector.detector import Detector
+from spectra.detector.pile_up import PileUp, PulseResponse, PulseSpectra, pulse_detector
+from spectra.detector.pulse_height import PulseHeightDetector
+from spectra.energy.grid import Energies
+from spectra.materials.material import Material
+from spectra.source.source import Filter, Source
+
+MODELS = ("nonparalyzable", "paralyzable")
+IDEAL = Detector.photon_counting([25, 50, 70], 120)
+BLURRED = PulseHeightDetector(IDEAL.channels, IDEAL.material, IDEAL.thickness, resolution=6.0)
+TUBE = Source.tube(120, 1e5, 12, [Filter(Material("Al", composition="Al"), 3.0)])
+ENERGIES, PHOTONS = TUBE.sampled(Energies.from_edges(np.linspace(15, 120, 211)))
+WATER = Material("water", 1.0, "H2O")
+BEHIND = {
+    "air": 0.0 * ENERGIES.nodes,
+    "water": 150 * WATER.attenuation(ENERGIES.nodes),
+    "bone": 20 * Material("bone", 1.9, "Bone, Cortical (ICRP)").attenuation(ENERGIES.nodes),
+    "iodine": 40 * Material("iodine", 1.02, {"H": 0.11, "O": 0.87, "I": 0.02}).attenuation(ENERGIES.nodes),
+    "steel": 3 * Material("Fe", composition="Fe").attenuation(ENERGIES.nodes),
+}
+
+
+def loaded(photons, detector, load, model="nonparalyzable"):
+    """Pile-up at so many pulses per dead time."""
+    events = (detector.response(ENERGIES) * photons).sum()
+    return PileUp.of(detector, DeadTime(load / events * 1e6, 1.0, model))
+
+
+def spectra_of(detector):
+    pulses = PulseResponse.of(detector, ENERGIES)
+    return PulseSpectra.behind_water(PHOTONS * pulses.response, WATER.attenuation(ENERGIES.nodes))
+
+
+@pytest.mark.parametrize("detector", [IDEAL, BLURRED])
+def test_groups_add_up_to_the_channels(detector):
+    finer, own = pulse_detector(detector), PileUp.of(detector, DeadTime(10, 1))
+    assert max(c.upper - c.lower for c in finer.channels[:-1]) <= 2.5
+    assert set(detector.thresholds) <= set(finer.thresholds)
+    summed = np.add.reduceat(finer.response(ENERGIES), own.starts[:-1])
+    np.testing.assert_allclose(summed, detector.response(ENERGIES), atol=1e-8)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("matter", ["air", "bone"])
+def test_counts_are_those_of_photons_followed_one_by_one(model, matter):
+    count, load, rng = 1_000_000, 0.4, np.random.default_rng(5)
+    photons = PHOTONS * np.exp(-BEHIND[matter])
+    detected = (photons * IDEAL.absorption(ENERGIES.nodes))[ENERGIES.nodes >= 25]
+    edges = ENERGIES.edges[ENERGIES.edges >= 25]
+    one = rng.choice(len(detected), count, p=detected / detected.sum())
+    heights = rng.uniform(edges[one], edges[one + 1])
+    times, sums = np.cumsum(rng.exponential(1 / load, count)), np.append(0.0, np.cumsum(heights))
+    if model == "paralyzable":
+        before = sums[:-1] - sums[np.searchsorted(times, times - 1, side="right")]
+        above = [((before < t) & (before + heights >= t)).sum() for t in IDEAL.thresholds]
+    else:
+        after, first, read = np.searchsorted(times, times + 1), 0, []
+        while first < count:
+            read.append(sums[after[first]] - sums[first])
+            first = after[first]
+        above = [(np.array(read) >= t).sum() for t in IDEAL.thresholds]
+    truth = -np.diff(np.append(above, 0))
+    pulses = pulse_detector(IDEAL).response(ENERGIES) @ photons
+    found = loaded(photons, IDEAL, load, model).recorded(pulses[:, None, None])[:, 0, 0] * count / pulses.sum()
+    assert (np.abs(found - truth) < 4 * np.sqrt(truth) + 1e-3 * truth).all()
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_the_lowest_threshold_counts_as_if_heights_did_not_matter(model):
+    pulses = (pulse_detector(IDEAL).response(ENERGIES) @ PHOTONS)[:, None, None] * np.linspace(0, 1, 7)
+    pile_up = loaded(PHOTONS, IDEAL, 0.9, model)
+    plain = pile_up.dead_time.recorded(pulses)
+    np.testing.assert_allclose(pile_up.recorded(pulses).sum(axis=0), plain.sum(axis=0), rtol=1e-12)
+
+
+@pytest.mark.parametrize("detector", [IDEAL, BLURRED])
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("matter", BEHIND)
+def test_events_are_found_behind_any_matter(matter, model, detector):
+    photons = PHOTONS * np.exp(-BEHIND[matter])
+    events, pulses = (d.response(ENERGIES) @ photons for d in (detector, pulse_detector(detector)))
+    pile_up = loaded(PHOTONS, detector, 0.4, model)  # in air
+    recorded = pile_up.recorded(pulses[:, None, None])
+    found = pile_up.corrected(recorded, spectra_of(detector))[:, 0, 0]
+    without = pile_up.dead_time.corrected(recorded)[:, 0, 0]
+    np.testing.assert_allclose(found, events, rtol=0.004)
+    if matter == "air":
+        assert np.abs(without / events - 1).max() > 0.3
+
+
+def test_pulses_within_channels_are_those_behind_water():
+    photons = PHOTONS * np.exp(-BEHIND["water"])
+    pulses = pulse_detector(IDEAL).response(ENERGIES) @ photons
+    pile_up, table = loaded(PHOTONS, IDEAL, 0.4), spectra_of(IDEAL)
+    events = (IDEAL.response(ENERGIES) @ photons)[:, None, None]
+    np.testing.assert_allclose(pile_up.pulses(events, table)[:, 0, 0], pulses, atol=2e-3 * pulses.max())
+    np.testing.assert_allclose(np.add.reduceat(table.shapes(pile_up.starts), pile_up.starts[:-1], axis=1), 1)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_one_counter_only_loses_counts(model):
+    detector = Detector.photon_counting([25], 120)
+    events = np.array([[[1e4, 2e4, 0.0]]])
+    pile_up = loaded(PHOTONS, detector, 0.4, model)
+    np.testing.assert_allclose(pile_up.recorded(events), pile_up.dead_time.recorded(events), rtol=1e-12)
+    recorded = pile_up.recorded(events)
+    np.testing.assert_allclose(pile_up.corrected(recorded, spectra_of(detector)), events, rtol=1e-6)
