@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from phantomgen.geometry.curved_panel import ray_directions
+from phantomgen.geometry.curved_panel import ray_directions, sees
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements
@@ -34,6 +34,7 @@ WIDEST_RAY = 0.995  # quantile of the distances of attenuated rays from the axis
 ENDS = (0.002, 0.998)  # quantiles of the heights of attenuated rays that are the ends of the object along z
 NEAR = 0.1  # rad; least difference in azimuth at which a view counts as opposite
 LARGEST = 2.0  # times the field of view; largest radius that is assumed for an object
+_BLOCK = 2  # voxels along each side of a block that is seen whole or not at all
 SIDES = ("left", "right", "top", "bottom")
 
 
@@ -58,6 +59,11 @@ class Coverage:
     starved: float
     views: int
     grid: Grid
+
+    @property
+    def truncated(self) -> bool:
+        """True where the object extends beyond the panel."""
+        return bool(self.lateral or self.axial)
 
 
 def coverage(measured: Measurements, grid: Grid) -> Coverage:
@@ -95,6 +101,31 @@ def coverage(measured: Measurements, grid: Grid) -> Coverage:
         len(some),
         grown_to(grid, radius if lateral or beside > FEW_RAYS else 0.0, ends),
     )
+
+
+def seen_by_all_views(geometry: Geometry, grid: Grid) -> Bool[np.ndarray, "z y x"]:
+    """Find the voxels that all views have on their panel, by blocks of voxels whose corners they see.
+
+    Parameters
+    ----------
+    geometry : poses of the views
+    grid : the voxels
+
+    Returns
+    -------
+    mask
+    """
+    cuts = [np.unique([*range(0, n, _BLOCK), n]) for n in grid.shape]
+    ends = [o + s * (c - 0.5) for o, s, c in zip(grid.origin, grid.spacing, cuts, strict=True)]
+    places = np.stack(np.meshgrid(*ends, indexing="ij"), axis=-1)[..., ::-1].reshape(-1, 3)
+    corners = np.ones(len(places), dtype=bool)
+    for view in range(len(geometry)):
+        corners[corners] = sees(geometry[[view]], places[corners])[0]
+    seen = corners.reshape([len(c) for c in cuts])
+    for axis, cut in enumerate(cuts):
+        near, far = (np.take(seen, range(a, a + len(cut) - 1), axis=axis) for a in (0, 1))
+        seen = np.repeat(near & far, np.diff(cut), axis=axis)
+    return seen
 
 
 @dataclass(frozen=True, eq=False)

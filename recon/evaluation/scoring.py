@@ -97,7 +97,7 @@ def score_test_views(
 def score_truth(
     truth: Truth,
     model: GaussianModel | Voxels | Real[np.ndarray, "..."],
-    unreliable: Unreliable | None = None,
+    left_out: Bool[np.ndarray, "z y x"] | None = None,
 ) -> dict[str, Any]:
     """Score a model, or an array of basis volumes, against the truth, on the grid and in the basis of the truth.
 
@@ -107,7 +107,7 @@ def score_truth(
     ----------
     truth : truth of the dataset
     model : Gaussians or voxels, or an array of the shape of ``truth.volumes`` [1/mm]
-    unreliable : voxels without which bases are scored as well; None where there are none
+    left_out : voxels without which bases are scored as well, on the grid of the truth; None where there are none
 
     Returns
     -------
@@ -125,8 +125,8 @@ def score_truth(
         volumes, truth.fractions, truth.coefficients, truth.material_names, truth.basis_names, FULL_FRACTION
     )
     basis = score_basis_volumes(volumes, truth.volumes, truth.basis_names)
-    if unreliable is not None and unreliable.grid == truth.grid:
-        elsewhere = score_elsewhere(volumes, truth.volumes, truth.basis_names, unreliable.marked)
+    if left_out is not None:
+        elsewhere = score_elsewhere(volumes, truth.volumes, truth.basis_names, left_out)
         basis = {name: scores | elsewhere[name] for name, scores in basis.items()}
     return {"basis": basis, **materials}
 

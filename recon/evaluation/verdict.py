@@ -176,15 +176,15 @@ def truncated(coverage: Coverage) -> Remark | None:
     -------
     a remark where it does not
     """
-    if not (coverage.lateral or coverage.axial):
+    if not coverage.truncated:
         return None
     sides = [name for name, part in zip(SIDES, coverage.sides, strict=True) if part]
     part = max(coverage.lateral, coverage.axial)
     return Remark(
         "truncated",
         f"The object leaves the panel ({', '.join(sides)}) in {100 * part:.0f} % of the views: what lies beyond is "
-        "known only roughly, by a margin that is fitted and cut off; trust what all views see, and take a wider panel "
-        "or a larger distance where more is needed.",
+        "known only roughly, by a margin that is fitted and cut off; trust what all views see, which scores "
+        "against a truth have as 'elsewhere', and take a wider panel or a larger distance where more is needed.",
     )
 
 

@@ -55,8 +55,9 @@ def _against_truth(case: Case) -> list[Table]:
     )
     if marked:
         caption += (
-            " Elsewhere leaves out the voxels whose bases the counts do not determine, which the verdict names; the "
-            "peak of that PSNR is the largest true value of the others."
+            " Elsewhere leaves out the voxels whose bases the counts do not determine, which the verdict names, and of "
+            "an object that the panel cuts off those that not all views see; the peak of that PSNR is the largest true "
+            "value of the others."
         )
     return [_without_run(Table(header, tuple(rows), caption, "scores", table), case)]
 

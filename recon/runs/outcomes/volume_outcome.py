@@ -9,14 +9,14 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import torch
 import yaml
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import Truth
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.guarded import Guard
 from phantomgen.runtime.versions import environment
-from recon.data.coverage import Coverage
+from recon.data.coverage import Coverage, seen_by_all_views
 from recon.evaluation import verdict
 from recon.evaluation.scoring import psnr_of_bases, score_start, score_test_views, score_truth
 from recon.figures.model_figures import draw_model
@@ -150,7 +150,7 @@ class VolumeOutcome:
             metrics["numbers_over_voxels"] = self.model.numbers / max(self._occupied * len(names), 1)
         if truth is not None:
             with guard("scoring against the truth"):
-                metrics.update(score_truth(truth, self._volumes_on(truth.grid), self.unreliable))
+                metrics.update(score_truth(truth, self._volumes_on(truth.grid), self._doubtful(truth.grid)))
                 for method, volumes in self.start.items():
                     metrics.update(score_start(method, truth, volumes, names, self.dataset.grid))
         metrics["channels"] = {}
@@ -166,6 +166,16 @@ class VolumeOutcome:
                 self.log.add_scores({} if truth is None else self._scores_between(truth, self.log))
         about = {"node_error": self.node_error, "bases_left_out": list(self.left_out), "versions": environment()}
         return metrics | about
+
+    def _doubtful(self, grid: Grid) -> Bool[np.ndarray, "z y x"] | None:
+        """Voxels that are marked, or that the panel cuts off in some views; None where there are none."""
+        marked = np.zeros(grid.shape, dtype=bool)
+        if self.unreliable is not None and self.unreliable.grid == grid:
+            marked |= self.unreliable.marked
+        if self.coverage is not None and self.coverage.truncated:
+            seen = seen_by_all_views(self.dataset.geometry[self.dataset.splits["train"]], grid)
+            marked |= ~seen if seen.any() else False  # of a helix, each view sees a part
+        return marked if marked.any() else None
 
     def _scores_between(self, truth: Truth, log: Log) -> dict[int, dict[str, float]]:
         """Score the models that were kept; of the last one, which is the result in most fits, volumes are known."""

@@ -176,7 +176,9 @@ def test_strict_turns_a_failed_check_into_an_exit_code(scans, tmp_path, scan, co
     result = CliRunner().invoke(main, ["fit", str(scans[scan]), *options])
     assert result.exit_code == 0, result.output
     strict = CliRunner().invoke(main, ["fit", str(scans[scan]), *options, "--overwrite", "--strict"])
-    said = json.loads((tmp_path / "run" / "metrics.json").read_text(encoding="utf-8"))["verdict"]
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text(encoding="utf-8"))
+    said = metrics["verdict"]
+    assert ("psnr_elsewhere" in metrics["basis"]["compton"]) == (scan == "both")
     assert strict.exit_code == (3 if any(r["failed"] for r in said) else 0), strict.output
     assert ("truncated" in [r["key"] for r in said]) == (code == 3)
 
