@@ -2,7 +2,7 @@
 # make test   run the test suite but for its slow tests; TESTS="tests/spectra" for a part
 # make test-slow  run the slow tests
 # make coverage  run all tests, and report the lines that none runs
-# make test-isa  the tests but for the slow ones as processors with other instructions run them; ISA_TESTS="tests/recon" for a part
+# make test-isa  the tests but for the slow ones and those of GPUs as processors with other instructions run them; ISA_TESTS="tests/recon" for a part
 # make fuzz   try FUZZ=1000 spoiled inputs per test, seed SEED, which is printed
 # make check  formatting, lint, import contracts, docstrings, types
 # make docs   build the documentation site, docs/_build/html; GALLERY=1 runs the example scripts as well, some minutes
@@ -42,7 +42,7 @@ coverage: $(VENV)/installed-test
 
 test-isa: $(VENV)/installed-test
 	set -e; for setting in $(INSTRUCTIONS); do echo "$$setting"; \
-		env NUMBA_CPU_NAME=$${setting%/*} ATEN_CPU_CAPABILITY=$${setting#*/} $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile -m "not slow" $(ISA_TESTS); done
+		env NUMBA_CPU_NAME=$${setting%/*} ATEN_CPU_CAPABILITY=$${setting#*/} $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile -m "not slow" --ignore-glob="*gpu*" $(ISA_TESTS); done
 	$(BIN)/python -m benchmarks.reconstruction.processors
 
 fuzz: $(VENV)/installed-test

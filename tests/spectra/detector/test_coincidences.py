@@ -20,11 +20,6 @@ def detector(pitch, cloud=0.018, top=140.0):
     return PulseHeightDetector(channels, CDTE, 1.6, 4.7, True, ChargeSharing(pitch, cloud))
 
 
-@pytest.fixture(scope="module", params=[0.11, 0.225])
-def pixels(request):
-    return detector(request.param)
-
-
 def counted(pixels, energy):
     """Whether each photon counts in each channel of each pixel around, (channel, photon, row, column)."""
     heights = pulses_of(energy, CDTE, 1.6, pixels.charge_sharing.pitch, 0.018, 4.7 / 2.3548, PHOTONS, seed=1)
@@ -39,8 +34,9 @@ def at_once(first, second):
     return (pairs + pairs.T) / 2
 
 
-@pytest.mark.parametrize("energy", [60.0, 100.0])
-def test_coincidences_are_those_of_photons_followed_one_by_one(pixels, energy):
+@pytest.mark.parametrize(("pitch", "energy"), [(0.11, 60.0), (0.225, 100.0)])
+def test_coincidences_are_those_of_photons_followed_one_by_one(pitch, energy):
+    pixels = detector(pitch)
     hits = counted(pixels, energy)
     found = coincidences(pixels, np.array([energy]))[..., 0]
     beside = (at_once(hits[..., :-1], hits[..., 1:]) + at_once(hits[:, :, :-1], hits[:, :, 1:])) / 2
@@ -63,7 +59,7 @@ def test_large_pixels_with_narrow_clouds_count_together_by_fluorescence_only():
 
 
 def test_counts_determine_the_coincidences_of_every_spectrum():
-    pixels, energies = detector(0.225), Energies.snapped(18, 120, 80, THRESHOLDS)
+    pixels, energies = detector(0.225), Energies.snapped(18, 120, 40, THRESHOLDS)
     rng = np.random.default_rng(0)
     water = Material("water", composition="H2O", density=1.0).attenuation(energies.nodes)
     open_beam = np.where(energies.nodes < 120, energies.nodes * (120 - energies.nodes), 0.0)
