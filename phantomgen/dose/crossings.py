@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.ops.photon_transport.inputs import ELECTRON_REST_ENERGY, LOWEST, PLANCK_LIGHT, Crossings
+from phantomgen.ops.photon_transport.inputs import LOWEST, Crossings
 from spectra.elements.attenuation import attenuation_parts, scattering_functions
+from spectra.elements.constants import ELECTRON_REST_ENERGY, PLANCK_LIGHT
 from spectra.errors import InputError
 from spectra.materials.material import Material
 from spectra.source.beam_quality import air_absorption

@@ -143,21 +143,22 @@ def _photon_counting(file: SceneFile, model: schema.PhotonCountingModel, source:
     sensor = Material(composition_name(model.composition), model.density, model.composition)
     with file.at("detector", "thresholds"):
         ideal = Detector.photon_counting(model.thresholds, source.maximum, sensor, model.thickness)
-    if not (model.resolution or model.fluorescence or model.charge_sharing):
+    if not (model.resolution or model.fluorescence or model.charge_sharing or model.compton):
         return ideal
     shared = model.charge_sharing
     sharing = (
         None if shared is None else ChargeSharing(shared.pitch, shared.cloud, _with_covariance(file, model, shared))
     )
-    return PulseHeightDetector(ideal.channels, sensor, model.thickness, model.resolution, model.fluorescence, sharing)
+    effects = model.resolution, model.fluorescence, sharing, model.compton
+    return PulseHeightDetector(ideal.channels, sensor, model.thickness, *effects)
 
 
 def _with_covariance(file: SceneFile, model: schema.PhotonCountingModel, shared: schema.ChargeSharingModel) -> bool:
     """Whether counts of neighbouring pixels are drawn together."""
     several = isinstance(file.model.source, schema.MultiSourceModel)
-    if model.dead_time is not None or several:
+    if model.dead_time is not None or several or model.compton:
         if shared.covariance:
-            what = "several sources" if several else "dead time"
+            what = "several sources" if several else "Compton scattering" if model.compton else "dead time"
             raise file.error(("detector", "charge_sharing", "covariance"), f"is not known for a detector with {what}")
         return False
     panel = panel_of(file.model.panel)

@@ -26,13 +26,12 @@ from jaxtyping import Float
 from scipy.special import expit
 
 from spectra.elements.attenuation import Composition, edge_energy, mass_attenuation
+from spectra.elements.constants import ELECTRON_REST_ENERGY
 from spectra.elements.element_sums import Amounts, amounts_of, curve, edges_of, from_text, to_text
 from spectra.errors import InputError
 
 # Energy [keV] at which basis functions are 1 unless their edge lies above it: in the middle of diagnostic spectra.
 REFERENCE_ENERGY = 70.0
-# m_e c^2 [keV] (CODATA 2018, doi:10.1103/RevModPhys.93.025010).
-_ELECTRON_REST_ENERGY = 510.99895
 # An element's curve is normalised this far above its edge [keV]: beyond the jump of xraylib's tables, 4 eV wide.
 _ABOVE_EDGE = 0.010
 # Kinds of functions with a K edge, and kinds that are curves of materials.
@@ -277,7 +276,7 @@ def klein_nishina(energy: EnergyArray) -> EnergyArray:
     ----------
     Klein & Nishina 1929, Zeitschrift fuer Physik 52, 853-868, doi:10.1007/BF01366453
     """
-    a = np.asarray(energy, dtype=np.float64) / _ELECTRON_REST_ENERGY
+    a = np.asarray(energy, dtype=np.float64) / ELECTRON_REST_ENERGY
     log_term = np.log1p(2 * a)
     first = (1 + a) / a**2 * (2 * (1 + a) / (1 + 2 * a) - log_term / a)
     return first + log_term / (2 * a) - (1 + 3 * a) / (1 + 2 * a) ** 2

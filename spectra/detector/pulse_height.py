@@ -5,9 +5,10 @@ that the sensor absorbs and R the pulses in *all* pixels per absorbed photon: a 
 energy of fluorescence that got away, fluorescence absorbed in another pixel, and a continuum of shared charge. R is not
 normalised, as a photon may count in several pixels.
 
-Left out: Compton scattering in the sensor (every absorbed photon counts as photoelectric, which is wrong for silicon),
-a second generation of fluorescence, and the loss of charge on its way through the sensor. Pile-up is in
-`spectra.detector.pile_up`.
+With Compton scattering, photons that the sensor stops are absorbed or scattered, and R is that of the electron and of
+what becomes of the scattered photon, see `spectra.detector.compton`. Without, every one counts as absorbed, which is
+wrong for silicon. Left out are a second generation of fluorescence, and the loss of charge on its way through the
+sensor. Pile-up is in `spectra.detector.pile_up`.
 """
 
 from dataclasses import dataclass
@@ -18,10 +19,18 @@ from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
+from spectra.detector.compton import interacts_again, interacts_anywhere, scattering
 from spectra.detector.counters import between_thresholds
 from spectra.detector.detector import Detector
 from spectra.detector.semiconductor import charge_fractions, escape, fluorescence_events
-from spectra.elements.attenuation import LOWEST_ENERGY, compton_share, k_lines, k_shell_share, mass_fractions
+from spectra.elements.attenuation import (
+    LOWEST_ENERGY,
+    attenuation_parts,
+    compton_share,
+    k_lines,
+    k_shell_share,
+    mass_fractions,
+)
 from spectra.energy.grid import Energies
 from spectra.errors import InputError
 from spectra.threads import run_parallel
@@ -42,6 +51,8 @@ _SHARPEST = 1.0
 _CLOUD_STEPS, _EVENT_STEPS = 8, 2
 # Part of Compton scattering in the attenuation of the sensor, no unit; a larger one is warned of.
 _POOR_COMPTON = 0.2
+# Energies between which counts of scattered photons are interpolated [keV].
+_COMPTON_STEP = 0.5
 _NEGLIGIBLE = 1e-9  # counts per absorbed photon
 
 
@@ -77,11 +88,13 @@ class PulseHeightDetector(Detector):
     fluorescence : whether K fluorescence of the sensor is followed
     charge_sharing : pixels and charge clouds; None for pixels that keep all charge and all fluorescence that does not
         leave the sensor
+    compton : whether photons scatter in the sensor
     """
 
     resolution: float = 0.0
     fluorescence: bool = False
     charge_sharing: ChargeSharing | None = None
+    compton: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -90,6 +103,10 @@ class PulseHeightDetector(Detector):
         if self.charge_sharing is not None and self.resolution < _SHARPEST:
             raise InputError(
                 f"shared charge needs a resolution of at least {_SHARPEST:g} keV, got {self.resolution:g} keV"
+            )
+        if self.compton and self.resolution < _SHARPEST:
+            raise InputError(
+                f"Compton scattering needs a resolution of at least {_SHARPEST:g} keV, got {self.resolution:g} keV"
             )
         if self.channels[0].lower < _NOISE_FREE * self.sigma:
             raise InputError(
@@ -118,13 +135,15 @@ class PulseHeightDetector(Detector):
     @property
     def model_warnings(self) -> tuple[str, ...]:
         """A sentence where Compton scattering in the sensor matters."""
+        if self.compton:
+            return ()
         top = self.channels[-1].upper
         share = float(compton_share(self.composition, np.array([top]))[0])
         if share < _POOR_COMPTON:
             return ()
         return (
             f"the detector's response leaves out Compton scattering in the sensor, {share:.0%} of what "
-            f"{self.material.name} attenuates at {top:g} keV: take a measured or simulated response matrix instead",
+            f"{self.material.name} attenuates at {top:g} keV: set detector.compton: true, or take a response matrix",
         )
 
     def response(self, energies: Energies) -> PerChannel:
@@ -141,8 +160,8 @@ class PulseHeightDetector(Detector):
         energy = energies.nodes
         return self.absorption(energy) * self.pulses(energy)
 
-    def pulses(self, energy: EnergyArray) -> PerChannel:
-        """Compute the counts of each channel in all pixels, per absorbed photon of each energy.
+    def absorption(self, energy: EnergyArray) -> EnergyArray:
+        """Compute the fraction of the photons that the sensor absorbs, or scatters with a change of energy.
 
         Parameters
         ----------
@@ -150,13 +169,76 @@ class PulseHeightDetector(Detector):
 
         Returns
         -------
-        counts per absorbed photon, (channel, energy)
+        fraction of each energy
         """
+        return -np.expm1(-self.thickness * self._stopping(energy)) if self.compton else super().absorption(energy)
+
+    def pulses(self, energy: EnergyArray) -> PerChannel:
+        """Compute the counts of each channel in all pixels, per photon of each energy that the sensor stops.
+
+        Parameters
+        ----------
+        energy : photon energies [keV]
+
+        Returns
+        -------
+        counts per such photon, (channel, energy)
+        """
+        counts = self._counts_of_absorbed(energy)
+        if self.compton:
+            absorbed = self._absorbed_share(energy)
+            known, scattered = self._counts_of_scattered
+            counts = absorbed * counts + (1 - absorbed) * np.stack([np.interp(energy, known, row) for row in scattered])
+        return np.where(counts > _NEGLIGIBLE, counts, 0.0)
+
+    def _counts_of_absorbed(self, energy: EnergyArray) -> PerChannel:
+        """Counts of each channel in all pixels, per photon that is absorbed."""
         counts = whole = self._counts_of_clouds(energy)
         for number, line, per_hole in self.lines:
             emitted = per_hole * k_shell_share(self.composition, number, energy)
+            if self.compton:  # of the photons that are absorbed, not of all
+                parts = attenuation_parts(self.composition, energy)
+                emitted = emitted * parts.sum(axis=0) / parts[0]
             counts = counts + emitted * (self._with_fluorescence(energy, line) - whole)
-        return np.where(counts > _NEGLIGIBLE, counts, 0.0)
+        return counts
+
+    def _stopping(self, energy: EnergyArray) -> EnergyArray:
+        """Attenuation by absorption and Compton scattering [1/mm]."""
+        parts = attenuation_parts(self.composition, energy)
+        return self.material.attenuation(energy) * (parts[0] + parts[1]) / parts.sum(axis=0)
+
+    def _absorbed_share(self, energy: EnergyArray) -> EnergyArray:
+        """Part of the photons that the sensor stops which are absorbed at once."""
+        absorbed, scattered, _ = attenuation_parts(self.composition, energy)
+        return absorbed / (absorbed + scattered)
+
+    @cached_property
+    def _counts_of_scattered(self) -> tuple[EnergyArray, PerChannel]:
+        """Energies [keV], and counts of each channel in all pixels per photon of them that is scattered."""
+        energy = np.arange(LOWEST_ENERGY, self.channels[-1].upper + _COMPTON_STEP, _COMPTON_STEP)
+        found = scattering(self.composition, energy)
+        after = np.maximum(found.energy, LOWEST_ENERGY)
+        mu, mu_after = self._stopping(energy), self._stopping(after.ravel()).reshape(after.shape)
+        absorbed = self._absorbed_share(after.ravel()).reshape(after.shape)
+        electrons = self._counts_of_clouds((energy[:, None] - found.energy).ravel()).reshape(len(self), *after.shape)
+        counts_absorbed = absorbed * self._counts_of_absorbed(after.ravel()).reshape(electrons.shape)
+        counts = (electrons * found.weight).sum(axis=2)
+        # Photons that have scattered before: from anywhere in the sensor, in any direction. What they become has less
+        # energy, so that its counts are known already where energies ascend, but for those near the top.
+        again = found.weight * interacts_anywhere(mu_after, self.thickness)
+        later = counts + (counts_absorbed * again).sum(axis=2)
+        place = np.clip((after - energy[0]) / _COMPTON_STEP, 0, len(energy) - 1)
+        for i in range(len(energy)):
+            row = np.minimum(place[i].astype(int), i)
+            upper, weight = np.where(row < i, place[i] - row, 0.0), again[i] * (1 - absorbed[i])
+            shares = np.bincount(row, weight * (1 - upper), i + 1) + np.bincount(
+                np.minimum(row + 1, i), weight * upper, i + 1
+            )
+            later[:, i] = (later[:, i] + later[:, :i] @ shares[:i]) / (1 - shares[i])
+        again = found.weight * interacts_again(mu, mu_after, self.thickness, found.cosine)
+        scattered = np.stack([np.interp(after, energy, row) for row in later]) * (1 - absorbed)
+        counts += ((counts_absorbed + scattered) * again).sum(axis=2)
+        return energy, counts
 
     def _with_fluorescence(self, energy: EnergyArray, line: float) -> PerChannel:
         """Counts of each channel in all pixels, per absorbed photon that emits fluorescence of `line` [keV]."""

@@ -58,7 +58,7 @@ def escape(mu: Float[np.ndarray, " energy"], mu_line: float, thickness: float) -
     From depth z the part E_2(mu z) / 2 of isotropic photons passes the surface, with E_2 the exponential integral.
     """
     node, weight = np.polynomial.legendre.leggauss(_DEPTHS)
-    depth = _depths(mu[:, None], thickness, (1 + node) / 2)
+    depth = depths(mu[:, None], thickness, (1 + node) / 2)
     return (expn(2, mu_line * depth) + expn(2, mu_line * (thickness - depth))) @ weight / 4
 
 
@@ -124,7 +124,7 @@ def fluorescence_paths(
     -------
     probability that it is absorbed in the sensor, and the distance across [mm]
     """
-    depth = _depths(mu, thickness, share)
+    depth = depths(mu, thickness, share)
     room = np.where(cosine > 0, thickness - depth, depth)
     inside = -np.expm1(-mu_line * room / np.abs(cosine))
     return inside, -np.log1p(-flight * inside) / mu_line * np.sqrt(1 - cosine**2)
@@ -156,8 +156,19 @@ def charge_fractions(pitch: float, cloud: float) -> tuple[Float[np.ndarray, " pa
     return ((edges[1:] + edges[:-1]) / 2)[1:], -np.diff(more)[1:]
 
 
-def _depths(mu: Array | float, thickness: float, share: Array) -> Array:
-    """Depths above which a share of the photons that the sensor absorbs is absorbed [mm]."""
+def depths(mu: Array | float, thickness: float, share: Array) -> Array:
+    """Compute the depths above which a share of the photons that a sensor absorbs is absorbed.
+
+    Parameters
+    ----------
+    mu : attenuation of the photons [1/mm]
+    thickness : of the sensor [mm]
+    share : part of the absorbed photons, 0 to 1
+
+    Returns
+    -------
+    depths [mm]
+    """
     return np.clip(-np.log1p(share * np.expm1(-mu * thickness)) / mu, 0.0, thickness)
 
 

@@ -6,8 +6,9 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from phantomgen.ops.compton.inputs import ELECTRON_REST_ENERGY, NARROW
+from phantomgen.ops.compton.inputs import NARROW
 from phantomgen.ops.kernel_decorators import inlined
+from spectra.elements.constants import ELECTRON_REST_ENERGY
 
 
 @inlined

@@ -1,12 +1,10 @@
-"""Inputs of the scatter kernels: points, energies and constants."""
+"""Inputs of the scatter kernels: points and energies."""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-# m_e c^2 [keV] (CODATA 2018, doi:10.1103/RevModPhys.93.025010).
-ELECTRON_REST_ENERGY = 510.99895
 # Least width of an energy bin after scatter [keV], for those of spectral lines: far below the resolution of detectors,
 # and wide enough for differences of tables.
 NARROW = 1e-3

@@ -3,7 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from phantomgen.ops.compton.inputs import ELECTRON_REST_ENERGY, NARROW, Energies, Points
+from phantomgen.ops.compton.inputs import NARROW, Energies, Points
+from spectra.elements.constants import ELECTRON_REST_ENERGY
 
 
 def scattered_to(

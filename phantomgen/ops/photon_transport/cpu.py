@@ -7,7 +7,8 @@ import numpy as np
 from numba import njit
 
 from phantomgen.ops.kernel_decorators import called, inlined
-from phantomgen.ops.photon_transport.inputs import ELECTRON_REST_ENERGY, LOWEST, PLANCK_LIGHT
+from phantomgen.ops.photon_transport.inputs import LOWEST
+from spectra.elements.constants import ELECTRON_REST_ENERGY, PLANCK_LIGHT
 
 _INFINITE = 1e30
 

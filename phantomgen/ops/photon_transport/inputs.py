@@ -5,9 +5,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-# m_e c^2 [keV] (CODATA 2018, doi:10.1103/RevModPhys.93.025010), and h c [keV Angstrom].
-ELECTRON_REST_ENERGY = 510.99895
-PLANCK_LIGHT = 12.398419843
 LOWEST = 1.0  # keV; a photon below leaves its energy where it is
 
 

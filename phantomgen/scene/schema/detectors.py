@@ -29,9 +29,10 @@ class DeadTimeModel(Model):
 class PhotonCountingModel(Model):
     """A photon-counting detector; a channel reaches from its threshold to the next.
 
-    It is ideal unless it has a resolution (full width at half maximum [keV]), fluorescence or shared charge. With
-    `pile_up`, pulses in one dead time add to one count of their summed energy. Its dataset has the counts between
-    thresholds (`bins`), or those above each of them (`cumulative`).
+    It is ideal unless it has a resolution (full width at half maximum [keV]), fluorescence, shared charge, or Compton
+    scattering in the sensor, which matters for silicon. With `pile_up`, pulses in one dead time add to one count of
+    their summed energy. Its dataset has the counts between thresholds (`bins`), or those above each of them
+    (`cumulative`).
     """
 
     type: Literal["photon_counting"]
@@ -42,6 +43,7 @@ class PhotonCountingModel(Model):
     resolution: NonNegative = 0.0
     fluorescence: bool = False
     charge_sharing: ChargeSharingModel | None = None
+    compton: bool = False
     dead_time: DeadTimeModel | None = None
     pile_up: bool = False
     counters: Literal["bins", "cumulative"] = "bins"

@@ -7,7 +7,8 @@ from numpy.testing import assert_allclose
 
 from phantomgen.dose.crossings import crossings_of
 from phantomgen.ops.photon_transport import cpu, transport
-from phantomgen.ops.photon_transport.inputs import ELECTRON_REST_ENERGY, PLANCK_LIGHT, Beam, Medium, Probes
+from phantomgen.ops.photon_transport.inputs import Beam, Medium, Probes
+from spectra.elements.constants import ELECTRON_REST_ENERGY, PLANCK_LIGHT
 from spectra.materials.material import Material
 from spectra.source.beam_quality import air_absorption
 

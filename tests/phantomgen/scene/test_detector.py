@@ -10,6 +10,7 @@ from phantomgen.scene.scan import load_scene
 from phantomgen.simulation.run import simulate
 from spectra.detector.detector import Detector
 from spectra.detector.pulse_height import ChargeSharing, PulseHeightDetector
+from spectra.energy.grid import Energies
 from spectra.errors import SceneError
 
 SCENE = """\
@@ -63,6 +64,26 @@ def test_what_a_response_leaves_out_is_said(tmp_path):
     assert any("leaves out Compton scattering" in warning for warning in simulate(scan, tmp_path / "si.h5").warnings)
 
 
+def test_photons_scatter_in_silicon(tmp_path):
+    silicon = (
+        "detector.composition=Si",
+        "detector.thickness=30",
+        "detector.resolution=2",
+        "detector.thresholds=[6, 30]",
+    )
+    summary = simulate(toy(*silicon, "detector.compton=true"), tmp_path / "si.h5", tolerance=1e-4)
+    assert not [warning for warning in summary.warnings if "Compton" in warning]
+    assert summary.error.ray_worst < 1e-4
+    with open_dataset(tmp_path / "si.h5") as dataset:
+        counts = dataset.spectra.weights.sum(axis=1)
+    plain = toy(*silicon).detector
+    assert isinstance(plain, PulseHeightDetector)
+    energies, photons = toy(*silicon).source.sampled(Energies.from_edges(np.linspace(5, 80, 300)))
+    absorbed = plain.response(energies) @ photons
+    assert counts[0] > 1.5 * absorbed[0]  # electrons of less than 30 keV, many of them with the photon besides
+    assert counts[1] < absorbed[1]
+
+
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
@@ -72,6 +93,14 @@ def test_what_a_response_leaves_out_is_said(tmp_path):
         (("detector.charge_sharing={pitch: 0.25, cloud: 0.01}",), "shared charge needs a resolution"),
         (("detector.charge_sharing={pitch: 0.25}",), "detector.charge_sharing.cloud - is missing"),
         ((*REAL, "detector.charge_sharing.cloud=0.3"), "a charge cloud must be smaller than a pixel of 0.25 mm"),
+        (
+            ("detector.compton=true", "detector.resolution=0.5"),
+            "Compton scattering needs a resolution of at least 1 keV",
+        ),
+        (
+            (*REAL, "detector.compton=true", "detector.charge_sharing.covariance=true"),
+            "detector.charge_sharing.covariance - is not known for a detector with Compton scattering",
+        ),
         (("detector.thickness=0",), "detector.thickness - input should be greater than 0"),
     ],
 )
