@@ -76,6 +76,22 @@ class Solids(NamedTuple):
         radius = np.linalg.norm(axes, ord=2, axis=(1, 2)) * np.where(self.kinds == BALL, 1.0, np.sqrt(3.0))
         return np.column_stack([center, np.where(self.kinds == HALFSPACE, np.inf, radius**2)])
 
+    def term_bounds(self, bounds: Float[np.ndarray, "row limit"]) -> Float[np.ndarray, "row limit"]:
+        """Compute the bounds of each row's term: the intersection of those of the primitives that it lies inside.
+
+        Parameters
+        ----------
+        bounds : of each row, lowest and highest values of one coordinate or of several in turn
+
+        Returns
+        -------
+        bounds of the terms; lowest values above highest ones where a term is empty
+        """
+        signs = np.resize([1.0, -1.0], bounds.shape[1])  # the largest of all lowest values, the smallest of the highest
+        joint = np.full_like(bounds, -np.inf)
+        np.maximum.at(joint, self.terms[self.inside], (signs * bounds)[self.inside])
+        return signs * joint[self.terms]
+
     def checked(self, count: int, background: int) -> "Solids":
         """Check the arrays, and convert them to the types of the kernels.
 

@@ -234,9 +234,15 @@ def prepare_grid(
 
 
 def _outline(frame: Float[np.ndarray, "4 3"], solids: Solids, with_forms: bool) -> Silhouettes:
-    """Silhouettes of the objects, but for voxel maps: the faces of a map's box are faces of voxels like all others."""
+    """Silhouettes of the objects, but for voxel maps: the faces of a map's box are faces of voxels like all others.
+
+    A primitive counts only where its term may be: planes that cut a shape are not sought beside it.
+    """
     shapes = frame, solids.kinds, solids.locals_
     outline = cone_silhouettes(*shapes) if with_forms else no_silhouettes(cone_bounds(*shapes))
+    terms, lowest = solids.term_bounds(outline.bounds), np.array([True, False, True, False])
+    limit = np.where(lowest, np.maximum(outline.bounds, terms), np.minimum(outline.bounds, terms))
+    outline = outline._replace(bounds=np.ascontiguousarray(limit))
     if solids.voxels is None:
         return outline
     plain = solids.voxels.numbers[outline.shapes] < 0

@@ -161,12 +161,7 @@ def _term_bounds(
     """Bounds of the shapes within columns; none of shapes whose term lies above or below these, or nowhere."""
     low, high = frame[1, 2], frame[1, 2] + frame[0, 2]
     own = forms.parallel_bounds(frame, solids.kinds, solids.locals_, solids.tubes)
-    signs = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])  # of lower and upper limits
-    limits = signs * np.column_stack([own, heights])
-    joint = np.full_like(limits, -np.inf)
-    inside = solids.inside
-    np.maximum.at(joint, solids.terms[inside], limits[inside])  # all limits of a term hold
-    found = signs * joint[solids.terms]
+    found = solids.term_bounds(np.column_stack([own, heights]))
     missed = (found[:, 4] >= high) | (found[:, 5] <= low)
     return np.where(missed[:, None], np.array([np.inf, -np.inf, np.inf, -np.inf]), found[:, :4])
 
