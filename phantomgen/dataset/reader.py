@@ -345,6 +345,10 @@ class Dataset:
             pulses=self._pulses(),
             cumulative=self._cumulative(),
         )
+        try:
+            stored.check()
+        except InputError as error:
+            raise DatasetError(f"{self.path}: {error}") from None
         return stored.between_thresholds() if self.subtracts else stored
 
     @property
@@ -366,9 +370,8 @@ class Dataset:
 
     def _pulses(self) -> PulseResponse | None:
         """Heights of pulses, where they pile up."""
-        if not has(self.file, f"{DETECTOR}/pulse_edges"):
-            return None
-        return PulseResponse(*(self._value(f"{DETECTOR}/{name}") for name in ("pulse_edges", "pulse_response")))
+        paths = [f"{DETECTOR}/{name}" for name in ("pulse_edges", "pulse_response")]
+        return PulseResponse(*map(self._value, paths)) if any(has(self.file, path) for path in paths) else None
 
     @cached_property
     def grid(self) -> Grid:

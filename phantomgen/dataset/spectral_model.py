@@ -13,6 +13,7 @@ from spectra.detector.dead_time import DeadTime, corrected_spread
 from spectra.detector.detector import AnyDetector
 from spectra.detector.pile_up import PileUp, PulseResponse, PulseSpectra
 from spectra.energy.bin_split import split_bins
+from spectra.errors import InputError
 from spectra.materials.material import Material
 from spectra.source.source import Source
 from spectra.transmission import Transmission
@@ -104,6 +105,17 @@ class Spectra:
             return np.ones_like(signal)
         return (self.source * self.variance).sum(axis=1) / np.where(signal > 0, signal, 1.0)
 
+    def check(self) -> None:
+        """Check that heights of pulses belong to these thresholds and to a dead time.
+
+        Raises
+        ------
+        InputError
+            When they are not.
+        """
+        if self._pile_up is None and self.pulses is not None:
+            raise InputError("heights of pulses that pile up need a dead time")
+
     def above_thresholds(self) -> "Spectra":
         """Return the model of counters that count all photons above their thresholds.
 
@@ -138,10 +150,19 @@ class Spectra:
         """
         if self.dead_time is None:
             return counts
-        corrected = self.dead_time.corrected if self.pulses is None else self._without_pile_up
-        if not self.cumulative:
-            return corrected(counts)
-        return above_thresholds(corrected(between_thresholds(counts)))
+        between = between_thresholds(counts) if self.cumulative else counts
+        if self._pile_up is None:
+            events = self.dead_time.corrected(between)
+        else:
+            events = self._pile_up.corrected(np.asarray(between, dtype=np.float64), self._pulse_spectra)
+        return above_thresholds(events) if self.cumulative else events
+
+    @property
+    def highest_load(self) -> float:
+        """Events per dead time up to which counts can be corrected; infinite where every event is recorded."""
+        if self.dead_time is None:
+            return np.inf
+        return self.dead_time.highest_load if self._pile_up is None else self._pile_up.highest_load
 
     def recorded(self, events: Float[np.ndarray, "channel row column"]) -> Float[np.ndarray, "channel row column"]:
         """Return the mean counts that pixels record of events, the inverse of `events`.
@@ -156,10 +177,10 @@ class Spectra:
         """
         if self.dead_time is None:
             return events
-        if self.pulses is None:
+        if self._pile_up is None:
             return self.dead_time.recorded(events)
-        pile_up = PileUp(self.dead_time, tuple(self.lower.tolist()), self.pulses.edges)
-        return pile_up.recorded(pile_up.pulses(np.asarray(events, dtype=np.float64), self._pulse_spectra))
+        pulses = self._pile_up.pulses(np.asarray(events, dtype=np.float64), self._pulse_spectra)
+        return self._pile_up.recorded(pulses)
 
     def spread(self, events: Float[np.ndarray, "channel row column"]) -> Float[np.ndarray, "channel row column"]:
         """Return the variance of corrected counts over their mean; see `spectra.detector.dead_time.corrected_spread`.
@@ -176,12 +197,12 @@ class Spectra:
             return np.ones_like(events)
         return corrected_spread(np.asarray(events, dtype=np.float64), self.recorded, self.dead_time)
 
-    def _without_pile_up(self, counts: Float[np.ndarray, "channel row column"]) -> Float[np.ndarray, "c r k"]:
-        """Return the counts between thresholds that pixels without dead time would have had, where heights add."""
-        assert self.dead_time is not None
-        assert self.pulses is not None
-        pile_up = PileUp(self.dead_time, tuple(self.lower.tolist()), self.pulses.edges)
-        return pile_up.corrected(np.asarray(counts, dtype=np.float64), self._pulse_spectra)
+    @cached_property
+    def _pile_up(self) -> PileUp | None:
+        """How heights of pulses add; None where they do not."""
+        if self.dead_time is None or self.pulses is None:
+            return None
+        return PileUp(self.dead_time, tuple(self.lower.tolist()), self.pulses.edges)
 
     @cached_property
     def _pulse_spectra(self) -> PulseSpectra:

@@ -33,7 +33,7 @@ from spectra.basis.basis import Basis
 from spectra.detector.dead_time import DeadTime
 from spectra.detector.detector import AnyDetector, Detector
 from spectra.detector.multi_source import MultiSource, added
-from spectra.detector.pile_up import PileUp
+from spectra.detector.pile_up import pulse_detector
 from spectra.source.source import Source
 
 
@@ -65,7 +65,7 @@ class Scan:
     sample_poses : where a sample that moves is in each view, as matrices [mm]; None where it rests
     dynamics : objects that move and materials that change in time; None where all rest
     cumulative : whether the dataset has counts above thresholds, in place of those between them
-    pile_up : of pulses in a dead time, whose heights add; None where later pulses are only lost
+    pulses : the detector with a channel for each group of pulse heights, where heights in a dead time add; else None
     """
 
     name: str
@@ -93,7 +93,7 @@ class Scan:
     sample_poses: Float[np.ndarray, "view 4 4"] | None = None
     dynamics: Dynamics | None = None
     cumulative: bool = False
-    pile_up: PileUp | None = None
+    pulses: Detector | None = None
 
     def __repr__(self) -> str:
         objects, channels = len(self.scene.objects), len(self.detector)
@@ -225,7 +225,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Overrides = ()) -> Scan
     used = [name for name in materials if name in filled]
     basis = scene_basis(file, materials, used, source, detector)
     _check_coefficients(file, basis)
-    geometry, dead_time = scene_geometry(file), scene_dead_time(file)
+    geometry = scene_geometry(file)
     return Scan(
         name=model.name,
         scene=SceneObjects(
@@ -249,7 +249,7 @@ def load_scene(scene: str | Path | SceneFile, overrides: Overrides = ()) -> Scan
         exposure=_exposure(file, geometry.splits, detector),
         modulation=modulation_of(file),
         profile=beam_profile_of(file, source),
-        dead_time=dead_time,
+        dead_time=scene_dead_time(file),
         effects=scene_effects(file),
         file=file if model.tessellation == "auto" and has_curves(file) else None,
         nominal=geometry.nominal,
@@ -258,17 +258,13 @@ def load_scene(scene: str | Path | SceneFile, overrides: Overrides = ()) -> Scan
             file, geometry.times, geometry.splits["train"], tuple(item.motions for item in built), used
         ),
         cumulative=has_cumulative_counters(file),
-        pile_up=_pile_up(file, detector, dead_time),
+        pulses=_pulses(file, detector),
     )
 
 
-def _pile_up(file: SceneFile, detector: AnyDetector, dead_time: DeadTime | None) -> PileUp | None:
-    """How pulses pile up; only counters have it."""
-    if not has_pile_up(file):
-        return None
-    assert isinstance(detector, Detector)
-    assert dead_time is not None
-    return PileUp.of(detector, dead_time)
+def _pulses(file: SceneFile, detector: AnyDetector) -> Detector | None:
+    """The groups of pulse heights, where these add; only counters have it."""
+    return pulse_detector(detector) if has_pile_up(file) and isinstance(detector, Detector) else None
 
 
 def _material_names(objects: Sequence[tuple[Shape, ObjectContent]], background: str | None) -> list[str]:

@@ -88,7 +88,7 @@ def with_sensitivities(dataset: Dataset, known: Sensitivities) -> Dataset:
 
 
 def check_plain(dataset: Dataset) -> None:
-    """Refuse a dataset whose spectral model has more than one source spectrum and counts.
+    """Refuse a dataset whose spectral model has more than one source spectrum, counts, and dead time.
 
     Parameters
     ----------
@@ -105,6 +105,8 @@ def check_plain(dataset: Dataset) -> None:
         raise InputError(f"{dataset.path}: the beam differs over the panel ({parts}), its spectrum cannot be replaced")
     if spectra.variance is not None:
         raise InputError(f"{dataset.path}: its detector sums up energies; only counting channels can be calibrated")
+    if spectra.pulses is not None:
+        raise InputError(f"{dataset.path}: its pulses pile up, which is known for the stated thresholds alone")
 
 
 def sensitivities_of(spectra: Spectra) -> Sensitivities:

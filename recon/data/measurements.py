@@ -403,10 +403,11 @@ def in_quanta(transmission: Transmission, quantum: Float[np.ndarray, " channel"]
 def _check_load(dataset: Dataset, dead_time: DeadTime) -> None:
     """Refuse counts that dead time makes ambiguous, as more events may give fewer counts."""
     load = dead_time.per_count * dataset.spectra.weights.sum() * dataset.exposure.max(initial=0.0)
-    if load > dead_time.highest_load:
+    highest = dataset.spectra.highest_load
+    if load > highest:
         raise InputError(
             f"{dataset.path} has {load:.3g} events per dead time in the open beam: counts of a {dead_time.model} "
-            f"detector can be corrected up to {dead_time.highest_load:g} only"
+            f"detector can be corrected up to {highest:g} only"
         )
 
 

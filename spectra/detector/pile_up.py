@@ -25,6 +25,7 @@ from jaxtyping import Float, Int
 from spectra.detector.dead_time import DeadTime
 from spectra.detector.detector import Detector, channels_between
 from spectra.energy.grid import Energies
+from spectra.errors import InputError
 from spectra.ops.pile_up import Lattice, Load, Shapes, event_counts, recorded_counts
 
 # Widest group of pulse heights; steps of their lattice, to simulate and to correct with [keV].
@@ -32,6 +33,8 @@ _WIDEST = 2.5
 _STEP, _COARSE_STEP = 1.0, 2.0
 # Water that leaves exp(-8) of the pulses and less causes no pile-up; so many spectra are tabulated up to there.
 _DARKEST, _SPECTRA = 8.0, 33
+# Pulses per dead time. Beyond, other channels than the last, or than the first, count next to nothing.
+_HIGHEST_LOAD = {"nonparalyzable": 5.0, "paralyzable": 0.9}
 
 PerEnergy = Float[np.ndarray, " energy"]
 Groups = Float[np.ndarray, "*frame group row column"]
@@ -57,6 +60,20 @@ def pulse_detector(detector: Detector) -> Detector:
     return replace(detector, channels=channels_between(limits, detector.channels[-1].upper))
 
 
+def edges_of(groups: Detector) -> Float[np.ndarray, " group_plus_1"]:
+    """Return the limits of the groups of pulse heights.
+
+    Parameters
+    ----------
+    groups : what `pulse_detector` makes of a detector
+
+    Returns
+    -------
+    limits, ascending [keV]
+    """
+    return np.array([*groups.thresholds, groups.channels[-1].upper])
+
+
 @dataclass(frozen=True, eq=False)
 class PulseResponse:
     """Heights of the pulses of photons.
@@ -71,20 +88,19 @@ class PulseResponse:
     response: Float[np.ndarray, "group energy"]
 
     @classmethod
-    def of(cls, detector: Detector, energies: Energies) -> "PulseResponse":
+    def of(cls, groups: Detector, energies: Energies) -> "PulseResponse":
         """Compute the pulses of a detector.
 
         Parameters
         ----------
-        detector : with the thresholds of the counters
+        groups : what `pulse_detector` makes of it
         energies : bins
 
         Returns
         -------
         the pulses per photon of each bin
         """
-        finer = pulse_detector(detector)
-        return cls(np.array([*finer.thresholds, finer.channels[-1].upper]), finer.response(energies))
+        return cls(edges_of(groups), groups.response(energies))
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,28 +112,28 @@ class PileUp:
     dead_time : of the pixels
     thresholds : lower limits of the channels [keV]
     edges : of the groups of pulse heights, ascending, thresholds among them [keV]
+
+    Raises
+    ------
+    InputError
+        When edges do not ascend from the lowest threshold, or a threshold is none of them.
     """
 
     dead_time: DeadTime
     thresholds: tuple[float, ...]
     edges: Float[np.ndarray, " group_plus_1"]
 
-    @classmethod
-    def of(cls, detector: Detector, dead_time: DeadTime) -> "PileUp":
-        """Create the model of a detector.
-
-        Parameters
-        ----------
-        detector : with the thresholds of the counters
-        dead_time : of its pixels
-
-        Returns
-        -------
-        the model
-        """
-        finer = pulse_detector(detector)
-        edges = np.array([*finer.thresholds, finer.channels[-1].upper])
-        return cls(dead_time, detector.thresholds, edges)
+    def __post_init__(self) -> None:
+        if not (
+            set(self.thresholds) <= set(self.edges.tolist())
+            and (np.diff(self.edges) > 0).all()
+            and 0 < self.edges[0] == self.thresholds[0]
+        ):
+            raise InputError(
+                f"limits of pulse heights must ascend, begin at the lowest threshold and hold all thresholds, "
+                f"{', '.join(f'{t:g}' for t in self.thresholds)} keV; those from {self.edges[0]:g} to "
+                f"{self.edges[-1]:g} keV do not"
+            )
 
     @cached_property
     def channels(self) -> Int[np.ndarray, " group"]:
@@ -142,6 +158,11 @@ class PileUp:
         """
         rows = _pixels(pulses)
         return _images(recorded_counts(rows, self._load(rows.sum(axis=1)), self._lattice(_STEP)), pulses.shape)
+
+    @property
+    def highest_load(self) -> float:
+        """Pulses per dead time up to which counts are corrected within 1 %, for the model of the dead time."""
+        return _HIGHEST_LOAD[self.dead_time.model]
 
     def pulses(self, events: Counts, spectra: "PulseSpectra") -> Groups:
         """Distribute the events of each channel over its groups of heights, as behind water.

@@ -1,8 +1,8 @@
 """The format of a dataset as one table, by which arrays are checked and which `phantomgen schema` prints.
 
 Letters are sizes: V views, C channels, R rows, K columns, E energy bins, M basis functions, P absorbers of the beam
-profile, F flats, D darks, S materials, G
-cycles, N signals, Q phases. The first array that has a letter says how large it is.
+profile, F flats, D darks, S materials, G cycles, N signals, Q phases, H groups of pulse heights. The first array that
+has a letter says how large it is.
 """
 
 from collections.abc import Iterator
@@ -67,8 +67,6 @@ ENTRY = (
     Field(f"{_DETECTOR}/dead_time", "real", "", "ns", "of a pixel", 0, _MANY, optional=True),
     Field(f"{_DETECTOR}/count_time", "real", "", "ms", "of a view", 0, _MANY, optional=True),
     Field(f"{_DETECTOR}/dead_time_model", "text", "", "", "paralyzable or not", optional=True),
-    Field(f"{_DETECTOR}/pulse_edges", "real", "G+1", "keV", "of pulse heights that add", 0, _HARD, optional=True),
-    Field(f"{_DETECTOR}/pulse_response", "real", "G,E", "", "pulses per photon", 0, _MANY, optional=True),
     Field(f"{_DETECTOR}/counters", "text", "", "", "bins, or cumulative: channels count above", optional=True),
     Field("/entry/data/channel", "text", "C", "", "names of the channels"),
     Field(f"{_DETECTOR}/<channel>_channel/threshold_energy", "real", "", "keV", "lower limit", 0, _HARD),
@@ -96,6 +94,8 @@ ENTRY = (
     Field(f"{_SPECTRA}/source", "real", "E", "photons", "per pixel and view, at the panel's centre", 0, 1e30),
     Field(f"{_SPECTRA}/response", "real", "C,E", "", "counts per photon", 0, _MANY),
     Field(f"{_SPECTRA}/variance", "real", "C,E", "", "of signals per photon, no counts", 0, _MANY, optional=True),
+    Field(f"{_DETECTOR}/pulse_response", "real", "H,E", "", "pulses per photon", 0, _MANY, optional=True),
+    Field(f"{_DETECTOR}/pulse_edges", "real", "H+1", "keV", "of pulse heights that add", 0, _HARD, optional=True),
     Field(f"{_SPECTRA}/basis_name", "text", "M", "", "names of the basis functions"),
     Field(f"{_SPECTRA}/basis_kind", "text", "M", "", "kinds of the basis functions"),
     Field(f"{_SPECTRA}/basis", "real", "M,E", "", "basis functions in the bins", -_MANY, _MANY),

@@ -17,8 +17,8 @@ from phantomgen.dataset.beam_profile import StoredProfile
 from phantomgen.dataset.spectral_model import Spectra
 from phantomgen.dataset.truth import CoefficientFit
 from phantomgen.scene.scan import Scan
-from spectra.detector.detector import AnyDetector, Detector
-from spectra.detector.pile_up import PulseResponse, pulse_detector
+from spectra.detector.detector import AnyDetector
+from spectra.detector.pile_up import PulseResponse
 from spectra.detector.scintillator import energy_groups
 from spectra.energy.grid import Energies
 from spectra.energy.interpolative_decomposition import interpolative_decomposition
@@ -252,10 +252,8 @@ def reconstructor_spectra(scan: Scan) -> Spectra:
     profile = None
     if scan.profile is not None:
         profile = StoredProfile(scan.profile.names, scan.profile.lengths, scan.profile.attenuation(spectra.energy))
-    pulses = None
-    if scan.pile_up is not None:
-        assert isinstance(scan.detector, Detector)
-        pulses = PulseResponse.of(scan.detector, Energies(spectra.edges, spectra.energy))
+    bins = Energies(spectra.edges, spectra.energy)
+    pulses = None if scan.pulses is None else PulseResponse.of(scan.pulses, bins)
     between = replace(spectra, profile=profile, dead_time=scan.dead_time, pulses=pulses)
     if not scan.cumulative:
         return between
@@ -354,10 +352,8 @@ def _rows(
     scan: Scan, step: float, cuts: Float[np.ndarray, " cut"], grouped: bool
 ) -> tuple[Energies, Float[np.ndarray, "row energy"], tuple[str, ...]]:
     """Bins, open-beam counts per bin of each channel, or of each group of photons, and their names."""
-    if grouped and scan.pile_up is not None:
-        assert isinstance(scan.detector, Detector)
-        heights = pulse_detector(scan.detector)
-        return *_weights(scan, step, cuts, heights), heights.names
+    if grouped and scan.pulses is not None:
+        return *_weights(scan, step, cuts, scan.pulses), scan.pulses.names
     energies, weights = _weights(scan, step, cuts)
     if not grouped or scan.detector.variance(energies) is None:
         return energies, weights, scan.detector.names

@@ -10,7 +10,7 @@ from phantomgen.scene.scan import Scan
 from phantomgen.simulation.forward_model.energy_grids import NO_CUTS, compressed_transmission, photon_quanta
 from phantomgen.simulation.forward_model.photon_noise import compound_signal, dead_time_counts, poisson_counts
 from spectra.detector.dead_time import DeadTime
-from spectra.detector.pile_up import PileUp
+from spectra.detector.pile_up import PileUp, edges_of
 from spectra.transmission import Transmission
 
 Images = Float[np.ndarray, "channel row column"]
@@ -69,8 +69,10 @@ class Exposure:
         if scan.effects.grid is not None:
             groups = replace(groups, weights=groups.weights * scan.effects.grid.primary)
         if quanta is None:
-            pile_up = scan.pile_up
-            channels = np.arange(len(scan.detector)) if pile_up is None else pile_up.channels
+            pile_up, channels = None, np.arange(len(scan.detector))
+            if scan.pulses is not None and scan.dead_time is not None:
+                pile_up = PileUp(scan.dead_time, scan.detector.thresholds, edges_of(scan.pulses))
+                channels = pile_up.channels
             return cls(groups, scan.detector.names, channels, None, scan.dead_time, pile_up), error
         channels = np.repeat(np.arange(len(quanta)), [len(own) for own in quanta])
         return cls(groups, scan.detector.names, channels, np.concatenate(quanta)), error
@@ -92,10 +94,11 @@ class Exposure:
         if self.dead_time is None:
             return []
         load = self.dead_time.per_count * float(self.groups.open_beam.sum())
-        if load <= self.dead_time.highest_load:
+        highest = self.dead_time.highest_load if self.pile_up is None else self.pile_up.highest_load
+        if load <= highest:
             return []
         return [
-            f"a pixel in the open beam has {load:.3g} events per dead time, more than {self.dead_time.highest_load:g}: "
+            f"a pixel in the open beam has {load:.3g} events per dead time, more than {highest:g}: "
             "such counts cannot be corrected; use a longer exposure, smaller pixels or fewer photons"
         ]
 

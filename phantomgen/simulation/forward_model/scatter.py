@@ -17,9 +17,8 @@ from phantomgen.ops.compton.inputs import Energies, Points
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.forward_model.discretization import Settings
 from phantomgen.simulation.forward_model.exposure import Exposure, Groups
-from spectra.detector.detector import AnyDetector, Detector
+from spectra.detector.detector import AnyDetector
 from spectra.detector.multi_source import MultiSource
-from spectra.detector.pile_up import pulse_detector
 from spectra.energy import grid as grids
 from spectra.materials.electron_density import ELECTRON_RADIUS, electron_density
 from spectra.source.source import Source
@@ -207,9 +206,8 @@ def _beam(scan: Scan, exposure: Exposure, source: Source, detector: AnyDetector,
     table = np.arange(0.0, max(source.maximum, energies.edges[-1]) + 2 * _STEP, _STEP)
     bins = grids.Energies.from_edges(table[table >= 1.0])
     channels = exposure.channels - first
-    if exposure.pile_up is not None:
-        assert isinstance(detector, Detector)
-        detector, channels = pulse_detector(detector), np.arange(len(exposure.channels))
+    if scan.pulses is not None:  # one source, and a channel for each group
+        detector, channels = scan.pulses, np.arange(len(exposure.channels))
     response = np.where(bins.nodes >= detector.lowest, detector.response(bins), 0.0)
     measured = np.zeros((len(exposure.channels), len(table)))
     for group, channel in enumerate(channels):

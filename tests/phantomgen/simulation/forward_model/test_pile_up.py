@@ -1,16 +1,19 @@
 """Pulses that pile up, from the scene through the file to the events that a reconstructor sees."""
 
+import h5py
 import numpy as np
 import pytest
 
 from phantomgen.dataset.describe import describe, describe_text
+from phantomgen.dataset.file import seal_file
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.dataset.validate import validate
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import load_scene
 from phantomgen.simulation.run import simulate
 from phantomgen.torch.forward_model import ForwardModel
-from spectra.errors import DatasetError, SceneError
+from recon.calibration.spectrum_file import check_plain
+from spectra.errors import DatasetError, InputError, SceneError
 
 SCENE = """\
 version: 1
@@ -100,5 +103,30 @@ def test_gains_are_of_channels_and_files_tell_of_pile_up(tmp_path):
 def test_what_cannot_be_is_refused(tmp_path):
     with pytest.raises(SceneError, match=r"detector\.pile_up - needs detector\.dead_time, in which pulses pile up"):
         load_scene(SceneFile("toy.yaml", SCENE, ("detector.dead_time=null",)))
-    with made(tmp_path / "piled.h5") as piled, pytest.raises(DatasetError, match="pulses that pile up"):
-        ForwardModel.of(piled)
+    with made(tmp_path / "piled.h5") as piled:
+        with pytest.raises(DatasetError, match="pulses that pile up"):
+            ForwardModel.of(piled)
+        with pytest.raises(InputError, match="its pulses pile up, which is known for the stated thresholds alone"):
+            check_plain(piled)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ("pulse_edges", None, "lacks /entry/instrument/detector/pulse_edges"),
+        ("pulse_response", None, "lacks /entry/instrument/detector/pulse_response"),
+        ("dead_time", None, "heights of pulses that pile up need a dead time"),
+        ("pulse_edges", 1.3, "those from 21.3 to 101.3 keV do not"),
+    ],
+)
+def test_damaged_heights_are_refused_with_the_name_of_the_file(path, value, words, tmp_path):
+    made(tmp_path / "piled.h5").close()
+    with h5py.File(tmp_path / "piled.h5", "r+") as file:
+        detector = file["/entry/instrument/detector"]
+        if value is None:
+            del detector[path]
+        else:
+            detector[path][...] += value
+    seal_file(tmp_path / "piled.h5")
+    with pytest.raises(DatasetError, match=rf"piled\.h5.*{words}"), open_dataset(tmp_path / "piled.h5") as dataset:
+        assert dataset.spectra
