@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.arrivals import counts_of_arrivals
 
 from spectra.detector.dead_time import DeadTime
 from spectra.detector.detector import Detector
@@ -57,20 +58,11 @@ def test_counts_are_those_of_photons_followed_one_by_one(model, matter):
     edges = ENERGIES.edges[ENERGIES.edges >= 25]
     one = rng.choice(len(detected), count, p=detected / detected.sum())
     heights = rng.uniform(edges[one], edges[one + 1])
-    times, sums = np.cumsum(rng.exponential(1 / load, count)), np.append(0.0, np.cumsum(heights))
-    if model == "paralyzable":
-        before = sums[:-1] - sums[np.searchsorted(times, times - 1, side="right")]
-        above = [((before < t) & (before + heights >= t)).sum() for t in IDEAL.thresholds]
-    else:
-        after, first, read = np.searchsorted(times, times + 1), 0, []
-        while first < count:
-            read.append(sums[after[first]] - sums[first])
-            first = after[first]
-        above = [(np.array(read) >= t).sum() for t in IDEAL.thresholds]
-    truth = -np.diff(np.append(above, 0))
+    followed, error = counts_of_arrivals(heights, load, IDEAL.thresholds, model == "paralyzable", rng)
     pulses = pulse_detector(IDEAL).response(ENERGIES) @ photons
-    found = loaded(photons, IDEAL, load, model).recorded(pulses[:, None, None])[:, 0, 0] * count / pulses.sum()
-    assert (np.abs(found - truth) < 4 * np.sqrt(truth) + 1e-3 * truth).all()
+    found = loaded(photons, IDEAL, load, model).recorded(pulses[:, None, None])[:, 0, 0] / pulses.sum()
+    assert (error < 0.025 * followed).all()
+    assert (np.abs(found - followed) < 4 * error + 1e-3 * followed).all()
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -135,6 +135,26 @@ def test_photons_that_scatter_count_as_those_followed_one_by_one(energy, thickne
     assert (np.abs(found - followed) < 4 * np.sqrt(2 * followed / photons) + 0.01 * followed + 1e-4).all()
 
 
+@pytest.mark.parametrize(
+    ("thickness", "energy", "thresholds", "modelled", "followed"),
+    [
+        (0.5, 60.0, (5, 25), (0.0273, 0.0157), (0.0274, 0.0159)),
+        (0.5, 100.0, (5, 45), (0.0175, 0.0031), (0.0176, 0.0031)),
+        (30.0, 60.0, (5, 25), (1.165, 0.720), (1.158, 0.722)),
+        (30.0, 100.0, (5, 45), (1.251, 0.324), (1.236, 0.326)),
+    ],
+)
+def test_counts_of_silicon_are_those_of_the_documentation(thickness, energy, thresholds, modelled, followed):
+    photons, energies = 150_000 if thickness > 1 else 400_000, np.array([energy])
+    silicon = PulseHeightDetector(
+        channels_between(thresholds, 140), SILICON, thickness, 2.0, False, ChargeSharing(0.5, 0.012), compton=True
+    )
+    found = above(silicon.absorption(energies) * silicon.pulses(energies))[:, 0]
+    np.testing.assert_allclose(found, modelled, rtol=0.01)
+    drawn = counts_with_compton(energy, SILICON, thickness, 0.5, 0.012, 2.0 / 2.3548, thresholds, photons, seed=1)
+    np.testing.assert_allclose(drawn, followed, atol=3 * np.sqrt(2 * drawn.max() / photons))
+
+
 def test_without_scattering_the_sensor_absorbs_what_it_stops():
     one = PulseHeightDetector(channels_between(LOW, 140), SILICON, 1.0, 2.0, False, None)
     other = PulseHeightDetector(channels_between(LOW, 140), SILICON, 1.0, 2.0, False, None, compton=True)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.arrivals import counts_of_arrivals
 
 from spectra.ops.pile_up import Lattice, Load, Shapes, event_counts, recorded_counts, reference
 
@@ -32,31 +33,16 @@ def test_counts_are_those_of_the_formulas(paralyzable, pulses, load, step):
     np.testing.assert_allclose(found, np.maximum(expected, 0), rtol=1e-9, atol=1e-9 * pulses.sum())
 
 
-def followed(load, paralyzable, arrivals=1_000_000):
-    """Counts per arrival, for heights that are even within groups; the dead time is 1."""
-    rng = np.random.default_rng(7)
-    times = np.cumsum(rng.exponential(1 / load, arrivals))
-    group = rng.choice(len(PULSES), arrivals, p=PULSES / PULSES.sum())
-    heights = rng.uniform(EDGES[group], EDGES[group + 1])
-    sums = np.append(0.0, np.cumsum(heights))
-    if paralyzable:  # the signal before and after each arrival
-        before = sums[:-1] - sums[np.searchsorted(times, times - 1, side="right")]
-        above = [((before < t) & (before + heights >= t)).sum() for t in THRESHOLDS]
-    else:
-        after, first, read = np.searchsorted(times, times + 1), 0, []
-        while first < arrivals:
-            read.append(sums[after[first]] - sums[first])
-            first = after[first]
-        above = [(np.array(read) >= t).sum() for t in THRESHOLDS]
-    return -np.diff(np.append(above, 0)) / arrivals, arrivals
-
-
 @KINDS
 @pytest.mark.parametrize("load", [0.05, 0.3, 0.9])
 def test_counts_are_those_of_arrivals_followed_one_by_one(load, paralyzable):
-    part, arrivals = followed(load, paralyzable)
+    rng, arrivals = np.random.default_rng(7), 1_000_000
+    group = rng.choice(len(PULSES), arrivals, p=PULSES / PULSES.sum())
+    heights = rng.uniform(EDGES[group], EDGES[group + 1])  # even within groups
+    followed, error = counts_of_arrivals(heights, load, THRESHOLDS, paralyzable, rng)
     found = counted(PULSES[None], load, paralyzable)[0] / PULSES.sum()
-    assert (np.abs(found - part) < 4 * np.sqrt(part / arrivals)).all()
+    assert (error < 0.025 * followed).all()
+    assert (np.abs(found - followed) < 4 * error).all()
 
 
 @KINDS
