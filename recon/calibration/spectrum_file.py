@@ -106,7 +106,9 @@ def check_plain(dataset: Dataset) -> None:
     if spectra.variance is not None:
         raise InputError(f"{dataset.path}: its detector sums up energies; only counting channels can be calibrated")
     if spectra.pulses is not None:
-        raise InputError(f"{dataset.path}: its pulses pile up, which is known for the stated thresholds alone")
+        raise InputError(
+            f"{dataset.path}: its pulses pile up; the spectral model of such a scan cannot be replaced or refined"
+        )
 
 
 def sensitivities_of(spectra: Spectra) -> Sensitivities:
