@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import gaussian_filter, maximum_filter
+from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 SMOOTHING = 0.7  # voxels; standard deviation of the Gaussian that reduces noise before edges are found; by hand
 BACKGROUND = 0.1  # no unit, over a large signal; a voxel below is empty; chosen by hand, not measured
@@ -146,6 +146,21 @@ def relative_density(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndar
     density = volumes.sum(axis=0)
     typical = _typical(density)
     return density / typical if typical > 0 else np.ones_like(density)
+
+
+def contrast_around(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "z y x"]:
+    """Compute the difference between the densest and the least dense of a voxel and its neighbours.
+
+    Parameters
+    ----------
+    volumes : coefficients of each basis [1/mm]
+
+    Returns
+    -------
+    difference of `relative_density`; 0 in an even region
+    """
+    density = relative_density(volumes)
+    return maximum_filter(density, size=3) - minimum_filter(density, size=3)
 
 
 def over_metal(volumes: Float[np.ndarray, "basis z y x"]) -> Float[np.ndarray, "z y x"]:

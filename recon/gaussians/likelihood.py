@@ -20,6 +20,8 @@ from recon.data.measurements import Measurements
 from recon.gaussians.model import GaussianModel
 from recon.gaussians.processes import ALONE, Processes
 from recon.ops.deviance import chi_square, deviance, expected_chi_square, expected_deviance
+from recon.ops.likelihood import MeasuredCounts
+from recon.ops.likelihood.data_term import data_term
 from recon.voxel.model import Voxels
 from spectra.differentiable import transmit
 
@@ -64,8 +66,7 @@ def likelihood(
     with torch.no_grad():
         for view in processes.share(np.arange(len(data))):
             one = data[[int(view)]]
-            images = model.line_integrals(one.geometry)
-            sums += _sums(images, _rays(one, images.device), dispersion)[1].cpu()
+            sums += _gradient_and_sums(model.line_integrals(one.geometry), one, dispersion)[1]
     return _summed(sums, processes)
 
 
@@ -86,8 +87,7 @@ def deviances(model: GaussianModel | Voxels, data: Measurements, dispersion: flo
         found = []
         for view in range(len(data)):
             one = data[[view]]
-            images = model.line_integrals(one.geometry)
-            found.append(float(_sums(images, _rays(one, images.device), dispersion)[1][0]))
+            found.append(float(_gradient_and_sums(model.line_integrals(one.geometry), one, dispersion)[1][0]))
         return np.array(found)
 
 
@@ -120,20 +120,47 @@ def likelihood_and_gradients(
         part.grad = None
     if len(mine):
         images = gaussians.line_integrals(data.geometry[mine])
-        known, ray_gradient = images.detach(), torch.empty_like(images)
-        rays, on_device = _rays_of_step(data, mine, images.device), sums.to(images.device)
-        for some in _portions(rays):
-            lengths = known[some].requires_grad_()
-            loss, found = _sums(lengths, rays.of_views(some), dispersion)
-            ray_gradient[some] = torch.autograd.grad(loss / values, lengths)[0]
-            on_device += found
-        images.backward(ray_gradient)
-        sums += on_device.cpu()
+        gradient, sums = _gradient_and_sums(images.detach(), data, dispersion, mine)
+        images.backward(gradient / values)
     else:
         for part in parts:
             part.grad = torch.zeros_like(part)
     processes.add_up([part.grad for part in parts if part.grad is not None])
     return _summed(sums, processes)
+
+
+def _gradient_and_sums(
+    images: Float[Tensor, "view basis row column"],
+    data: Measurements,
+    dispersion: float,
+    views: Int[np.ndarray, " view"] | None = None,
+) -> tuple[Float[Tensor, "view basis row column"], Float[Tensor, " sum"]]:
+    """Compute the gradient of the deviance of views of the data, all by default, and the numbers of `_sums`."""
+    if images.device.type == "cpu":
+        return _on_cpu(images, data if views is None else data[views], dispersion)
+    views = np.arange(len(data)) if views is None else views
+    rays, gradient = _rays_of_step(data, views, images.device), torch.empty_like(images)
+    sums = torch.zeros(2 * data.counts.shape[1] + 2, dtype=torch.float64, device=images.device)
+    with torch.enable_grad():
+        for some in _portions(rays):
+            lengths = images[some].detach().requires_grad_()
+            loss, found = _sums(lengths, rays.of_views(some), dispersion)
+            gradient[some] = torch.autograd.grad(loss, lengths)[0]
+            sums += found
+    return gradient, sums.cpu()
+
+
+def _on_cpu(
+    images: Float[Tensor, "view basis row column"], data: Measurements, dispersion: float
+) -> tuple[Float[Tensor, "view basis row column"], Float[Tensor, " sum"]]:
+    """Compute `_gradient_and_sums` by the processor, in one pass over the rays."""
+    counts = MeasuredCounts(data.counts, data.gains, data.exposure, data.profile, data.statistical_weights)
+    found = data_term(bounded(images).numpy(), counts, data.transmission, dispersion)
+    gradient = torch.from_numpy(found.gradient).to(images.dtype)
+    below = images.clamp(max=0)
+    gradient = 2 * gradient / (1 - below / MOST_NEGATIVE) ** 2
+    parts = [found.deviances.sum()], found.chi_squares, [found.noise_deviances.sum()], found.noise_chi_squares
+    return gradient, torch.from_numpy(np.concatenate(parts))
 
 
 def _sums(

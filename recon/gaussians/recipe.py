@@ -102,8 +102,8 @@ class Recipe:
     few_views: int = 75
     spacing: float = 1.0
     finest_spacing: float = 0.9
-    voxel_passes: int = 8
-    voxel_fall: float = 0.005
+    voxel_passes: int = 5
+    voxel_fall: float = 0.01
     approximation: int = 60
     dispersion: float = 0.02
     node_tolerance: float = 1e-3

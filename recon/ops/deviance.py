@@ -7,6 +7,7 @@ where noise is the only cause, for any dispersion, any counts and any weights of
 """
 
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -76,11 +77,12 @@ def expected_deviance(expected: Float[Tensor, "..."], dispersion: float = 0.0) -
     -------
     mean deviance of each count; NaN where the expectation is NaN, as in a fit that diverges
     """
-    table = torch.from_numpy(_poisson_table()).to(expected)
-    place = ((expected.clamp_min(_LOW).log() - np.log(_LOW)) / _STEP).clamp(0, len(table) - 1.001)
+    least, step, means = poisson_means()
+    table = torch.from_numpy(means).to(expected)
+    place = ((expected.clamp_min(least).log() - np.log(least)) / step).clamp(0, len(table) - 1.001)
     low = place.nan_to_num().long()
     mean = torch.lerp(table[low], table[low + 1], place - low)
-    return torch.where(expected < _LOW, mean * expected / _LOW, mean) / (1 + dispersion**2 * expected)
+    return torch.where(expected < least, mean * expected / least, mean) / (1 + dispersion**2 * expected)
 
 
 def expected_chi_square(expected: Float[Tensor, "..."], dispersion: float = 0.0) -> Float[Tensor, "..."]:
@@ -98,16 +100,33 @@ def expected_chi_square(expected: Float[Tensor, "..."], dispersion: float = 0.0)
     return expected / (expected + (dispersion * expected) ** 2).clamp_min(1.0)
 
 
-_LOW, _HIGH, _STEP = 1e-3, 1e3, 0.1  # counts, and the step of their logarithm, between which the mean is tabulated
+class PoissonMeans(NamedTuple):
+    """Mean of the Poisson deviance, tabulated over the logarithm of the expectation Y.
+
+    Parameters
+    ----------
+    least : Y of the first row [counts]; below it the mean is proportional to Y, and above the table it is constant
+    step : difference of ln Y between two rows
+    means : mean deviance of each row
+    """
+
+    least: float
+    step: float
+    means: Float[np.ndarray, " row"]
 
 
 @cache
-def _poisson_table() -> Float[np.ndarray, " step"]:
-    """Compute means of the Poisson deviance by direct summation."""
-    means = _LOW * np.exp(_STEP * np.arange(round(np.log(_HIGH / _LOW) / _STEP) + 2))
+def poisson_means() -> PoissonMeans:
+    """Tabulate the mean of the Poisson deviance from 0.001 to 1000 counts, by direct summation.
+
+    Returns
+    -------
+    the table
+    """
+    least, most, step = 1e-3, 1e3, 0.1
     table = []
-    for mean in means:
+    for mean in least * np.exp(step * np.arange(round(np.log(most / least) / step) + 2)):
         counts = np.arange(int(mean + 12 * np.sqrt(mean) + 20))
         ratio = counts * np.log(np.maximum(counts, 1) / mean) - counts + mean
         table.append(float(poisson.pmf(counts, mean) @ (2 * ratio)))
-    return np.array(table)
+    return PoissonMeans(least, step, np.array(table))

@@ -88,11 +88,11 @@ def likelihood(
         expected = (bases, views, rows, columns)
         raise InputError(f"line integrals must be (basis, view, row, column), {expected}, got {lengths.shape}")
     rays = cpu.Rays(
-        _flat(lengths, bases, views, pixels),
-        _flat(measured.profile, parts, pixels),
-        _flat(measured.counts, views, channels, pixels),
-        _flat(measured.statistical_weights, 0 if measured.statistical_weights is None else views, channels, pixels),
-        _flat(measured.gains, channels, pixels),
+        flat(lengths, bases, views, pixels),
+        flat(measured.profile, parts, pixels),
+        flat(measured.counts, views, channels, pixels),
+        flat(measured.statistical_weights, 0 if measured.statistical_weights is None else views, channels, pixels),
+        flat(measured.gains, channels, pixels),
         np.ascontiguousarray(measured.exposure, np.float64),
     )
     nodes = EnergyNodes(transmission.columns, transmission.weights, transmission.starts)
@@ -109,8 +109,18 @@ def likelihood(
     return Likelihood(deviances, gradient.reshape(bases, *shape), curvatures)
 
 
-def _flat(values: Float[np.ndarray, "..."] | None, *shape: int) -> Float[np.ndarray, "..."]:
-    """Convert to contiguous float32 with one axis for all pixels; an empty array for None."""
+def flat(values: Float[np.ndarray, "..."] | None, *shape: int) -> Float[np.ndarray, "..."]:
+    """Convert to contiguous float32 with one axis for all pixels.
+
+    Parameters
+    ----------
+    values : any array; None for an empty one
+    shape : of the result
+
+    Returns
+    -------
+    the values; zeros for None
+    """
     if values is None:
         return np.zeros(shape, np.float32)
     return np.ascontiguousarray(values, np.float32).reshape(shape)

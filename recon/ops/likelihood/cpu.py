@@ -79,6 +79,66 @@ def _transmit(rays, view, nodes, channel, start, count, room):
                 room[1 + m, i] -= factor * exponents[i]
 
 
+@inlined
+@no_type_check
+def _noise_deviance(expected, dispersion, table):
+    """Compute the mean deviance of a count where noise is alone, see `recon.ops.deviance.expected_deviance`."""
+    least, step, means = table
+    last = means.size - 1
+    place = (log(expected / least) / step) if expected > least else 0.0
+    low = min(int(place), last - 1)
+    part = min(place - low, 1.0)
+    mean = means[low] + part * (means[low + 1] - means[low])
+    return min(expected / least, 1.0) * mean / (1.0 + dispersion * dispersion * expected)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def data_term(rays, part, nodes, dispersion, least, table, room, written):
+    """Compute the sums of `recon.ops.likelihood.data_term.DataTerm` and the gradient for some rays of one view.
+
+    Parameters
+    ----------
+    rays : `Rays` of one view
+    part : first ray, and the one after the last
+    nodes : `recon.ops.arguments.EnergyNodes`
+    dispersion : relative model error
+    least : counts; where fewer are expected, the deviance is that of `least`, and the gradient is 0
+    table : `recon.ops.deviance.PoissonMeans`
+    room : scratch, (2 + basis, rays at once): expected counts, slopes, exponents
+    written : derivative of half the deviance in the line integrals, (basis, 1, ray); sums, added to, (4, channel):
+        deviance, that of noise alone, chi-square, that of noise alone
+    """
+    counts, statistical_weights, gains, exposure = rays.counts, rays.statistical_weights, rays.gains, rays.exposure
+    gradient, sums = written
+    bases, block, squared = rays.lengths.shape[0], room.shape[1], dispersion * dispersion
+    for start in range(np.uint64(part[0]), np.uint64(part[1]), np.uint64(block)):
+        count = np.uint64(min(block, part[1] - start))
+        for m in range(bases):
+            for i in range(count):
+                gradient[m, 0, start + i] = 0.0
+        for c in range(nodes.starts.size - 1):
+            _transmit(rays, 0, nodes, c, start, count, room)
+            for i in range(count):
+                scale = gains[c, start + i] * exposure[0, c]
+                if not scale > 0.0:
+                    continue
+                share = statistical_weights[0, c, start + i] if statistical_weights.shape[0] > 0 else 1.0
+                expected, counted = scale * room[0, i], float(counts[0, c, start + i])
+                variance = max(expected + squared * expected * expected, 1.0)
+                sums[2, c] += (counted - expected) * (counted - expected) / variance
+                sums[3, c] += expected / variance
+                if share == 0.0:
+                    continue
+                sums[0, c] += 2.0 * share * _half_deviance(counted, max(expected, least), dispersion)
+                sums[1, c] += share * _noise_deviance(expected, dispersion, table)
+                if expected < least:
+                    continue
+                to_value = share * scale * (expected - counted) / (expected * (1.0 + squared * expected))
+                for m in range(bases):
+                    gradient[m, 0, start + i] += to_value * room[1 + m, i]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def likelihood(rays, view, nodes, dispersion, least, room, gradient, fisher):

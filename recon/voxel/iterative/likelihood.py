@@ -13,7 +13,6 @@ from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.project import project, project_transpose
 from recon.data.measurements import Measurements
-from recon.data.volume_edges import relative_density
 from recon.ops.likelihood import MeasuredCounts, likelihood, tensors
 from recon.ops.nonnegative_newton import as_matrices
 from recon.voxel.method import Volumes
@@ -44,14 +43,19 @@ def deviance_and_gradient(volumes: Any, measurements: Measurements, grid: Grid, 
 
 
 def curvature(
-    volumes: Volumes, measurements: Measurements, grid: Grid, dispersion: float, device: str = "cpu"
+    volumes: Volumes,
+    measurements: Measurements,
+    grid: Grid,
+    dispersion: float,
+    step_scales: Float[np.ndarray, "z y x"] | None = None,
+    device: str = "cpu",
 ) -> tuple[Float[np.ndarray, "pair z y x"], Float[np.ndarray, "basis basis"]]:
     """Compute a separable majoriser of half the deviance, and the covariance of its gradient in an attenuating voxel.
 
     With a_ri the length of ray r in voxel i, F_r the Fisher matrix of the line integrals of the ray and s_i the step
     scale of voxel i, the block of voxel i is sum_r a_ri (sum_j a_rj s_j) F_r / s_i: steps by its inverse reduce the
-    deviance and do not depend on the choice of the basis. Step scales are larger, in proportion, for voxels denser than
-    the typical one; otherwise small pieces of metal would be the last to converge.
+    deviance and do not depend on the choice of the basis. This holds for any positive step scales; voxels with larger
+    ones than the others along their rays take longer steps.
 
     Noise of the counts gives the gradient of voxel i the covariance sum_r a_ri^2 F_r. The function returns its mean
     over voxels, each weighted by its attenuation. Along a ray, the sum of a_ri^2 is assumed proportional to that of
@@ -63,6 +67,7 @@ def curvature(
     measurements : the views
     grid : grid of `volumes`
     dispersion : relative model error [no unit]; the variance of counts Y is Y + (dispersion Y)^2
+    step_scales : s, positive; None for 1 everywhere
     device : where rays are computed, ``cpu`` or ``cuda``
 
     Returns
@@ -74,15 +79,15 @@ def curvature(
     Weidinger et al. 2016, doi:10.1155/2016/5871604; Mechlem et al. 2018, doi:10.1109/TMI.2017.2726687. Step scales: Kim
     et al. 2013, doi:10.1109/TMI.2013.2266898.
     """
-    step_scales = np.maximum(relative_density(volumes), 1)
     probes = np.ones((3, *grid.shape), np.float32)
     probes[1] -= 2 * np.random.default_rng(0).integers(0, 2, grid.shape)
-    probes[2] = step_scales
+    if step_scales is not None:
+        probes[2] = step_scales
     scan = volumes, probes, measurements, grid, dispersion
     sums = _sums(*scan) if device == "cpu" else _sums_on_device(*scan, device)
     attenuation = volumes.sum(dtype=np.float64) if volumes.any() else float(np.prod(grid.shape))
     covariance = as_matrices(sums.weighted * sums.squares / (max(sums.whole, 1e-30) * attenuation))
-    return sums.blocks / step_scales, covariance
+    return sums.blocks / probes[2], covariance
 
 
 class _Sums(NamedTuple):

@@ -16,7 +16,8 @@ References
 ----------
 Surrogates: Weidinger et al. 2016, doi:10.1155/2016/5871604; Mechlem et al. 2018, doi:10.1109/TMI.2017.2726687. Momentum
 with subsets: Kim, Ramani, Fessler 2015, doi:10.1109/TMI.2014.2350962. Restart: O'Donoghue & Candes 2015,
-doi:10.1007/s10208-013-9150-3.
+doi:10.1007/s10208-013-9150-3. Steps as long as the change that is expected of a voxel: Kim et al. 2013,
+doi:10.1109/TMI.2013.2266898.
 """
 
 from dataclasses import dataclass
@@ -32,7 +33,7 @@ from torch import Tensor
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import every_nth_view, golden_section_order, interleaved_subsets, view_groups
-from recon.data.volume_edges import metal_without_agents, over_metal
+from recon.data.volume_edges import contrast_around, metal_without_agents, over_metal, relative_density
 from recon.ops.nonnegative_newton import as_matrices, inverse_blocks, nonnegative_newton_step
 from recon.ops.total_variation import ascend, neighbour_sums
 from recon.ops.total_variation import gradient as total_variation_gradient
@@ -50,6 +51,9 @@ CURVATURE_STEP = 3.236
 # steps; with 3 of 9 views, voxels at a corner of the grid ended at 30 per mm; of 40 views on an arc of 120 degrees, all
 # have 37.4 / 29.8 / 38.2 dB, every second one 37.3 / 29.8 / 36.0 and every fourth one 14 / 12 / 11 dB
 LEAST_CURVATURE_VIEWS = 40
+# no unit, over the change at a full edge; steps of a voxel in an even region are shorter by so much. 1 needs twice as
+# many passes, 0.08 as many, on the scenes of `benchmarks.reconstruction.scene_kinds`
+LEAST_CHANGE = 0.15
 # no unit, over the least deviance of a pass; where a pass exceeds it, the subsets have diverged, and half as many go on
 # from the best volumes; chosen by hand, not measured
 DIVERGED = 1.5
@@ -105,7 +109,7 @@ class OneStep:
     device : where rays and voxels are computed, ``cpu`` or ``cuda``; with a curve always by the processor
     """
 
-    levels: tuple[tuple[int, int], ...] = ((4, 8), (2, 8), (1, 16))
+    levels: tuple[tuple[int, int], ...] = ((4, 8), (2, 8), (1, 8))
     pixel: float = 1.0
     subsets: int = 5
     dispersion: float = 0.03
@@ -341,12 +345,12 @@ def _deviance_and_gradient(unknowns: Any, data: Measurements, grid: Grid, settin
 
 
 def _curvature(
-    unknowns: Volumes, data: Measurements, grid: Grid, settings: OneStep
+    unknowns: Volumes, data: Measurements, grid: Grid, settings: OneStep, step_scales: Float[np.ndarray, "z y x"]
 ) -> tuple[Float[np.ndarray, "pair z y x"], Float[np.ndarray, "unknown unknown"]]:
     """`recon.voxel.iterative.likelihood.curvature` in the unknowns; along a curve, its bend is left out."""
     if settings.curve is None:
-        return curvature(unknowns, data, grid, settings.dispersion, settings.device)
-    blocks, covariance = curvature(settings.coefficients(unknowns), data, grid, settings.dispersion)
+        return curvature(unknowns, data, grid, settings.dispersion, step_scales, settings.device)
+    blocks, covariance = curvature(settings.coefficients(unknowns), data, grid, settings.dispersion, step_scales)
     slopes = settings.curve.slopes(unknowns[0])
     pairs = zip(*np.triu_indices(len(slopes)), strict=True)
     along = sum((1 + (m != n)) * slopes[m] * slopes[n] * block for (m, n), block in zip(pairs, blocks, strict=True))
@@ -358,13 +362,19 @@ def _curvature(
 def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep) -> _Metric:
     """Compute the metric at volumes.
 
+    Voxels where values change from one to the next have most of their way to go on a finer level, so that they take
+    longer steps than those of an even region (`_changes`). So do voxels denser than the typical one; otherwise small
+    pieces of metal would be the last to converge.
+
     Metal holds no contrast agent, but no combination of bases attenuates as metal does, and the difference resembles a
     K edge. So K edges have a prior at 0 in metal, the stronger the denser the metal.
     """
     step = min(CURVATURE_STEP, max(len(data) / LEAST_CURVATURE_VIEWS, 1.0))
     some = data[every_nth_view(view_groups(data.exposure), step)]
     share = len(data) / len(some)
-    blocks, covariance = _curvature(volumes, some, grid, settings)
+    changes = _changes(volumes)
+    scales = changes * np.maximum(relative_density(volumes), 1)
+    blocks, covariance = _curvature(volumes, some, grid, settings, scales.astype(np.float32))
     upper = np.triu_indices(len(volumes))
     own = blocks[upper[0] == upper[1]]
     diagonal = share * own.mean(axis=(1, 2, 3))
@@ -379,11 +389,22 @@ def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep)
     inverse = inverse_blocks(blocks, CURVATURE_FLOOR * diagonal + 1e-30)
     ridge = (1e-12 * np.trace(covariance) + 1e-30) * np.eye(len(volumes))
     mixing = np.sqrt(share) * np.linalg.cholesky(covariance + ridge).T
-    bounds = np.float32(settings.strength) * _statistical_weights(own, volumes.sum(axis=0))
+    bounds = np.float32(settings.strength) * _statistical_weights(own * changes, volumes.sum(axis=0))
     inverse = _on_device(inverse, settings)
     steps = 1 / neighbour_sums(_largest(inverse, mixing), grid)
     steps, bounds = (_on_device(part, settings) for part in (steps, bounds))
     return _Metric(inverse, mixing, steps, bounds, None if empty is None else _on_device(empty, settings))
+
+
+def _changes(volumes: Volumes) -> Float[np.ndarray, "z y x"]:
+    """Expected change of each voxel over the largest one, by the contrast around it.
+
+    Steel and titanium, whose inside is the last to converge, leave all changes alike; so do empty volumes.
+    """
+    if not volumes.any():
+        return np.ones(volumes.shape[1:], np.float32)
+    least = min(LEAST_CHANGE * float(over_metal(volumes).max()), 1.0)
+    return np.clip(np.sqrt(contrast_around(volumes)), least, 1).astype(np.float32)
 
 
 def _statistical_weights(

@@ -45,11 +45,13 @@ def true_information(truth, grid, scan):
     return whole, np.einsum("ir,rmn->imn", system**2, rays)
 
 
+@pytest.mark.parametrize("uneven", [False, True])
 @pytest.mark.parametrize("bases", [1, 2])
-def test_curvature_majorises_the_fisher_matrix(bases):
+def test_curvature_majorises_the_fisher_matrix_for_any_step_scales(bases, uneven):
     truth, grid, scan = some_scan(bases, seed=None)
     whole, _ = true_information(truth, grid, scan)
-    blocks = as_matrices(curvature(truth, scan, grid, 0.01)[0]).reshape(-1, bases, bases)
+    scales = np.random.default_rng(0).uniform(0.1, 3, grid.shape).astype(np.float32) if uneven else None
+    blocks = as_matrices(curvature(truth, scan, grid, 0.01, scales)[0]).reshape(-1, bases, bases)
     separable = np.zeros_like(whole)
     for i, block in enumerate(blocks):
         separable[i * bases : (i + 1) * bases, i * bases : (i + 1) * bases] = block

@@ -223,6 +223,18 @@ def test_sharper_coarse_volumes_spare_passes(monkeypatch):
     assert np.mean(decibels(sharp, truth)) > np.mean(decibels(blurred, truth)) + 0.3
 
 
+def test_longer_steps_at_edges_spare_passes(monkeypatch):
+    truth, grid = balls(voxels=36)
+    scan = voxel_scan(truth, grid, views=24, pixels=48, geometry=circular(48, 48, 24, 0.5), seed=1)
+    monkeypatch.setattr("recon.voxel.iterative.one_step.FEW_VIEWS", 1)
+    method = OneStep(levels=((2, 8), (1, 8)))
+    _, uneven = deviances(method, scan, grid)
+    monkeypatch.setattr("recon.voxel.iterative.one_step.LEAST_CHANGE", 1.0)
+    _, even = deviances(method, scan, grid)
+    assert uneven[11] - even[-1] < 0.6 * (even[11] - even[-1])  # after four passes at full resolution
+    assert uneven[-1] == pytest.approx(even[-1], rel=0.03)
+
+
 @pytest.mark.parametrize("size", [1, 3])
 def test_values_in_metal_become_means_of_what_is_interpolated_between_them(size):
     """Means by 40 points along each axis."""
