@@ -77,7 +77,7 @@ SETTINGS = (
     Setting("sirt", {"iterations": 160}, (40, 60, 80, 120, 160)),
     Setting("one-step", {}),
     *(Setting("one-step", {"strength": strength}) for strength in (0.5, 0.7, 1.0, 2.0, 3.0)),
-    *(Setting("one-step", {"levels": levels(passes)}) for passes in (8, 24)),
+    *(Setting("one-step", {"levels": levels(passes)}) for passes in (5, 16)),
     *(Setting("one-step", {"dispersion": dispersion}) for dispersion in (0.02, 0.05)),
     *(
         Setting("pdhg-tv", {"strength": strength, "iterations": 100, "tolerance": 0.0}, (100,))

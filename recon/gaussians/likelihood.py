@@ -136,7 +136,7 @@ def _gradient_and_sums(
     views: Int[np.ndarray, " view"] | None = None,
 ) -> tuple[Float[Tensor, "view basis row column"], Float[Tensor, " sum"]]:
     """Compute the gradient of the deviance of views of the data, all by default, and the numbers of `_sums`."""
-    if images.device.type == "cpu":
+    if _has_kernel(images.device):
         return _on_cpu(images, data if views is None else data[views], dispersion)
     views = np.arange(len(data)) if views is None else views
     rays, gradient = _rays_of_step(data, views, images.device), torch.empty_like(images)
@@ -150,17 +150,22 @@ def _gradient_and_sums(
     return gradient, sums.cpu()
 
 
+def _has_kernel(device: torch.device) -> bool:
+    """Whether `recon.ops.likelihood.data_term` computes there; elsewhere tensors do."""
+    return device.type == "cpu"
+
+
 def _on_cpu(
     images: Float[Tensor, "view basis row column"], data: Measurements, dispersion: float
 ) -> tuple[Float[Tensor, "view basis row column"], Float[Tensor, " sum"]]:
     """Compute `_gradient_and_sums` by the processor, in one pass over the rays."""
     counts = MeasuredCounts(data.counts, data.gains, data.exposure, data.profile, data.statistical_weights)
     found = data_term(bounded(images).numpy(), counts, data.transmission, dispersion)
-    gradient = torch.from_numpy(found.gradient).to(images.dtype)
+    gradient = torch.from_numpy(found.gradient).to(images)
     below = images.clamp(max=0)
     gradient = 2 * gradient / (1 - below / MOST_NEGATIVE) ** 2
     parts = [found.deviances.sum()], found.chi_squares, [found.noise_deviances.sum()], found.noise_chi_squares
-    return gradient, torch.from_numpy(np.concatenate(parts))
+    return gradient, torch.from_numpy(np.concatenate(parts)).cpu()
 
 
 def _sums(

@@ -58,7 +58,7 @@ class Recipe:
     spacing : distance between Gaussians along edges [voxels], with `few_views` views or fewer; measured against 1.2
     finest_spacing : that distance with any number of views, at least [voxels]; chosen by hand, not measured
     voxel_passes : passes over the views at full resolution, for the voxels that a fit with a prior starts from;
-        measured with 180 and 360 views
+        measured with 4 and 5 on `kedge`
     voxel_fall : part of the deviance by which the last of these passes may lower it; as long as one lowers it by more,
         others follow, up to three times as many [no unit]; measured with a head of thick bone
     approximation : evaluations of the fit to the voxel volumes; measured against 30, and 40 against 20
@@ -102,7 +102,7 @@ class Recipe:
     few_views: int = 75
     spacing: float = 1.0
     finest_spacing: float = 0.9
-    voxel_passes: int = 5
+    voxel_passes: int = 6
     voxel_fall: float = 0.01
     approximation: int = 60
     dispersion: float = 0.02

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from phantomgen.geometry.curved_panel import module_frames
@@ -13,11 +13,27 @@ from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.project import project, project_transpose
 from recon.data.measurements import Measurements
+from recon.data.volume_edges import relative_density
 from recon.ops.likelihood import MeasuredCounts, likelihood, tensors
 from recon.ops.nonnegative_newton import as_matrices
 from recon.voxel.method import Volumes
 
 VIEWS_AT_ONCE = 16  # views; projected together, which bounds the memory
+
+
+class Curvature(NamedTuple):
+    """Second derivatives of half the deviance.
+
+    Parameters
+    ----------
+    blocks : separable majoriser, one block per voxel, upper triangle row by row [mm^2]
+    covariance : of the gradient in an attenuating voxel, by the noise of the counts [mm^2]
+    information : diagonals of the blocks if all voxels are expected to change alike [mm^2]
+    """
+
+    blocks: Float[np.ndarray, "pair z y x"]
+    covariance: Float[np.ndarray, "basis basis"]
+    information: Float[np.ndarray, "basis z y x"]
 
 
 def deviance_and_gradient(volumes: Any, measurements: Measurements, grid: Grid, dispersion: float) -> tuple[float, Any]:
@@ -47,15 +63,16 @@ def curvature(
     measurements: Measurements,
     grid: Grid,
     dispersion: float,
-    step_scales: Float[np.ndarray, "z y x"] | None = None,
+    changes: Float[np.ndarray, "z y x"] | None = None,
     device: str = "cpu",
-) -> tuple[Float[np.ndarray, "pair z y x"], Float[np.ndarray, "basis basis"]]:
+) -> Curvature:
     """Compute a separable majoriser of half the deviance, and the covariance of its gradient in an attenuating voxel.
 
     With a_ri the length of ray r in voxel i, F_r the Fisher matrix of the line integrals of the ray and s_i the step
     scale of voxel i, the block of voxel i is sum_r a_ri (sum_j a_rj s_j) F_r / s_i: steps by its inverse reduce the
     deviance and do not depend on the choice of the basis. This holds for any positive step scales; voxels with larger
-    ones than the others along their rays take longer steps.
+    ones than the others along their rays take longer steps. Step scales are the changes that are expected, times the
+    density of voxels denser than the typical one; otherwise small pieces of metal would be the last to converge.
 
     Noise of the counts gives the gradient of voxel i the covariance sum_r a_ri^2 F_r. The function returns its mean
     over voxels, each weighted by its attenuation. Along a ray, the sum of a_ri^2 is assumed proportional to that of
@@ -67,33 +84,46 @@ def curvature(
     measurements : the views
     grid : grid of `volumes`
     dispersion : relative model error [no unit]; the variance of counts Y is Y + (dispersion Y)^2
-    step_scales : s, positive; None for 1 everywhere
+    changes : expected change of each voxel relative to the others, positive; None for the same everywhere
     device : where rays are computed, ``cpu`` or ``cuda``
 
     Returns
     -------
-    block of each voxel, upper triangle row by row [mm^2]; covariance [mm^2]
+    blocks, covariance, and the diagonals of the blocks with equal changes
 
     References
     ----------
     Weidinger et al. 2016, doi:10.1155/2016/5871604; Mechlem et al. 2018, doi:10.1109/TMI.2017.2726687. Step scales: Kim
     et al. 2013, doi:10.1109/TMI.2013.2266898.
     """
-    probes = np.ones((3, *grid.shape), np.float32)
+    probes = np.ones((3 if changes is None else 4, *grid.shape), np.float32)
     probes[1] -= 2 * np.random.default_rng(0).integers(0, 2, grid.shape)
-    if step_scales is not None:
-        probes[2] = step_scales
+    probes[2:] = np.maximum(relative_density(volumes), 1)
+    if changes is not None:
+        probes[2] *= changes
     scan = volumes, probes, measurements, grid, dispersion
     sums = _sums(*scan) if device == "cpu" else _sums_on_device(*scan, device)
     attenuation = volumes.sum(dtype=np.float64) if volumes.any() else float(np.prod(grid.shape))
     covariance = as_matrices(sums.weighted * sums.squares / (max(sums.whole, 1e-30) * attenuation))
-    return sums.blocks / probes[2], covariance
+    blocks = sums.blocks / probes[2]
+    return Curvature(blocks, covariance, blocks[_own(len(volumes))] if changes is None else sums.even / probes[3])
+
+
+def _own(bases: int) -> Int[np.ndarray, " basis"]:
+    """Pairs of a basis with itself among the pairs of the upper triangle."""
+    rows, columns = np.triu_indices(bases)
+    return np.flatnonzero(rows == columns)
 
 
 class _Sums(NamedTuple):
-    """Sums over rays: blocks of the voxels; curvatures times attenuation; paths; squares of random sums of voxels."""
+    """Sums over rays.
+
+    They are blocks of the voxels, and with equal changes their diagonals; curvatures times attenuation; paths; squares
+    of random sums of voxels.
+    """
 
     blocks: Float[np.ndarray, "pair z y x"]
+    even: Float[np.ndarray, "basis z y x"]
     weighted: Float[np.ndarray, " pair"]
     whole: float
     squares: float
@@ -109,14 +139,16 @@ def _sums(
     """Compute the sums of `curvature` by the processor."""
     bases, empty, whole, squares = len(volumes), not volumes.any(), 0.0, 0.0
     blocks = np.zeros((bases * (bases + 1) // 2, *grid.shape), np.float32)
-    weighted = np.zeros(len(blocks))
+    weighted, even, own = np.zeros(len(blocks)), np.zeros((bases, *grid.shape), np.float32), _own(bases)
     for some in _portions(measurements):
-        lengths, (through, signs, scaled) = (forward(v, some.geometry, grid) for v in (volumes, probes))
+        lengths, (through, signs, scaled, *plain) = (forward(v, some.geometry, grid) for v in (volumes, probes))
         _, _, fisher = _likelihood(lengths, some, dispersion, True)
         blocks += transpose(fisher * scaled, some.geometry, grid)
+        if plain:
+            even += transpose(fisher[own] * plain[0], some.geometry, grid)
         weighted += np.einsum("pvrc,vrc->p", fisher, through if empty else lengths.sum(axis=0), dtype=np.float64)
         whole, squares = whole + through.sum(dtype=np.float64), squares + np.square(signs).sum(dtype=np.float64)
-    return _Sums(blocks, weighted, whole, squares)
+    return _Sums(blocks, even, weighted, whole, squares)
 
 
 def _sums_on_device(
@@ -132,14 +164,17 @@ def _sums_on_device(
     values, tests = (torch.from_numpy(part).to(device) for part in (volumes, probes))
     blocks = values.new_zeros(bases * (bases + 1) // 2, *grid.shape)
     weighted = torch.zeros(len(blocks), dtype=torch.float64, device=device)
+    even, own = values.new_zeros(bases, *grid.shape), torch.from_numpy(_own(bases)).to(device)
     for some in _portions(measurements):
-        lengths, (through, signs, scaled) = (forward(v, some.geometry, grid) for v in (values, tests))
+        lengths, (through, signs, scaled, *plain) = (forward(v, some.geometry, grid) for v in (values, tests))
         _, _, fisher = _likelihood(lengths, some, dispersion, True)
         blocks += transpose(fisher * scaled, some.geometry, grid)
+        if plain:
+            even += transpose(fisher[own] * plain[0], some.geometry, grid)
         along = through if empty else lengths.sum(dim=0)
         weighted += torch.einsum("pvrc,vrc->p", fisher.double(), along.double())
         whole, squares = whole + float(through.double().sum()), squares + float(signs.double().square().sum())
-    return _Sums(blocks.cpu().numpy(), weighted.cpu().numpy(), whole, squares)
+    return _Sums(blocks.cpu().numpy(), even.cpu().numpy(), weighted.cpu().numpy(), whole, squares)
 
 
 def forward(volumes: Any, geometry: Geometry, grid: Grid) -> Any:

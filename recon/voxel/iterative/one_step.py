@@ -33,7 +33,7 @@ from torch import Tensor
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import every_nth_view, golden_section_order, interleaved_subsets, view_groups
-from recon.data.volume_edges import contrast_around, metal_without_agents, over_metal, relative_density
+from recon.data.volume_edges import contrast_around, metal_without_agents, over_metal
 from recon.ops.nonnegative_newton import as_matrices, inverse_blocks, nonnegative_newton_step
 from recon.ops.total_variation import ascend, neighbour_sums
 from recon.ops.total_variation import gradient as total_variation_gradient
@@ -345,26 +345,25 @@ def _deviance_and_gradient(unknowns: Any, data: Measurements, grid: Grid, settin
 
 
 def _curvature(
-    unknowns: Volumes, data: Measurements, grid: Grid, settings: OneStep, step_scales: Float[np.ndarray, "z y x"]
-) -> tuple[Float[np.ndarray, "pair z y x"], Float[np.ndarray, "unknown unknown"]]:
-    """`recon.voxel.iterative.likelihood.curvature` in the unknowns; along a curve, its bend is left out."""
+    unknowns: Volumes, data: Measurements, grid: Grid, settings: OneStep
+) -> tuple[Float[np.ndarray, "pair z y x"], Float[np.ndarray, "unknown unknown"], Float[np.ndarray, "unknown z y x"]]:
+    """`recon.voxel.iterative.likelihood.Curvature` in the unknowns; along a curve, its bend is left out."""
     if settings.curve is None:
-        return curvature(unknowns, data, grid, settings.dispersion, step_scales, settings.device)
-    blocks, covariance = curvature(settings.coefficients(unknowns), data, grid, settings.dispersion, step_scales)
+        return curvature(unknowns, data, grid, settings.dispersion, _changes(unknowns), settings.device)
+    blocks, covariance, _ = curvature(settings.coefficients(unknowns), data, grid, settings.dispersion)
     slopes = settings.curve.slopes(unknowns[0])
     pairs = zip(*np.triu_indices(len(slopes)), strict=True)
     along = sum((1 + (m != n)) * slopes[m] * slopes[n] * block for (m, n), block in zip(pairs, blocks, strict=True))
     weights = unknowns[0] + np.float32(1e-30)
     typical = np.einsum("mzyx,zyx->m", slopes, weights / weights.sum())
-    return np.asarray(along)[None], np.array([[typical @ covariance @ typical]])
+    return np.asarray(along)[None], np.array([[typical @ covariance @ typical]]), np.asarray(along)[None]
 
 
 def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep) -> _Metric:
     """Compute the metric at volumes.
 
     Voxels where values change from one to the next have most of their way to go on a finer level, so that they take
-    longer steps than those of an even region (`_changes`). So do voxels denser than the typical one; otherwise small
-    pieces of metal would be the last to converge.
+    longer steps than those of an even region (`_changes`).
 
     Metal holds no contrast agent, but no combination of bases attenuates as metal does, and the difference resembles a
     K edge. So K edges have a prior at 0 in metal, the stronger the denser the metal.
@@ -372,24 +371,21 @@ def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep)
     step = min(CURVATURE_STEP, max(len(data) / LEAST_CURVATURE_VIEWS, 1.0))
     some = data[every_nth_view(view_groups(data.exposure), step)]
     share = len(data) / len(some)
-    changes = _changes(volumes)
-    scales = changes * np.maximum(relative_density(volumes), 1)
-    blocks, covariance = _curvature(volumes, some, grid, settings, scales.astype(np.float32))
+    blocks, covariance, information = _curvature(volumes, some, grid, settings)
     upper = np.triu_indices(len(volumes))
-    own = blocks[upper[0] == upper[1]]
-    diagonal = share * own.mean(axis=(1, 2, 3))
+    diagonals = np.float32(share) * information
     blocks *= np.float32(share)
     empty, edges, over = None, np.zeros(1), np.ones(1)
     if settings.curve is None:
         edges, over = metal_without_agents(volumes, data.basis_names)
     if over.max(initial=1) > 1:
-        empty = edges[:, None, None, None] * (blocks[upper[0] == upper[1]] * np.float32(AGENT_PRIOR) * (over - 1))
+        empty = edges[:, None, None, None] * (diagonals * np.float32(AGENT_PRIOR) * (over - 1))
         empty = empty.astype(np.float32)
         blocks[upper[0] == upper[1]] += empty
-    inverse = inverse_blocks(blocks, CURVATURE_FLOOR * diagonal + 1e-30)
+    inverse = inverse_blocks(blocks, CURVATURE_FLOOR * diagonals.mean(axis=(1, 2, 3)) + 1e-30)
     ridge = (1e-12 * np.trace(covariance) + 1e-30) * np.eye(len(volumes))
     mixing = np.sqrt(share) * np.linalg.cholesky(covariance + ridge).T
-    bounds = np.float32(settings.strength) * _statistical_weights(own * changes, volumes.sum(axis=0))
+    bounds = np.float32(settings.strength) * _statistical_weights(information, volumes.sum(axis=0))
     inverse = _on_device(inverse, settings)
     steps = 1 / neighbour_sums(_largest(inverse, mixing), grid)
     steps, bounds = (_on_device(part, settings) for part in (steps, bounds))
@@ -397,14 +393,10 @@ def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep)
 
 
 def _changes(volumes: Volumes) -> Float[np.ndarray, "z y x"]:
-    """Expected change of each voxel over the largest one, by the contrast around it.
-
-    Steel and titanium, whose inside is the last to converge, leave all changes alike; so do empty volumes.
-    """
+    """Expected change of each voxel over the largest one, by the contrast around it; 1 everywhere in empty volumes."""
     if not volumes.any():
         return np.ones(volumes.shape[1:], np.float32)
-    least = min(LEAST_CHANGE * float(over_metal(volumes).max()), 1.0)
-    return np.clip(np.sqrt(contrast_around(volumes)), least, 1).astype(np.float32)
+    return np.clip(np.sqrt(contrast_around(volumes)), LEAST_CHANGE, 1).astype(np.float32)
 
 
 def _statistical_weights(

@@ -55,7 +55,10 @@ def state():
     return FitState.begin(small_model(2))
 
 
-def test_the_likelihood(monkeypatch, scan, state):
+@pytest.mark.parametrize("by_tensors", [False, True])
+def test_the_likelihood(monkeypatch, scan, state, by_tensors):
+    if by_tensors:  # as on a GPU
+        monkeypatch.setattr("recon.gaussians.likelihood._has_kernel", lambda device: False)
     wanted = likelihood_and_gradients(state.gaussians, scan, np.arange(2), 0.01)
     gradients = [getattr(state.gaussians, name).grad.clone() for name in PARTS]
     with watched(monkeypatch):
@@ -64,6 +67,19 @@ def test_the_likelihood(monkeypatch, scan, state):
     assert found.deviance == wanted.deviance
     assert everywhere.deviance > 0
     assert all(torch.equal(getattr(state.gaussians, n).grad, g) for n, g in zip(PARTS, gradients, strict=True))
+
+
+def test_tensors_and_the_kernel_compute_the_same_likelihood(monkeypatch, scan, state):
+    results = []
+    for by_tensors in (False, True):
+        monkeypatch.setattr("recon.gaussians.likelihood._has_kernel", lambda device, by=by_tensors: not by)
+        found = likelihood_and_gradients(state.gaussians, scan, np.arange(2), 0.01)
+        results.append((found, [getattr(state.gaussians, name).grad.clone() for name in PARTS]))
+    (one, gradients), (other, others) = results
+    assert one.deviance == pytest.approx(other.deviance, rel=1e-5)
+    np.testing.assert_allclose(one.chi_square, other.chi_square, rtol=1e-4)
+    for gradient, right in zip(gradients, others, strict=True):
+        torch.testing.assert_close(gradient, right, rtol=1e-3, atol=1e-4 * float(right.abs().max()))
 
 
 def test_the_curvature(monkeypatch, scan, state):

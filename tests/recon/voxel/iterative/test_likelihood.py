@@ -47,11 +47,11 @@ def true_information(truth, grid, scan):
 
 @pytest.mark.parametrize("uneven", [False, True])
 @pytest.mark.parametrize("bases", [1, 2])
-def test_curvature_majorises_the_fisher_matrix_for_any_step_scales(bases, uneven):
+def test_curvature_majorises_the_fisher_matrix_for_any_changes(bases, uneven):
     truth, grid, scan = some_scan(bases, seed=None)
     whole, _ = true_information(truth, grid, scan)
-    scales = np.random.default_rng(0).uniform(0.1, 3, grid.shape).astype(np.float32) if uneven else None
-    blocks = as_matrices(curvature(truth, scan, grid, 0.01, scales)[0]).reshape(-1, bases, bases)
+    changes = np.random.default_rng(0).uniform(0.1, 3, grid.shape).astype(np.float32) if uneven else None
+    blocks = as_matrices(curvature(truth, scan, grid, 0.01, changes)[0]).reshape(-1, bases, bases)
     separable = np.zeros_like(whole)
     for i, block in enumerate(blocks):
         separable[i * bases : (i + 1) * bases, i * bases : (i + 1) * bases] = block
