@@ -115,7 +115,7 @@ def flat(values: Float[np.ndarray, "..."] | None, *shape: int) -> Float[np.ndarr
     Parameters
     ----------
     values : any array; None for an empty one
-    shape : of the result
+    *shape : of the result
 
     Returns
     -------
