@@ -258,4 +258,4 @@ def _summed(sums: Float[Tensor, " sum"], processes: Processes) -> Likelihood:
     processes.add_up([sums])
     (total, *squares), (least, *noise) = np.array(sums.tolist()).reshape(2, -1)
     found = np.divide(squares, noise, out=np.full(len(noise), np.nan), where=np.array(noise) > 0)
-    return Likelihood(float(total / least) if least > 0 else 0.0, found)
+    return Likelihood(float(total / least) if least != 0 else 0.0, found)

@@ -85,9 +85,9 @@ def _noise_deviance(expected, dispersion, table):
     """Compute the mean deviance of a count where noise is alone, see `recon.ops.deviance.expected_deviance`."""
     least, step, means = table
     last = means.size - 1
-    place = (log(expected / least) / step) if expected > least else 0.0
+    place = min(log(expected / least) / step, float(last)) if expected > least else 0.0
     low = min(int(place), last - 1)
-    part = min(place - low, 1.0)
+    part = place - low
     mean = means[low] + part * (means[low + 1] - means[low])
     return min(expected / least, 1.0) * mean / (1.0 + dispersion * dispersion * expected)
 

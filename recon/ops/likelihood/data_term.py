@@ -18,7 +18,7 @@ RAYS_PER_PIECE = 128 * BLOCK  # of a view; changes time, and the last digits of 
 
 
 class DataTerm(NamedTuple):
-    """Data term of some views; the sums are over views and pixels.
+    """Data term of some views, without units; the sums are over views and pixels.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def data_term(
 
     Returns
     -------
-    sums of each channel, and the gradient of each ray
+    sums of each channel, NaN where a line integral is, as in a fit that diverges; and the gradient of each ray
     """
     views, bases, rows, columns = lengths.shape
     channels, pixels = len(transmission), rows * columns
@@ -63,12 +63,11 @@ def data_term(
 
     def one_piece(piece: tuple[int, int]) -> Float64[np.ndarray, "4 channel"]:
         view, first = piece
-        part, sums, room = (
-            (first, min(first + RAYS_PER_PIECE, pixels)),
-            np.zeros((4, channels)),
-            np.empty((2 + bases, BLOCK)),
-        )
+        part = first, min(first + RAYS_PER_PIECE, pixels)
+        room, sums = np.empty((2 + bases, BLOCK)), np.zeros((4, channels))
         cpu.data_term(rays[view], part, nodes, float(dispersion), LEAST, poisson_means(), room, (gradient[view], sums))
+        if np.isnan(rays[view].lengths[..., slice(*part)]).any():  # which the kernel takes for rays that amplify
+            sums[:] = np.nan
         return sums
 
     pieces = [(view, first) for view in range(views) for first in range(0, pixels, RAYS_PER_PIECE)]

@@ -51,8 +51,9 @@ CURVATURE_STEP = 3.236
 # steps; with 3 of 9 views, voxels at a corner of the grid ended at 30 per mm; of 40 views on an arc of 120 degrees, all
 # have 37.4 / 29.8 / 38.2 dB, every second one 37.3 / 29.8 / 36.0 and every fourth one 14 / 12 / 11 dB
 LEAST_CURVATURE_VIEWS = 40
-# no unit, over the change at a full edge; steps of a voxel in an even region are shorter by so much. 1 needs twice as
-# many passes, 0.08 as many, on the scenes of `benchmarks.reconstruction.scene_kinds`
+# no unit, over the change at a full edge; steps of a voxel in an even region are shorter by so much. 1 needs nearly
+# twice as many passes, 0.08 as many, as measured when it was chosen
+# (docs/development/decisions/0017-full-size-voxels-first.md)
 LEAST_CHANGE = 0.15
 # no unit, over the least deviance of a pass; where a pass exceeds it, the subsets have diverged, and half as many go on
 # from the best volumes; chosen by hand, not measured
@@ -356,7 +357,8 @@ def _curvature(
     along = sum((1 + (m != n)) * slopes[m] * slopes[n] * block for (m, n), block in zip(pairs, blocks, strict=True))
     weights = unknowns[0] + np.float32(1e-30)
     typical = np.einsum("mzyx,zyx->m", slopes, weights / weights.sum())
-    return np.asarray(along)[None], np.array([[typical @ covariance @ typical]]), np.asarray(along)[None]
+    block = np.asarray(along)[None]
+    return block, np.array([[typical @ covariance @ typical]]), block.copy()
 
 
 def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep) -> _Metric:

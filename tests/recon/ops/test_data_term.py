@@ -87,6 +87,14 @@ def test_rays_without_photons_and_rays_that_amplify_give_finite_numbers(scale):
         assert np.isfinite(values).all()
 
 
+def test_rays_that_are_no_numbers_are_not_hidden():
+    lengths, measured, model = some_views(2, 40)
+    lengths[0, 0, 1, 3] = np.nan
+    found = data_term(lengths, measured, model, 0.01)
+    assert np.isnan(found.deviances).all()
+    assert np.isnan(found.chi_squares).all()
+
+
 def test_any_number_of_threads_gives_the_same_bits():
     scan, results = some_views(3, RAYS_PER_PIECE), []
     try:
