@@ -102,6 +102,9 @@ class _Output:
 @click.option("--truncate", type=PART, default=0.0, metavar="PART", help="Cut off columns, half on each side: 20%.")
 @click.option("--bin", "factor", type=int, default=1, metavar="N", help="Sum N x N pixels.")
 @click.option("--dead", type=PART, default=0.0, metavar="PART", help="Pixels that die and are marked: 0.1%.")
+@click.option("--dead-columns", type=int, default=0, metavar="N", help="Columns that die from end to end, marked.")
+@click.option("--hot", type=PART, default=0.0, metavar="PART", help="Pixels that read twice the open beam, not marked.")
+@click.option("--drift", type=PART, default=0.0, metavar="PART", help="Tube output lost over the scan, not stated: 5%.")
 @click.option("--shift", type=PIXELS, default=0.0, metavar="PIXELS", help="State the panel so far from the true one.")
 @click.option(
     "--tilt", type=FiniteRange(), default=0.0, metavar="DEG", help="State the panel turned so far in its plane."
@@ -109,7 +112,7 @@ class _Output:
 @click.option(
     "--kv-error", type=FiniteRange(), default=0.0, metavar="KV", help="State a tube voltage so far from the true one."
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of photons and dead pixels.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of photons, dead and hot pixels.")
 @click.option("--compression", default="gzip", metavar="gzip|bitshuffle|none", help="Of large arrays [default: gzip].")
 @click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")

@@ -27,7 +27,7 @@ from phantomgen.degradation.panel import (
 )
 from phantomgen.degradation.settings import Degradation
 from phantomgen.degradation.views import Splits, evenly_spread, renumbered, within_arc
-from phantomgen.effects.defects import DEAD, Defects, stuck
+from phantomgen.effects.defects import DEAD, HOT, Defects, stuck
 from phantomgen.effects.random_streams import Stream, generator
 from phantomgen.geometry.panel_changes import moved_panel, smaller_panel
 from phantomgen.geometry.poses import Geometry
@@ -37,6 +37,7 @@ from spectra.errors import InputError
 Images = Shaped[np.ndarray, "channel row column"]
 _LARGEST = np.iinfo(np.int32).max
 _SOURCE = "/entry/instrument/source"
+_HOT = 2.0  # reading of a hot pixel, in open beams; the default of scenes
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +65,11 @@ class DegradedScan:
         """
         wish, dataset = self.settings, self.dataset
         check_bin(dataset.counts.shape[2], self.columns.stop - self.columns.start, wish.bin)
-        if wish.dose < 1 and dataset.spectra.dead_time is not None:
+        if wish.dead_columns > self.geometry.panel.columns:
+            raise InputError(
+                f"{wish.dead_columns} columns cannot die on a panel of {self.geometry.panel.columns} columns"
+            )
+        if (wish.dose < 1 or wish.drift) and dataset.spectra.dead_time is not None:
             raise InputError(
                 f"{dataset.path} lost counts to dead time, of which fewer are lost at a lower dose: "
                 "simulate it with fewer photons instead, as thinning would be wrong"
@@ -75,7 +80,7 @@ class DegradedScan:
             raise InputError(
                 f"{dataset.path} has noise already, or no counts: noise is drawn for scans made by --no-noise"
             )
-        _ = self.kept, self.geometry, self.stated, self.masks
+        _ = self.kept, self.geometry, self.stated, self.masks, self.hot_levels
 
     @property
     def is_signal(self) -> bool:
@@ -189,10 +194,26 @@ class DegradedScan:
         return "tungsten" if found is None else text_of(found[()])
 
     @cached_property
-    def new_dead(self) -> UInt32[np.ndarray, "row column"]:
-        """Bits of the pixels that are made dead."""
+    def new_defects(self) -> UInt32[np.ndarray, "row column"]:
+        """Bits of the pixels that are made dead or hot."""
         panel, wish = self.geometry.panel, self.settings
-        return Defects(dead=wish.dead).mask(dose_seed(wish.seed, wish.dead, self.step), panel.rows, panel.columns)
+        chosen = generator(dose_seed(wish.seed, wish.dead_columns, self.step), Stream.DEFECTS, 1, 0)
+        columns = tuple(chosen.permutation(panel.columns)[: wish.dead_columns].tolist())
+        defects = Defects(dead=wish.dead, hot=wish.hot, columns=columns)
+        return defects.mask(dose_seed(wish.seed, wish.dead, self.step), panel.rows, panel.columns)
+
+    @cached_property
+    def new_dead(self) -> UInt32[np.ndarray, "row column"]:
+        """Bits of the pixels that are made dead, which are marked; hot ones are not."""
+        return np.where(self.new_defects & np.uint32(HOT), np.uint32(0), self.new_defects)
+
+    @cached_property
+    def hot_levels(self) -> Float[np.ndarray, " channel"]:
+        """What hot pixels read in each channel: twice the open beam of a pixel of the new panel."""
+        if not self.settings.hot:
+            return np.zeros(len(self.dataset.spectra.channels))
+        open_beam = np.median(self.dataset.flat, axis=(1, 2))
+        return _HOT * open_beam * self.settings.bin**2
 
     @cached_property
     def masks(self) -> tuple[UInt32[np.ndarray, "row column"] | None, ...]:
@@ -208,7 +229,7 @@ class DegradedScan:
         """Old and new faults of one channel."""
         stored = mask_of(self.dataset.file, channel)
         if stored is None:
-            return self.new_dead if self.settings.dead else None
+            return self.new_dead if self.new_dead.any() else None
         old = stored[()].astype(np.uint32)[:, self.columns]
         return binned_mask(old, self.settings.bin) | self.new_dead
 
@@ -249,7 +270,7 @@ class DegradedScan:
         changed = kind == "data" or (kind == "flat" and self.settings.flats == "thin")
         stream = Stream.DOSE if kind == "data" else Stream.FLAT_DOSE
         at_dose = self._all_at_dose(images, stream, frame) if changed else list(images)
-        return [self._on_panel(image) for image in at_dose]
+        return [self._on_panel(image, channel) for channel, image in enumerate(at_dose)]
 
     def expected(self, frame: int) -> list[Float[np.ndarray, "row column"]]:
         """Compute the counts without noise of one view.
@@ -263,13 +284,19 @@ class DegradedScan:
         means of each channel, float32
         """
         images = frame_at(array_at(self.dataset.file, "/truth/expected"), frame).astype(np.float64)
-        dose = self.settings.written_dose
+        dose = self.settings.written_dose * self._output(Stream.DOSE, frame)
         scaled = dose * images + (1 - dose) * self.dataset.dark
-        return [self._on_panel(image).astype(np.float32) for image in scaled]
+        return [self._on_panel(image, channel).astype(np.float32) for channel, image in enumerate(scaled)]
+
+    def _output(self, stream: Stream, frame: int) -> float:
+        """Part of the tube output that drift leaves in a frame."""
+        if stream != Stream.DOSE or not self.settings.drift:
+            return 1.0
+        return 1 - self.settings.drift * frame / max(self.dataset.counts.shape[0] - 1, 1)
 
     def _all_at_dose(self, images: np.ndarray, stream: Stream, frame: int) -> list[np.ndarray]:
         """The images of all channels at the dose asked for, before they are cut and binned."""
-        if self.settings.dose == 1 and not self.settings.noise:
+        if self.settings.dose == 1 and not self.settings.noise and self._output(stream, frame) == 1:
             return list(images)
         if not self.dataset.spectra.cumulative:
             return [self._at_dose(image, self.dataset.dark[c], stream, frame, c) for c, image in enumerate(images)]
@@ -287,22 +314,23 @@ class DegradedScan:
         """One image of independent counts, or signals, at the dose asked for."""
         wish = self.settings
         random = generator(dose_seed(wish.seed, wish.dose, self.step), stream, frame, channel)
+        dose = wish.dose * self._output(stream, frame)
         if self.has_counts:
-            changed = counts_at_dose(image, dark, wish.dose, wish.complement, random)
+            changed = counts_at_dose(image, dark, dose, wish.complement, random)
             return np.where(self.dataset.mask[channel], image, changed)
         if self.is_noise_free:
-            means = wish.dose * (image.astype(np.float64) - dark) + dark
+            means = dose * (image.astype(np.float64) - dark) + dark
             return random.poisson(np.maximum(means, 0.0)) if wish.noise else means
         quantum, variance = float(self.dataset.spectra.quantum[channel]), float(self.dataset.dark_variance[channel])
-        changed = signal_at_dose(image.astype(np.float64), dark, wish.dose, quantum, variance, random)
+        changed = signal_at_dose(image.astype(np.float64), dark, dose, quantum, variance, random)
         return np.where(self.dataset.mask[channel], image, changed)
 
-    def _on_panel(self, image: np.ndarray) -> np.ndarray:
-        """An image of the smaller panel, with new dead pixels, of the type that is stored."""
+    def _on_panel(self, image: np.ndarray, channel: int) -> np.ndarray:
+        """An image of the smaller panel, with new dead and hot pixels, of the type that is stored."""
         wide = image.astype(np.int64 if image.dtype.kind in "iu" else np.float64)
         summed = binned_sum(wide[:, self.columns], self.settings.bin)
-        if self.settings.dead:
-            summed = stuck(summed, self.new_dead & np.uint32(DEAD), 0.0)
+        if self.new_defects.any():
+            summed = stuck(summed, self.new_defects & np.uint32(DEAD | HOT), float(self.hot_levels[channel]))
         if self.writes_counts and summed.max(initial=0) > _LARGEST:
             raise InputError(f"{self.dataset.path}: the sum of binned counts exceeds {_LARGEST}: bin fewer pixels")
         return summed.astype(np.int32 if self.writes_counts else np.float32)
@@ -331,8 +359,9 @@ def history(scan: DegradedScan) -> list[str]:
 def _dose_phrase(scan: DegradedScan) -> str:
     """What was done to the dose."""
     wish = scan.settings
-    if wish.dose == 1 and not wish.noise:
+    if wish.dose == 1 and not wish.noise and not wish.drift:
         return ""
+    drift = f"; tube output falls by {wish.drift:g} of it over the scan, which is not stated" if wish.drift else ""
     if scan.has_counts:
         how = "binomial thinning of counts" + (", the complement" if wish.complement else "")
     elif scan.is_noise_free:
@@ -343,7 +372,7 @@ def _dose_phrase(scan: DegradedScan) -> str:
             f"from {frames} darks" if frames > 1 else "taken as 0 for lack of two darks"
         )
     flats = "flats thinned as well" if wish.flats == "thin" else "flats as measured, exposure scaled"
-    return f"dose {wish.written_dose:g}: {how}; {flats}"
+    return f"dose {wish.written_dose:g}: {how}; {flats}{drift}"
 
 
 def _views_phrase(scan: DegradedScan) -> str:
@@ -365,8 +394,12 @@ def _panel_phrase(scan: DegradedScan) -> str:
         phrases.append(f"{scan.columns.start} of {scan.dataset.counts.shape[3]} columns cut off on each side")
     if wish.bin > 1:
         phrases.append(f"{wish.bin} x {wish.bin} pixels summed")
-    if wish.dead:
-        phrases.append(f"{np.count_nonzero(scan.new_dead)} pixels made dead and marked")
+    if scan.new_dead.any():
+        columns = f", {wish.dead_columns} columns among them" if wish.dead_columns else ""
+        phrases.append(f"{np.count_nonzero(scan.new_dead)} pixels made dead and marked{columns}")
+    if wish.hot:
+        hot = np.count_nonzero(scan.new_defects & HOT)
+        phrases.append(f"{hot} pixels read twice the open beam and are not marked")
     return f"panel: {', '.join(phrases)}" if phrases else ""
 
 

@@ -24,10 +24,13 @@ class Degradation:
     truncate : part of the columns that is cut off, half of it on each side
     bin : pixels along each side that are summed into one
     dead : part of the pixels that are dead afterwards, in addition to those that are
+    dead_columns : number of columns that are dead from end to end afterwards
+    hot : part of the pixels that read twice the open beam afterwards, in views, flats and darks; they are not marked
+    drift : part of the tube output that is lost from the first to the last view of the scan; the file does not state it
     shift : how far the stated panel lies from the true one along its columns [pixel of the result]
     tilt : how far the stated panel is turned in its plane from the true one, from columns towards rows [degree]
     kv_error : stated tube voltage less the true one [kV]
-    seed : of photons and of dead pixels
+    seed : of photons, and of dead and hot pixels
 
     Raises
     ------
@@ -44,6 +47,9 @@ class Degradation:
     truncate: float = 0.0
     bin: int = 1
     dead: float = 0.0
+    dead_columns: int = 0
+    hot: float = 0.0
+    drift: float = 0.0
     shift: float = 0.0
     tilt: float = 0.0
     kv_error: float = 0.0
@@ -67,6 +73,12 @@ class Degradation:
             )
         if not 0 <= self.truncate < 1:
             raise InputError(f"the part of the columns to cut off must lie in 0 .. 1, got {self.truncate:g}")
+        if self.dead_columns < 0:
+            raise InputError(f"the number of dead columns must be 0 or more, got {self.dead_columns}")
+        if not 0 <= self.drift < 1:
+            raise InputError(f"the part of the tube output that drifts away must lie in 0 .. 1, got {self.drift:g}")
+        if self.drift and self.complement:
+            raise InputError("a complement has the photons that a dose leaves out: leave out the drift")
         if self.bin < 1:
             raise InputError(f"pixels are binned by 1, 2 or more, got {self.bin}")
         for name in ("shift", "tilt", "kv_error"):

@@ -198,7 +198,8 @@ class HeldOutView:
     open_beam : counts without an object; a pixel with 0 is blind and left out
     away : mask of the rays away from edges
     marked : mask of the rays through voxels whose bases the counts do not determine; None where there are none
-    spread : variance of the counts over their mean; None where it is 1, as that of Poisson counts
+    spread : variance of the difference of measured and expected counts, over their mean; None where it is 1, as that of
+        Poisson counts whose flat field is exact
     """
 
     counts: Real[np.ndarray, "channel row column"]

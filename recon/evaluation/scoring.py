@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Real
 
 from phantomgen.dataset.reader import Dataset
-from phantomgen.dataset.spectral_model import Spectra
 from phantomgen.dataset.truth import Truth
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements, read_measurements
+from recon.evaluation.count_noise import CountNoise
 from recon.evaluation.metrics import (
     HeldOutView,
     psnr,
@@ -45,15 +45,15 @@ def held_out_views(
     ------
     measured and expected counts of each view
     """
-    test = dataset.splits["test"]
+    test, noise = dataset.splits["test"], CountNoise.of(dataset)
     for first in range(0, len(test), VIEWS_AT_ONCE):
         views = test[first : first + VIEWS_AT_ONCE]
         measured = read_measurements(dataset, views, len(model.basis_names), separable=False)
-        yield from run_parallel(lambda view: view(), _predict(measured, model, unreliable, dataset.spectra))
+        yield from run_parallel(lambda view: view(), _predict(measured, model, unreliable, noise))
 
 
 def _predict(
-    measured: Measurements, model: GaussianModel | Voxels, unreliable: Unreliable | None, spectra: Spectra
+    measured: Measurements, model: GaussianModel | Voxels, unreliable: Unreliable | None, noise: CountNoise
 ) -> Iterator[Callable[[], HeldOutView]]:
     """Predict some views together; the edges of each are found when its function is called."""
     lengths = model.line_integrals(measured.geometry).numpy()
@@ -65,9 +65,15 @@ def _predict(
         scale = exposure[:, None, None]
         through = None if marked is None else marked[view]
         scattered = measured.scattered(view)
-        now = expected[view] * measured.gains * scale + scattered
-        spread = None if spectra.dead_time is None else spectra.spread(now)
-        yield partial(HeldOutView.of, counts + scattered, now, open_beam * scale, marked=through, spread=spread)
+        primary = expected[view] * measured.gains * scale
+        yield partial(
+            HeldOutView.of,
+            counts + scattered,
+            primary + scattered,
+            open_beam * scale,
+            marked=through,
+            spread=noise.spread(primary, scattered),
+        )
 
 
 def _rays_through(unreliable: Unreliable, measured: Measurements) -> Bool[np.ndarray, "view row column"]:

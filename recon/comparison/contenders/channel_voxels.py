@@ -11,6 +11,7 @@ from phantomgen.geometry.curved_panel import module_frames
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.ops.project import project
 from recon.data.measurements import read_measurements
+from recon.evaluation.count_noise import CountNoise
 from recon.evaluation.metrics import HeldOutView
 from recon.evaluation.scoring import VIEWS_AT_ONCE
 
@@ -39,11 +40,12 @@ class ChannelVoxels:
         ------
         measured and predicted counts of a view
         """
-        test, panel = dataset.splits["test"], dataset.geometry.panel
+        test, panel, noise = dataset.splits["test"], dataset.geometry.panel, CountNoise.of(dataset)
         for first in range(0, len(test), VIEWS_AT_ONCE):
             measured = read_measurements(dataset, test[first : first + VIEWS_AT_ONCE], 1)
             frames = module_frames(measured.geometry)
             lengths = np.moveaxis(project(self.values, self.grid, frames, panel.rows, panel.columns), 0, 1)
             open_beam = measured.exposure[:, :, None, None] * (measured.gains * measured.open_beam)
             for counts, air, length in zip(measured.counts, open_beam, lengths, strict=True):
-                yield HeldOutView.of(counts, air * np.exp(-length), air)
+                expected = air * np.exp(-length)
+                yield HeldOutView.of(counts, expected, air, spread=noise.spread(expected))

@@ -18,6 +18,7 @@ from phantomgen.dataset.truth import Truth
 from phantomgen.runtime.guarded import Guard
 from phantomgen.runtime.versions import environment
 from recon.data.measurements import read_measurements
+from recon.evaluation.count_noise import CountNoise
 from recon.evaluation.metrics import HeldOutView, score_basis_volumes, score_projections
 from recon.figures import run_figures as drawing
 from recon.runs.run_folder import VIEWS
@@ -120,8 +121,9 @@ def predicted_views(dataset: Dataset, views: ViewModel) -> Iterator[HeldOutView]
     ------
     measured and predicted counts of a view
     """
+    noise = CountNoise.of(dataset)
     for view in dataset.splits["test"]:
         measured = read_measurements(dataset, np.array([view]))
         air = measured.gains * measured.open_beam * measured.exposure[0][:, None, None]
         expected = air * np.exp(-views(measured.geometry)[:, 0])
-        yield HeldOutView.of(measured.counts[0], expected, air)
+        yield HeldOutView.of(measured.counts[0], expected, air, spread=noise.spread(expected))

@@ -153,6 +153,46 @@ def test_dead_pixels_read_nothing_anywhere_and_are_marked(scan, tmp_path):
         assert np.array_equal(low.load()[:, :, ~low.mask[0]], full.load()[:, :, ~low.mask[0]])
 
 
+def test_dead_columns_are_dead_from_end_to_end_and_marked(scan, tmp_path):
+    with open_dataset(degraded(scan, tmp_path, dead_columns=3, seed=3)) as worse, open_dataset(scan) as full:
+        new = worse.mask[0] & ~full.mask[0]
+        assert np.count_nonzero(worse.mask[0].all(axis=0)) == 3
+        assert not worse.load()[:, :, worse.mask[0].all(axis=0)[None].repeat(32, 0)].any()
+        assert np.array_equal(worse.load()[:, :, ~new], full.load()[:, :, ~new])
+
+
+def test_hot_pixels_read_twice_the_open_beam_everywhere_and_are_not_marked(scan, tmp_path):
+    with open_dataset(degraded(scan, tmp_path, hot=0.05, seed=3)) as worse, open_dataset(scan) as full:
+        assert np.array_equal(worse.mask, full.mask)
+        changed = (worse.load() != full.load()).any(axis=(0, 1))
+        assert np.count_nonzero(changed) == pytest.approx(0.05 * 32 * 32, abs=3)  # some were hot before
+        level = np.rint(2 * np.median(full.flat, axis=(1, 2)))[:, None]
+        assert (worse.load()[:, :, changed] == level).all()
+        for kind in ("flat", "dark"):
+            assert (worse.file[f"entry/instrument/{kind}/data"][:][:, :, changed] == level).all()
+
+
+def test_correct_finds_hot_pixels(scan, tmp_path):
+    clean = degraded(make(tmp_path / "clean.h5", "--views", "12"), tmp_path, hot=0.02)
+    with phantomgen.correct(clean, tmp_path / "mended.h5", ("defects",)) as mended:
+        assert np.count_nonzero(mended.mask[0]) == round(0.02 * 32 * 32)
+
+
+def test_a_drifting_tube_loses_photons_that_the_file_does_not_state(scan, tmp_path):
+    with open_dataset(degraded(scan, tmp_path, drift=0.2)) as low, open_dataset(scan) as full:
+        assert np.array_equal(low.exposure, full.exposure)
+        ratio = low.load().sum(axis=(1, 2, 3)) / full.load().sum(axis=(1, 2, 3))
+        left = 1 - 0.2 * np.arange(len(ratio)) / (len(ratio) - 1)
+        hot = np.count_nonzero(full.mask[0]) / full.mask[0].size  # masked pixels keep what they read
+        assert ratio == pytest.approx(left, abs=0.2 * 3 * hot + 0.01)
+        assert np.array_equal(low.load([0]), full.load([0]))
+        assert np.array_equal(low.flat, full.flat)
+        expected = low.file["truth/expected"][:]
+        good = np.broadcast_to(~low.mask, expected.shape) & (expected > 20)
+        chi = (low.load() - expected)[good] ** 2 / expected[good]
+        assert chi.mean() == pytest.approx(1, abs=5 * np.sqrt(2.1 / chi.size))
+
+
 def test_means_become_poisson_counts_of_any_dose(tmp_path):
     exact = make(tmp_path / "exact.h5", "--views", "4", "--no-noise")
     scaled = degraded(exact, tmp_path, "scaled.h5", dose=0.5)
@@ -214,6 +254,11 @@ def test_python_writes_and_opens(scan, tmp_path):
         ({"bin": 3}, "32 x 32 pixels cannot be binned by 3: 2, 4, 8, 16, 32 would"),
         ({"truncate": 1.0}, "must lie in 0 .. 1"),
         ({"dead": 0.6}, "the part of dead pixels must lie in 0 .. 0.5"),
+        ({"hot": 0.6}, "the part of hot pixels must lie in 0 .. 0.5"),
+        ({"dead_columns": 40}, "40 columns cannot die on a panel of 32 columns"),
+        ({"dead_columns": -1}, "must be 0 or more, got -1"),
+        ({"drift": 1.0}, "drifts away must lie in 0 .. 1, got 1"),
+        ({"drift": 0.1, "dose": 0.5, "complement": True}, "leave out the drift"),
         ({"noise": True}, "has noise already"),
         ({"complement": True}, "the complement of dose 1"),
         ({"kv_error": -135.0}, "a tungsten tube works from 10"),
