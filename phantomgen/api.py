@@ -17,6 +17,9 @@ from phantomgen.dataset.writing.writer import check_dataset_name
 from phantomgen.degradation.run import degrade_file
 from phantomgen.degradation.settings import Degradation
 from phantomgen.importers.formats import import_scan as write_imported
+from phantomgen.importers.scans.finish import Wanted
+from phantomgen.importers.scans.stated import Stated
+from phantomgen.runtime.named_options import named_options
 from phantomgen.scene.file.scene_file import Overrides
 from phantomgen.scene.scan import Scan, load_scene
 from phantomgen.simulation.options import SimulationOptions
@@ -131,6 +134,7 @@ def again(
     return _made(scan, out, SimulationOptions(paths=path, overwrite=overwrite))
 
 
+@named_options(Degradation)
 def degrade(
     dataset: Dataset | str | Path,
     out: Path | str,
@@ -188,11 +192,13 @@ def correct(
     return open_dataset(correct_file(path, out, Wanted(tuple(steps), flats, darks), overwrite=overwrite).path)
 
 
+@named_options(Stated, Wanted)
 def import_scan(
     name: str,
     paths: Path | str | Sequence[Path | str],
     out: Path | str,
     *,
+    title: str | None = None,
     overwrite: bool = False,
     **options: Any,
 ) -> Dataset:
@@ -203,17 +209,16 @@ def import_scan(
     name : of the format, one of those of `phantomgen import`, such as ``nikon``
     paths : of the scan; several are channels, where the format has one file per channel
     out : name of the dataset
+    title : of the scan; that of the file where left out
     overwrite : replace a file that exists
-    **options : ``title``; facts that no file states, fields of `phantomgen.importers.scans.stated.Stated` such as
-        ``kvp=90``, ``filters="0.5 mm Cu"`` and ``photons=20000``; what is to be written, fields of
-        `phantomgen.importers.scans.finish.Wanted` such as ``bin=4``
+    **options : facts that no file states, then what is to be written
 
     Returns
     -------
     the dataset, to be closed or used in a ``with`` statement
     """
     listed = [paths] if isinstance(paths, Path | str) else paths
-    done = write_imported(name, [Path(path) for path in listed], Path(out), overwrite=overwrite, **options)
+    done = write_imported(name, [Path(path) for path in listed], Path(out), title=title, overwrite=overwrite, **options)
     return open_dataset(done.path)
 
 

@@ -65,10 +65,9 @@ class DegradedScan:
         """
         wish, dataset = self.settings, self.dataset
         check_bin(dataset.counts.shape[2], self.columns.stop - self.columns.start, wish.bin)
-        if wish.dead_columns > self.geometry.panel.columns:
-            raise InputError(
-                f"{wish.dead_columns} columns cannot die on a panel of {self.geometry.panel.columns} columns"
-            )
+        columns = self.geometry.panel.columns
+        if not 0 <= wish.dead_columns <= columns:
+            raise InputError(f"the number of dead columns must lie in 0 .. {columns}, got {wish.dead_columns}")
         if (wish.dose < 1 or wish.drift) and dataset.spectra.dead_time is not None:
             raise InputError(
                 f"{dataset.path} lost counts to dead time, of which fewer are lost at a lower dose: "

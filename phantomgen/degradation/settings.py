@@ -71,12 +71,9 @@ class Degradation:
             raise InputError(
                 f"an arc needs two angles that ascend from at least 0 degrees, got {self.arc[0]:g}:{self.arc[1]:g}"
             )
-        if not 0 <= self.truncate < 1:
-            raise InputError(f"the part of the columns to cut off must lie in 0 .. 1, got {self.truncate:g}")
-        if self.dead_columns < 0:
-            raise InputError(f"the number of dead columns must be 0 or more, got {self.dead_columns}")
-        if not 0 <= self.drift < 1:
-            raise InputError(f"the part of the tube output that drifts away must lie in 0 .. 1, got {self.drift:g}")
+        for part, what in ((self.truncate, "columns to cut off"), (self.drift, "tube output that drifts away")):
+            if not 0 <= part < 1:
+                raise InputError(f"the part of the {what} must lie in 0 .. 1, got {part:g}")
         if self.drift and self.complement:
             raise InputError("a complement has the photons that a dose leaves out: leave out the drift")
         if self.bin < 1:

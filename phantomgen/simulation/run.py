@@ -7,6 +7,7 @@ from typing import Any
 from phantomgen.dataset.compression import check_compression
 from phantomgen.dataset.writing.frame_journal import FrameJournal, check_journal
 from phantomgen.dataset.writing.writer import DatasetWriter
+from phantomgen.runtime.named_options import named_options
 from phantomgen.runtime.stopwatch import Stopwatch
 from phantomgen.scene.scan import Scan
 from phantomgen.simulation.checks.collisions import check_collisions
@@ -30,6 +31,7 @@ from phantomgen.simulation.write_frames import compute_frames, write_frames
 from spectra.errors import InputError
 
 
+@named_options(SimulationOptions)
 def simulate(scan: Scan, out: Path | str, **options: Any) -> Summary:
     """Simulate a scan and write its dataset.
 

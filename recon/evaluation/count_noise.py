@@ -62,9 +62,9 @@ class CountNoise:
 def flat_noise(dataset: Dataset) -> Float[np.ndarray, "channel row column"]:
     """Compute the relative variance of the mean flat.
 
-    Expected counts Y are proportional to the mean F of N flats, whose noise therefore adds Y^2 v / (N F) to the variance
-    of the difference, with v the variance over the mean of one flat. One flat alone is taken as exact: it may be a mean
-    of many, or a stated number of photons.
+    Expected counts Y are proportional to the mean F of N flats, whose noise therefore adds Y^2 v / (N F) to the
+    variance of the difference, with v the variance over the mean of one flat. One flat alone is taken as exact: it may
+    be a mean of many, or a stated number of photons.
 
     Parameters
     ----------

@@ -24,6 +24,9 @@ CASES = (
         0.014,
         projector.narrow_in_voxels,
     ),
+    Case("few-pixels", "panels of few pixels", "pixels", _PEAK, 1e-5, projector.few_pixels),
+    # a box counts as a Gaussian of its variance: an error of (edge / sigma)^4 / 960 per axis is left
+    Case("one-voxel", "a single flat voxel", "ratio of edges", "relative error", 2e-4, projector.one_voxel),
     Case("photons", "few photons", "photons", "error of line integrals", 1e-4, decomposition.few_photons),
     Case(
         "lost",

@@ -114,11 +114,47 @@ def narrow_in_voxels() -> Iterator[Point]:
         yield _relative(width, found, (2 * pi) ** 1.5 * width**3)
 
 
+def few_pixels() -> Iterator[Point]:
+    """One Gaussian in one view on ever fewer pixels, odd numbers of them.
+
+    Yields
+    ------
+    number of pixels
+    """
+    centres, log_scales, quaternions, coefficients = _scene((9.0, 4.0, 2.0))
+    parts = centres[:1], log_scales[:1], quaternions[:1], coefficients[:1]
+    for rows, columns in ((33, 41), (7, 5), (3, 1), (1, 3), (1, 1)):
+        geometry = Geometry.circular(_SOD, _SDD, np.array([0.2]), Panel(rows, columns, _PITCH))
+        yield _compared(rows * columns, parts, geometry)
+
+
+def one_voxel() -> Iterator[Point]:
+    """The mean of a Gaussian over the only voxel of a grid, ever flatter.
+
+    Yields
+    ------
+    ratio of the edges of the voxel
+    """
+    centre, sigma = (3.1, -1.7, 2.3), 40.0  # mm
+    for ratio in (1.0, 3.0, 10.0, 30.0):
+        edges = (20.0 / ratio, 20.0, 20.0)  # z, y, x
+        grid = Grid((1, 1, 1), edges, (0.0, 0.0, 0.0))
+        found = float(voxelize(*_single(_ball(centre, sigma)), grid, cutoff=FARTHEST)[0, 0, 0, 0])
+        means = [_mean(*axis, sigma) for axis in zip(edges, centre[::-1], strict=True)]
+        yield _relative(ratio, found, float(np.prod(means)))
+
+
+def _mean(edge: float, centre: float, sigma: float) -> float:
+    """Mean of exp(-(x - centre)^2 / (2 sigma^2)) over an edge around 0."""
+    first, last = ((end - centre) / sigma / np.sqrt(2) for end in (-edge / 2, edge / 2))
+    return sigma * np.sqrt(pi / 2) * (erf(last) - erf(first)) / edge
+
+
 def _compared(difficulty: float, parts: Parts, geometry: Geometry | None = None) -> Point:
     """Compare all pixels with the closed form: largest difference, in parts of the largest line integral."""
     geometry = _geometry(_SOD, _VIEWS) if geometry is None else geometry
-    expected = _line_integrals(parts, geometry.ray_frames())
-    image = rasterize(*_single(parts), _frames(geometry), _ROWS, _COLUMNS, _POINTS)
+    expected = _line_integrals(parts, geometry)
+    image = rasterize(*_single(parts), _frames(geometry), geometry.panel.rows, geometry.panel.columns, _POINTS)
     found = image[:, 0].numpy().astype(float)
     worst = np.unravel_index(np.argmax(np.abs(found - expected)), found.shape)
     error = float(np.abs(found[worst] - expected[worst]) / expected.max())
@@ -129,7 +165,7 @@ def _relative(difficulty: float, found: float, expected: float) -> Point:
     return Point(difficulty, found, expected, abs(found / expected - 1))
 
 
-def _line_integrals(parts: Parts, frames: Float[np.ndarray, "view 4 3"]) -> Float[np.ndarray, "view row column"]:
+def _line_integrals(parts: Parts, geometry: Geometry) -> Float[np.ndarray, "view row column"]:
     """Integrate Gaussians from the source to each pixel's centre in closed form.
 
     With u = A (o - p) and v = A d in units of standard deviations, the integral of exp(-|u + t v|^2 / 2) |d| over
@@ -138,9 +174,9 @@ def _line_integrals(parts: Parts, frames: Float[np.ndarray, "view 4 3"]) -> Floa
     """
     centres, log_scales, quaternions, coefficients = parts
     whiten = (torch.exp(-log_scales)[:, :, None] * rotation(quaternions).mT).numpy()
-    rows, columns = np.mgrid[:_ROWS, :_COLUMNS]
+    rows, columns = np.mgrid[: geometry.panel.rows, : geometry.panel.columns]
     images = []
-    for origin, first, du, dv in frames:
+    for origin, first, du, dv in geometry.ray_frames():
         d = first + columns[..., None] * du + rows[..., None] * dv
         u = np.einsum("nij,nj->ni", whiten, origin - centres.numpy())[:, None, None]
         v = np.einsum("nij,rcj->nrci", whiten, d)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from phantomgen.correction.run import correct_file
 from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.truth import read_truth
 from phantomgen.degradation.degraded_scan import DegradedScan
@@ -35,6 +36,7 @@ class _Trap:
     name, what, difficulty : as in `Case`
     steps : from easy to hard
     settings : of one step
+    corrected : whether the scan goes through the corrections of ``phantomgen correct`` before it is reconstructed
     """
 
     name: str
@@ -42,6 +44,7 @@ class _Trap:
     difficulty: str
     steps: Sequence[float]
     settings: Callable[[float], Degradation]
+    corrected: bool = False
 
 
 _TRAPS = (
@@ -50,6 +53,9 @@ _TRAPS = (
     _Trap("dose", "low dose", "part of the dose", (0.3, 0.1, 0.01, 1e-3, 1e-4), lambda d: Degradation(dose=d)),
     _Trap("truncated", "a narrow panel", "part cut off", (0.1, 0.2, 0.3, 0.5), lambda part: Degradation(truncate=part)),
     _Trap("dead", "dead pixels", "part of the pixels", (0.001, 0.01, 0.05, 0.2), lambda part: Degradation(dead=part)),
+    _Trap("columns", "dead columns", "columns", (1, 2, 4, 8), lambda n: Degradation(dead_columns=int(n))),
+    _Trap("hot", "hot pixels", "part of the pixels", (0.001, 0.01, 0.05, 0.2), lambda n: Degradation(hot=n), True),
+    _Trap("drift", "a drifting tube", "part lost", (0.01, 0.05, 0.2, 0.5), lambda part: Degradation(drift=part), True),
     _Trap("shift", "panel stated wrongly", "distance [pixel]", (0.1, 0.25, 0.5, 1), lambda d: Degradation(shift=d)),
     _Trap("tilt", "panel stated turned", "angle [degree]", (0.1, 0.3, 1, 3), lambda angle: Degradation(tilt=angle)),
     _Trap("voltage", "voltage stated wrongly", "error [kV]", (0.5, 1, 3, 6), lambda kv: Degradation(kv_error=kv)),
@@ -114,6 +120,8 @@ def _points(path: Path, trap: _Trap) -> Iterator[Point]:
         for step in trap.steps:
             worse = Path(folder) / "worse.h5"
             degrade_file(path, worse, trap.settings(step), overwrite=True, compression="none")
+            if trap.corrected:
+                worse = correct_file(worse, Path(folder) / "corrected.h5", overwrite=True).path
             found, expected = (_error(worse, way) for way in (_gaussians, _sirt))
             yield Point(step, found, expected, found / expected)
 
