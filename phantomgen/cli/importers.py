@@ -61,7 +61,8 @@ class Names(click.ParamType):
     "  phantomgen import nikon walnut.xtekct -o walnut.h5 --kvp 90 --filter '0.5 mm Cu' --photons 20000\n"
     "  phantomgen import nxtomo low.nx high.nx -o scan.h5 --kvp 120 --filter '2 mm Al' --thresholds 20,60\n"
     "  phantomgen import tiff scan.yaml -o scan.h5\n"
-    "  phantomgen import forbild HeadPhantom.pha -o head.yaml",
+    "  phantomgen import forbild HeadPhantom.pha -o head.yaml\n"
+    "  phantomgen import icrp P110/AM -o chest.yaml --heights 1150:1500 --without arm,hand,humer",
 )
 def import_() -> None:
     """Turn scans of scanners and of other programs into datasets, and phantoms into scenes."""
@@ -87,6 +88,71 @@ def import_forbild(file: str, out: str, overwrite: bool) -> None:
     check_output(path, overwrite)
     path.write_text(forbild_scene(file), encoding="utf-8")
     click.echo(f"{path}\nnext     phantomgen view {path}")
+
+
+@import_.command(
+    "icrp",
+    epilog="\b\nExamples:\n"
+    "  phantomgen import icrp P110/AM -o chest.yaml --heights 1150:1500 --without arm,hand,humer\n"
+    "  phantomgen import icrp P143/10F -o child.yaml --shape 235,150,280 --voxel 1.4,1.4,5",
+)
+@click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
+@click.option("-o", "--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="The scene to write.")
+@click.option("--heights", metavar="LOW:HIGH", help="Part of the body, above the soles in mm [default: all].")
+@click.option("--without", type=Names(), default=(), metavar="WORD,...", help="Leave out organs with these words.")
+@click.option("--shape", type=Numbers(), metavar="N,N,N", help="Columns, rows and slices; known for AM and AF.")
+@click.option("--voxel", type=Numbers(), metavar="X,Y,Z", help="Edges of a voxel in mm; known for AM and AF.")
+@click.option("--overwrite", is_flag=True, help="Replace a scene that exists.")
+@debug_option
+def import_icrp(
+    folder: Path,
+    out: Path,
+    heights: str | None,
+    without: tuple[str, ...],
+    shape: tuple[float, ...] | None,
+    voxel: tuple[float, ...] | None,
+    overwrite: bool,
+) -> None:
+    """Write a scene from FOLDER, a voxel phantom in the format of ICRP Publication 110.
+
+    Organs get the compositions and densities of the publication; OUT-labels.npz beside the scene has their voxels. A
+    scan is put around the body, to be edited. The phantoms themselves are to be had from the ICRP.
+    """
+    from phantomgen.importers.icrp import read_phantom, write_scene
+
+    part = _range(heights)
+    phantom = read_phantom(folder, _whole("--shape", shape), _three("--voxel", voxel))
+    scene, labels = write_scene(phantom, out, heights=part, without=without, overwrite=overwrite)
+    click.echo(f"{scene}\n{labels}\nnext     phantomgen view {scene}")
+
+
+def _three(name: str, values: tuple[float, ...] | None) -> tuple[float, ...] | None:
+    """Three numbers above 0."""
+    if values is not None and not (len(values) == 3 and all(0 < value < float("inf") for value in values)):
+        raise click.UsageError(f"{name} needs three numbers above 0, such as 2.137,2.137,8")
+    return values
+
+
+def _whole(name: str, values: tuple[float, ...] | None) -> tuple[int, ...] | None:
+    """Three whole numbers above 0."""
+    if _three(name, values) is None or values is None:
+        return None
+    if any(value != int(value) or value > 10_000 for value in values):
+        raise click.UsageError(f"{name} needs three whole numbers up to 10000, such as 254,127,222")
+    return tuple(int(value) for value in values)
+
+
+def _range(text: str | None) -> tuple[float, float] | None:
+    """Two numbers that ascend, with a colon between them."""
+    if text is None:
+        return None
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        low = high = 0.0
+    if not low < high < float("inf"):
+        raise click.UsageError(f"--heights needs two numbers that ascend, such as 1150:1500, got {text!r}")
+    return low, high
 
 
 _STATED = (
