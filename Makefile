@@ -3,6 +3,8 @@
 # make test-slow  run the slow tests
 # make coverage  run all tests, and report the lines that none runs
 # make test-isa  the tests but for the slow ones and those of GPUs as processors with other instructions run them; ISA_TESTS="tests/recon" for a part
+# make test-oldest  the tests but for the slow ones with the oldest versions of dependencies that pyproject.toml allows; needs uv
+# make test-newest  the same with the newest versions; needs uv
 # make fuzz   try FUZZ=1000 spoiled inputs per test, seed SEED, which is printed
 # make check  formatting, lint, import contracts, docstrings, types
 # make docs   build the documentation site, docs/_build/html; GALLERY=1 runs the example scripts as well, some minutes
@@ -25,7 +27,7 @@ SEED ?= $(shell date +%s)
 ISA_TESTS ?= tests
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
-.PHONY: demo test test-slow coverage test-isa fuzz check docs numbers clean
+.PHONY: demo test test-slow coverage test-isa test-oldest test-newest fuzz check docs numbers clean
 
 demo: $(VENV)/installed
 	$(BIN)/phantomgen make --preset kedge --overwrite
@@ -45,6 +47,17 @@ test-isa: $(VENV)/installed-test
 		env NUMBA_CPU_NAME=$${setting%/*} ATEN_CPU_CAPABILITY=$${setting#*/} $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile -m "not slow" --ignore-glob="*gpu*" $(ISA_TESTS); done
 	$(BIN)/python -m benchmarks.reconstruction.processors
 
+# Old libraries warn of what newer ones changed, so that warnings are no errors here.
+test-oldest:
+	uv venv --quiet --clear --python $(PYTHON) $(VENV)-oldest
+	uv pip install --quiet --python $(VENV)-oldest --resolution lowest-direct --editable '.[test]'
+	$(VENV)-oldest/$(notdir $(BIN))/python -m pytest --numprocesses auto --dist loadfile -m "not slow" -o filterwarnings=default $(TESTS)
+
+test-newest:
+	uv venv --quiet --clear --python $(PYTHON) $(VENV)-newest
+	uv pip install --quiet --python $(VENV)-newest --resolution highest --editable '.[test]'
+	$(VENV)-newest/$(notdir $(BIN))/python -m pytest --numprocesses auto --dist loadfile -m "not slow" $(TESTS)
+
 fuzz: $(VENV)/installed-test
 	@echo "FUZZ=$(FUZZ) SEED=$(SEED)"
 	FUZZ=$(FUZZ) $(BIN)/python -m pytest tests/fuzz --hypothesis-seed=$(SEED)
@@ -63,7 +76,7 @@ numbers: $(VENV)/installed
 	$(BIN)/python -m benchmarks.check_numbers $(if $(ONLY),--only $(ONLY)) $(if $(SLOW),--slow) $(if $(SCRATCH),--scratch $(SCRATCH) --resume)
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info
+	rm -rf $(VENV) $(VENV)-oldest $(VENV)-newest build dist *.egg-info
 
 $(BIN)/python$(EXE):
 	$(PYTHON) -m venv $(VENV)
