@@ -47,11 +47,11 @@ test-isa: $(VENV)/installed-test
 		env NUMBA_CPU_NAME=$${setting%/*} ATEN_CPU_CAPABILITY=$${setting#*/} $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile -m "not slow" --ignore-glob="*gpu*" $(ISA_TESTS); done
 	$(BIN)/python -m benchmarks.reconstruction.processors
 
-# Old libraries warn of what newer ones changed, so that warnings are no errors here.
+# Old libraries warn of what newer ones changed, so that warnings are no errors here; types are checked by `make test`.
 test-oldest:
 	uv venv --quiet --clear --python $(PYTHON) $(VENV)-oldest
 	uv pip install --quiet --python $(VENV)-oldest --resolution lowest-direct --editable '.[test]'
-	$(VENV)-oldest/$(notdir $(BIN))/python -m pytest --numprocesses auto --dist loadfile -m "not slow" -o filterwarnings=default $(TESTS)
+	CHECKED_TYPES= $(VENV)-oldest/$(notdir $(BIN))/python -m pytest --numprocesses auto --dist loadfile -m "not slow" -o filterwarnings=default $(TESTS)
 
 test-newest:
 	uv venv --quiet --clear --python $(PYTHON) $(VENV)-newest

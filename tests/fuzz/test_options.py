@@ -13,7 +13,7 @@ from phantomgen.cli.main import main as phantomgen
 from recon.cli.main import main as recon
 
 pytestmark = pytest.mark.filterwarnings("default")
-LEFT_OUT = {"view"}  # opens a window or a server
+LEFT_OUT = {"view", "warm-up", "stress"}  # open a window or a server, compile for a minute, compute for seconds
 COMMON = {"help", "version", "debug", "json", "quiet"}
 STARTS_WORK = {"fit", "compare", "make", "plan", "segment", "degrade", "edge"}
 
