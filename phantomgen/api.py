@@ -149,7 +149,7 @@ def degrade(
     ----------
     dataset : the scan, or its name
     out : name of the new dataset
-    settings : what is made worse; `options` where left out
+    settings : what is made worse; the options below replace its fields
     overwrite : replace a file that exists
     **options : fields of `phantomgen.degradation.settings.Degradation`, such as ``dose=0.25``; they replace those of
         `settings`
