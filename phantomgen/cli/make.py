@@ -9,7 +9,16 @@ from typing import Any
 
 import click
 
-from phantomgen.cli.common import FiniteRange, Printing, SceneChoice, debug_option, grouped, json_option, print_stages
+from phantomgen.cli.common import (
+    FiniteRange,
+    Printing,
+    SceneChoice,
+    debug_option,
+    grouped,
+    json_option,
+    preset_option,
+    print_stages,
+)
 
 
 @dataclass(frozen=True)
@@ -46,7 +55,7 @@ class _Output:
     "  phantomgen make my.yaml --set objects.1.radius=12 -o thick.h5 --resume"
 )
 @click.argument("scene", metavar="SCENE|PRESET", required=False)
-@click.option("--preset", metavar="NAME", help="A scene that comes with the program; see `phantomgen presets`.")
+@preset_option
 @click.option("-o", "--out", type=click.Path(dir_okay=False), help="Output [default: <name of the scene>.h5].")
 @click.option("--views", type=click.IntRange(min=1), help="Number of training views.")
 @click.option("--test-views", type=click.IntRange(min=0), help="Number of test views.")

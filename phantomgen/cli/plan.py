@@ -5,7 +5,7 @@ import sys
 
 import click
 
-from phantomgen.cli.common import FiniteRange, debug_option, json_option, print_stages
+from phantomgen.cli.common import FiniteRange, debug_option, json_option, preset_option, print_stages
 
 
 @click.command(
@@ -13,7 +13,7 @@ from phantomgen.cli.common import FiniteRange, debug_option, json_option, print_
     "  phantomgen plan my.yaml --set geometry.views=720 --json"
 )
 @click.argument("scene", metavar="SCENE|PRESET", required=False)
-@click.option("--preset", metavar="NAME", help="A scene that comes with the program; see `phantomgen presets`.")
+@preset_option
 @click.option("--tol", type=FiniteRange(), default=1e-3, show_default=True, help="Worst error of log projections.")
 @click.option("--set", "settings", metavar="PATH=VALUE", multiple=True, help="Override any value of the scene.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")

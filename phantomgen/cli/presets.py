@@ -2,7 +2,7 @@
 
 import click
 
-from phantomgen.cli.common import debug_option
+from phantomgen.cli.common import debug_option, preset_names
 
 
 @click.group(
@@ -25,7 +25,7 @@ def presets(ctx: click.Context) -> None:
     epilog="\b\nExamples:\n  phantomgen presets show kedge > my.yaml\n"
     "  phantomgen presets show random --seed 7 --resolved",
 )
-@click.argument("name")
+@click.argument("name", shell_complete=preset_names)
 @click.option("--resolved", is_flag=True, help="Print what is simulated: random values drawn, defaults filled in.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed that random values are drawn from.")
 @click.option("--set", "settings", metavar="PATH=VALUE", multiple=True, help="Override any value of the scene.")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import debug_option, grouped
+from phantomgen.cli.common import debug_option, grouped, preset_option
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class _Outputs:
     epilog="\b\nExamples:\n  phantomgen view kedge.h5\n  phantomgen view kedge --screenshot kedge.png --html kedge.html"
 )
 @click.argument("source", metavar="SCENE|PRESET|DATASET", required=False)
-@click.option("--preset", metavar="NAME", help="A scene that comes with the program; see `phantomgen presets`.")
+@preset_option
 @click.option("--screenshot", type=click.Path(dir_okay=False), help="Write a PNG; needs no display.")
 @click.option("--html", type=click.Path(dir_okay=False), help="Write one page to turn in a browser; needs no display.")
 @click.option("--geometry", type=click.Path(dir_okay=False), help="Draw the orbit in plan: PNG, PDF or SVG.")

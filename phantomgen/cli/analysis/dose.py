@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import Printing, SceneChoice, debug_option, grouped, json_option
+from phantomgen.cli.common import Printing, SceneChoice, debug_option, grouped, json_option, preset_option
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class _Outputs:
     "  phantomgen dose my.yaml -o dose.nii.gz --photons 20000000 --voxels 128"
 )
 @click.argument("scene", metavar="SCENE|PRESET", required=False)
-@click.option("--preset", metavar="NAME", help="A scene that comes with the program; see `phantomgen presets`.")
+@preset_option
 @click.option(
     "-o", "--out", type=click.Path(dir_okay=False, path_type=Path), help="Write the map [mGy] as .vti, .nii or .nii.gz."
 )

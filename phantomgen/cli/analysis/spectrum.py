@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import FiniteRange, debug_option, json_option
+from phantomgen.cli.common import FiniteRange, debug_option, json_option, preset_option
 
 
 @click.command(
@@ -42,7 +42,7 @@ def materials(name: str | None, density: float | None, scene: str | None, plot: 
     "  phantomgen spectrum my.yaml --behind '30 cm water + 1 cm bone'"
 )
 @click.argument("scene", metavar="SCENE|PRESET", required=False)
-@click.option("--preset", metavar="NAME", help="A scene that comes with the program; see `phantomgen presets`.")
+@preset_option
 @click.option("--behind", metavar="LAYERS", help="Object that noise is stated behind [default: 20 cm water].")
 @click.option("--set", "settings", metavar="PATH=VALUE", multiple=True, help="Override any value of the scene.")
 @click.option("--plot", type=click.Path(dir_okay=False), help="Write source, channels and basis as a picture.")
@@ -94,7 +94,7 @@ def spectrum(
     "  phantomgen optimize-thresholds my.yaml --basis kedge_I --channels 4 --behind '30 cm water'",
 )
 @click.argument("scene", metavar="SCENE|PRESET", required=False)
-@click.option("--preset", metavar="NAME", help="A scene that comes with the program; see `phantomgen presets`.")
+@preset_option
 @click.option("--basis", metavar="NAME", required=True, help="Basis function to be seen best, such as kedge_I.")
 @click.option("--channels", type=click.IntRange(min=1), help="Number of channels [default: that of the scene].")
 @click.option("--behind", metavar="LAYERS", help="Object that noise is stated behind [default: 20 cm water].")
