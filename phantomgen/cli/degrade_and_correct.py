@@ -191,8 +191,10 @@ def degrade(
     help="What is corrected [default: defects,drift,rings].",
 )
 @click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
+@click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
 @json_option
 @debug_option
+@grouped(printing=Printing)
 def correct(
     scan: Path,
     out: Path,
@@ -200,7 +202,7 @@ def correct(
     darks: tuple[Path, ...],
     steps: str,
     overwrite: bool,
-    as_json: bool,
+    printing: Printing,
 ) -> None:
     """Mask bad pixels of SCAN, and correct its tube output and the gains of its pixels.
 
@@ -216,8 +218,9 @@ def correct(
         read_frames(flats) if flats else None,
         read_frames(darks) if darks else None,
     )
-    done = correct_file(scan, out, wanted, overwrite=overwrite)
-    if as_json:
+    shown = not printing.silent and sys.stderr.isatty()
+    done = correct_file(scan, out, wanted, overwrite=overwrite, progress=shown)
+    if printing.as_json:
         click.echo(json.dumps({"file": str(done.path), **done.record()}))
         return
     click.echo(f"{done.path}")

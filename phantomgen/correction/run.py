@@ -1,5 +1,7 @@
 """From a raw dataset to a corrected one: the same counts, with masks, tube output and flats that fit them."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,7 @@ from phantomgen.dataset.writing.corrected_copy import CorrectedCopy, check_copy
 from spectra.errors import DatasetError, InputError
 
 STEPS = ("defects", "drift", "rings")
+_BAR_AFTER = 2.0  # s
 Frames = Shaped[np.ndarray, "frame channel row column"]
 
 
@@ -87,7 +90,12 @@ class Corrected:
 
 
 def correct_file(
-    path: Path | str, out: Path | str, wanted: Wanted | None = None, *, overwrite: bool = False
+    path: Path | str,
+    out: Path | str,
+    wanted: Wanted | None = None,
+    *,
+    overwrite: bool = False,
+    progress: bool = False,
 ) -> Corrected:
     """Write a corrected copy of a dataset. The output is complete or absent; no truth is read.
 
@@ -97,6 +105,7 @@ def correct_file(
     out : name of the new one
     wanted : what is corrected; all where left out
     overwrite : replace a file that exists
+    progress : show a bar on stderr where it takes more than two seconds
 
     Returns
     -------
@@ -111,25 +120,41 @@ def correct_file(
     check_copy(path, out, overwrite)
     with open_dataset(path, air=(slice(0, 1), slice(0, 1)), as_stored=True) as dataset:
         _check_frames(dataset, wanted)
-    with CorrectedCopy(path, out, overwrite) as copy:
+    with CorrectedCopy(path, out, overwrite) as copy, _bar(path, wanted, progress) as on_view:
         done = _replace_frames(copy, Dataset(path, copy.file, as_stored=True), wanted)
         dataset = Dataset(path, copy.file, as_stored=True)
         masks = tuple(_bits(dataset, name) for name in dataset.spectra.channels)
         if "defects" in wanted.steps:
             masks = tuple(
-                old | find_bad_pixels(one) for old, one in zip(masks, ScanSums(dataset).statistics(), strict=True)
+                old | find_bad_pixels(one)
+                for old, one in zip(masks, ScanSums(dataset, on_view).statistics(), strict=True)
             )
             done += _about_masks(dataset, masks)
         measures = np.stack([mask & 0xFFFF == 0 for mask in masks])
         _check_left(dataset, measures)
         output, gains = None, ()
         if {"drift", "rings"} & set(wanted.steps):
-            output, gains = _from_views(dataset, measures, wanted)
+            output, gains = _from_views(ScanSums(dataset, on_view), measures, wanted)
             done += _about_views(dataset, output, gains, wanted)
         _write(copy, dataset, Corrected(out, tuple(done), output, gains, masks), wanted)
         copy.write_history("phantomgen correct", done, {"steps": list(wanted.steps)})
         copy.finish(dataset.spectra)
     return Corrected(out, tuple(done), output, gains, masks)
+
+
+@contextmanager
+def _bar(path: Path, wanted: Wanted, progress: bool) -> Iterator[Callable[[], object]]:
+    """Give a function that is called after each view that is read, and moves a progress bar."""
+    if not progress:
+        yield lambda: None
+        return
+    from tqdm import tqdm  # noqa: PLC0415
+
+    with open_dataset(path, air=(slice(0, 1), slice(0, 1)), as_stored=True) as dataset:
+        views = dataset.counts.shape[0]
+    passes = ("defects" in wanted.steps) + bool({"drift", "rings"} & set(wanted.steps))
+    with tqdm(total=passes * views, desc="views", unit="", leave=False, disable=None, delay=_BAR_AFTER) as bar:
+        yield bar.update
 
 
 def _check_frames(dataset: Dataset, wanted: Wanted) -> None:
@@ -170,10 +195,10 @@ def _check_left(dataset: Dataset, measures: Bool[np.ndarray, "channel row column
 
 
 def _from_views(
-    dataset: Dataset, measures: Bool[np.ndarray, "channel row column"], wanted: Wanted
+    sums: ScanSums, measures: Bool[np.ndarray, "channel row column"], wanted: Wanted
 ) -> tuple[TubeOutput, tuple[PixelGains, ...]]:
     """Tube output, and gains of all channels where they are asked for."""
-    sums = ScanSums(dataset)
+    dataset = sums.dataset
     blocks, of_runs, runs = sums.blocks_and_runs(measures)
     output = tube_output(blocks)
     if "rings" not in wanted.steps:

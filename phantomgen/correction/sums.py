@@ -1,5 +1,6 @@
 """Sums over the views of a dataset that corrections are computed from; two passes, one view in memory at a time."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,9 +22,11 @@ class ScanSums:
     Parameters
     ----------
     dataset : open dataset
+    on_view : called after each view that is read
     """
 
     dataset: Dataset
+    on_view: Callable[[], object] = lambda: None
 
     @cached_property
     def unit(self) -> Float[np.ndarray, "channel 1 1"]:
@@ -65,6 +68,7 @@ class ScanSums:
             total[taken] += (read - first)[taken]
             squares[taken] += np.square(read - first)[taken]
             views += taken
+            self.on_view()
         count = np.maximum(views, 1)[:, None, None]
         mean = total / count
         variance = np.maximum(squares / count - mean**2, 0) * count / np.maximum(count - 1, 1)
@@ -101,6 +105,7 @@ class ScanSums:
                 used = measures & (exposed > 0)
                 counts.append(_in_blocks(np.sum(seen / self.unit, axis=0, where=used), *places))
                 air.append(_in_blocks(np.sum(self.air * exposed / self.unit, axis=0, where=used), *places))
+                self.on_view()
         return BlockSums(np.stack(counts), np.stack(air)), of_runs, runs
 
 

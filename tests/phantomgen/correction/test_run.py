@@ -7,6 +7,7 @@ from support.tiny_scans import make, one_sentence
 
 from phantomgen.cli.main import main
 from phantomgen.correction.run import Wanted, correct_file
+from phantomgen.correction.sums import ScanSums
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.effects.defects import Defects
 from phantomgen.effects.pixel_gain import Gain
@@ -93,3 +94,17 @@ def test_frames_of_another_panel_are_refused(raw, tmp_path):
         correct_file(raw, tmp_path / "scan.h5", Wanted(flats=np.ones((1, 4, 3, 3), np.int32)))
     with pytest.raises(InputError, match="is the scan itself"):
         correct_file(raw, raw)
+
+
+def test_the_bar_moves_by_each_view_of_both_passes(raw):
+    seen = []
+    with open_dataset(raw) as dataset:
+        sums = ScanSums(dataset, lambda: seen.append(1))
+        sums.statistics()
+        sums.blocks_and_runs(~dataset.mask)
+        assert len(seen) == 2 * dataset.counts.shape[0]
+
+
+def test_a_bar_changes_nothing(raw, tmp_path):
+    plain, shown = (correct_file(raw, tmp_path / f"{bar}.h5", progress=bar) for bar in (False, True))
+    assert plain.done == shown.done
