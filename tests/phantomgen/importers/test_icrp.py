@@ -78,7 +78,8 @@ def test_columns_run_to_the_left_and_rows_to_the_back(folder):
 def test_the_scene_holds_each_organ_with_its_volume_and_its_density(folder, tmp_path):
     phantom = read_phantom(folder, SHAPE, VOXEL)
     scene, _ = write_scene(phantom, tmp_path / "body.yaml")
-    scan = phantomgen.load(scene)
+    few = {"geometry.views": 2, "geometry.test_views": 0, "panel": {"rows": 8, "columns": 8, "pitch": 60}}
+    scan = phantomgen.load(scene, few)
     document = yaml.safe_load(scene.read_text())
     assert document["materials"]["skin_1.089"]["density"] == 1.089
     assert document["materials"]["residual_tissue"]["density"] == 0.95  # of two organs
