@@ -17,6 +17,7 @@ from recon.output.viewer.ellipsoid_markers import COARSE, FINE, MOST, MOST_IN_A_
 from recon.output.viewer.surfaces import SurfacePanel, surfaces
 from spectra.basis.basis import pretty
 
+_NEARLY_ALL = 0.995  # part of the mass that is called all of it, as less rounds to 99 %
 DIVERGING = "RdBu_r"
 TRUTH, RESULT, DIFFERENCE = "truth", "result", "difference"
 
@@ -159,8 +160,10 @@ def draw_gaussians(pane: Pane, content: RunContent) -> None:
         pane.plotter.add_mesh(found.mesh, scalars="colour", rgb=True, smooth_shading=True, **SOLID)
     names = content.gaussians.basis_names
     pane.words.legend = [(pretty(n), c) for n, c in zip(names, basis_colours(names), strict=True)]
-    pane.words.title = f"{found.count} of {len(plain)} Gaussians"
-    share = "" if found.share == 1 else f"{100 * found.share:.0f} % of mass at "
+    whole = len(content.gaussians)
+    parts = f"{whole}" if len(plain) == whole else f"{len(plain)} sides of {whole}"
+    pane.words.title = f"{found.count} of {parts} Gaussians"
+    share = "" if found.share > _NEARLY_ALL else f"{100 * found.share:.0f} % of mass at "
     pane.words.note = f"{share}y > {content.at[1]:.4g} mm, 1 sigma"
     look_at_volume(pane, content.grid)
 

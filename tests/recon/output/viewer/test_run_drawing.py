@@ -10,12 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import pyvista
+import torch
 from click.testing import CliRunner
 from skimage.io import imread
 from support.tiny_scans import one_sentence
 from support.toy_run import GRID, NAMES, boxes, content, gaussians, pixel_of
 
 from recon.cli.main import main as recon
+from recon.gaussians.divided.model import DividedGaussians
 from recon.output.viewer.controls import Controls
 from recon.output.viewer.drawing import DIFFERENCE, RESULT, TRUTH, draw, draw_slices, layout
 from recon.output.viewer.load import load_run
@@ -71,6 +73,16 @@ def test_surfaces_and_gaussians_are_where_they_should_be(drawn):
     assert pane.words.note == "y > 0 mm, 1 sigma"
     for centre, shown in (((5.0, 6.0, 8.0), True), ((-5.0, 6.0, 0.0), True), ((5.0, -6.0, 0.0), False)):
         assert (picture[pixel_of(pane, centre)].min() < 200) == shown
+
+
+def test_both_sides_of_divided_gaussians_are_drawn_and_counted(drawn):
+    whole = gaussians()
+    sides = torch.stack([whole.coefficients, 0.5 * whole.coefficients], dim=1)
+    divided = DividedGaussians(
+        whole.centres, whole.log_scales, whole.quaternions, torch.zeros(len(whole)), sides, whole.basis_names, width=0.1
+    )
+    _, panes = drawn(replace(content(), gaussians=divided), [0])
+    assert any(title.endswith("of 8 sides of 5 Gaussians") for title in panes)  # one has no coefficients
 
 
 @pytest.mark.parametrize("bases", [[1], [0, 1, 2]])
