@@ -174,7 +174,7 @@ class Scene:
 
     @cached_property
     def scan(self) -> Scan:
-        """What `phantomgen.make` simulates."""
+        """Return the scan that `phantomgen.make` simulates."""
         return load_scene(self.file)
 
     def voxelize(self, grid: Grid | None = None) -> Truth:

@@ -84,7 +84,7 @@ def pixel_gains(
 
 
 def _rough(image: Image, usable: Bool[np.ndarray, "row column"], axes: tuple[int, ...] = (0, 1)) -> Image:
-    """What a local polynomial along some axes leaves of an image; 0 where a pixel does not measure."""
+    """Subtract a local polynomial along some axes from an image; 0 where a pixel does not measure."""
     whole = inpainted(image, ~usable)
     gain = np.zeros_like(image)
     for _ in range(ROUNDS):
@@ -105,7 +105,7 @@ def _smooth(image: Image, axes: tuple[int, ...]) -> Image:
 
 
 def _column_gains(image: Image, usable: Bool[np.ndarray, "row column"]) -> Image:
-    """What all rows in air have in common in a column; 0 for columns with few rows in air."""
+    """Compute what all rows in air have in common in a column; 0 for columns with few rows in air."""
     reach = np.ones((3, 2 * ROUNDS * (WINDOW // 2) + 1))  # pixels that `_rough` takes a value from
     bright = inpainted(image, ~usable) > np.log(AIR)
     in_air = usable & np.asarray(ndimage.binary_erosion(bright, reach, border_value=1), bool)

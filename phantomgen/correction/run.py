@@ -217,7 +217,7 @@ def _applies(output: TubeOutput | None, wanted: Wanted) -> bool:
 
 
 def _about_masks(dataset: Dataset, masks: tuple[UInt32[np.ndarray, "row column"], ...]) -> list[str]:
-    """What is said of bad pixels."""
+    """Describe the bad pixels."""
     counts = [
         f"{int(np.count_nonzero(mask))} in {name}" for name, mask in zip(dataset.spectra.channels, masks, strict=True)
     ]
@@ -225,7 +225,7 @@ def _about_masks(dataset: Dataset, masks: tuple[UInt32[np.ndarray, "row column"]
 
 
 def _about_views(dataset: Dataset, output: TubeOutput, gains: tuple[PixelGains, ...], wanted: Wanted) -> list[str]:
-    """What is said of tube output and gains."""
+    """Describe tube output and gains."""
     done = []
     if "drift" in wanted.steps:
         noise, changes = float(np.sqrt(np.mean(output.uncertainty**2))), float(np.std(output.factors))

@@ -222,7 +222,7 @@ def _made_by(dataset: Dataset) -> str:
 
 
 def _history(dataset: Dataset) -> list[dict[str, Any]]:
-    """What was done to the file after it was simulated, in order."""
+    """List what was done to the file after it was simulated, in order."""
     steps = []
     for name, group in group_at(dataset.file, "entry").items():
         if str(name).startswith("process_") and isinstance(group, h5py.Group) and "done" in group:

@@ -146,7 +146,7 @@ class DegradedScan:
 
     @cached_property
     def source_fields(self) -> dict[str, tuple[object, str | None]]:
-        """What the file states about the source, (value, unit) by name."""
+        """Collect what the file states about the source, (value, unit) by name."""
         found = {}
         for name, item in group_at(self.dataset.file, _SOURCE).items():
             value, units = item[()], item.attrs.get("units")
@@ -208,7 +208,7 @@ class DegradedScan:
 
     @cached_property
     def hot_levels(self) -> Float[np.ndarray, " channel"]:
-        """What hot pixels read in each channel: twice the open beam of a pixel of the new panel."""
+        """Reading of hot pixels in each channel: twice the open beam of a pixel of the new panel."""
         if not self.settings.hot:
             return np.zeros(len(self.dataset.spectra.channels))
         open_beam = np.median(self.dataset.flat, axis=(1, 2))
@@ -356,7 +356,7 @@ def history(scan: DegradedScan) -> list[str]:
 
 
 def _dose_phrase(scan: DegradedScan) -> str:
-    """What was done to the dose."""
+    """Describe what was done to the dose."""
     wish = scan.settings
     if wish.dose == 1 and not wish.noise and not wish.drift:
         return ""
@@ -387,7 +387,7 @@ def _views_phrase(scan: DegradedScan) -> str:
 
 
 def _panel_phrase(scan: DegradedScan) -> str:
-    """What was done to the panel."""
+    """Describe what was done to the panel."""
     wish, phrases = scan.settings, []
     if scan.columns.start:
         phrases.append(f"{scan.columns.start} of {scan.dataset.counts.shape[3]} columns cut off on each side")
@@ -403,7 +403,7 @@ def _panel_phrase(scan: DegradedScan) -> str:
 
 
 def _statement_phrase(scan: DegradedScan) -> str:
-    """What the file misstates."""
+    """Describe what the file misstates."""
     wish, phrases = scan.settings, []
     if wish.shift:
         moved = wish.shift * scan.geometry.panel.column_pitch

@@ -110,7 +110,7 @@ class Alignment:
         return Path(out)
 
     def _phrases(self) -> list[str]:
-        """What was done, one phrase each."""
+        """List what was done, one phrase each."""
         done = [
             f"{error.about}: {value:+.4g} +- {spread:.2g} {error.unit}"
             for error, value, spread in zip(ERRORS, self.change, self.uncertainty, strict=True)

@@ -71,7 +71,7 @@ def misfit(level: Level, change: Change) -> float:
 
 
 def _rest(level: Level, change: Change, phase: float = 0.0) -> Float[np.ndarray, "view row column"]:
-    """What volumes do not explain of the data after a change of the panel."""
+    """Compute what volumes do not explain of the data after a change of the panel."""
     logs, weights = level.data
     return explain(logs[None], level.pair(change, phase), weights, ITERATIONS).rest[0]
 

@@ -46,7 +46,7 @@ class Calibration:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What the data cannot tell, and where the model does not explain them."""
+        """State what the data cannot tell, and where the model does not explain them."""
         found = (self.found.inseparable(self.model.names, self.model.units), self.model.misfit(self.found))
         return tuple(sentence for sentence in found if sentence is not None)
 

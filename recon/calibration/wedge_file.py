@@ -232,7 +232,7 @@ def _yaml(path: Path) -> dict[str, Any]:
 
 
 def _sentence(error: ValidationError) -> str:
-    """What is wrong first, with its key."""
+    """Say what is wrong first, with its key."""
     found = error.errors()[0]
     key = ".".join(map(str, found["loc"]))
     message = found["msg"].removeprefix("Value error, ")

@@ -229,7 +229,7 @@ def _energy_of(quantity: Quantity, spectra: Spectra) -> float | None:
 
 
 def _weights(quantity: Quantity, energy: float | None, truth: Truth, spectra: Spectra) -> Float[np.ndarray, " basis"]:
-    """What the basis coefficients of the truth are multiplied by."""
+    """Return the factors of the basis coefficients of the truth."""
     if energy is None:
         if quantity.item not in truth.basis_names:
             raise InputError(f"the dataset has no basis {quantity.item!r}: choose from {', '.join(truth.basis_names)}")

@@ -215,7 +215,7 @@ def _geometry(distance: float, views: int) -> Geometry:
 
 
 def _single(parts: Parts) -> Parts:
-    """The same Gaussians in single precision, as fits have them."""
+    """Convert Gaussians to single precision, as fits have them."""
     centres, log_scales, quaternions, coefficients = parts
     return centres.float(), log_scales.float(), quaternions.float(), coefficients.float()
 

@@ -340,7 +340,7 @@ def full_name(parent: h5py.Group, name: str) -> str:
 
 
 def _found(parent: h5py.Group, name: str) -> Any:
-    """What lies at a path, or None; each link on the way is looked at before it is followed."""
+    """Find the item at a path, or None; each link on the way is looked at before it is followed."""
     path = full_name(parent, name)
     parts, top = [part for part in path.split("/") if part], ""
     node: Any = parent.file

@@ -128,7 +128,7 @@ def write_folder(path: Path, program: str, projections: Projections) -> None:
 
 
 def _record(program: str, projections: Projections) -> dict[str, Any]:
-    """What ``scan.json`` says of every scan."""
+    """Collect what ``scan.json`` states of every scan."""
     grid, panel = projections.grid, projections.geometry.panel
     center = [o + (n - 1) / 2 * s for n, s, o in zip(grid.shape, grid.spacing, grid.origin, strict=True)]
     return {

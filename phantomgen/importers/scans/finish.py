@@ -281,7 +281,7 @@ class _Finished:
 
     @cached_property
     def _factor(self) -> Float[np.ndarray, "channel 1 1"]:
-        """What a reading is multiplied by."""
+        """Return the factor of a reading."""
         level = self._open_beam
         if not self._scales or self.raw.values == "line-integrals" or level is None:
             return np.ones((len(self.raw.channels), 1, 1))
@@ -374,7 +374,7 @@ class _Finished:
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
-        """What was done and what was taken to be so."""
+        """State what was done, and what was assumed."""
         raw, blind, found = self.raw, int(np.count_nonzero(self.mask)), list(self.raw.notes)
         stated = raw.stated
         if raw.values == "line-integrals":
@@ -392,7 +392,7 @@ class _Finished:
 
     @property
     def clipped_notes(self) -> tuple[str, ...]:
-        """What was cut while images were written."""
+        """State what was cut while images were written."""
         return (f"{self._clipped} negative counts were set to 0",) if self._clipped else ()
 
 
@@ -403,7 +403,7 @@ def _settings(raw: RawScan, wanted: Wanted) -> dict[str, Any]:
 
 
 def _source_fields(raw: RawScan) -> dict[str, tuple[Any, str | None]]:
-    """What the file states about the source."""
+    """Collect what the file states about the source."""
     stated = raw.stated
     if stated.kvp is None:
         return {"type": ("Synchrotron X-ray Source", None)} if stated.energy is not None else {}

@@ -100,7 +100,7 @@ class Dynamics:
     def _mixing(
         self, materials: int, values: Mapping[str, float], time: float
     ) -> Float[np.ndarray, "material material"] | None:
-        """What each material consists of."""
+        """State what each material consists of."""
         if not self.inflows:
             return None
         mixing = np.eye(materials)

@@ -81,7 +81,7 @@ def _lines(results: Sequence[Result]) -> dict[str, list[dict[str, float]]]:
 
 
 def _ends(results: Sequence[Result]) -> dict[str, list[dict[str, float]]]:
-    """What each contender has at each budget; shorter schedules end beside the line of the longest."""
+    """Collect the results of each contender at each budget; shorter schedules end beside the line of the longest."""
     return {
         who: [next(p for p in reversed(r["curve"]) if p["seconds"] <= r["seconds"]) for r in own]
         for who, own in _by_contender(results).items()

@@ -67,7 +67,7 @@ class Projector:
 
     @property
     def sampling(self) -> PixelSampling:
-        """The same numbers for the kernels."""
+        """Return the numbers for the kernels."""
         return PixelSampling(self.box, float(self.cutoff), self.affine)
 
 

@@ -147,7 +147,7 @@ def _block_means(values: Volumes, few: tuple[int, ...], factor: int) -> Float[np
 
 
 def _about(content: SliceContent, factor: int) -> str:
-    """What the page holds, for its reader."""
+    """Describe what the page holds, for its reader."""
     nz, ny, nx = content.grid.shape
     sizes = " x ".join(f"{s:.3g}" for s in content.grid.spacing[::-1])
     binned = f", means of {factor} x {factor} x {factor} voxels of the run" if factor > 1 else ""
