@@ -9,16 +9,8 @@ from typing import Any
 
 import click
 
-from phantomgen.cli.common import (
-    FiniteRange,
-    Printing,
-    SceneChoice,
-    debug_option,
-    grouped,
-    json_option,
-    preset_option,
-    print_stages,
-)
+from phantomgen.cli.common import FiniteRange, Printing, SceneChoice, debug_option, grouped, json_option, print_stages
+from phantomgen.cli.preset_option import preset_option
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@ import sys
 
 import click
 
-from phantomgen.cli.common import FiniteRange, debug_option, json_option, preset_option, print_stages
+from phantomgen.cli.common import FiniteRange, debug_option, json_option, print_stages
+from phantomgen.cli.preset_option import preset_option
 
 
 @click.command(

@@ -2,7 +2,8 @@
 
 import click
 
-from phantomgen.cli.common import debug_option, preset_names
+from phantomgen.cli.common import debug_option
+from phantomgen.cli.preset_option import preset_names
 
 
 @click.group(

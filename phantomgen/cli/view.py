@@ -5,7 +5,8 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import debug_option, grouped, preset_option
+from phantomgen.cli.common import debug_option, grouped
+from phantomgen.cli.preset_option import preset_option
 
 
 @dataclass(frozen=True)

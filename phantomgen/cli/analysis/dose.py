@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import Printing, SceneChoice, debug_option, grouped, json_option, preset_option
+from phantomgen.cli.common import Printing, SceneChoice, debug_option, grouped, json_option
+from phantomgen.cli.preset_option import preset_option
 
 
 @dataclass(frozen=True)

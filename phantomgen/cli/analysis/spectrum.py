@@ -5,7 +5,8 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import FiniteRange, debug_option, json_option, preset_option
+from phantomgen.cli.common import FiniteRange, debug_option, json_option
+from phantomgen.cli.preset_option import preset_option
 
 
 @click.command(
