@@ -358,9 +358,8 @@ def history(scan: DegradedScan) -> list[str]:
 def _dose_phrase(scan: DegradedScan) -> str:
     """Describe what was done to the dose."""
     wish = scan.settings
-    if wish.dose == 1 and not wish.noise and not wish.drift:
+    if wish.dose == 1 and not wish.noise:
         return ""
-    drift = f"; tube output falls by {wish.drift:g} of it over the scan, which is not stated" if wish.drift else ""
     if scan.has_counts:
         how = "binomial thinning of counts" + (", the complement" if wish.complement else "")
     elif scan.is_noise_free:
@@ -371,7 +370,13 @@ def _dose_phrase(scan: DegradedScan) -> str:
             f"from {frames} darks" if frames > 1 else "taken as 0 for lack of two darks"
         )
     flats = "flats thinned as well" if wish.flats == "thin" else "flats as measured, exposure scaled"
-    return f"dose {wish.written_dose:g}: {how}; {flats}{drift}"
+    return f"dose {wish.written_dose:g}: {how}; {flats}"
+
+
+def _drift_phrase(scan: DegradedScan) -> str:
+    """Describe how the tube output drifts."""
+    drift = scan.settings.drift
+    return f"tube output: falls by {drift:g} of it from the first to the last view, not stated" if drift else ""
 
 
 def _views_phrase(scan: DegradedScan) -> str:
@@ -423,4 +428,10 @@ def _statement_phrase(scan: DegradedScan) -> str:
     return "; ".join(phrases)
 
 
-_PHRASES: tuple[Callable[[DegradedScan], str], ...] = (_dose_phrase, _views_phrase, _panel_phrase, _statement_phrase)
+_PHRASES: tuple[Callable[[DegradedScan], str], ...] = (
+    _dose_phrase,
+    _drift_phrase,
+    _views_phrase,
+    _panel_phrase,
+    _statement_phrase,
+)

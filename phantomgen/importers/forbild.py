@@ -1,15 +1,14 @@
 """FORBILD phantom files become scenes."""
 
-from collections.abc import Mapping
-from math import asin, atan2, ceil, cos, degrees, sqrt
+from math import asin, atan2, cos, degrees
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from jaxtyping import Float
 
 from phantomgen.importers.forbild_text import Block, Vector, read_blocks
+from phantomgen.importers.scene_text import BEAM, flow, nominal_scan
 from phantomgen.scene.file.scene_file import SceneFile, closest
 from phantomgen.scene.objects.build import objects_of
 from spectra.errors import SceneError
@@ -33,8 +32,7 @@ _NEEDS |= {f"{kind}{end}": (_NEEDS[kind][0], set()) for kind in ("Cylinder", "Co
 _NEEDS["Ellipt_Cyl_z"] = (_NEEDS["Ellipt_Cyl"][0], set())
 # Products of a rotation's columns may differ from those of the unit matrix by this, no unit: digits in the files.
 _ORTHOGONAL = 1e-4
-# The scan around the phantom: half a cone angle of at most about 17 degrees, and a panel of 256 columns.
-_COLUMNS, _MAGNIFICATION, _ROOM = 256, 1.6, 1.02
+_VIEWS = 75
 
 Object = dict[str, Any]
 
@@ -71,7 +69,7 @@ def forbild_scene(path: Path | str) -> str:
     body = "\n".join(
         [
             "materials:",
-            *(f"  {key}: {_flow(value)}" for key, value in materials.items()),
+            *(f"  {key}: {flow(value)}" for key, value in materials.items()),
             "",
             "objects: # later objects override earlier ones",
             *lines,
@@ -185,9 +183,7 @@ def _head(file: str, name: str) -> str:
     """Return the first lines of the scene."""
     return (
         f"# From the FORBILD phantom {file}; centimetres became millimetres. Source, panel and distances are nominal.\n"
-        f"version: 1\nname: {name}\n\nsource:\n  type: tube\n  kvp: 120\n  filters:\n"
-        "    - {composition: Al, thickness: 2.5}\n  photons: 1000000.0\n\n"
-        "detector: {type: photon_counting, composition: CdTe, thickness: 1.6, thresholds: [25, 65]}\n\n"
+        f"version: 1\nname: {name}\n\n{BEAM}"
     )
 
 
@@ -197,28 +193,13 @@ def _scan(name: str, body: str) -> str:
     file = SceneFile(f"{name}.yaml", f"{_head(name, name)}{trial}volume: {{voxels: 1, size: 1}}\n{body}")
     corners = np.array([item.shape.bounds for item in objects_of(file)]).reshape(-1, 3)
     reach = np.abs(corners).max(axis=0)
-    radius = float(np.hypot(reach[0], reach[1]))
-    sod = 50.0 * ceil(max(500.0, 3.5 * radius, 3.5 * reach[2]) / 50)
-    sdd = _MAGNIFICATION * sod
-    half_width = sdd * radius / sqrt(sod**2 - radius**2)
-    pitch = ceil(100 * 2 * _ROOM * half_width / _COLUMNS) / 100
-    rows = 2 * ceil(_ROOM * sdd * reach[2] / (sod - radius) / pitch)
-    size = ceil(2 * _ROOM * reach.max())
-    return (
-        f"geometry: {{type: circular, sod: {sod:g}, sdd: {sdd:g}, views: 75, test_views: 15}}\n"
-        f"panel: {{rows: {rows}, columns: {_COLUMNS}, pitch: {pitch:g}}}\nvolume: {{voxels: 128, size: {size}}}\n"
-    )
+    return nominal_scan(float(np.hypot(reach[0], reach[1])), float(reach[2]), float(reach.max()), _VIEWS)
 
 
 def _line(found: Object, block: Block) -> str:
     """An object in the scene, with what it is called in the file."""
     note = f"{block.label}, line {block.place.split(':')[-2]}" if block.label else f"line {block.place.split(':')[-2]}"
-    return f"  - {_flow(found)} # {note}"
-
-
-def _flow(value: Mapping[str, Any]) -> str:
-    """YAML on one line."""
-    return yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=10**6).strip()
+    return f"  - {flow(found)} # {note}"
 
 
 def _numbers(*values: float) -> list[float]:

@@ -14,13 +14,13 @@ import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil, sqrt
 from pathlib import Path
 
 import numpy as np
-import yaml
 from jaxtyping import UInt8
 
+from phantomgen.importers.scene_text import BEAM, flow, nominal_scan
+from phantomgen.runtime.disk import complete_file
 from phantomgen.runtime.outputs import check_output
 from spectra.errors import InputError
 
@@ -28,11 +28,12 @@ from spectra.errors import InputError
 _ADULTS = {"AM": ((254, 127, 222), (2.137, 2.137, 8.0)), "AF": ((299, 137, 348), (1.775, 1.775, 4.84))}
 # Order of the percentages in a file of media.
 _ELEMENTS = ("H", "C", "N", "O", "Na", "Mg", "P", "S", "Cl", "K", "Ca", "Fe", "I")
-_ORGAN = re.compile(r"\s*(\d+)\s+(\S.*?)\s+(\d+)\s+(\d*\.?\d+)\s*")
-_MEDIUM = re.compile(r"\s*(\d+)\s+(\S.*?)((?:\s+\d*\.?\d+){13})\s*")
+_ORGAN = re.compile(r"\s*(\d+)\s+(\S.*?)\s+(\d+)\s+(\d+(?:\.\d+)?)\s*")
+_MEDIUM = re.compile(r"\s*(\d+)\s+(\S.*?)((?:\s+\d+(?:\.\d+)?){13})\s*")
 _WHOLE = 3.0  # percent by which the elements of a medium may miss 100
-# The scan around the body: part of the distance to the panel, room beside the body, columns of the panel.
-_MAGNIFICATION, _ROOM, _COLUMNS, _VOXELS = 1.6, 1.04, 256, 128
+_MOST_VOXELS = 200_000_000  # twenty times those of the largest phantom of Publication 110; bounds the memory
+_LONGEST_LINE = 1000  # characters; longer lines are no rows of these tables
+_VIEWS = 180
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,8 @@ def read_phantom(folder: Path, shape: Sequence[int] | None = None, voxel: Sequen
             )
         shape, voxel = shape or _ADULTS[name][0], voxel or _ADULTS[name][1]
     columns, rows, slices = shape
+    if columns * rows * slices > _MOST_VOXELS:
+        raise InputError(f"{columns} x {rows} x {slices} voxels are too many: at most {_MOST_VOXELS} are read")
     organs, media = _organs(folder / f"{name}_organs.dat"), _media(folder / f"{name}_media.dat")
     numbers = _numbers(folder / f"{name}.dat", columns * rows * slices)
     unknown = set(np.unique(numbers).tolist()) - organs.keys() - {0}
@@ -150,8 +153,9 @@ def write_scene(
     labels = _cropped(labels)
     names = _material_names(phantom, used)
     text = _text(phantom, out, beside, labels.shape, names, (low, high))
-    np.savez_compressed(beside, labels=labels)
-    out.write_text(text, encoding="utf-8")
+    with complete_file(out, ".yaml") as scene, complete_file(beside, ".npz") as array:
+        np.savez_compressed(array, labels=labels)
+        scene.write_text(text, encoding="utf-8")
     return out, beside
 
 
@@ -170,7 +174,7 @@ def _lines(path: Path) -> list[str]:
     """Lines of a text file."""
     if not path.is_file():
         raise InputError(f"{path} is missing")
-    return path.read_text(encoding="latin-1").splitlines()
+    return [line for line in path.read_text(encoding="latin-1").splitlines() if len(line) < _LONGEST_LINE]
 
 
 def _organs(path: Path) -> dict[int, Organ]:
@@ -258,41 +262,14 @@ def _text(
         for name, organ in ((name, phantom.organs[number]) for number, name in names.items())
     }
     extent = [count * edge for count, edge in zip(shape[::-1], phantom.spacing, strict=True)]
+    radius = float(np.hypot(extent[0], extent[1])) / 2
     title = re.sub(r"[^A-Za-z0-9._-]+", "-", out.stem).lstrip("._-") or phantom.name
     organs = "\n".join(f"      {number}: {name} # {phantom.organs[number].name}" for number, name in names.items())
     return (
         f"# {phantom.name} of the ICRP, slices {slices[0]} to {slices[1] - 1} from the soles up. Source, panel and "
-        f"distances are nominal.\nversion: 1\nname: {title}\n\nsource:\n  type: tube\n  kvp: 120\n  filters:\n"
-        "    - {composition: Al, thickness: 2.5}\n  photons: 1000000.0\n\n"
-        "detector: {type: photon_counting, composition: CdTe, thickness: 1.6, thresholds: [25, 65]}\n\n"
-        f"{_scan(extent)}\nmaterials:\n"
-        + "".join(f"  {name}: {_flow(value)}\n" for name, value in materials.items())
-        + f"\nobjects:\n  - type: voxels\n    file: {_flow_text(f'{beside.name}:labels')}\n"
+        f"distances are nominal.\nversion: 1\nname: {title}\n\n{BEAM}"
+        f"{nominal_scan(radius, extent[2] / 2, max(extent) / 2, _VIEWS)}\nmaterials:\n"
+        + "".join(f"  {name}: {flow(value)}\n" for name, value in materials.items())
+        + f"\nobjects:\n  - type: voxels\n    file: {flow(f'{beside.name}:labels')}\n"
         f"    spacing: {list(phantom.spacing)}\n    labels:\n{organs}\n"
     )
-
-
-def _scan(extent: Sequence[float]) -> str:
-    """Distances, panel and volume that hold a body of an extent along x, y and z [mm]."""
-    radius = float(np.hypot(extent[0], extent[1])) / 2
-    sod = 50.0 * ceil(max(500.0, 2.5 * radius, 2.0 * extent[2]) / 50)
-    sdd = _MAGNIFICATION * sod
-    half_width = sdd * radius / sqrt(sod**2 - radius**2)
-    pitch = ceil(100 * 2 * _ROOM * half_width / _COLUMNS) / 100
-    rows = 2 * ceil(_ROOM * sdd * extent[2] / 2 / (sod - radius) / pitch)
-    size = ceil(_ROOM * max(extent))
-    return (
-        f"geometry: {{type: circular, sod: {sod:g}, sdd: {sdd:g}, views: 180, test_views: 15}}\n"
-        f"panel: {{rows: {rows}, columns: {_COLUMNS}, pitch: {pitch:g}}}\n"
-        f"volume: {{voxels: {_VOXELS}, size: {size}}}\n"
-    )
-
-
-def _flow(value: object) -> str:
-    """YAML on one line."""
-    return yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=10**6).strip()
-
-
-def _flow_text(text: str) -> str:
-    """A text as YAML writes it."""
-    return yaml.safe_dump(text, width=10**6).splitlines()[0]

@@ -47,16 +47,15 @@ class CountNoise:
 
         Parameters
         ----------
-        primary : expected counts, proportional to the flat field
-        scattered : expected counts that were estimated without it
+        primary : expected counts that are proportional to the flat field, in quanta of the detector
+        scattered : expected counts that were estimated without it, likewise
 
         Returns
         -------
-        variance over the sum of both; that of the counts alone where nothing is expected
+        variance over the sum of both, no unit; that of the counts alone where nothing is expected
         """
         expected = np.asarray(primary, dtype=np.float64) + scattered
-        counts = np.ones_like(expected) if self.spectra.dead_time is None else self.spectra.spread(expected)
-        return counts + primary**2 * self.flats / np.where(expected > 0, expected, np.inf)
+        return self.spectra.spread(expected) + primary**2 * self.flats / np.where(expected > 0, expected, np.inf)
 
 
 def flat_noise(dataset: Dataset) -> Float[np.ndarray, "channel row column"]:
@@ -72,14 +71,13 @@ def flat_noise(dataset: Dataset) -> Float[np.ndarray, "channel row column"]:
 
     Returns
     -------
-    variance over the square of the mean; 0 in pixels that do not measure, and where the dataset has less than two
-    flats or `Dataset.air` in place of them
+    variance over the square of the mean, no unit; 0 in pixels that do not measure, and where the dataset has less than
+    two flats or `Dataset.air` in place of them
     """
     frames = None if dataset.air is not None else find_array(dataset.file, FLAT)
     if frames is None or frames.shape[0] < 2:
         return np.zeros(dataset.counts.shape[1:])
     spectra = dataset.spectra
     photons = spectra.events(dataset.flat) / spectra.quantum[:, None, None]
-    spread = 1.0 if spectra.dead_time is None else spectra.spread(photons)
     known = (photons > 0) & ~dataset.mask
-    return np.where(known, spread / (frames.shape[0] * np.where(known, photons, 1.0)), 0.0)
+    return np.where(known, spectra.spread(photons) / (frames.shape[0] * np.where(known, photons, 1.0)), 0.0)

@@ -151,6 +151,8 @@ def test_what_is_missing_is_asked_for(folder, tmp_path):
         read_phantom(folder)
     with pytest.raises(InputError, match=r"must be a folder with NAME\.dat"):
         read_phantom(tmp_path, SHAPE, VOXEL)
+    with pytest.raises(InputError, match="10000 x 10000 x 10000 voxels are too many"):
+        read_phantom(folder, (10_000, 10_000, 10_000), VOXEL)
     phantom = read_phantom(folder, SHAPE, VOXEL)
     with pytest.raises(InputError, match="there is no slice from 500 to 600 mm"):
         write_scene(phantom, tmp_path / "none.yaml", heights=(500, 600))
