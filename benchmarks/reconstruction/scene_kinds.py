@@ -1,6 +1,6 @@
 """Whether a fit of Gaussians ends better than the volumes it started from, on one scene of every kind.
 
-    python -m benchmarks.reconstruction.scene_kinds [--kernel NAME] [--threads N] [--seed N] [--out FOLDER] [SCENE ...]
+    python -m benchmarks.reconstruction.scene_kinds [--kernel NAME] [--residual] [--threads N] [--seed N] [SCENE ...]
 
 Scenes of `scene_kinds.yaml`: 64^3 voxels, 45 views of 128 x 128 pixels unless the scene says otherwise; no setting of
 the program was chosen on them. PSNR [dB] of every basis volume on the grid of the truth: the one-step volumes that the
@@ -8,8 +8,9 @@ fit starts from, the Gaussians fitted to these volumes, and the end of the fit. 
 chi-square of the test views in the worst channel, away from edges and of all rays; the number of Gaussians; stored
 numbers over occupied voxels times bases; processor time of the fit.
 
-With `--kernel gaussian`, no planes divide the Gaussians. With `--halfway`, plain Gaussians are fitted to the start
-on a second grid, too, half a voxel further along every axis, with that weight and a cutoff of 3.5.
+With `--kernel gaussian`, no planes divide the Gaussians. With `--residual`, voxels keep what they leave unexplained.
+With `--halfway`, plain Gaussians are fitted to the start on a second grid, too, half a voxel further along every axis,
+with that weight and a cutoff of 3.5.
 
 Rows take the place of those in `results/scene_kinds.txt`.
 """
@@ -34,7 +35,7 @@ from recon.evaluation.metrics import psnr
 from recon.evaluation.scoring import score_test_views
 from recon.gaussians.model import GaussianModel
 from recon.gaussians.optimize import Progress
-from recon.gaussians.recipe import FAST, KERNELS, PLAIN_FAST, Recipe
+from recon.gaussians.recipe import FAST, KERNELS, PLAIN_FAST, Recipe, with_residual_in_voxels
 from recon.gaussians.reconstruct import reconstruct
 from spectra.threads import set_threads, thread_count, without_other_pools
 
@@ -61,10 +62,10 @@ def scores(volumes: Float[np.ndarray, "basis z y x"], truth: Truth) -> Float[np.
     return np.array([psnr(t.max(), np.mean((v - t) ** 2)) for v, t in pairs], float)
 
 
-def recipe_with(kernel: str, halfway: float) -> Recipe:
-    """Default recipe with a kernel, and with a second grid where its weight is not 0."""
+def recipe_with(kernel: str, halfway: float, residual: bool = False) -> Recipe:
+    """Default recipe with a kernel, with a residual in voxels, and with a second grid where its weight is not 0."""
     if kernel == "interface":
-        return FAST
+        return with_residual_in_voxels(FAST) if residual else FAST
     fit = PLAIN_FAST.volume_fit
     return replace(PLAIN_FAST, volume_fit=replace(fit, halfway=halfway, cutoff=3.5) if halfway else fit)
 
@@ -106,6 +107,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, help="default: all")
     parser.add_argument("--seed", type=int, default=0, help="of the noise")
     parser.add_argument("--kernel", choices=KERNELS, default="interface", help="default: interface")
+    parser.add_argument("--residual", action="store_true", help="keep a residual in voxels, with planes")
     parser.add_argument("--halfway", type=float, default=0.0, help="weight of the second grid")
     parser.add_argument("--out", type=Path, help="folder to keep the scans in")
     parser.add_argument("--table", type=Path, default=TABLE, help="file that the rows go to")
@@ -119,9 +121,10 @@ def main() -> None:
         folder = asked.out or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         for name in asked.scenes:
-            label = f"{name} seed {asked.seed} {asked.kernel}" + (f" {asked.halfway:g}" if asked.halfway else "")
+            kernel = "residual" if asked.residual else asked.kernel
+            label = f"{name} seed {asked.seed} {kernel}" + (f" {asked.halfway:g}" if asked.halfway else "")
             with scanned(name, scenes[name], asked.seed, folder / f"{name}-{asked.seed}.h5") as dataset:
-                row = row_of(label, dataset, recipe_with(asked.kernel, asked.halfway))
+                row = row_of(label, dataset, recipe_with(asked.kernel, asked.halfway, asked.residual))
             store(asked.table, head, row, NAMED)
             print(row, flush=True)
 

@@ -107,6 +107,7 @@ def _export_volumes(run: Path, out: Path) -> dict[str, Any]:
 
 
 def _export_gaussians(run: Path, out: Path) -> dict[str, Any]:
+    from recon.gaussians.residual.model import GaussiansWithResidual
     from recon.output.ply import write_ply
     from recon.runs.read_run import read_run
     from spectra.errors import InputError
@@ -117,12 +118,14 @@ def _export_gaussians(run: Path, out: Path) -> dict[str, Any]:
     plain = gaussians.plain()
     write_ply(out, plain)
     found = {"gaussians": len(plain), "bases": list(plain.basis_names)}
-    return found | ({"planes": "left out"} if gaussians.SIGNED else {})
+    without = {"planes": gaussians.SIGNED, "residual": isinstance(gaussians, GaussiansWithResidual)}
+    return found | {name: "left out" for name, there in without.items() if there}
 
 
 def _said(found: dict[str, Any]) -> str:
     if "gaussians" in found:
         planes = "; the format has no planes that divide Gaussians: each side is one, and the edges are blurred"
+        residual = "; the residual in voxels is left out"
         said = f"{found['gaussians']} Gaussians with {', '.join(found['bases'])}"
-        return said + (planes if "planes" in found else "")
+        return said + (planes if "planes" in found else "") + (residual if "residual" in found else "")
     return f"{', '.join(found['volumes'])}, {' x '.join(map(str, found['shape']))} voxels"

@@ -46,6 +46,7 @@ class _RecipeOptions:
     kernel: str
     detail: float | None
     gaussians: int | None
+    residual: bool
     sweeps: float | None
     steps: int | None
     without: tuple[str, ...]
@@ -106,6 +107,7 @@ def _chosen(recipe: _RecipeOptions, special: dict[str, Any]) -> "Recipe | PaperR
         kernel,
         recipe.detail or 1.0,
         recipe.gaussians or 0,
+        recipe.residual,
     )
 
 
@@ -156,6 +158,11 @@ def _chosen(recipe: _RecipeOptions, special: dict[str, Any]) -> "Recipe | PaperR
     type=click.IntRange(min=1),
     metavar="NUMBER",
     help="Number of Gaussians, about [default: as many as the surfaces need].",
+)
+@click.option(
+    "--residual",
+    is_flag=True,
+    help="Keep what Gaussians cannot follow in voxels, if rays that took no part confirm it.",
 )
 @click.option("--steps", type=click.IntRange(min=1), help="Steps of --recipe paper; schedules scale [default: 30000].")
 @click.option("--without", metavar="NAME", multiple=True, help="Leave out a component of --recipe paper; repeatable.")
@@ -284,7 +291,9 @@ def fit(
         "kernel": None if recipe.kernel == "auto" else recipe.kernel,
         "detail": recipe.detail,
         "gaussians": recipe.gaussians,
+        "residual": recipe.residual,
     }
+    refuse_options("--phases", {"residual": approach.phases is not None and recipe.residual})
     special |= {"device": None if resources.device == "cpu" else device_named(resources.device).type}
     if method != "gaussian":
         refuse_options(

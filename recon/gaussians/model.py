@@ -363,11 +363,16 @@ def _check_arrays(path: Path, tensors: dict[str, Tensor], bases: int) -> None:
     sides = (2,) if "offsets" in tensors else ()
     shapes = {"centres": (count, 3), "log_scales": (count, 3), "quaternions": (count, 4), "offsets": (count,)}
     shapes["coefficients"] = (count, *sides, bases)
+    if "residual" in tensors or "places" in tensors:
+        voxels = len(tensors["places"]) if tensors.get("places", torch.empty(())).ndim else -1
+        shapes |= {"places": (voxels,), "residual": (voxels, bases)}
     for name, values in tensors.items():
-        if not values.is_floating_point() or tuple(values.shape) != shapes.get(name, tuple(values.shape)):
+        whole = name == "places"
+        right = values.dtype == torch.int64 if whole else values.is_floating_point()
+        if not right or tuple(values.shape) != shapes.get(name, tuple(values.shape)):
             raise DatasetError(
-                f"{path} is damaged: {name} has shape {tuple(values.shape)} and type {values.dtype}, expected floating "
-                f"point numbers of shape {shapes.get(name)}"
+                f"{path} is damaged: {name} has shape {tuple(values.shape)} and type {values.dtype}, expected "
+                f"{'whole' if whole else 'floating point'} numbers of shape {shapes.get(name)}"
             )
         if not torch.isfinite(values).all():
             raise DatasetError(f"{path} is damaged: {name} holds a value that is not a number; run recon fit again")

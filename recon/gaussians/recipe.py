@@ -11,6 +11,7 @@ from recon.gaussians.settings import (
     OptimizerSettings,
     PlacementSettings,
     PriorSettings,
+    ResidualSettings,
     SurfaceSettings,
     UnseenRaysSettings,
     VolumeFitSettings,
@@ -19,6 +20,7 @@ from recon.gaussians.settings import (
 from spectra.errors import InputError
 
 KERNELS = ("interface", "gaussian")
+RESIDUAL_PASSES = 4  # over the views, of `recon fit --residual`; later ones gain little
 _ANY_SIGN = ("seed", "warm_up", "momentum", "dispersion", "prior", "held_out")
 
 
@@ -92,6 +94,7 @@ class Recipe:
     voxel_prior : how the voxel prior is evaluated
     optimizer : how steps are made and when they end
     unseen_rays : which rays no part of a fit uses, and when they decide
+    residual : what voxels take of that which Gaussians leave unexplained
     """
 
     name: str = "own"
@@ -126,6 +129,7 @@ class Recipe:
     voxel_prior: PriorSettings = field(default_factory=PriorSettings)
     optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
     unseen_rays: UnseenRaysSettings = field(default_factory=UnseenRaysSettings)
+    residual: ResidualSettings = field(default_factory=ResidualSettings)
 
     def __post_init__(self) -> None:
         check_positive(self, "recipe", others=_ANY_SIGN)
@@ -240,6 +244,21 @@ def with_detail(recipe: Recipe, detail: float) -> Recipe:
         finest_spacing=recipe.finest_spacing / detail,
         surfaces=replace(surfaces, **closer),
     )
+
+
+def with_residual_in_voxels(recipe: Recipe, passes: int = RESIDUAL_PASSES) -> Recipe:
+    """Let voxels take what Gaussians leave unexplained.
+
+    Parameters
+    ----------
+    recipe : the recipe
+    passes : passes over the views
+
+    Returns
+    -------
+    a recipe whose fit ends with a residual in voxels
+    """
+    return replace(recipe, residual=replace(recipe.residual, passes=passes))
 
 
 def with_count(recipe: Recipe, count: int) -> Recipe:

@@ -25,6 +25,7 @@ from recon.gaussians.model import GaussianModel
 from recon.gaussians.optimize import OnStep, fit
 from recon.gaussians.processes import LOCAL, Processes, Resources
 from recon.gaussians.recipe import Recipe
+from recon.gaussians.residual.fit_residual import with_residual
 from recon.gaussians.state import FitState, InterruptedFit
 from recon.gaussians.unseen_rays import UnseenRays, with_unseen_rays
 from recon.gaussians.voxel_prior import VoxelPrior
@@ -149,6 +150,10 @@ def reconstruct(
             gaussians, notes = rays.better_of(state.initial, gaussians, Voxels(volumes, grid, measured.basis_names))
     volumes = np.ascontiguousarray(volumes[:, *inner_box(dataset.grid, grid)])
     gaussians, unreliable, result = gaussians.to("cpu"), None, None
+    if recipe.residual.passes and processes.first:
+        with stage("residual"):
+            gaussians, more = _with_residual(gaussians, scan, recipe, on_iteration, resources.device)
+            notes = (*notes, *more)
     if processes.first:
         with stage("mark"):
             result = gaussians.volume(dataset.grid)
@@ -191,6 +196,18 @@ def _split(measured: Measurements, recipe: Recipe) -> tuple[Measurements, Measur
         raise InputError(f"of {len(measured)} training views, {recipe.held_out} cannot be held out: some must be left")
     picked = np.sort(np.random.default_rng(recipe.seed).choice(len(measured), recipe.held_out, replace=False))
     return measured[np.setdiff1d(np.arange(len(measured)), picked)], measured[picked]
+
+
+def _with_residual(
+    gaussians: GaussianModel, scan: Scan, recipe: Recipe, on_iteration: OnIteration, device: str
+) -> tuple[GaussianModel, tuple[str, ...]]:
+    """Add a residual in voxels, where rays that took no part confirm it; a sentence says whether."""
+    measured, grid = scan.measured, scan.coverage.grid
+    if measured.unseen_blocks is None:
+        measured = with_unseen_rays(measured, min(grid.spacing), recipe.seed, recipe.unseen_rays)
+    rays = UnseenRays.of(measured, min(grid.spacing), recipe.dispersion, recipe.unseen_rays)
+    found = with_residual(gaussians, measured, grid, recipe.residual, on_iteration, device)
+    return rays.with_or_without(found, gaussians, recipe.residual.worth)
 
 
 def _prior_of(

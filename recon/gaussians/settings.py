@@ -265,6 +265,32 @@ class OptimizerSettings:
 
 
 @dataclass(frozen=True)
+class ResidualSettings:
+    """What voxels take of that which Gaussians leave unexplained (`recon.gaussians.residual`).
+
+    Parameters
+    ----------
+    strength : weight of the total variation of the residual over that of the voxels of the start [no unit]; measured on
+        five scenes
+    least : part of the largest value of a basis, which a voxel must exceed to have a residual [no unit]; measured on
+        five scenes
+    worth : fall of the deviance of all rays per number that the residual takes, below which it is left out [no unit];
+        measured on seven scenes
+    passes : passes of the one-step voxel method over the views; 0 for no residual; measured on five scenes
+    """
+
+    strength: float = 0.5
+    least: float = 5e-3
+    worth: float = 0.25
+    passes: int = 0
+
+    def __post_init__(self) -> None:
+        check_positive(self, "recipe residual", others=("passes",))
+        if self.passes < 0:
+            raise InputError(f"recipe residual passes must be a number of passes, 0 or more, got {self.passes}")
+
+
+@dataclass(frozen=True)
 class UnseenRaysSettings:
     """Which rays no part of a fit uses, and when they decide (`recon.gaussians.unseen_rays`).
 

@@ -6,6 +6,7 @@ statistical weights are 0 (`recon.data.measurements.Measurements.unseen_blocks`)
 with the same correction for partial volume and the same model error as in the fit.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import evenly_spread_views, view_groups
 from recon.gaussians.likelihood import deviances
 from recon.gaussians.model import GaussianModel
+from recon.gaussians.residual.model import GaussiansWithResidual
 from recon.gaussians.settings import UnseenRaysSettings
 from recon.voxel.model import Voxels
 
@@ -56,11 +58,13 @@ class UnseenRays:
     data : views with such rays; all other rays have the statistical weight 0
     dispersion : eta, relative model error [no unit]
     certain : difference of two models that counts [standard errors over views]
+    part : these rays over all rays of the scan [no unit]
     """
 
     data: Measurements
     dispersion: float
     certain: float = DEFAULT.certain
+    part: float = DEFAULT.part
 
     @classmethod
     def of(
@@ -83,7 +87,7 @@ class UnseenRays:
         views = np.flatnonzero(measured.unseen_blocks.any(axis=(1, 2)))
         some = replace(measured[views], unseen_blocks=~measured.unseen_blocks[views])
         some = some.binned(matching_bin(some.geometry, voxel))
-        return cls(some.weighted(dispersion), dispersion, settings.certain)
+        return cls(some.weighted(dispersion), dispersion, settings.certain, float(measured.unseen_blocks.mean()))
 
     def better_of(
         self, initial: GaussianModel, fitted: GaussianModel, start: Voxels
@@ -115,6 +119,34 @@ class UnseenRays:
                 "fit on smaller voxels"
             )
         return initial if worse else fitted, tuple(notes)
+
+    def with_or_without(
+        self, residual: GaussiansWithResidual, gaussians: GaussianModel, worth: float
+    ) -> tuple[GaussianModel, tuple[str, ...]]:
+        """Choose Gaussians with a residual in voxels where that is certainly more likely and worth its numbers.
+
+        Parameters
+        ----------
+        residual : the Gaussians with a residual
+        gaussians : without it
+        worth : least fall of the deviance of all rays, as estimated from these, per number that the residual takes
+
+        Returns
+        -------
+        one of the two models; a sentence for the user
+        """
+        without, together = (deviances(model, self.data, self.dispersion) for model in (gaussians, residual))
+        ratio = f"{together.sum() / without.sum():.3g} times"
+        fall, numbers = (without.sum() - together.sum()) / self.part, residual.numbers - gaussians.numbers
+        if fall < worth * numbers or not certainly_larger(without, together, self.certain):
+            return gaussians, (
+                f"a residual in voxels is left out: the deviance of rays that took no part is {ratio} that without it",
+            )
+        part = len(residual.places) / math.prod(residual.grid.shape)
+        return residual, (
+            f"a residual is kept in {part:.1%} of the voxels: the deviance of rays that took no part is {ratio} that "
+            "without it",
+        )
 
 
 def certainly_larger(

@@ -16,7 +16,7 @@ from recon.figures.run_figures import convergence
 from recon.gaussians.fitted_grid import fitted_grid
 from recon.gaussians.optimize import Progress
 from recon.gaussians.processes import ALONE, Processes, Resources
-from recon.gaussians.recipe import PLAIN_RECIPES, RECIPES, Recipe, with_count, with_detail
+from recon.gaussians.recipe import PLAIN_RECIPES, RECIPES, Recipe, with_count, with_detail, with_residual_in_voxels
 from recon.gaussians.reconstruct import Reconstruction, reconstruct
 from recon.kedge.basis_names import Asked, left_out, with_named
 from recon.kedge.choose_basis import BasisChoice, choose_basis
@@ -176,6 +176,7 @@ def chosen_recipe(
     kernel: str = "interface",
     detail: float = 1.0,
     count: int = 0,
+    residual: bool = False,
 ) -> Recipe:
     """Return a recipe of this project with what a user chose.
 
@@ -189,6 +190,7 @@ def chosen_recipe(
     kernel : ``interface`` or ``gaussian``
     detail : factor by which Gaussians are closer to each other than in the recipe
     count : number of Gaussians; 0 for as many as the distances give
+    residual : whether voxels take what Gaussians leave unexplained
 
     Returns
     -------
@@ -196,6 +198,7 @@ def chosen_recipe(
     """
     recipes = RECIPES if kernel == "interface" else PLAIN_RECIPES
     recipe = with_count(with_detail(replace(recipes[name], seed=seed, held_out=held_out), detail), count)
+    recipe = with_residual_in_voxels(recipe) if residual else recipe
     if sweeps is None:
         return recipe
     return replace(

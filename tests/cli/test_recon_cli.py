@@ -154,6 +154,35 @@ def test_number_and_distance_of_gaussians_exclude_each_other(dataset, tmp_path):
     assert "--detail cannot be used with --gaussians" in result.output
 
 
+def test_a_residual_is_a_part_of_the_model_and_of_its_volumes(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr("recon.gaussians.unseen_rays.certainly_larger", lambda one, other, certain: True)
+    run = tmp_path / "run"
+    result = fit(dataset, "-o", run, "--residual", *FAST)
+    assert result.exit_code == 0, result.output
+    assert "a residual is kept in" in result.output
+    stored = read_run(run)
+    assert "residual" in stored.gaussians.tensors()
+    assert stored.volumes == pytest.approx(stored.gaussians.volume(stored.grid), abs=1e-6)
+    for command in (["volume", run, "-o", tmp_path / "a.h5"], ["segment", run], ["report", run]):
+        assert CliRunner().invoke(recon, [str(word) for word in command]).exit_code == 0
+    result = CliRunner().invoke(recon, ["export", str(run), "-o", str(tmp_path / "a.ply")])
+    assert "the residual in voxels is left out" in result.output
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--method", "one-step"], "--residual cannot be used with --method one-step"),
+        (["--phases", "4"], "--residual cannot be used with --phases"),
+        (["--recipe", "paper"], "--residual cannot be used with --recipe paper"),
+    ],
+)
+def test_a_residual_is_one_of_gaussians(dataset, tmp_path, options, said):
+    result = fit(dataset, "-o", tmp_path / "run", "--residual", *options)
+    assert result.exit_code == 2
+    assert said in result.output
+
+
 def test_volumes_state_shape_axes_and_units(complete):
     with h5py.File(complete[0] / "volumes.h5") as file:
         for group in ("basis", "one-step"):

@@ -1,18 +1,20 @@
 """Model files of every kind."""
 
-from math import isfinite
+import math
 from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
+from phantomgen.geometry.voxel_grid import Grid
 from recon.gaussians.divided.model import DividedGaussians
 from recon.gaussians.model import GaussianModel, Gaussians, read_model_file
+from recon.gaussians.residual.model import RESIDUAL, GaussiansWithResidual
 from spectra.errors import DatasetError
 
 
 def load_model(path: Path) -> GaussianModel:
-    """Read a model of either kind.
+    """Read a model of any kind.
 
     Parameters
     ----------
@@ -20,7 +22,7 @@ def load_model(path: Path) -> GaussianModel:
 
     Returns
     -------
-    Gaussians, or Gaussians that planes divide
+    Gaussians, plain or divided by planes, with a residual in voxels where the file has one
 
     Raises
     ------
@@ -28,14 +30,13 @@ def load_model(path: Path) -> GaussianModel:
         When the file is not such a file, or is one of a later version.
     """
     header, tensors = read_model_file(path)
-    if header["schema"] not in (Gaussians.SCHEMA, DividedGaussians.SCHEMA):
-        raise DatasetError(
-            f"{path} was written as {header['schema']!r}, this version reads {Gaussians.SCHEMA!r} and "
-            f"{DividedGaussians.SCHEMA!r}"
-        )
+    schemas = (Gaussians.SCHEMA, DividedGaussians.SCHEMA, GaussiansWithResidual.SCHEMA)
+    if header["schema"] not in schemas:
+        known = ", ".join(map(repr, schemas))
+        raise DatasetError(f"{path} was written as {header['schema']!r}, this version reads {known}")
     try:
         model = model_of(tensors, header["basis"], header)
-        if not isfinite(getattr(model, "width", 0.0)):
+        if not math.isfinite(header.get("width", 0.0)):
             raise ValueError("its width is not a number")
         return model
     except (KeyError, TypeError, ValueError) as error:
@@ -47,7 +48,7 @@ def model_of(tensors: dict[str, Tensor], basis_names: tuple[str, ...], header: d
 
     Parameters
     ----------
-    tensors : arrays by name; with ``offsets``, planes divide the Gaussians
+    tensors : arrays by name; with ``offsets``, planes divide the Gaussians; with ``residual``, voxels add to them
     basis_names : names of the basis functions
     header : what is no array, see `GaussianModel.header`
 
@@ -55,6 +56,13 @@ def model_of(tensors: dict[str, Tensor], basis_names: tuple[str, ...], header: d
     -------
     the model
     """
+    if "residual" in tensors:
+        grid = Grid(**{name: tuple(values) for name, values in dict(header["grid"]).items()})
+        places, residual = (tensors[name] for name in RESIDUAL)
+        if len(places) and not 0 <= int(places.min()) <= int(places.max()) < math.prod(grid.shape):
+            raise ValueError("its residual lies outside of its grid")
+        others = {name: value for name, value in tensors.items() if name not in RESIDUAL}
+        return GaussiansWithResidual(model_of(others, basis_names, header), places, residual, grid)
     if "offsets" in tensors:
         return DividedGaussians(**tensors, basis_names=basis_names, width=float(header["width"]))
     return Gaussians(**tensors, basis_names=basis_names)

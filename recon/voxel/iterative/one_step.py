@@ -179,6 +179,29 @@ class OneStep:
             volumes = _descend(volumes, data, level, self, passes, report, self.least_fall if last else None)
         return self.coefficients(_voxel_means(resampled(volumes, here, grid), self))
 
+    @without_other_pools()
+    def refine(
+        self, volumes: Volumes, measurements: Measurements, grid: Grid, on_iteration: OnIteration = no_callback
+    ) -> Volumes:
+        """Add to volumes what the counts ask for; the priors are those of what is added.
+
+        Parameters
+        ----------
+        volumes : coefficients on `grid`, whose edges are to stay; what lies outside of the box that they fill stays
+            empty [1/mm]
+        measurements : views to use, unbinned, of any orbit
+        grid : grid of the volumes
+        on_iteration : called after every pass over the views, with the deviance per count
+
+        Returns
+        -------
+        volumes of the bases, not negative [1/mm]
+        """
+        data = measurements.binned(matching_bin(measurements.geometry, self.pixel * min(grid.spacing)))
+        passes = _passes(self.levels[-1][1], len(measurements))
+        report = Report(on_iteration, passes)
+        return _descend(volumes, data.weighted(self.dispersion), grid, self, passes, report, around=True)
+
     def coefficients(self, unknowns: Float[np.ndarray, "unknown z y x"]) -> Volumes:
         """Compute the coefficients of the bases.
 
@@ -227,16 +250,19 @@ def _descend(
     passes: int,
     report: Report,
     least_fall: float | None = None,
+    around: bool = False,
 ) -> Volumes:
     """Improve volumes on one grid, inside the box that holds the object; where subsets diverge, fewer of them go on.
 
-    With `least_fall`, more passes follow as long as each lowers the deviance by more than this part of it.
+    With `least_fall`, more passes follow as long as each lowers the deviance by more than this part of it. With
+    `around`, the priors are those of the difference from the given volumes.
     """
     box = occupied(volumes)
     inner, whole = grid.part(box), np.zeros_like(volumes)
     counts = max(int(np.count_nonzero(data.gains, axis=(1, 2)) @ np.count_nonzero(data.exposure, axis=0)), 1)
     first = _on_device(np.ascontiguousarray(volumes[:, *box]), settings)
-    state = _State(first, _on_device(np.zeros((3, *first.shape), np.float32), settings))
+    field = _on_device(np.zeros((3, *first.shape), np.float32), settings)
+    state = _State(first, field, around=first if around else None)
     ratio, best, least, metric = _view_ratio(data), first, np.inf, None
     parts = min(round(ratio * settings.subsets), len(data))
     last, most = np.inf, passes * (1 if least_fall is None else MOST_TIMES)
@@ -245,11 +271,12 @@ def _descend(
             metric = _metric(_as_array(state.volumes), data, inner, settings)
         deviance = _pass(state, data, inner, settings, metric, parts)
         if not deviance < DIVERGED * least and parts > 1:
-            state = _State(best, 0.0 * state.field)
+            state = _State(best, 0.0 * state.field, around=state.around)
             parts = parts // 2 | 1
         elif deviance < least:
             best, least = state.volumes, deviance
-        whole[:, *box] = _voxel_means(_as_array(state.volumes), settings)
+        shown = _as_array(state.volumes)
+        whole[:, *box] = shown if around else _voxel_means(shown, settings)
         report(settings.coefficients(whole), deviance / counts, grid)
         if i + 1 >= passes and least_fall is not None:
             if not deviance < (1 - least_fall) * last:
@@ -292,13 +319,15 @@ def _voxel_means(volumes: Volumes, settings: OneStep) -> Volumes:
 class _State:
     """State of a descent: volumes, dual of the total variation, extrapolated point of the next step, momentum.
 
-    Volumes (basis, z, y, x) and dual (axis, basis, z, y, x) are arrays, or tensors where a GPU computes.
+    Volumes (basis, z, y, x) and dual (axis, basis, z, y, x) are arrays, or tensors where a GPU computes. The total
+    variation and the prior of K edges are those of the difference from `around`, where there is one.
     """
 
     volumes: Any
     field: Any
     point: Any = None
     speed: float = 1.0
+    around: Any = None
 
 
 def _pass(state: _State, data: Measurements, grid: Grid, settings: OneStep, metric: "_Metric", parts: int) -> float:
@@ -310,7 +339,7 @@ def _pass(state: _State, data: Measurements, grid: Grid, settings: OneStep, metr
         point = state.volumes if state.point is None else state.point
         deviance, gradient = _deviance_and_gradient(point, some, grid, settings)
         gradient *= len(data) / len(some)
-        new = _proximal(point, gradient, state.field, metric, grid, settings)
+        new = _proximal(point, gradient, state, metric, grid, settings)
         step = new - state.volumes
         restart_test += _inner(point - new, step, metric.mixing)
         faster = (1 + np.sqrt(1 + 4 * state.speed**2)) / 2 if settings.momentum else 1.0
@@ -431,17 +460,19 @@ def _largest(inverse: Any, mixing: Float[np.ndarray, "basis basis"]) -> np.ndarr
     return out
 
 
-def _proximal(point: Any, gradient: Any, field: Any, metric: _Metric, grid: Grid, settings: OneStep) -> Any:
-    """Approximate minimum of surrogate plus total variation over x >= 0; `field`, the dual, is improved in place."""
+def _proximal(point: Any, gradient: Any, state: _State, metric: _Metric, grid: Grid, settings: OneStep) -> Any:
+    """Approximate minimum of surrogate plus total variation over x >= 0; the dual of the state is improved in place."""
+    field = state.field
     if metric.empty is not None:
-        gradient = gradient + metric.empty * point
+        gradient = gradient + metric.empty * (point if state.around is None else point - state.around)
     if settings.strength == 0:
         return nonnegative_newton_step(point, metric.inverse, gradient)
     new = nonnegative_newton_step(
         point, metric.inverse, gradient + total_variation_gradient(field, metric.mixing, grid)
     )
     for _ in range(settings.dual_steps):
-        ascend(field, new, metric.mixing, grid, metric.steps, metric.bounds)
+        varied = new if state.around is None else new - state.around
+        ascend(field, varied, metric.mixing, grid, metric.steps, metric.bounds)
         new = nonnegative_newton_step(
             point, metric.inverse, gradient + total_variation_gradient(field, metric.mixing, grid)
         )

@@ -1,0 +1,1 @@
+"""What Gaussians leave unexplained, in voxels."""
