@@ -12,7 +12,8 @@ from click import Group
 from click.testing import CliRunner, Result
 from hypothesis import HealthCheck, settings
 
-SECONDS = 60  # of one command on a tiny scan; what takes longer hangs
+SECONDS = 60  # processor time of one command on a tiny scan; what takes longer hangs
+WAITING = 10  # times as long by the clock, on a busy machine
 MEMORY = 2 * 2**30  # bytes that one command may take beside what the process has
 
 
@@ -49,14 +50,17 @@ def limited(seconds: int = SECONDS, memory: int = MEMORY) -> Iterator[None]:
     before = resource.getrlimit(resource.RLIMIT_AS)
     with open("/proc/self/statm") as file:
         mapped = int(file.read().split()[0]) * resource.getpagesize()
-    handler = signal.signal(signal.SIGALRM, late)
-    signal.alarm(seconds)
+    clocks = {signal.ITIMER_PROF: (signal.SIGPROF, seconds), signal.ITIMER_REAL: (signal.SIGALRM, WAITING * seconds)}
+    handlers = {number: signal.signal(number, late) for number, _ in clocks.values()}
+    for clock, (_, most) in clocks.items():
+        signal.setitimer(clock, most)
     resource.setrlimit(resource.RLIMIT_AS, (mapped + memory, before[1]))
     try:
         yield
     finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, handler)
+        for clock, (number, _) in clocks.items():
+            signal.setitimer(clock, 0)
+            signal.signal(number, handlers[number])
         with suppress(ValueError):
             resource.setrlimit(resource.RLIMIT_AS, before)
 

@@ -65,12 +65,12 @@ def place(
 def _region(rules: dict[str, Any], refuse: Callable[[tuple, str], Exception]) -> dict[str, Any]:
     """The region as numbers."""
     region = rules.get("within")
-    if not isinstance(region, dict) or region.get("type") not in _REGIONS:
+    if not isinstance(region, dict) or str(region.get("type")) not in _REGIONS:
         raise refuse(("within",), f"must be a mapping with one of the types {', '.join(_REGIONS)}, got {region!r}")
     kind, given = region["type"], {"center": [0.0, 0.0, 0.0], **region}
     try:
         numbers = {key: np.asarray(given[key], dtype=np.float64) for key in (*_REGIONS[kind], "center")}
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, OverflowError, TypeError, ValueError):
         numbers = {}
     vectors = {"center", "size"}
     right = all(n.shape == ((3,) if key in vectors else ()) and np.isfinite(n).all() for key, n in numbers.items())
@@ -119,7 +119,7 @@ def _reach(item: dict[str, Any]) -> float:
     """Radius of the ball around an object [mm], -1 where it is unknown."""
     try:
         return float(_REACH[item["type"]](item))
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, OverflowError, TypeError, ValueError):
         return -1.0
 
 

@@ -242,6 +242,8 @@ def test_the_preset_random_stays_inside_its_volume_and_its_panel(seed):
         ("objects.1.gap=-1", "gap - must be a distance in mm, 0 or more, got -1"),
         ("objects.1.fill=2", "fill - must be a part of the region's volume between 0 and 1, got 2"),
         ("objects.1.within={type: cone}", "within - must be a mapping with one of the types"),
+        ("objects.1.within={type: [[1]], radius: 5}", "within - must be a mapping with one of the types"),
+        ("objects.1.within={type: sphere, radius: 1" + "0" * 400 + "}", "within - of type sphere needs"),
         ("objects.1.within={type: sphere}", "within - of type sphere needs radius [mm]"),
         ("objects.1.center=[0, 0, 0]", "center - is drawn by within"),
         ("objects.1.type=mesh", "within - knows no size of a mesh"),
