@@ -212,6 +212,40 @@ def debug_option(command: Callable) -> Callable:
     return click.option("--debug", is_flag=True, expose_value=False, callback=remember, help=help_text)(command)
 
 
+def quiet_option(command: Callable) -> Callable:
+    """Add the option ``--quiet`` to a command.
+
+    Parameters
+    ----------
+    command : the command
+
+    Returns
+    -------
+    the command
+    """
+    return click.option("-q", "--quiet", is_flag=True, help="No progress bar.")(command)
+
+
+@contextmanager
+def views_bar(silent: bool, total: int | None = None) -> Iterator[Callable[[], object]]:
+    """Show a progress bar of views, where a person reads it and after two seconds.
+
+    Parameters
+    ----------
+    silent : whether to show none
+    total : number of views; None where it is not known
+
+    Yields
+    ------
+    function to call after each view
+    """
+    from tqdm import tqdm
+
+    shown = not silent and sys.stderr.isatty()
+    with tqdm(total=total, desc="views", unit="", leave=False, disable=not shown, delay=2.0) as bar:
+        yield bar.update
+
+
 def json_option(command: Callable) -> Callable:
     """Add the option ``--json`` to a command.
 
@@ -244,7 +278,7 @@ def case_options(command: Callable) -> Callable:
             "-o", "--out", type=click.Path(path_type=Path), help="Folder for a table, a figure and a JSON file."
         ),
         click.option("--overwrite", is_flag=True, help="Replace a report that exists."),
-        click.option("-q", "--quiet", is_flag=True, help="No progress bar."),
+        quiet_option,
     )
     for option in reversed(options):
         command = option(command)

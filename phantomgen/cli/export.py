@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import debug_option, grouped, json_option
+from phantomgen.cli.common import Printing, debug_option, grouped, json_option, quiet_option, views_bar
 
 # As in `phantomgen.exporters.scans.folder`, which takes time to import.
 PROGRAMS = [
@@ -67,15 +67,16 @@ class _Output:
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
 @flat_panel_option
 @click.option("--overwrite", is_flag=True, help="Replace a file or a folder that exists.")
+@quiet_option
 @json_option
 @debug_option
-@grouped(scan=_Scan, output=_Output)
+@grouped(scan=_Scan, output=_Output, printing=Printing)
 def export(
     dataset: Path,
     output: _Output,
     labels: bool,
     scan: _Scan,
-    as_json: bool,
+    printing: Printing,
 ) -> None:
     """Write the truth or the scan of DATASET for other programs.
 
@@ -89,11 +90,9 @@ def export(
         raise click.UsageError("--labels is about the truth and does not go with --to")
     found = _export_truth(dataset, output.out, labels, output.overwrite) if scan.program is None else {}
     if scan.program is not None:
-        found = _export_scan(
-            dataset, scan.air, output.out, scan.program, scan.what, scan.channels, scan.flat_panel, output.overwrite
-        )
+        found = _export_scan(dataset, output, scan, scan.program, printing.silent)
     text = found.pop("text")
-    click.echo(json.dumps(found) if as_json else text)
+    click.echo(json.dumps(found) if printing.as_json else text)
 
 
 def _export_truth(dataset: Path, out: Path, labels: bool, overwrite: bool) -> dict:
@@ -110,25 +109,18 @@ def _export_truth(dataset: Path, out: Path, labels: bool, overwrite: bool) -> di
     return {**found, "text": f"Wrote {out}: {', '.join(volumes.values)}, {shape} voxels"}
 
 
-def _export_scan(
-    dataset: Path,
-    air: str | None,
-    out: Path,
-    program: str,
-    what: str | None,
-    channels: tuple[str, ...],
-    flat_panel: bool,
-    overwrite: bool,
-) -> dict:
+def _export_scan(dataset: Path, output: _Output, scan: _Scan, program: str, silent: bool) -> dict:
     from phantomgen.dataset.adapters.to_projections import to_projections
     from phantomgen.dataset.reader import open_dataset
-    from phantomgen.exporters.scans.folder import check_folder, kind_for, write_folder
+    from phantomgen.exporters.scans.folder import check_folder, kind_for, views_written, write_folder
 
-    kind = kind_for(program, what)
-    check_folder(out, overwrite)
-    with open_dataset(dataset, air) as opened:
-        projections = to_projections(opened, kind, channels)
-        write_folder(out, program, projections.on_flat_panel() if flat_panel else projections)
+    out, kind = output.out, kind_for(program, scan.what)
+    check_folder(out, output.overwrite)
+    with open_dataset(dataset, scan.air) as opened:
+        projections = to_projections(opened, kind, scan.channels)
+        with views_bar(silent, views_written(program, projections)) as on_view:
+            watched = projections.watched(on_view)
+            write_folder(out, program, watched.on_flat_panel() if scan.flat_panel else watched)
     names = projections.names
     found = {"folder": str(out), "to": program, "what": kind, "names": list(names)}
     return {**found, "text": f"Wrote {out} for {program}: {kind} of {', '.join(names)}; python {out / 'load.py'}"}

@@ -1,14 +1,13 @@
 """``phantomgen import``: scans of scanners and of other programs as datasets, and their phantoms as scene files."""
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import debug_option, json_option, quiet_option, views_bar
 
 
 class Numbers(click.ParamType):
@@ -75,8 +74,9 @@ def import_() -> None:
 @click.argument("file", type=click.Path(dir_okay=False))
 @click.option("-o", "--out", required=True, type=click.Path(dir_okay=False), help="The scene to write.")
 @click.option("--overwrite", is_flag=True, help="Replace a scene that exists.")
+@json_option
 @debug_option
-def import_forbild(file: str, out: str, overwrite: bool) -> None:
+def import_forbild(file: str, out: str, overwrite: bool, as_json: bool) -> None:
     """Write a scene from FILE, a phantom in the text format of the FORBILD group.
 
     Lengths become millimetres; a later object replaces what it overlaps. A scan is put around it, to be edited.
@@ -87,7 +87,7 @@ def import_forbild(file: str, out: str, overwrite: bool) -> None:
     path = Path(out)
     check_output(path, overwrite)
     path.write_text(forbild_scene(file), encoding="utf-8")
-    click.echo(f"{path}\nnext     phantomgen view {path}")
+    click.echo(json.dumps({"file": str(path)}) if as_json else f"{path}\nnext     phantomgen view {path}")
 
 
 @import_.command(
@@ -103,6 +103,7 @@ def import_forbild(file: str, out: str, overwrite: bool) -> None:
 @click.option("--shape", type=Numbers(), metavar="N,N,N", help="Columns, rows and slices; known for AM and AF.")
 @click.option("--voxel", type=Numbers(), metavar="X,Y,Z", help="Edges of a voxel in mm; known for AM and AF.")
 @click.option("--overwrite", is_flag=True, help="Replace a scene that exists.")
+@json_option
 @debug_option
 def import_icrp(
     folder: Path,
@@ -112,6 +113,7 @@ def import_icrp(
     shape: tuple[float, ...] | None,
     voxel: tuple[float, ...] | None,
     overwrite: bool,
+    as_json: bool,
 ) -> None:
     """Write a scene from FOLDER, a voxel phantom in the format of ICRP Publication 110.
 
@@ -123,7 +125,8 @@ def import_icrp(
     part = _range(heights)
     phantom = read_phantom(folder, _whole("--shape", shape), _three("--voxel", voxel))
     scene, labels = write_scene(phantom, out, heights=part, without=without, overwrite=overwrite)
-    click.echo(f"{scene}\n{labels}\nnext     phantomgen view {scene}")
+    found = {"file": str(scene), "labels": str(labels)}
+    click.echo(json.dumps(found) if as_json else f"{scene}\n{labels}\nnext     phantomgen view {scene}")
 
 
 def _three(name: str, values: tuple[float, ...] | None) -> tuple[float, ...] | None:
@@ -205,7 +208,7 @@ def _scan_command(name: str, argument: str, examples: tuple[str, ...], text: str
         *_WANTED,
         click.option("--title", help="Name of the scan."),
         click.option("--overwrite", is_flag=True, help="Replace a dataset that exists."),
-        click.option("-q", "--quiet", is_flag=True, help="No progress bar."),
+        quiet_option,
         json_option,
         debug_option,
     ]
@@ -217,8 +220,6 @@ def _scan_command(name: str, argument: str, examples: tuple[str, ...], text: str
 
 def _import_scan(name: str, paths: tuple[Path, ...], out: Path, as_json: bool, quiet: bool, **options: Any) -> None:
     """Read a scan, write its dataset, and say what was done."""
-    from tqdm import tqdm
-
     from phantomgen.dataset.reader import parse_region
     from phantomgen.importers.formats import import_scan
 
@@ -227,9 +228,8 @@ def _import_scan(name: str, paths: tuple[Path, ...], out: Path, as_json: bool, q
         raise click.UsageError("--pitch needs one positive number, or two: between rows, between columns")
     options["pitch"] = None if pitch is None else (pitch[0], pitch[-1])
     options["air"] = None if options["air"] is None else parse_region(options["air"])
-    shown = not (quiet or as_json) and sys.stderr.isatty()
-    with tqdm(desc="views", unit="", leave=False, disable=not shown, delay=2.0) as bar:
-        done = import_scan(name, paths, out, on_view=bar.update, **options)
+    with views_bar(quiet or as_json) as on_view:
+        done = import_scan(name, paths, out, on_view=on_view, **options)
     grid = {"shape": list(done.grid.shape), "spacing": list(done.grid.spacing), "origin": list(done.grid.origin)}
     if as_json:
         found = {"file": str(out), "shape": list(done.shape), "channels": list(done.channels), "grid": grid}

@@ -9,7 +9,16 @@ from typing import Any
 
 import click
 
-from phantomgen.cli.common import FiniteRange, Printing, SceneChoice, debug_option, grouped, json_option, print_stages
+from phantomgen.cli.common import (
+    FiniteRange,
+    Printing,
+    SceneChoice,
+    debug_option,
+    grouped,
+    json_option,
+    print_stages,
+    quiet_option,
+)
 from phantomgen.cli.preset_option import preset_option
 
 
@@ -73,7 +82,7 @@ class _Output:
 @click.option("--resume", is_flag=True, help="Go on where an interrupted run stopped.")
 @click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
-@click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
+@quiet_option
 @json_option
 @debug_option
 @grouped(scene=SceneChoice, shortcuts=_Shortcuts, reuse=_Reuse, output=_Output, printing=Printing)
@@ -170,7 +179,7 @@ def _make(
 
 
 @click.command("warm-up", epilog="\b\nExamples:\n  phantomgen warm-up\n  recon warm-up")
-@click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
+@quiet_option
 @debug_option
 def warm_up(quiet: bool) -> None:
     """Compile the kernels of scans ahead, which a machine does once.

@@ -63,6 +63,28 @@ class Projections:
         exposure = None if self.exposure is None else self.exposure[: self.train]
         return replace(self, geometry=self.geometry[: self.train], exposure=exposure)
 
+    def watched(self, on_view: Callable[[], object]) -> "Projections":
+        """Tell when images of a view were computed for the first time.
+
+        Parameters
+        ----------
+        on_view : called after each view
+
+        Returns
+        -------
+        the projections
+        """
+        seen: set[int] = set()
+
+        def image(view: int) -> Shaped[np.ndarray, "name row column"]:
+            found = self.image(view)
+            if view not in seen:
+                seen.add(view)
+                on_view()
+            return found
+
+        return replace(self, image=image)
+
     def on_flat_panel(self) -> "Projections":
         """Resample line integrals of a curved panel to the flat panel that touches it in its middle.
 

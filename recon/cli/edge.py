@@ -1,10 +1,12 @@
 """``recon edge``: K edges that the counts of a dataset show."""
 
+import sys
 from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import Printing, debug_option, grouped, json_option, quiet_option
+from recon.cli.common import ProgressBar
 
 
 @click.command(epilog="\b\nExamples:\n  recon edge kedge.h5\n  recon edge scan.h5 --edge 33,50 -o found")
@@ -17,8 +19,10 @@ from phantomgen.cli.common import debug_option, json_option
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw the profile.")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
+@quiet_option
 @json_option
 @debug_option
+@grouped(printing=Printing)
 def edge(
     dataset: str,
     out: str | None,
@@ -27,7 +31,7 @@ def edge(
     figures: bool,
     overwrite: bool,
     threads: int | None,
-    as_json: bool,
+    printing: Printing,
 ) -> None:
     """Find the energies of K edges in DATASET.
 
@@ -43,7 +47,10 @@ def edge(
     source = Path(dataset)
     files = EdgeFiles(Path(f"{source.stem}-edge" if out is None else out), overwrite)
     set_threads(threads)
+    bar = ProgressBar(printing.silent or not sys.stderr.isatty())
     with open_dataset(source, air) as opened:
+        bar.stage("search")
         choice = find_edges(opened, parse_edges(edge) or ())
+        bar.stage("write")
         record = files.write(choice, opened, figures)
-    click.echo(to_json(record) if as_json else "\n".join([*choice.sentences, *map(str, files.written)]))
+    click.echo(to_json(record) if printing.as_json else "\n".join([*choice.sentences, *map(str, files.written)]))

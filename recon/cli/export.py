@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from phantomgen.cli.common import debug_option, grouped, json_option
+from phantomgen.cli.common import Printing, debug_option, grouped, json_option, quiet_option, views_bar
 from phantomgen.cli.export import PROGRAMS, flat_panel_option
 from recon.cli.run_argument import RunFolder
 
@@ -62,9 +62,10 @@ class _Output:
 @flat_panel_option
 @click.option("--overwrite", is_flag=True, help="Replace a folder that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
+@quiet_option
 @json_option
 @debug_option
-@grouped(output=_Output)
+@grouped(output=_Output, printing=Printing)
 def decompose(
     dataset: Path,
     output: _Output,
@@ -73,7 +74,7 @@ def decompose(
     air: str | None,
     flat_panel: bool,
     threads: int | None,
-    as_json: bool,
+    printing: Printing,
 ) -> None:
     """Decompose the counts of DATASET into line integrals of its basis functions, and write them for other programs.
 
@@ -81,7 +82,7 @@ def decompose(
     `phantomgen export --to`, with basis functions in place of channels.
     """
     from phantomgen.dataset.reader import open_dataset
-    from phantomgen.exporters.scans.folder import check_folder, kind_for, write_folder
+    from phantomgen.exporters.scans.folder import check_folder, kind_for, views_written, write_folder
     from recon.data.decomposed_projections import decomposed_projections
     from spectra.threads import set_threads
 
@@ -90,11 +91,13 @@ def decompose(
     set_threads(threads)
     with open_dataset(dataset, air) as opened:
         projections = decomposed_projections(opened, bases)
-        write_folder(output.out, program, projections.on_flat_panel() if flat_panel else projections)
+        with views_bar(printing.silent, views_written(program, projections)) as on_view:
+            watched = projections.watched(on_view)
+            write_folder(output.out, program, watched.on_flat_panel() if flat_panel else watched)
     names = list(projections.names)
     found = {"folder": str(output.out), "to": program, "what": "line-integrals", "names": names}
     text = f"Wrote {output.out} for {program}: line integrals of {', '.join(names)}; python {output.out / 'load.py'}"
-    click.echo(json.dumps(found) if as_json else text)
+    click.echo(json.dumps(found) if printing.as_json else text)
 
 
 def _export_volumes(run: Path, out: Path) -> dict[str, Any]:

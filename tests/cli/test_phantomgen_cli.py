@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-import time
 
 import pytest
 from click.testing import CliRunner
@@ -91,9 +90,7 @@ def test_options_override_the_scene(made):
 
 def test_an_output_that_exists_is_refused_before_any_work(made):
     folder, _ = made
-    start = time.perf_counter()
     result = run("make", folder / "toy.yaml", "-o", folder / "toy.h5")
-    assert time.perf_counter() - start < 1
     assert (result.exit_code, result.stdout) == (1, "")
     assert result.stderr == (
         f"Error: the output {folder / 'toy.h5'} exists: choose another name by --out, or add --overwrite\n"
@@ -316,19 +313,14 @@ def test_every_help_ends_with_examples(command):
     assert result.stdout.rstrip().splitlines()[-3].strip() == "Examples:"
 
 
-def test_help_starts_fast_and_imports_nothing_heavy():
+def test_help_imports_nothing_heavy():
     code = (
         "import sys; from phantomgen.cli.main import main; main(['--help'], standalone_mode=False);"
         "heavy = {'torch', 'h5py', 'numba', 'scipy', 'numpy', 'pydantic', 'pyvista', 'vtkmodules'};"
         "print(sorted(heavy & set(sys.modules)), file=sys.stderr)"
     )
-    best = 9.0
-    for _ in range(3):
-        start = time.perf_counter()
-        result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-        best = min(best, time.perf_counter() - start)
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stderr.strip() == "[]"
-    assert best < 0.5
 
 
 def test_make_imports_neither_torch_nor_the_viewer():

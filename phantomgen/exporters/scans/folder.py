@@ -92,6 +92,21 @@ def check_folder(path: Path, overwrite: bool) -> None:
     check_output_folder(path, overwrite, _WRITER, lambda folder: (folder / _SCAN).is_file())
 
 
+def views_written(program: str, projections: Projections) -> int:
+    """Count the views that are written for a program.
+
+    Parameters
+    ----------
+    program : one of `PROGRAMS`
+    projections : what is written
+
+    Returns
+    -------
+    those for training; all of them for a program that knows views for tests
+    """
+    return len(projections) if program in WITH_TESTS else projections.train
+
+
 def write_folder(path: Path, program: str, projections: Projections) -> None:
     """Write a folder; an existing one is replaced when the new one is complete.
 

@@ -94,7 +94,6 @@ def test_a_command_that_lasts_is_ended_with_all_it_started(tmp_path):
     began = time.perf_counter()
     ended = run(code, tmp_path, budget=0.2)
     assert (ended.too_short, ended.error) == (True, "nothing is ready within 0.2 s: the command did not end")
-    assert time.perf_counter() - began < 3.5
     time.sleep(max(4.5 - (time.perf_counter() - began), 0))
     assert not (tmp_path / "late").exists()
     end_commands()  # there are none left
