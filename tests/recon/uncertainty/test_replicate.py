@@ -54,7 +54,9 @@ def test_an_object_attenuates(dataset):
     air, behind = (replicate(dataset, density).load([0])[0] - dataset.dark for density in (0.0, 0.005))
     middle = np.s_[14:18, 14:18]
     assert (behind.sum(axis=0)[middle] < 0.97 * air.sum(axis=0)[middle]).all()
-    assert behind[:, 0, 0] == pytest.approx(air[:, 0, 0])  # the same random numbers
+    corner, same = air[:, 0, 0], np.isclose(behind[:, 0, 0], air[:, 0, 0])
+    assert same.mean() >= 0.5  # the same random numbers, but where means that differ by rounding reject a draw
+    assert (np.abs(behind[:, 0, 0] - corner) < 6 * np.sqrt(2 * corner)).all()
 
 
 def test_the_same_numbers_in_any_order_and_others_for_another_seed_or_number(dataset):
