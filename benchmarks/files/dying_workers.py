@@ -14,12 +14,13 @@ import hashlib
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
+
+from benchmarks.files.kills import start
 
 SCENE = """\
 version: 1
@@ -35,18 +36,7 @@ objects:
 """
 WORKERS = 2
 MOST_RUNS = 10
-
-
-def batch(folder: Path, out: str) -> subprocess.Popen:
-    """Start the batch, with the date of its files fixed."""
-    words = ("phantomgen", "batch", "batch.yaml", "--workers", str(WORKERS), "-q", "-o", out)
-    return subprocess.Popen(
-        [sys.executable, "-m", *words],
-        cwd=folder,
-        env={**os.environ, "SOURCE_DATE_EPOCH": "0", "OMP_NUM_THREADS": "1"},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-    )
+BATCH = ("phantomgen", "batch", "batch.yaml", "--workers", str(WORKERS), "-q", "-o", "{out}")
 
 
 def workers_of(process: int) -> list[int]:
@@ -56,9 +46,9 @@ def workers_of(process: int) -> list[int]:
     return [child for child, command in commands.items() if b"resource_tracker" not in command]
 
 
-def disturbed(folder: Path, out: str, seconds: float, random: np.random.Generator) -> int:
+def disturbed(folder: Path, out: Path, seconds: float, random: np.random.Generator) -> int:
     """Run the batch, and kill one of its workers again and again; how many were killed."""
-    process, killed = batch(folder, out), 0
+    process, killed = start(BATCH, out, folder), 0
     while True:
         try:
             process.wait(random.exponential(seconds))
@@ -93,7 +83,7 @@ def main() -> None:
         manifest = f"{{version: 1, scene: scene.yaml, count: {asked.items}}}\n"
         (folder / "batch.yaml").write_text(manifest, encoding="utf-8")
         began = time.perf_counter()
-        process = batch(folder, "whole")
+        process = start(BATCH, folder / "whole", folder)
         message = process.communicate()[1].decode()
         if process.returncode:
             raise SystemExit(f"the undisturbed batch ended with {process.returncode}: {message}")
@@ -103,7 +93,7 @@ def main() -> None:
         )
         for run in range(MOST_RUNS):
             began = time.perf_counter()
-            killed = disturbed(folder, "disturbed", asked.seconds, random)
+            killed = disturbed(folder, folder / "disturbed", asked.seconds, random)
             found = datasets(folder / "disturbed")
             equal = sum(wanted[item] == digest for item, digest in found.items())
             seconds = time.perf_counter() - began

@@ -1,9 +1,9 @@
 """What is recorded of a scan: hashes of its arrays, and sums from which rounding can be told from another scan.
 
-Processors round differently. Means then differ by about 1e-7, or by up to 1e-4 where the search for few energy nodes
-took another turn, which is far below the tolerance of a scan. A Poisson count changes now and then; where a draw is
-rejected on one processor only, the rest of that image has other noise. So arrays are compared by their hashes first.
-Where these differ, the total of each channel must be as before within `_MEANS`, and that of each image within noise.
+Processors round differently. Means then differ by about 1e-7, so that a Poisson count changes now and then; where a
+draw is rejected on one processor only, the rest of that image has other noise. Scans that were made before energy nodes
+were independent of rounding have means that differ by up to 2e-4. So arrays are compared by their hashes first. Where
+these differ, the total of each channel must be as before within `_MEANS`, and that of each image within noise.
 """
 
 from collections.abc import Mapping, Sequence

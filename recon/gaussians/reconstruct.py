@@ -50,10 +50,11 @@ class Reconstruction:
     node_error : largest error of the log counts from compressing the energy grid [no unit]
     transmission : spectral model of the fit
     seconds : time of each stage, by name [s]
-    notes : sentences for the user about the course of the fit
+    notes : sentences of warning for the user about the course of the fit
     coverage : what the scan covers of its object; None where it was not computed
     unreliable : voxels whose bases the counts do not determine; None where there are none or they were not computed
     volumes : of the model on the grid of the dataset, (M, Z, Y, X) [1/mm]; None where they were not computed
+    told : sentences about what was chosen, which are no warnings
     """
 
     gaussians: GaussianModel
@@ -66,6 +67,7 @@ class Reconstruction:
     coverage: Coverage | None = None
     unreliable: Unreliable | None = None
     volumes: Float[np.ndarray, "basis z y x"] | None = None
+    told: tuple[str, ...] = ()
 
 
 @runtime_checkable
@@ -143,7 +145,7 @@ def reconstruct(
     prior = _prior_of(volumes, scan, fitted, recipe) if recipe.prior else None
     with stage("fit"):
         gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, prior, resources)
-    notes = ()
+    notes, told = (), ()
     if recipe.prior:
         with stage("judge"):
             rays = UnseenRays.of(measured, voxel, recipe.dispersion, recipe.unseen_rays)
@@ -152,8 +154,7 @@ def reconstruct(
     gaussians, unreliable, result = gaussians.to("cpu"), None, None
     if recipe.residual.passes and processes.first:
         with stage("residual"):
-            gaussians, more = _with_residual(gaussians, scan, recipe, on_iteration, resources.device)
-            notes = (*notes, *more)
+            gaussians, told = _with_residual(gaussians, scan, recipe, on_iteration, resources.device)
     if processes.first:
         with stage("mark"):
             result = gaussians.volume(dataset.grid)
@@ -169,6 +170,7 @@ def reconstruct(
         scan.coverage,
         unreliable,
         result,
+        told,
     )
 
 

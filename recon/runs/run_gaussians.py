@@ -140,7 +140,7 @@ class GaussianRun:
         if interruption.asked and last and last[0].step < last[0].steps:
             outcome.write_model(unfinished.folder)
             raise _stopped(last[0], unfinished)
-        for sentence in result.notes:  # of a whole fit; a part of it tells nothing
+        for sentence in (*result.told, *result.notes):  # of a whole fit; a part of it tells nothing
             watcher.note(sentence)
         seconds, deviances = (np.array([entry[key] for entry in unfinished.log]) for key in ("seconds", "deviance"))
         more: dict[str, Callable[[Path], Any]] = {"convergence.png": partial(convergence, seconds, deviances)}
@@ -234,7 +234,7 @@ def outcome_of_fit(
         "seed": recipe.seed,
         "gaussians": len(result.gaussians),
     }
-    about |= {"start": result.start, "notes": list(result.notes)}
+    about |= {"start": result.start, "notes": [*result.told, *result.notes]}
     about |= {} if choice is None else {"basis_choice": choice.record()}
     about |= {"recipe": recipe.description if isinstance(recipe, PaperRecipe) else recipe.name}
     settings = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(recipe).items()}

@@ -2,12 +2,18 @@
 
 The counts of a channel, sum_k w_k exp(-B_k . L), are wanted only for line integrals L in a box that the scene can
 reach. There a handful of free nodes (weight and columns) does as well as hundreds: a Gauss rule for sums of
-exponentials. A non-negative least-squares fit over the given nodes finds a sparse start, nodes are then merged two by
-two, and after every merge all weights and columns are refined by Levenberg-Marquardt steps on the log counts. Columns
-stay inside the range they have in the channel, weights stay positive, so extrapolation outside the box is tame.
+exponentials. Neighbours among the given nodes are merged two by two, and all weights and columns of what is left are
+refined by Levenberg-Marquardt steps on the log counts. Columns stay inside the range they have in the channel, weights
+stay positive, so extrapolation outside the box is tame.
+
+Processors round differently, and counts should not. Merging and damped steps do not amplify rounding: the log counts of
+the nodes then differ by about 1e-11. A sparse non-negative fit over the given nodes, whose columns are all but linearly
+dependent, lets them differ by as much as the tolerance. It serves where some of the given nodes are wanted, and where
+the fewest nodes of all are sought.
 """
 
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -20,8 +26,10 @@ _SAMPLES, _FRESH = 400, 2000
 _STEPS = 60
 # Most steps of the non-negative fit per node; wide ranges of attenuation take more than the 3 of SciPy.
 _NNLS_TURNS = 30
-# Most sets of nodes that are refined, and most nodes of a set from which nodes are taken away: bounds of time.
-_MOST_REFINED, _MOST_ELIMINATED = 16, 44
+# Numbers of nodes that are tried until one meets the tolerance, and most nodes of a set from which nodes are taken
+# away: bounds of time.
+_TRIED = (*range(1, 17), 20, 24, 29, 35, 42)
+_MOST_ELIMINATED = 44
 # Times the tolerance by which nodes may err on the way to fewer that are better.
 _HOPELESS = 100.0
 # Levenberg-Marquardt: damping of the first step, and that at which a fit ends, relative to the diagonal; what is added
@@ -85,9 +93,10 @@ def compress_channel(
     the new nodes; those handed in, and error 0, where no fewer would do
     """
     scale = np.maximum(np.abs(box).max(axis=0), np.finfo(float).tiny)
-    full = Nodes(weights, columns.T * scale)
-    if len(weights) < 2:
+    seen = weights > 0
+    if np.count_nonzero(seen) < 2:
         return ReducedNodes(weights, columns, 0.0)
+    full = Nodes(weights[seen], columns.T[seen] * scale)
     samples = _SAMPLES * len(columns) if thorough else _SAMPLES
     fitted, fresh = (sample_box(box / scale, count, rng) for count in (samples, _FRESH))
     wanted = log_counts(full, fitted), log_counts(full, fresh)
@@ -188,17 +197,14 @@ def _attenuation(nodes: Nodes, rays: Float[np.ndarray, "ray basis"]) -> Float[np
 def _with_more_nodes(
     full: Nodes, rays: Float[np.ndarray, "ray basis"], wanted: Float[np.ndarray, " ray"], goal: float | None
 ) -> Iterator[Nodes]:
-    """Yield ever larger sets of refined nodes, where there is a goal, and last the sparse set that they came from."""
-    limits = full.columns.min(axis=0), full.columns.max(axis=0)
-    levels = [_sparse(full, rays, wanted)]
-    if goal is None:
-        yield levels[0]
-        return
-    while len(levels[-1].weights) > 1:
-        levels.append(_with_closest_merged(levels[-1], rays))
-    for nodes in reversed(levels[max(1, len(levels) - _MOST_REFINED) :]):
-        yield _refined(nodes, rays, wanted, limits, goal)
-    yield levels[0]
+    """Yield ever larger sets of refined nodes, where there is a goal, and last a sparse set of the given ones."""
+    if goal is not None:
+        limits = full.columns.min(axis=0), full.columns.max(axis=0)
+        sets = {len(nodes.weights): nodes for nodes in _merged(full, rays, wanted, max(_TRIED))}
+        for count in _TRIED:
+            if count in sets:
+                yield _refined(sets[count], rays, wanted, limits, goal)
+    yield _sparse(full, rays, wanted)
 
 
 def _with_fewer_nodes(
@@ -212,10 +218,43 @@ def _with_fewer_nodes(
     nodes = _sparse(full, rays, wanted)
     yield nodes
     while len(nodes.weights) > 1 and goal is not None:
-        nodes = _with_closest_merged(nodes, rays)
+        nodes = next(_merged(nodes, rays, log_counts(nodes, rays), len(nodes.weights) - 1))
         if len(nodes.weights) <= _MOST_ELIMINATED:
             nodes = _refined(nodes, rays, wanted, limits, goal)
             yield nodes
+
+
+def _merged(
+    full: Nodes, rays: Float[np.ndarray, "ray basis"], counts: Float[np.ndarray, " ray"], most: int
+) -> Iterator[Nodes]:
+    """Yield sets of at most `most` nodes down to one: two neighbours become their mean, again and again.
+
+    Next is the pair whose merging changes the worst log counts least, to second order; `counts` are those of `full`.
+    """
+    weights, columns = full.weights.copy(), full.columns.copy()
+    attenuation = np.ascontiguousarray(_attenuation(full, rays).T)
+    shares = weights[:, None] * np.exp(-attenuation - counts) + np.finfo(float).tiny
+    kept = list(range(len(weights)))
+
+    def change(i: int, j: int) -> float:
+        spread = (attenuation[j] - attenuation[i]) ** 2
+        return float((spread * shares[i] * shares[j] / (shares[i] + shares[j])).max())
+
+    changes = [change(i, j) for i, j in pairwise(kept)]
+    while True:
+        if len(kept) <= most:
+            yield Nodes(weights[kept], columns[kept])
+        if len(kept) == 1:
+            return
+        place = int(np.argmin(changes))
+        i, j = kept[place], kept.pop(place + 1)
+        columns[i] = (weights[i] * columns[i] + weights[j] * columns[j]) / (weights[i] + weights[j])
+        weights[i] += weights[j]
+        attenuation[i] = np.einsum("rm,m->r", rays, columns[i])
+        shares[i] = weights[i] * np.exp(-attenuation[i] - counts) + np.finfo(float).tiny
+        del changes[place]
+        for pair in {max(place - 1, 0), min(place, len(kept) - 2)} if len(kept) > 1 else ():
+            changes[pair] = change(kept[pair], kept[pair + 1])
 
 
 def _sparse(full: Nodes, rays: Float[np.ndarray, "ray basis"], wanted: Float[np.ndarray, " ray"]) -> Nodes:
@@ -230,18 +269,6 @@ def _sparse(full: Nodes, rays: Float[np.ndarray, "ray basis"], wanted: Float[np.
         return full
     chosen = weights > 0
     return Nodes(weights[chosen] * full.weights.max(), full.columns[chosen])
-
-
-def _with_closest_merged(nodes: Nodes, rays: Float[np.ndarray, "ray basis"]) -> Nodes:
-    """Two neighbours become their mean: the pair whose merging changes the worst log counts least, to second order."""
-    w, c = nodes
-    shares = _log_shares(nodes, rays)[1] + np.finfo(float).tiny
-    spread = np.diff(_attenuation(nodes, rays), axis=1) ** 2
-    change = spread * shares[:, 1:] * shares[:, :-1] / (shares[:, 1:] + shares[:, :-1])
-    i = int(np.argmin(change.max(axis=0)))
-    mean = (w[i] * c[i] + w[i + 1] * c[i + 1]) / (w[i] + w[i + 1])
-    weights = np.concatenate([w[:i], [w[i] + w[i + 1]], w[i + 2 :]])
-    return Nodes(weights, np.concatenate([c[:i], mean[None], c[i + 2 :]]))
 
 
 def _refined(

@@ -1,6 +1,7 @@
 """Gaussians together with what they cannot follow, kept in a few voxels."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -84,7 +85,7 @@ class GaussiansWithResidual(GaussianModel):
         """Count the numbers that describe the model: those of the Gaussians, and 1 + M for each voxel."""
         return self.gaussians.numbers + self.residual.numel() + len(self.places)
 
-    @property
+    @cached_property
     def added(self) -> Voxels:
         """The residual on its grid."""
         values = np.zeros((len(self.basis_names), *self.grid.shape), np.float32)

@@ -37,6 +37,19 @@ def test_compression_is_reproducible(transmission_on):
     np.testing.assert_array_equal(first.columns, second.columns)
 
 
+@pytest.mark.parametrize("tolerance", [1e-3, 2.5e-4, 1e-4, 1e-5])
+@pytest.mark.parametrize("nodes", [64, 200, 480])
+def test_rounding_of_other_processors_changes_counts_by_no_more_than_rounding(transmission_on, tolerance, nodes):
+    full = transmission_on(nodes)
+    rays = np.random.default_rng(99).uniform(0, 1, (500, 3)) * HIGH
+    random, found = np.random.default_rng(7), []
+    for size in (0.0, 4e-16, 4e-16, 4e-16):
+        columns, weights = (a * (1 + size * random.uniform(-1, 1, a.shape)) for a in (full.columns, full.weights))
+        rounded = Transmission(columns, weights, full.starts)
+        found.append(np.log(rounded.compress(np.zeros(3), HIGH, tolerance)[0].expected(rays)))
+    assert np.abs(np.array(found[1:]) - found[0]).max() < 1e-9
+
+
 def test_six_columns_of_materials_that_span_three_dimensions(transmission_on):
     full = transmission_on(128)
     mixtures = np.random.default_rng(5).uniform(0.001, 0.02, (6, 3))
