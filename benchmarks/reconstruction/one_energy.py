@@ -1,11 +1,12 @@
-"""Scans with one channel: beam hardening and metal by four methods.
+"""Scans with one channel: beam hardening and metal by five methods.
 
     python -m benchmarks.reconstruction.one_energy [--threads N] [SCENE ...]
 
 Scenes: a cylinder of water, `metal-hip` and `kedge` with a single threshold, and a head with dental metal
 (`benchmarks/scenes/dental_head.yaml`). Methods: filtered back-projection without a correction (`fdk`, in units of the
-mean attenuation of water), with a water correction (`fdk-water`), with normalised metal artefact reduction (`nmar`),
-and one-step voxels along the standard curve of materials (`curve`), as `recon fit --bases curve` has it.
+mean attenuation of water), with a water correction (`fdk-water`), with normalised metal artefact reduction (`nmar`), a
+network behind a polychromatic model (`polyner`), and one-step voxels along the standard curve of materials (`curve`),
+as `recon fit --bases curve` has it.
 
 A row states the PSNR [dB] of the attenuation at 70 keV over all voxels; the same where the true attenuation is below
 0.1 per mm, which leaves out metal, with the attenuation of bone (0.05 per mm) as the peak; the root mean square error
@@ -32,6 +33,7 @@ from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements, read_measurements
 from recon.gaussians.recipe import Recipe
 from recon.kedge.basis_names import OnCurve, with_named
+from recon.published_methods.neural.polyner import Polyner
 from recon.voxel.image_domain import log_projections
 from recon.voxel.iterative.one_step import OneStep
 from recon.voxel.one_channel.nmar import Nmar
@@ -48,7 +50,7 @@ SCENES: dict[str, tuple[str, list[str]]] = {  # scene or preset, and changes
     "dental-head": (str(HEAD), []),
     "kedge": ("kedge", ["detector.thresholds=[20]"]),
 }
-METHODS = ("fdk", "fdk-water", "nmar", "curve")
+METHODS = ("fdk", "fdk-water", "nmar", "polyner", "curve")
 NAMED = 26  # characters of a row for its scene and method
 HEADER = (
     f"{'scene':<14}{'method':<12}{'all [dB]':>10}{'no metal':>10}{'rms [HU]':>10}{'apart [HU]':>12}{'cupping [%]':>13}"
@@ -70,6 +72,8 @@ def mono_of(
     if method == "curve":
         prepared, _ = measured.without_partial_volume().compressed(Recipe().node_tolerance)
         return np.einsum("m,mzyx->zyx", at, OneStep(curve=curve).reconstruct_counts(prepared, grid))
+    if method == "polyner":
+        return np.einsum("m,mzyx->zyx", at, Polyner(curve=curve).reconstruct_counts(measured, grid))
     how = FdkWater(curve) if method == "fdk-water" else Nmar(curve)
     return np.einsum("m,mzyx->zyx", at, how.reconstruct_counts(measured, grid))
 

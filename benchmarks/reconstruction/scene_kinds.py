@@ -12,8 +12,8 @@ With `--kernel gaussian`, no planes divide the Gaussians. With `--residual`, vox
 With `--halfway`, plain Gaussians are fitted to the start on a second grid, too, half a voxel further along every axis,
 with that weight and a cutoff of 3.5.
 
-Rows take the place of those in `results/scene_kinds.txt`, or of the file after `--table`; `results/residual.txt` has the
-rows with and without a residual.
+Rows take the place of those in `results/scene_kinds.txt`, or of the file after `--table`; `results/residual.txt` has
+the rows with and without a residual.
 """
 
 import argparse

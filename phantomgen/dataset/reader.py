@@ -127,12 +127,12 @@ class Dataset:
         """
         return self._with(scatter=scatter)
 
-    def with_training_views(self, count: int) -> "Dataset":
-        """Return the same open file with some of the training views, evenly spread.
+    def with_training_views(self, chosen: int | Int[np.ndarray, " view"]) -> "Dataset":
+        """Return the same open file with some of the training views.
 
         Parameters
         ----------
-        count : number of training views
+        chosen : number of training views, evenly spread; or their places among all of them
 
         Returns
         -------
@@ -144,9 +144,10 @@ class Dataset:
             When there are not so many.
         """
         train = self.splits["train"]
-        if not 1 <= count <= len(train):
-            raise InputError(f"{self.path} has {len(train)} training views: {count} cannot be used")
-        return self._with(splits=self.splits | {"train": train[np.arange(count) * len(train) // count]})
+        places = np.arange(chosen) * len(train) // chosen if isinstance(chosen, int) and chosen > 0 else chosen
+        if not isinstance(places, np.ndarray) or not 1 <= len(places) <= len(train):
+            raise InputError(f"{self.path} has {len(train)} training views: {chosen} cannot be used")
+        return self._with(splits=self.splits | {"train": train[places]})
 
     def without_channel(self, name: str) -> "Dataset":
         """Return the same open file with all pixels of one channel masked.

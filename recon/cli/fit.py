@@ -332,9 +332,9 @@ def fit(
             corrected.write(part / SCATTER)
             metrics = run(opened, part, way, output.figures, bar)
             if division is not None and not isinstance(how, PaperRecipe):
-                bar.stage("phases")
                 settings, figures = PhaseSettings(), output.figures
-                scores = fit_phases_of_run(opened, part, division, how, settings, figures, bar.phase_step)
+                told = bar.phase_step, bar.stage
+                scores = fit_phases_of_run(opened, part, division, how, settings, figures, *told)
                 bar.stage("fit")
                 metrics |= {"phases": scores}
     if printing.as_json:

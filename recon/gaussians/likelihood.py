@@ -84,11 +84,24 @@ def deviances(model: GaussianModel | Voxels, data: Measurements, dispersion: flo
     sums over the counts of each view with their statistical weights, (V,)
     """
     with torch.no_grad():
-        found = []
-        for view in range(len(data)):
-            one = data[[view]]
-            found.append(float(_gradient_and_sums(model.line_integrals(one.geometry), one, dispersion)[1][0]))
-        return np.array(found)
+        views = (data[[view]] for view in range(len(data)))
+        return np.array([deviance_of_images(model.line_integrals(one.geometry), one, dispersion) for one in views])
+
+
+def deviance_of_images(images: Float[Tensor, "view basis row column"], data: Measurements, dispersion: float) -> float:
+    """Compute the deviance of line integrals, twice their part of F_data.
+
+    Parameters
+    ----------
+    images : line integrals of the views [no unit]
+    data : views
+    dispersion : eta, relative model error [no unit]
+
+    Returns
+    -------
+    sum over all counts with their statistical weights
+    """
+    return float(_gradient_and_sums(images, data, dispersion)[1][0])
 
 
 def likelihood_and_gradients(

@@ -1,7 +1,9 @@
 """Gaussians of all phases: one set of shapes, with coefficients and displacements of each phase."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -106,6 +108,19 @@ class Lattice:
         return (total / 6).reshape(-1, 3)
 
 
+class Alone(NamedTuple):
+    """Fit of a phase alone.
+
+    Parameters
+    ----------
+    gaussians : fitted model
+    weight : of this model in the mean with the phase fitted together with the others, above 0 and at most 1 [no unit]
+    """
+
+    gaussians: GaussianModel
+    weight: float
+
+
 @dataclass(frozen=True, eq=False)
 class PhaseGaussians:
     """Gaussians of all phases.
@@ -116,12 +131,14 @@ class PhaseGaussians:
     coefficients : of each phase [1/mm]
     displacements : of the nodes in each phase [mm]
     lattice : the nodes
+    alone : fits of phases alone, by the number of the phase, where they have a part in its volumes
     """
 
     shared: GaussianModel
     coefficients: Float[Tensor, "phase gaussian *side basis"]
     displacements: Float[Tensor, "phase node 3"]
     lattice: Lattice
+    alone: Mapping[int, Alone] = field(default_factory=dict)
 
     @classmethod
     def begin(
@@ -146,7 +163,7 @@ class PhaseGaussians:
         return len(self.coefficients)
 
     def at(self, phase: int) -> GaussianModel:
-        """Return the Gaussians of one phase.
+        """Return the Gaussians of one phase that were fitted together with those of the others.
 
         Parameters
         ----------
@@ -170,4 +187,22 @@ class PhaseGaussians:
         -------
         means over voxels [1/mm]
         """
-        return np.stack([self.at(phase).volume(grid) for phase in range(len(self))])
+        return np.stack([self.volume(phase, grid) for phase in range(len(self))])
+
+    def volume(self, phase: int, grid: Grid) -> Float[np.ndarray, "basis z y x"]:
+        """Compute the basis volumes of one phase, the weighted mean of both fits where it was fitted alone, too.
+
+        Parameters
+        ----------
+        phase : its number
+        grid : the voxels
+
+        Returns
+        -------
+        means over voxels [1/mm]
+        """
+        together = self.at(phase).volume(grid)
+        if phase not in self.alone:
+            return together
+        gaussians, weight = self.alone[phase]
+        return together + np.float32(weight) * (gaussians.volume(grid) - together)

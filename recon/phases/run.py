@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +22,7 @@ from recon.gaussians.divided.model_file import load_model
 from recon.gaussians.fitted_grid import read_with_coverage
 from recon.gaussians.recipe import Recipe
 from recon.kedge.basis_names import named_basis
+from recon.phases.alone import with_phases_alone, with_unseen_rays_of_phases
 from recon.phases.figures import draw_film, draw_phases
 from recon.phases.fit import PhaseProgress, fit_phases
 from recon.phases.model import PhaseGaussians
@@ -103,6 +105,7 @@ def fit_phases_of_run(
     settings: PhaseSettings,
     figures: bool,
     on_step: Callable[[PhaseProgress], object] = lambda progress: None,
+    on_stage: Callable[[str], object] = lambda name: None,
 ) -> dict[str, Any]:
     """Fit the phases of a scan, from the model of a run, and write them into its folder.
 
@@ -115,6 +118,7 @@ def fit_phases_of_run(
     settings : how phases are fitted
     figures : whether to draw
     on_step : called after the first coefficients of each phase, and after every step
+    on_stage : called with a name when phases are fitted together, and when one is fitted alone
 
     Returns
     -------
@@ -123,14 +127,19 @@ def fit_phases_of_run(
     model = load_model(folder / MODEL)
     named = dataset.with_basis(named_basis(dataset.spectra.basis, model.basis_names, dataset.path))
     scan = read_with_coverage(named, recipe)
-    how = scan.coverage.grid, recipe, settings, on_step
-    found = fit_phases(model, scan.measured, division.phase, division.cyclic, *how)
+    grid, voxel = scan.coverage.grid, min(dataset.grid.spacing)
+    measured = with_unseen_rays_of_phases(scan.measured, division.phase, voxel, recipe)
+    on_stage("phases")
+    found = fit_phases(model, measured, division.phase, division.cyclic, grid, recipe, settings, on_step)
+    tell = partial(_tell_alone, on_stage, len(found))
+    found = with_phases_alone(found, named, measured, division.phase, grid, recipe, tell)
     volumes, static = found.volumes(dataset.grid), model.volume(dataset.grid)
     _write(folder / PHASES, found, volumes, dataset)
     scores: dict[str, Any] = {
         "phases": len(found),
         "views": np.bincount(division.phase).tolist(),
         "cyclic": division.cyclic,
+        "alone": {str(phase): round(own.weight, 3) for phase, own in sorted(found.alone.items())},
         "settings": asdict(settings),
     }
     true = _true_volumes(dataset, model.basis_names) if division.stated else None
@@ -144,6 +153,10 @@ def fit_phases_of_run(
         draw_phases(volumes, true, model.basis_names, dataset.grid, folder / "figures" / FIGURE)
         draw_film(volumes, true, model.basis_names, dataset.grid, folder / "figures" / FILM)
     return scores
+
+
+def _tell_alone(on_stage: Callable[[str], object], count: int, phase: int) -> None:
+    on_stage(f"phase {phase} alone, {phase + 1} of {count}")
 
 
 def _true_volumes(dataset: Dataset, names: tuple[str, ...]) -> Float[np.ndarray, "phase basis z y x"] | None:
@@ -177,7 +190,8 @@ def phase_table(scores: dict[str, Any]) -> str:
 
     Returns
     -------
-    a line per phase with the PSNR of each basis, beside that of the model of all views; without a truth, the views
+    a line per phase with the PSNR of each basis, beside that of the model of all views, and the weight of the fit of
+    this phase alone; without a truth, the views
     """
     count = scores["phases"]
     if "psnr" not in scores:
@@ -186,7 +200,9 @@ def phase_table(scores: dict[str, Any]) -> str:
     lines = [f"{'PSNR [dB]':<10} {'views':>5}  " + "  ".join(f"{name:>22}" for name in found)]
     for phase in range(count):
         pairs = (f"{_decibel(found[n][phase])} ({_decibel(static[n][phase])} static)" for n in found)
-        lines.append(f"{f'phase {phase}':<10} {scores['views'][phase]:>5}  " + "  ".join(f"{p:>22}" for p in pairs))
+        columns = "  ".join(f"{pair:>22}" for pair in pairs)
+        weight = scores["alone"].get(str(phase), 0.0)
+        lines.append(f"{f'phase {phase}':<10} {scores['views'][phase]:>5}  {columns}  {weight:.2f} alone")
     return "\n".join(lines)
 
 
@@ -214,6 +230,11 @@ def _write(
         _packed(model, "coefficients", found.coefficients.numpy()).attrs["units"] = "1/mm"
         shifts = np.stack([found.lattice.at_gaussians(nodes).numpy() for nodes in found.displacements])
         _packed(model, "displacements", shifts).attrs["units"] = "mm"
+        for phase, (gaussians, weight) in found.alone.items():
+            own = new_group(model, f"phase_{phase}", "NXcollection")
+            for name, values in gaussians.tensors().items():
+                put(own, name, values.detach().numpy())
+            own.attrs.update(gaussians.header() | {"weight": weight})
         write_grid(new_group(file, "grid", "NXcollection"), dataset.grid)
 
 

@@ -1,6 +1,7 @@
 """Check of a voxel or view method before a run: its pipeline, its curve of materials, and the orbit of the scan."""
 
 from phantomgen.dataset.reader import Dataset
+from recon.runs.methods import NEED_CURVE
 from recon.voxel.filtered.circular_orbit import circular_orbit_of
 from recon.voxel.filtered.fdk import Fdk
 from recon.voxel.initial_volumes import check_directions
@@ -57,9 +58,9 @@ def check_curve(method: Method, on_curve: bool, dataset: Dataset) -> None:
     """
     if on_curve and not hasattr(method, "curve"):
         raise InputError(f"the method {method.name} takes no curve of materials: take --method one-step")
+    if method.name in NEED_CURVE and not on_curve:
+        raise InputError(f"the method {method.name} needs a curve of materials: add --bases curve")
     if isinstance(method, FdkWater | Nmar):
-        if not on_curve:
-            raise InputError(f"the method {method.name} needs a curve of materials: add --bases curve")
         if (channels := len(dataset.spectra.channels)) > 1:
             raise InputError(f"the method {method.name} takes one channel, and {dataset.path} has {channels}")
         circular_orbit_of(dataset.geometry[dataset.splits["train"]], dataset.grid)

@@ -27,8 +27,10 @@ METHODS = {  # name -> module below recon, and class
     "x-gaussian": ("published_methods.splatting.x_gaussian", "XGaussian"),
     "neural": ("published_methods.neural.naf", "Neural"),
     "sax-nerf": ("published_methods.neural.sax_nerf", "SaxNerf"),
+    "polyner": ("published_methods.neural.polyner", "Polyner"),
 }
-ON_CURVE = ("one-step", "fdk-water", "nmar")  # methods that take ``--bases curve``; the last two need it
+NEED_CURVE = ("fdk-water", "nmar", "polyner")  # methods that need ``--bases curve``
+ON_CURVE = ("one-step", *NEED_CURVE)  # methods that take it
 
 
 def method_named(name: str, iterations: int | None = None, seed: int | None = None) -> "Method | ViewMethod":

@@ -40,6 +40,7 @@ def test_one_channel_gives_both_bases(scan, tmp_path, method):
         (["--bases", "curve", "--method", "sirt"], "--method sirt takes no curve of materials"),
         (["--bases", "curve", "--method", "gaussian"], "--method gaussian takes no curve of materials"),
         (["--method", "nmar"], "nmar needs a curve of materials: add --bases curve"),
+        (["--method", "polyner"], "polyner needs a curve of materials: add --bases curve"),
         (["--bases", "curve:water,,Ti"], "curve: takes materials with commas between"),
         (["--bases", "curve:watr,Ti"], "watr"),
         (["--bases", "curve:Ti", "--method", "fdk-water"], "with water: add --bases curve"),

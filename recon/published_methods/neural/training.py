@@ -1,9 +1,9 @@
-"""Settings and loop of all networks: Adam on the squared residuals of some rays per step, and volumes of a network."""
+"""Settings and loop of all networks: Adam on the residuals of some rays per step, and volumes of a network."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 import torch
@@ -12,10 +12,13 @@ from torch import Tensor, nn
 
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
-from recon.published_methods.neural.networks import SEGMENT, FeatureGrids, Field
+from recon.published_methods.neural.networks import SEGMENT, Attenuation, FeatureGrids, Field
 from recon.published_methods.neural.rays import RayNumbers, Rays
 from recon.voxel.method import Images, Iteration, OnIteration, Volumes, Weights, no_callback
 from spectra.threads import without_other_pools
+
+# What rays measure (ray, channel), from values of a field at their points, the lengths of these, and their numbers.
+Projection: TypeAlias = Callable[[Attenuation, Float[Tensor, "ray 1"], RayNumbers], Float[Tensor, "ray channel"]]
 
 BRIGHTEST = 0.999  # quantile of the images that sets the unit of attenuation; our choice
 VOXELS_AT_ONCE = 2**16  # voxels; piece of a volume that is computed at once, which limits memory
@@ -24,9 +27,28 @@ BETAS = (0.9, 0.99)  # no unit; decay of the moments of Adam; Mueller et al. 202
 EPSILON = 1e-15  # no unit; constant of Adam that avoids division by zero; Mueller et al. 2022
 
 
+def line_integrals_of(
+    values: Attenuation, steps: Float[Tensor, "ray 1"], numbers: RayNumbers
+) -> Float[Tensor, "ray channel"]:
+    """Sum values along rays, a `Projection`.
+
+    Parameters
+    ----------
+    values : of the field at the points of each ray [1/mm]
+    steps : length that each point represents [mm]
+    numbers : without effect
+
+    Returns
+    -------
+    line integrals [no unit]
+    """
+    del numbers
+    return values.sum(dim=1) * steps
+
+
 @dataclass(frozen=True)
-class CoordinateNetwork(ABC):
-    """A network that computes attenuation from position, as a `recon.voxel.method.LinearMethod`.
+class TrainedField(ABC):
+    """A network that computes attenuation from position, and how it is trained.
 
     Parameters
     ----------
@@ -51,6 +73,7 @@ class CoordinateNetwork(ABC):
     seed: int = 0
 
     report_every: ClassVar[int]
+    power: ClassVar[float] = 2.0  # no unit; of the residuals, whose mean is lowered
 
     @abstractmethod
     def network(self, inputs: int, outputs: int) -> nn.Module:
@@ -79,6 +102,52 @@ class CoordinateNetwork(ABC):
         function that chooses about a number of rays
         """
 
+    def _field(self, outputs: int, units: Float[Tensor, " channel"], grid: Grid) -> Field:
+        """Create a field with untrained weights."""
+        encoding = FeatureGrids(self.levels, self.coarsest, max(grid.shape), self.features)
+        return Field(encoding, self.network(encoding.width, outputs), units, self.seed)
+
+    def _train(
+        self,
+        field: Field,
+        rays: Rays,
+        grid: Grid,
+        on_iteration: OnIteration,
+        project: Projection = line_integrals_of,
+        volumes_of: Callable[[Volumes], Volumes] = lambda values: values,
+    ) -> Volumes:
+        """Fit a field to rays, and compute its volumes [1/mm]."""
+        groups = [
+            {"params": field.encoding.parameters(), "lr": self.rate},
+            {"params": field.network.parameters(), "lr": self.network_rate},
+        ]
+        adam = torch.optim.Adam(groups, betas=BETAS, eps=EPSILON)
+        decay = torch.optim.lr_scheduler.ExponentialLR(adam, LAST_RATE ** (1 / self.iterations))
+        bright, choose = brightness(rays.images), self.sampler(rays)
+        squares, whole, volumes = 0.0, 0.0, np.zeros((0, 0, 0, 0), np.float32)
+        for step in range(1, self.iterations + 1):
+            numbers = choose(self.rays)
+            measured, points = rays.measured(numbers), rays.points(numbers, self.points)
+            predicted = project(field(points.places), points.steps, numbers)
+            loss = ((predicted - measured) / bright).abs().pow(self.power).mean()
+            adam.zero_grad()
+            loss.backward()
+            adam.step()
+            decay.step()
+            squares += float((predicted.detach() - measured).square().sum())
+            whole += float(measured.square().sum())
+            if step % self.report_every == 0 or step == self.iterations:
+                volumes = volumes_of(read(field, grid))
+                residual = (squares / whole) ** 0.5 if whole > 0 else 0.0
+                on_iteration(Iteration(step, self.iterations, residual, volumes))
+                squares, whole = 0.0, 0.0
+        return volumes
+
+
+@dataclass(frozen=True)
+class CoordinateNetwork(TrainedField):
+    """A network that is trained on line integrals, as a `recon.voxel.method.LinearMethod`."""
+
     @without_other_pools()
     def reconstruct(
         self,
@@ -103,38 +172,8 @@ class CoordinateNetwork(ABC):
         volumes [1/mm]
         """
         rays = Rays(line_integrals, weights, geometry, grid, self.seed)
-        encoding = FeatureGrids(self.levels, self.coarsest, max(grid.shape), self.features)
-        network = self.network(encoding.width, len(line_integrals))
-        field = Field(encoding, network, attenuation_units(line_integrals, grid), self.seed)
+        field = self._field(len(line_integrals), attenuation_units(line_integrals, grid), grid)
         return self._train(field, rays, grid, on_iteration)
-
-    def _train(self, field: Field, rays: Rays, grid: Grid, on_iteration: OnIteration) -> Volumes:
-        """Fit a field to rays, and compute its volumes [1/mm]."""
-        groups = [
-            {"params": field.encoding.parameters(), "lr": self.rate},
-            {"params": field.network.parameters(), "lr": self.network_rate},
-        ]
-        adam = torch.optim.Adam(groups, betas=BETAS, eps=EPSILON)
-        decay = torch.optim.lr_scheduler.ExponentialLR(adam, LAST_RATE ** (1 / self.iterations))
-        bright, choose = field.units * _half_edge(grid), self.sampler(rays)
-        squares, whole, volumes = 0.0, 0.0, np.zeros((0, 0, 0, 0), np.float32)
-        for step in range(1, self.iterations + 1):
-            numbers = choose(self.rays)
-            measured, points = rays.measured(numbers), rays.points(numbers, self.points)
-            predicted = field(points.places).sum(dim=1) * points.steps
-            loss = ((predicted - measured) / bright).square().mean()
-            adam.zero_grad()
-            loss.backward()
-            adam.step()
-            decay.step()
-            squares += float((predicted.detach() - measured).square().sum())
-            whole += float(measured.square().sum())
-            if step % self.report_every == 0 or step == self.iterations:
-                volumes = read(field, grid)
-                residual = (squares / whole) ** 0.5 if whole > 0 else 0.0
-                on_iteration(Iteration(step, self.iterations, residual, volumes))
-                squares, whole = 0.0, 0.0
-        return volumes
 
 
 def attenuation_units(images: Images, grid: Grid) -> Float[Tensor, " channel"]:
@@ -149,9 +188,22 @@ def attenuation_units(images: Images, grid: Grid) -> Float[Tensor, " channel"]:
     -------
     attenuation that is 1 for the network [1/mm]
     """
+    return brightness(images) / _half_edge(grid)
+
+
+def brightness(images: Images) -> Float[Tensor, " channel"]:
+    """Compute the value of a bright ray of each channel.
+
+    Parameters
+    ----------
+    images : values of all rays [no unit]
+
+    Returns
+    -------
+    quantile `BRIGHTEST` of each channel; 1 where that is 0
+    """
     bright = np.quantile(np.maximum(images, 0).reshape(len(images), -1), BRIGHTEST, axis=1)
-    units = np.where(bright > 0, bright, 1.0) / _half_edge(grid)
-    return torch.from_numpy(units).float()
+    return torch.from_numpy(np.where(bright > 0, bright, 1.0)).float()
 
 
 def _half_edge(grid: Grid) -> float:

@@ -2,7 +2,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
+from recon.published_methods.neural.polyner import PolychromaticRays, Polyner
 from recon.voxel.image_domain import log_projections
 from recon.voxel.iterative.one_step import OneStep, _deviance_and_gradient
 from recon.voxel.one_channel.nmar import Nmar
@@ -39,10 +41,10 @@ def test_a_water_correction_takes_the_cupping_away(water):
     assert abs(cupping(corrected, water.grid)) < 0.005
 
 
-@pytest.mark.parametrize("method", ["fdk-water", "one-step"])
+@pytest.mark.parametrize("method", [FdkWater(), OneStep(), Polyner(300, rays=512, points=48)])
 @pytest.mark.slow
 def test_water_has_the_attenuation_of_the_tables(water, method):
-    how = {"fdk-water": FdkWater(water.curve), "one-step": OneStep(curve=water.curve)}[method]
+    how = replace(method, curve=water.curve)
     volume = water.mono(how.reconstruct_counts(water.measured, water.grid))
     assert volume[10:-10, 14:26, 14:26].mean() == pytest.approx(WATER_AT_70, rel=0.01)
     assert abs(cupping(volume, water.grid)) < 0.005
@@ -50,10 +52,33 @@ def test_water_has_the_attenuation_of_the_tables(water, method):
 
 @pytest.mark.slow
 def test_metal_leaves_fewer_artefacts_from_method_to_method(rod):
-    methods = FdkWater(rod.curve), Nmar(rod.curve), OneStep(curve=rod.curve)
-    corrected, reduced, along = (rod.decibels(m.reconstruct_counts(rod.measured, rod.grid)) for m in methods)
+    methods = FdkWater(), Nmar(), Polyner(300, rays=512, points=48), OneStep()
+    how = (replace(method, curve=rod.curve) for method in methods)
+    corrected, reduced, network, along = (rod.decibels(m.reconstruct_counts(rod.measured, rod.grid)) for m in how)
     assert corrected + 1 < reduced
+    assert reduced + 1 < network
     assert max(corrected, reduced) + 3 < along
+
+
+@pytest.mark.parametrize("scan", ["water", "rod"])
+@pytest.mark.parametrize("heel", [False, True])
+def test_a_network_projects_as_the_spectral_model_does(request, scan, heel):
+    scan = request.getfixturevalue(scan)
+    data, curve, random = scan.measured, scan.curve, np.random.default_rng(0)
+    _, rows, columns = data.counts.shape[1:]
+    if heel:  # a filter of the material of the second basis, thicker from row to row
+        model, thickness = data.transmission, np.linspace(0, 1, rows)[None, :, None].repeat(columns, axis=2)
+        transmission = replace(model, columns=np.concatenate([model.columns, model.columns[1:]]))
+        data = replace(data, profile=thickness, transmission=transmission)
+    attenuation, steps = random.uniform(0, 0.3, (40, 7)), random.uniform(1, 3, (40, 1))
+    numbers = random.integers(0, 3 * rows * columns, 40)
+    lengths = curve.values(attenuation).sum(axis=2).T * steps
+    fixed = np.zeros((40, 0)) if data.profile is None else data.profile.reshape(1, -1)[:, numbers % (rows * columns)].T
+    beam, air = (np.concatenate([part, fixed], axis=1) for part in (lengths, 0 * lengths))
+    wanted = data.transmission.log_projection(beam) - data.transmission.log_projection(air)
+    project = PolychromaticRays(data, curve)
+    found = project(torch.from_numpy(attenuation[..., None]).float(), torch.from_numpy(steps).float(), numbers)
+    np.testing.assert_allclose(found.numpy(), wanted, rtol=2e-4, atol=1e-4)
 
 
 def test_without_metal_nmar_is_the_water_correction(water):
@@ -71,6 +96,11 @@ def test_the_gradient_along_the_curve_is_that_of_finite_differences(rod):
     slope = float(np.sum(_deviance_and_gradient(unknowns, some, rod.grid, settings)[1] * direction, dtype=np.float64))
     high, low = (_deviance_and_gradient(unknowns + s * direction, some, rod.grid, settings)[0] for s in (1, -1))
     assert slope == pytest.approx((high - low) / 4, rel=0.02)
+
+
+def test_a_network_without_a_curve_is_refused(water):
+    with pytest.raises(InputError, match="polyner needs a curve of materials: add --bases curve"):
+        Polyner(2).reconstruct_counts(water.measured, water.grid)
 
 
 @pytest.mark.parametrize("method", [FdkWater(), Nmar()])
