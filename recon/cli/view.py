@@ -61,12 +61,13 @@ def view(
     --slices writes a page for any browser that needs no network: axial, coronal and sagittal slices with a cross hair.
 
     All panels turn together. In a window the keys Left and Right change the basis, x, y and z move a plane up, and
-    X, Y and Z down.
+    X, Y and Z down, and the panel under the pointer tells the values there.
     """
     from phantomgen.display.viewer.options import point_of, size_of
     from phantomgen.display.viewer.output import check_outputs
     from recon.output.viewer.load import load_run
     from recon.output.viewer.output import chosen_bases, show
+    from recon.output.viewer.pointer import PointerValues
     from recon.output.viewer.surfaces import checked_levels, parse_levels
     from recon.runs.read_run import check_run_folder
 
@@ -87,6 +88,8 @@ def view(
     checked_levels(content, chosen or {})
     if content.truth is None:
         click.echo("Note: the truth of the scan was not found, so only the result is shown; see --truth.", err=True)
-    show(content, bases, chosen, outputs.screenshot, outputs.html, pixels)
+    in_window = outputs.screenshot is None and outputs.html is None
+    pointed = PointerValues.of(run, content) if in_window else None
+    show(content, bases, chosen, outputs.screenshot, outputs.html, pixels, pointed)
     for path in filter(None, (outputs.screenshot, outputs.html)):
         click.echo(path)

@@ -194,6 +194,23 @@ class Pane:
             colours: Any = {f"{axis}_color": colour for axis, colour in AXES.items()}
             self.renderer.add_axes(color=INK, line_width=2, viewport=(0.86, 0.0, 1.0, 0.16), **colours)
 
+    def tell(self, text: str) -> None:
+        """Write lines below the title, in place of those written before.
+
+        Parameters
+        ----------
+        text : lines; empty to remove them
+        """
+        self.plotter.subplot(*self.place)
+        name = f"told {self.index}"
+        if not text:
+            self.plotter.remove_actor(name, render=False)
+            return
+        place = self.font / self.size[0], 1 - 2.8 * self.font / self.size[1]
+        shown: Any = self.plotter.add_text(text, position=place, viewport=True, color=INK, name=name, render=False)
+        shown.prop.SetVerticalJustificationToTop()
+        _set_font(shown.prop, 0.9 * self.font)
+
     def _text(self, text: str, x: float, y: float, scale: float = 1.0, colour: str = INK) -> None:
         """A line that starts at (x, y), in parts of the panel."""
         if text:

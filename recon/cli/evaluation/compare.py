@@ -12,6 +12,7 @@ from recon.cli.run_argument import check_run_name
 
 CHECK_FAILED = 3  # exit code of a finished comparison in which a requirement is not met
 _METHODS = "fdk,cgls,pdhg-tv,one-step,gaussian"
+_ONE_CHANNEL = "fdk-water,nmar,polyner,one-step+curve"  # of a scan with one channel
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,9 @@ class _Output:
 )
 @click.argument("dataset", type=click.Path(dir_okay=False, path_type=Path))
 @click.option(
-    "--methods", metavar="NAME,...", help=f"Methods to compare; see docs/howto/compare.md [default: {_METHODS}]."
+    "--methods",
+    metavar="NAME,...",
+    help=f"Methods to compare; see docs/howto/compare.md [default: {_METHODS}; of one channel {_ONE_CHANNEL}].",
 )
 @click.option("--study", metavar="NAME", help="A table of the paper in place of --methods; see docs/howto/compare.md.")
 @click.option("--budget", metavar="SECONDS,...", default="60s", show_default=True, help="Time of each method.")
@@ -114,11 +117,7 @@ def compare(
         check_run_name(output.out)
     protocol_named(rules.protocol)
     chosen = None if rules.study is None else study_named(rules.study, dataset)
-    ours = (
-        contenders((_METHODS if rules.methods is None else rules.methods).split(","))
-        if chosen is None
-        else chosen.contenders
-    )
+    ours = contenders((rules.methods or _usual_methods(dataset)).split(",")) if chosen is None else chosen.contenders
     others = (*map(finished_volume, programs.finished), *map(command_program, programs.commands))
     check_names(others)
     who = (*ours, *others)
@@ -145,3 +144,11 @@ def compare(
         click.echo(f"Wrote {folder}; next: look at {folder / 'figures' / 'error-against-time.png'}")
     if failed:
         raise click.exceptions.Exit(CHECK_FAILED)
+
+
+def _usual_methods(path: Path) -> str:
+    """Methods that are compared where none are named."""
+    from phantomgen.dataset.reader import open_dataset
+
+    with open_dataset(path) as dataset:
+        return _ONE_CHANNEL if len(dataset.spectra.channels) == 1 else _METHODS

@@ -1,8 +1,8 @@
 """Contenders of a comparison: a method and its changes, as one word.
 
-``sart``, ``sart+image``, ``gaussian+best``, ``gaussian+2``, ``paper+without-tv``, ``gaussian+views-25``,
-``gaussian+blind-bin1``: the method first, and after each plus sign a change. The word names the contender in tables,
-options and folders.
+``sart``, ``sart+image``, ``one-step+curve``, ``gaussian+best``, ``gaussian+2``, ``paper+without-tv``,
+``gaussian+views-25``, ``gaussian+blind-bin1``: the method first, and after each plus sign a change. The word names the
+contender in tables, options and folders.
 """
 
 import re
@@ -10,11 +10,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from recon.published_methods.paper.recipe import checked
-from recon.runs.methods import METHODS
+from recon.runs.methods import METHODS, NEED_CURVE, ON_CURVE
 from spectra.errors import InputError
 
 GAUSSIAN, PAPER = "gaussian", "paper"
-_CHANGES = "best, plain, image, 2, 3, views-N, blind-CHANNEL, without-COMPONENT"
+_CHANGES = "best, plain, image, curve, 2, 3, views-N, blind-CHANNEL, without-COMPONENT"
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,7 @@ class Contender:
     best : whether the fit takes its longer recipe
     plain : whether the fit has plain Gaussians, without planes
     image : whether channels are reconstructed one by one, and decomposed in the voxels afterwards
+    curve : whether voxels lie on the standard curve of materials, as for ``--bases curve``
     bases : number of basis functions; None for all, and for ``gaussian`` for those that the counts warrant
     views : number of training views to use, evenly spread; None for all
     blind : channel that is not used; None for none
@@ -37,6 +38,7 @@ class Contender:
     best: bool = False
     plain: bool = False
     image: bool = False
+    curve: bool = False
     bases: int | None = None
     views: int | None = None
     blind: str | None = None
@@ -53,6 +55,7 @@ class Contender:
             "plain" if self.plain else "",
             "best" if self.best else "",
             "image" if self.image else "",
+            "curve" if self.curve and self.method not in NEED_CURVE else "",
             str(self.bases or ""),
             f"views-{self.views}" if self.views is not None else "",
             f"blind-{self.blind}" if self.blind is not None else "",
@@ -90,10 +93,12 @@ def contender(word: str) -> Contender:
     method, *changes = word.split("+")
     if method not in known_methods():
         raise InputError(f"there is no method {method!r} to compare: choose from {', '.join(known_methods())}")
-    found: dict = {"method": method, "without": ()}
+    found: dict = {"method": method, "without": (), "curve": method in NEED_CURVE}
     for change in changes:
         if change == "image" and method not in (GAUSSIAN, PAPER):
             found["image"] = True
+        elif change == "curve" and method in ON_CURVE:
+            found["curve"] = True
         elif change in ("best", "plain") and method == GAUSSIAN:
             found[change] = True
         elif change in ("2", "3"):

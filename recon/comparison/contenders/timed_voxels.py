@@ -1,7 +1,7 @@
 """Timed runs of voxel and view methods: one run, whose iterations give the results for all budgets."""
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -19,7 +19,8 @@ from recon.comparison.contenders.recorder import Recorder
 from recon.comparison.contenders.timed_views import run_views
 from recon.data.measurements import read_measurements
 from recon.gaussians.recipe import Recipe
-from recon.runs.checks import check_method
+from recon.kedge.basis_names import OnCurve, with_named
+from recon.runs.checks import check_curve, check_method
 from recon.runs.methods import method_named
 from recon.runs.run_voxels import reconstruct_volumes
 from recon.voxel.image_domain import linear_response
@@ -55,6 +56,10 @@ def run_voxels(dataset: Dataset, contender: Contender, recorder: Recorder) -> Ru
     check_method(method, pipeline, dataset)
     if isinstance(method, ViewMethod):
         return run_views(dataset, method, recorder)
+    check_curve(method, contender.curve, dataset)
+    if contender.curve:
+        dataset, _ = with_named(dataset, OnCurve())
+        method = replace(method, curve=OnCurve().curve(dataset))  # type: ignore[type-var] - methods are dataclasses
     grid, on_iteration = dataset.grid, no_callback
 
     def record(iteration: Iteration) -> None:
@@ -66,7 +71,8 @@ def run_voxels(dataset: Dataset, contender: Contender, recorder: Recorder) -> Ru
     else:
         on_iteration = record
     recorder.clock.start()
-    measured = read_measurements(dataset, dataset.splits["train"], contender.bases).without_partial_volume()
+    measured = read_measurements(dataset, dataset.splits["train"], contender.bases, separable=not contender.curve)
+    measured = measured.without_partial_volume()
     measured = measured.compressed(Recipe().node_tolerance)[0]
     with suppress(BudgetSpent):
         reconstruct_volumes(measured, grid, method, pipeline, Stopwatch(), on_iteration)

@@ -35,7 +35,7 @@ def score_maps(bases: GaussianModel | Voxels, dataset: Dataset) -> dict[str, Any
     if tuple(f.name for f in functions) != bases.basis_names:
         return {}
     basis = Basis(functions, known.reference_energy)
-    transmission = read_measurements(dataset.with_basis(basis), np.array([0])).transmission
+    transmission = read_measurements(dataset.with_basis(basis), np.array([0]), separable=False).transmission
     model = bases if isinstance(bases, GaussianModel) else None
     subject = Subject.of(bases.volume(dataset.grid), dataset.grid, basis, transmission, model)
     try:

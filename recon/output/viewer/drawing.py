@@ -14,6 +14,7 @@ from phantomgen.display.viewer.panes import FONT, Pane
 from recon.output.viewer.content import RunContent
 from recon.output.viewer.controls import Controls
 from recon.output.viewer.ellipsoid_markers import COARSE, FINE, MOST, MOST_IN_A_PAGE, ellipsoids
+from recon.output.viewer.pointer import Pointer, PointerValues
 from recon.output.viewer.surfaces import SurfacePanel, surfaces
 from spectra.basis.basis import pretty
 
@@ -50,6 +51,7 @@ def draw(
     size: tuple[int, int] | None = None,
     off_screen: bool = True,
     for_page: bool = False,
+    pointed: PointerValues | None = None,
 ) -> tuple[pyvista.Plotter, list[Pane]]:
     """Create a window with all panels, which turn together.
 
@@ -62,6 +64,7 @@ def draw(
     off_screen : whether it is for a picture, and no window opens
     for_page : whether it is for a page: words are not drawn, as the caller finds them in the panels, and Gaussians are
         fewer and coarser
+    pointed : values that a window tells under the pointer; None for none
 
     Returns
     -------
@@ -97,6 +100,8 @@ def draw(
         plotter.renderers[plotter.renderers.loc_to_index((row, column))].set_background("white")
     if not off_screen:
         Controls(content, panes, partial(draw_slices, content=content), bases, content.at).bind()
+        if pointed is not None:
+            Pointer(panes, pointed).bind()
     if not for_page:
         plotter.enable_anti_aliasing("ssaa", all_renderers=True)
     return plotter, every

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from phantomgen.display.viewer.output import put
 from recon.output.viewer.content import RunContent
+from recon.output.viewer.pointer import PointerValues
 from spectra.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ def show(
     screenshot: Path | None,
     html: Path | None,
     size: tuple[int, int] | None = None,
+    pointed: PointerValues | None = None,
 ) -> None:
     """Write the picture and the page that are named, or open a window where neither is.
 
@@ -28,13 +30,14 @@ def show(
     levels : levels of surfaces [1/mm]; see `recon.output.viewer.surfaces.surfaces`
     screenshot, html : files to write
     size : width and height of picture or window [pixel]; None for a size that holds all panels
+    pointed : values that a window tells under the pointer; None for none
     """
 
     def draw(for_page: bool, off_screen: bool) -> "Drawn":
         from recon.output.viewer import drawing  # noqa: PLC0415 - pyvista
 
         shown = bases if off_screen else bases[:1]
-        return drawing.draw(content, shown, levels, drawing.SIZE if for_page else size, off_screen, for_page)
+        return drawing.draw(content, shown, levels, drawing.SIZE if for_page else size, off_screen, for_page, pointed)
 
     put(content.name, draw, screenshot, html)
 

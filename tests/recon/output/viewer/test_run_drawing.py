@@ -16,13 +16,17 @@ from skimage.io import imread
 from support.tiny_scans import one_sentence
 from support.toy_run import GRID, NAMES, boxes, content, gaussians, pixel_of
 
+from phantomgen.display.viewer.panes import Pane
 from recon.cli.main import main as recon
 from recon.gaussians.divided.model import DividedGaussians
 from recon.output.viewer.controls import Controls
 from recon.output.viewer.drawing import DIFFERENCE, RESULT, TRUTH, draw, draw_slices, layout
 from recon.output.viewer.load import load_run
 from recon.output.viewer.output import show
+from recon.output.viewer.pointer import Pointer, PointerValues
+from recon.readouts.readouts import Readouts
 from recon.runs.write_run import write_volumes
+from spectra.basis.basis import Basis, BasisFunction
 from spectra.errors import DatasetError, InputError
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -132,6 +136,48 @@ def test_keys_show_what_a_new_window_would(drawn):
     below = slice(SIZE[1] // 2, None)  # Gaussians and surfaces stay as they are
     np.testing.assert_array_equal(after[: SIZE[1] // 2], fresh[: SIZE[1] // 2])
     np.testing.assert_array_equal(after[below], before[below])
+
+
+def test_the_panel_under_the_pointer_tells_the_values_there(drawn, monkeypatch):
+    first = content()
+    plotter, panes = drawn(first, [2])
+    slices = {(kind, 0): pane for kind, pane in zip(KINDS, panes.values(), strict=False)}
+    basis = Basis((BasisFunction("photoelectric"), BasisFunction("compton"), BasisFunction("element", element="Yb")))
+    readouts = Readouts.of(basis, np.linspace(20.0, 140.0, 121), np.ones(121))
+    pointer = Pointer(slices, PointerValues(first, readouts))
+    contrast = (6.4, 1.0, 4.0)
+    row, column = pixel_of(slices[RESULT, 0], contrast)
+    told = []
+    monkeypatch.setattr(Pane, "tell", lambda pane, text: told.append(text))
+    pointer.move(column, SIZE[1] - 1 - row)
+    assert told[0] == told[2] == ""
+    place, *coefficients, number, amount = told[1].splitlines()
+    found = [float(word.split()[1]) for word in place.removesuffix(" mm").split(", ")]
+    assert found == pytest.approx(contrast, abs=2)
+    assert coefficients == ["photoelectric 0.0060 1/mm", "Compton 0.0200 1/mm", "K-edge 63.3 keV 0.0120 1/mm"]
+    values = first.result[:, 9, 8, 11]
+    assert number == f"{readouts.hounsfield(values, 70.0):.0f} HU at 70 keV"
+    assert amount == f"Yb {readouts.concentration(values, 'Yb'):.2f} mg/ml"
+    picture_of(plotter)
+
+
+@pytest.mark.parametrize(("kind", "edge"), [(TRUTH, 0.024), (RESULT, 0.012), (DIFFERENCE, -0.012)])
+def test_the_pointer_tells_what_its_panel_shows(kind, edge):
+    lines = PointerValues(content(), None).text(kind, (6.4, 1.0, 4.0)).splitlines()
+    assert lines[0] == "x 6.4, y 1.0, z 4.0 mm"
+    assert lines[3] == f"K-edge 63.3 keV {edge:.4f} 1/mm"
+    assert len(lines) == 4
+
+
+def test_text_of_the_pointer_takes_the_place_of_what_was_there(drawn):
+    plotter, panes = drawn(content(), [2])
+    pane, empty = next(iter(panes.values())), picture_of(plotter)
+    pane.tell("one line\nand another")
+    plotter.render()
+    assert (picture_of(plotter) != empty).any()
+    pane.tell("")
+    plotter.render()
+    np.testing.assert_array_equal(picture_of(plotter), empty)
 
 
 @pytest.mark.usefixtures("renders")
