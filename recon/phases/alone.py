@@ -8,6 +8,7 @@ all views, from which the phases start, have seen a part of these rays, which fa
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -123,7 +124,7 @@ def best_weight(together: GaussianModel, alone: GaussianModel, rays: UnseenRays)
         means = (torch.lerp(a, b, weight) for a, b in zip(first, second, strict=True))
         return sum(deviance_of_images(mean, view, rays.dispersion) for mean, view in zip(means, views, strict=True))
 
-    found = minimize_scalar(total, bounds=(0.0, 1.0), method="bounded", options={"xatol": _WEIGHT / 2})
+    found: Any = minimize_scalar(total, bounds=(0.0, 1.0), method="bounded", options={"xatol": _WEIGHT / 2})
     return float(min((found.x, 0.0, 1.0), key=total))
 
 

@@ -204,7 +204,8 @@ class Pane:
         self.plotter.subplot(*self.place)
         name = f"told {self.index}"
         if not text:
-            self.plotter.remove_actor(name, render=False)
+            plotter: Any = self.plotter  # whose decorated methods confuse type checkers
+            plotter.remove_actor(name, render=False)
             return
         place = self.font / self.size[0], 1 - 2.8 * self.font / self.size[1]
         shown: Any = self.plotter.add_text(text, position=place, viewport=True, color=INK, name=name, render=False)

@@ -12,58 +12,16 @@ Zang, Idoughi, Li, Wonka, Heidrich 2021, IntraTomo: self-supervised learning-bas
 prediction, ICCV.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
 
-from torch import nn
-
-from recon.published_methods.neural.networks import Perceptron
-from recon.published_methods.neural.rays import RayNumbers, Rays
-from recon.published_methods.neural.training import CoordinateNetwork
+from recon.published_methods.neural.training import CoordinateNetwork, PerceptronField
 
 
 @dataclass(frozen=True)
-class Neural(CoordinateNetwork):
-    """A grid of features and a perceptron.
-
-    Parameters
-    ----------
-    layers : hidden layers of the perceptron
-    """
-
-    layers: int = 2
-
-    report_every: ClassVar[int] = 20  # steps between two reports
+class Neural(PerceptronField, CoordinateNetwork):
+    """A grid of features and a perceptron."""
 
     @property
     def name(self) -> str:
         """Name of the method for ``--method``."""
         return "neural"
-
-    def network(self, inputs: int, outputs: int) -> nn.Module:
-        """Create the perceptron.
-
-        Parameters
-        ----------
-        inputs : number of features of a position
-        outputs : number of channels or bases
-
-        Returns
-        -------
-        perceptron
-        """
-        return Perceptron(inputs, self.hidden, self.layers, outputs)
-
-    def sampler(self, rays: Rays) -> Callable[[int], RayNumbers]:
-        """Choose rays anywhere.
-
-        Parameters
-        ----------
-        rays : rays of the scan
-
-        Returns
-        -------
-        function that chooses a number of rays
-        """
-        return rays.anywhere

@@ -12,7 +12,6 @@ Wu, Chen, Wei, Yu, Zhang 2023, Unsupervised polychromatic neural representation 
 NeurIPS, arXiv:2306.15203.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import ClassVar
@@ -20,13 +19,13 @@ from typing import ClassVar
 import numpy as np
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements, matching_bin
-from recon.published_methods.neural.networks import Attenuation, Perceptron
+from recon.published_methods.neural.networks import Attenuation
 from recon.published_methods.neural.rays import RayNumbers, Rays
-from recon.published_methods.neural.training import TrainedField, attenuation_units
+from recon.published_methods.neural.training import PerceptronField, attenuation_units
 from recon.voxel.image_domain import log_projections
 from recon.voxel.method import OnIteration, Volumes, no_callback
 from spectra.errors import InputError
@@ -35,52 +34,22 @@ from spectra.threads import without_other_pools
 
 
 @dataclass(frozen=True)
-class Polyner(TrainedField):
+class Polyner(PerceptronField):
     """A grid of features, a perceptron, a curve of materials and the spectrum, as a `recon.voxel.method.CountsMethod`.
 
     Parameters
     ----------
-    layers : hidden layers of the perceptron
     curve : materials of the object
     """
 
-    layers: int = 2
     curve: MaterialCurve | None = None
 
-    report_every: ClassVar[int] = 20  # steps between two reports
     power: ClassVar[float] = 1.0  # no unit; of the residuals, as in the article
 
     @property
     def name(self) -> str:
         """Name of the method for ``--method``."""
         return "polyner"
-
-    def network(self, inputs: int, outputs: int) -> nn.Module:
-        """Create the perceptron.
-
-        Parameters
-        ----------
-        inputs : number of features of a position
-        outputs : number of outputs
-
-        Returns
-        -------
-        perceptron
-        """
-        return Perceptron(inputs, self.hidden, self.layers, outputs)
-
-    def sampler(self, rays: Rays) -> Callable[[int], RayNumbers]:
-        """Choose rays anywhere.
-
-        Parameters
-        ----------
-        rays : rays of the scan
-
-        Returns
-        -------
-        function that chooses a number of rays
-        """
-        return rays.anywhere
 
     @without_other_pools()
     def reconstruct_counts(

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
-from recon.published_methods.neural.networks import SEGMENT, Attenuation, FeatureGrids, Field
+from recon.published_methods.neural.networks import SEGMENT, Attenuation, FeatureGrids, Field, Perceptron
 from recon.published_methods.neural.rays import RayNumbers, Rays
 from recon.voxel.method import Images, Iteration, OnIteration, Volumes, Weights, no_callback
 from spectra.threads import without_other_pools
@@ -142,6 +142,47 @@ class TrainedField(ABC):
                 on_iteration(Iteration(step, self.iterations, residual, volumes))
                 squares, whole = 0.0, 0.0
         return volumes
+
+
+@dataclass(frozen=True)
+class PerceptronField(TrainedField):
+    """A perceptron behind the grids of features, trained on rays from anywhere.
+
+    Parameters
+    ----------
+    layers : hidden layers of the perceptron
+    """
+
+    layers: int = 2
+
+    report_every: ClassVar[int] = 20  # steps between two reports
+
+    def network(self, inputs: int, outputs: int) -> nn.Module:
+        """Create the perceptron.
+
+        Parameters
+        ----------
+        inputs : number of features of a position
+        outputs : number of outputs
+
+        Returns
+        -------
+        perceptron
+        """
+        return Perceptron(inputs, self.hidden, self.layers, outputs)
+
+    def sampler(self, rays: Rays) -> Callable[[int], RayNumbers]:
+        """Choose rays anywhere.
+
+        Parameters
+        ----------
+        rays : rays of the scan
+
+        Returns
+        -------
+        function that chooses a number of rays
+        """
+        return rays.anywhere
 
 
 @dataclass(frozen=True)
