@@ -93,14 +93,14 @@ class Pointer:
     """
 
     def __init__(self, panes: Mapping[tuple[str, int], Pane], values: PointerValues) -> None:
-        from vtkmodules.vtkRenderingCore import vtkCellPicker  # noqa: PLC0415 - only where a window opens
-
-        self.panes, self.values, self.picker = panes, values, vtkCellPicker()
+        self.panes, self.values = panes, values
+        self.plotter: Any = next(iter(panes.values())).plotter  # whose wrapped methods confuse type checkers
+        self.plotter.iren.picker = "cell"
 
     def bind(self) -> None:
         """Follow the pointer of the window."""
-        plotter: Any = next(iter(self.panes.values())).plotter
-        plotter.iren.add_observer("MouseMoveEvent", lambda *_: self.move(*plotter.iren.get_event_position()))
+        window = self.plotter.iren
+        window.add_observer("MouseMoveEvent", lambda *_: self.move(*window.get_event_position()))
 
     def move(self, x: int, y: int) -> None:
         """Tell the values under a place of the window.
@@ -109,12 +109,12 @@ class Pointer:
         ----------
         x, y : from the lower left corner [pixel]
         """
-        plotter: Any = next(iter(self.panes.values())).plotter
-        width, height = plotter.window_size
+        width, height = self.plotter.window_size
+        picker = self.plotter.iren.picker
         for (kind, _), pane in self.panes.items():
             left, bottom, right, top = pane.viewport
             over = left <= x / width < right and bottom <= y / height < top
-            hit = over and self.picker.Pick(x, y, 0, pane.renderer)
-            place: Triple = self.picker.GetPickPosition()
+            hit = over and picker.Pick(x, y, 0, pane.renderer)
+            place: Triple = picker.GetPickPosition()
             pane.tell(self.values.text(kind, place) if hit else "")
-        plotter.render()
+        self.plotter.render()
