@@ -21,6 +21,7 @@ PROGRAMS = [
     "nxtomo",
     "dxchange",
     "dicom-ct-pd",
+    "ctsimu",
     "tiff",
 ]
 

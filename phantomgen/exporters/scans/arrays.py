@@ -1,6 +1,7 @@
 """Arrays of projections on disk, written view by view, so that memory holds one view."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -54,6 +55,28 @@ def fill(projections: Projections, stacks: Sequence[Stack | Frames]) -> None:
     for view in range(len(projections)):
         for stack, image in zip(stacks, projections.image(view), strict=True):
             stack[view] = image
+
+
+def at_equal_output(projections: Projections) -> Projections:
+    """Divide counts by the tube output of their view, for formats that have no place for it.
+
+    Parameters
+    ----------
+    projections : counts
+
+    Returns
+    -------
+    the same as if the tube output were that of the flats in every view
+    """
+    darks, exposure = projections.darks, projections.exposure
+    if exposure is None:
+        return projections
+    dark = 0.0 if darks is None or not len(darks) else darks.mean(axis=0)
+
+    def image(view: int) -> Shaped[np.ndarray, "name row column"]:
+        return (projections.image(view) - dark) / exposure[view][:, None, None] + dark
+
+    return replace(projections, image=image)
 
 
 def write_npy(

@@ -1,16 +1,14 @@
 """One Data Exchange file per channel, as TomoPy's dxchange reads it: counts, flats, darks and angles."""
 
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
-from jaxtyping import Shaped
 
 from phantomgen.exporters.projections import Kind, Projections
-from phantomgen.exporters.scans.arrays import Frames, file_name, fill
+from phantomgen.exporters.scans.arrays import Frames, at_equal_output, file_name, fill
 from phantomgen.geometry.conversions.central_circle import central_circle_of
 from spectra.errors import GeometryError
 
@@ -62,18 +60,5 @@ def write(folder: Path, projections: Projections) -> dict[str, Any]:
                 exchange[what] = none if frames is None or not len(frames) else frames[:, number].astype(np.float32)
             exchange["theta"] = -np.rad2deg(angles)
             exchange["theta"].attrs["units"] = "degree"
-        fill(_at_equal_output(projections), [Frames(one) for one in data])
+        fill(at_equal_output(projections), [Frames(one) for one in data])
     return {"column_pitch": panel.column_pitch}
-
-
-def _at_equal_output(projections: Projections) -> Projections:
-    """Counts as if the tube output were that of the flats in every view."""
-    darks, exposure = projections.darks, projections.exposure
-    if exposure is None:
-        return projections
-    dark = 0.0 if darks is None or not len(darks) else darks.mean(axis=0)
-
-    def image(view: int) -> Shaped[np.ndarray, "name row column"]:
-        return (projections.image(view) - dark) / exposure[view][:, None, None] + dark
-
-    return replace(projections, image=image)

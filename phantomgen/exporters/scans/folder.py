@@ -21,11 +21,12 @@ PROGRAMS = {  # name on the command line: module that writes it
     "cil": "cil",
     "rtk": "rtk",
     "leap": "leap",
-    "r2": "r2_gaussian",
-    "naf": "naf",
+    "r2": "learned.r2_gaussian",
+    "naf": "learned.naf",
     "nxtomo": "nxtomo",
     "dxchange": "dxchange",
     "dicom-ct-pd": "dicom_ct_pd",
+    "ctsimu": "ctsimu",
     "tiff": "tiff",
 }
 WITH_TESTS = ("r2", "naf")  # these know views for tests, and get them

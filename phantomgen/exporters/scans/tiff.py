@@ -34,6 +34,20 @@ def write(folder: Path, projections: Projections) -> dict[str, Any]:
     what ``scan.json`` says besides: the radius of a curved panel, and exposures
     """
     write_poses(folder / "poses.csv", projections.geometry)
+    write_images(folder, projections)
+    curvature, exposure = projections.geometry.panel.curvature, projections.exposure
+    curved = {} if curvature is None else {"curvature_radius": curvature.radius}  # mm
+    return curved | ({} if exposure is None else {"exposure": exposure.tolist()})
+
+
+def write_images(folder: Path, projections: Projections) -> None:
+    """Write a folder per channel with ``view_0000.tif``, ``flat_0000.tif``, ``dark_0000.tif`` and so on.
+
+    Parameters
+    ----------
+    folder : that gets them
+    projections : what to write
+    """
     own = [folder / file_name(name) for name in projections.names]
     for number, place in enumerate(own):
         place.mkdir()
@@ -43,9 +57,6 @@ def write(folder: Path, projections: Projections) -> dict[str, Any]:
     for view in range(len(projections)):
         for place, image in zip(own, projections.image(view), strict=True):
             tifffile.imwrite(place / f"view_{view:04d}.tif", image.astype(np.float32))
-    curvature, exposure = projections.geometry.panel.curvature, projections.exposure
-    curved = {} if curvature is None else {"curvature_radius": curvature.radius}  # mm
-    return curved | ({} if exposure is None else {"exposure": exposure.tolist()})
 
 
 def write_poses(path: Path, geometry: Geometry) -> None:

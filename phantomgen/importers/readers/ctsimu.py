@@ -125,7 +125,8 @@ def _facts(path: Path, scenario: Mapping[str, Any]) -> tuple[dict[str, Any], lis
     """Facts that the scenario states, and what is taken to be so."""
     source, detector = scenario.get("source") or {}, scenario.get("detector") or {}
     spectrum, notes = source.get("spectrum") or {}, []
-    voltage = number({"voltage": {"value": (source.get("voltage") or {}).get("value")}}, "voltage")
+    stated = (source.get("voltage") or {}).get("value")
+    voltage = None if stated is None else number({"voltage": {"value": stated}}, "voltage")
     file = (spectrum.get("file") or {}).get("value") if isinstance(spectrum.get("file"), dict) else None
     facts: dict[str, Any] = {"scintillator": _layers(scenario, [detector.get("scintillator") or {}])}
     if file:

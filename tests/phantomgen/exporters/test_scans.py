@@ -230,6 +230,43 @@ def test_dxchange_holds_a_parallel_scan(parallel, tmp_path):
     assert exchange["theta"] == pytest.approx([0, -45, -90, -135])
 
 
+STATED = ("--kvp", "120", "--filter", "none", "--thresholds", "20", "--photons", "2e5", "--test-views", "0")
+
+
+@pytest.mark.parametrize("source", ["scan", "helix", "tilted"])
+def test_a_scenario_of_ctsimu_comes_back(source, request, tmp_path, monkeypatch, capsys):
+    if source == "tilted":
+        orbit = "geometry={type: laminography, sod: 500, sdd: 800, views: 5, tilt: 30, start: 20, test_views: 0}"
+        path = make(tmp_path / "tilted.h5", "--set", orbit, rows=6, columns=8)
+    else:
+        path = request.getfixturevalue(source)
+    assert export(path, "--to", "ctsimu", "--channel", "bin1", "-o", tmp_path / "c").exit_code == 0
+    scenario = json.loads((tmp_path / "c/scenario.json").read_text())
+    turns = "drifts" not in scenario["geometry"]["source"]["center"]["x"]
+    assert turns == (source != "helix")
+    if turns:
+        assert scenario["acquisition"]["stop_angle"]["value"] == pytest.approx(360)
+    arguments = ["import", "ctsimu", tmp_path / "c/bin1_metadata.json", *STATED, "-o", tmp_path / "back.h5"]
+    result = CliRunner().invoke(phantomgen, [str(argument) for argument in arguments])
+    assert result.exit_code == 0, result.output
+    with open_dataset(path) as first, open_dataset(tmp_path / "back.h5") as back:
+        views = first.splits["train"]
+        assert largest_difference(back.geometry, first.geometry[views]) < NEAR
+        found = [back.line_integrals(view)[0] for view in range(len(views))]
+        wanted = [first.line_integrals(int(view))[1] for view in views]
+        np.testing.assert_allclose(found, wanted, atol=1e-5)
+    monkeypatch.setattr(sys, "argv", ["load.py"])
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(tmp_path / "c/load.py"))
+    assert capsys.readouterr().out.startswith(f"counts bin1 ({len(views)}, ")
+
+
+def test_a_parallel_beam_is_no_scenario_of_ctsimu(parallel, tmp_path):
+    said = one_sentence(export(parallel, "--to", "ctsimu", "-o", tmp_path / "c"))
+    assert "scenarios of CTSimU are written for cone beams, and this beam is parallel: take tiff" in said
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("program", ["tigre", "cil", "rtk", "r2", "astra", "tiff", "nxtomo"])
 def test_a_parallel_scan_goes_where_it_can(parallel, program, tmp_path):
     assert export(parallel, "--to", program, "-o", tmp_path / "p").exit_code == 0
@@ -308,8 +345,9 @@ def test_wrong_options_are_one_sentence(scan, tmp_path):
     assert "has no channel 'bin9': it has bin0, bin1, bin2, bin3" in one_sentence(
         export(scan, "--to", "rtk", "--channel", "bin9", "-o", out)
     )
-    assert "a folder for rtk holds line-integrals, not counts; counts go to nxtomo, dxchange, tiff" in one_sentence(
-        export(scan, "--to", "rtk", "--what", "counts", "-o", out)
+    assert (
+        "a folder for rtk holds line-integrals, not counts; counts go to nxtomo, dxchange, ctsimu, tiff"
+        in one_sentence(export(scan, "--to", "rtk", "--what", "counts", "-o", out))
     )
     assert "--what, --channel, --air and --flat-panel need --to" in export(scan, "--what", "counts", "-o", out).output
     assert "does not go with --to" in export(scan, "--labels", "--to", "rtk", "-o", out).output

@@ -213,7 +213,7 @@ def change_scenario(folder, change):
         (lambda s: s["acquisition"].update(number_of_projections=10**12), "number_of_projections must be"),
         (lambda s: s["acquisition"].update(number_of_projections=11), "12 projections, the scenario has 11"),
         (lambda s: s["detector"].update(columns={"value": 10**9}), "expected"),
-        (lambda s: s["source"].update(voltage=None), "voltage is missing"),
+        (lambda s: s["source"].update(voltage=None), "does not state the spectrum: give --kvp KV"),
         (lambda s: s.update(source=[1]), "a mapping is expected"),
         (lambda s: s["source"].update(spectrum={"monochromatic": False}), None),
     ],

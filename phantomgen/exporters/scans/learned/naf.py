@@ -8,7 +8,7 @@ import numpy as np
 
 from phantomgen.exporters.projections import Kind, Projections
 from phantomgen.exporters.scans.arrays import file_name, fill
-from phantomgen.exporters.scans.r2_gaussian import true_volume
+from phantomgen.exporters.scans.learned.r2_gaussian import true_volume
 from phantomgen.geometry.conversions.naf import to_naf
 
 KINDS: tuple[Kind, ...] = ("line-integrals",)

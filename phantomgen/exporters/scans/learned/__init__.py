@@ -1,0 +1,1 @@
+"""Folders that methods of neural networks and Gaussians read: circles, with views for tests."""
