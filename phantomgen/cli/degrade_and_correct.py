@@ -104,6 +104,9 @@ class _Output:
 @click.option("--dead", type=PART, default=0.0, metavar="PART", help="Pixels that die and are marked: 0.1%.")
 @click.option("--dead-columns", type=int, default=0, metavar="N", help="Columns that die from end to end, marked.")
 @click.option("--hot", type=PART, default=0.0, metavar="PART", help="Pixels that read twice the open beam, not marked.")
+@click.option(
+    "--saturate", type=FiniteRange(), default=0.0, metavar="X", help="Largest reading of the views, in open beams: 0.5."
+)
 @click.option("--drift", type=PART, default=0.0, metavar="PART", help="Tube output lost over the scan, not stated: 5%.")
 @click.option("--shift", type=PIXELS, default=0.0, metavar="PIXELS", help="State the panel so far from the true one.")
 @click.option(

@@ -68,6 +68,8 @@ class DegradedScan:
         columns = self.geometry.panel.columns
         if not 0 <= wish.dead_columns <= columns:
             raise InputError(f"the number of dead columns must lie in 0 .. {columns}, got {wish.dead_columns}")
+        if not 0 <= wish.saturate < float("inf"):
+            raise InputError(f"pixels saturate at a reading above 0, in open beams, got {wish.saturate:g}")
         if (wish.dose < 1 or wish.drift) and dataset.spectra.dead_time is not None:
             raise InputError(
                 f"{dataset.path} lost counts to dead time, of which fewer are lost at a lower dose: "
@@ -209,10 +211,12 @@ class DegradedScan:
     @cached_property
     def hot_levels(self) -> Float[np.ndarray, " channel"]:
         """Reading of hot pixels in each channel: twice the open beam of a pixel of the new panel."""
-        if not self.settings.hot:
-            return np.zeros(len(self.dataset.spectra.channels))
-        open_beam = np.median(self.dataset.flat, axis=(1, 2))
-        return _HOT * open_beam * self.settings.bin**2
+        return _HOT * self.open_beam if self.settings.hot else np.zeros(len(self.dataset.spectra.channels))
+
+    @cached_property
+    def open_beam(self) -> Float[np.ndarray, " channel"]:
+        """Median reading of the flats in a pixel of the new panel, of each channel."""
+        return np.median(self.dataset.flat, axis=(1, 2)) * self.settings.bin**2
 
     @cached_property
     def masks(self) -> tuple[UInt32[np.ndarray, "row column"] | None, ...]:
@@ -269,7 +273,11 @@ class DegradedScan:
         changed = kind == "data" or (kind == "flat" and self.settings.flats == "thin")
         stream = Stream.DOSE if kind == "data" else Stream.FLAT_DOSE
         at_dose = self._all_at_dose(images, stream, frame) if changed else list(images)
-        return [self._on_panel(image, channel) for channel, image in enumerate(at_dose)]
+        on_panel = [self._on_panel(image, channel) for channel, image in enumerate(at_dose)]
+        if kind != "data" or not self.settings.saturate:
+            return on_panel
+        limits = np.floor(self.settings.saturate * self.open_beam)
+        return [np.minimum(image, limit).astype(image.dtype) for image, limit in zip(on_panel, limits, strict=True)]
 
     def expected(self, frame: int) -> list[Float[np.ndarray, "row column"]]:
         """Compute the counts without noise of one view.
@@ -404,6 +412,8 @@ def _panel_phrase(scan: DegradedScan) -> str:
     if wish.hot:
         hot = np.count_nonzero(scan.new_defects & HOT)
         phrases.append(f"{hot} pixels read twice the open beam and are not marked")
+    if wish.saturate:
+        phrases.append(f"readings of the views end at {wish.saturate:g} times the open beam")
     return f"panel: {', '.join(phrases)}" if phrases else ""
 
 

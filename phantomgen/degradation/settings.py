@@ -26,6 +26,7 @@ class Degradation:
     dead : part of the pixels that are dead afterwards, in addition to those that are
     dead_columns : number of columns that are dead from end to end afterwards
     hot : part of the pixels that read twice the open beam afterwards, in views, flats and darks; they are not marked
+    saturate : largest reading of a pixel in the views, in open beams; 0 for no limit
     drift : part of the tube output that is lost from the first to the last view of the scan; the file does not state it
     shift : how far the stated panel lies from the true one along its columns [pixel of the result]
     tilt : how far the stated panel is turned in its plane from the true one, from columns towards rows [degree]
@@ -49,6 +50,7 @@ class Degradation:
     dead: float = 0.0
     dead_columns: int = 0
     hot: float = 0.0
+    saturate: float = 0.0
     drift: float = 0.0
     shift: float = 0.0
     tilt: float = 0.0

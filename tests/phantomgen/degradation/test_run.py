@@ -178,6 +178,16 @@ def test_correct_finds_hot_pixels(scan, tmp_path):
         assert np.count_nonzero(mended.mask[0]) == round(0.02 * 32 * 32)
 
 
+def test_readings_of_views_end_where_pixels_saturate(scan, tmp_path):
+    done = degrade_file(scan, tmp_path / "full.h5", Degradation(saturate=0.5))
+    assert done.history == ("panel: readings of the views end at 0.5 times the open beam",)
+    with open_dataset(done.path) as worse, open_dataset(scan) as before:
+        limits = np.floor(0.5 * np.median(before.flat, axis=(1, 2)))[:, None, None]
+        assert np.array_equal(worse.load(), np.minimum(before.load(), limits))
+        assert (worse.load() == limits).any()
+        assert np.array_equal(worse.flat, before.flat)
+
+
 def test_a_drifting_tube_loses_photons_that_the_file_does_not_state(scan, tmp_path):
     done = degrade_file(scan, tmp_path / "low.h5", Degradation(drift=0.2))
     assert done.history == ("tube output: falls by 0.2 of it from the first to the last view, not stated",)
@@ -259,6 +269,7 @@ def test_python_writes_and_opens(scan, tmp_path):
         ({"hot": 0.6}, "the part of hot pixels must lie in 0 .. 0.5"),
         ({"dead_columns": 40}, "dead columns must lie in 0 .. 32, got 40"),
         ({"dead_columns": -1}, "dead columns must lie in 0 .. 32, got -1"),
+        ({"saturate": -0.5}, "pixels saturate at a reading above 0, in open beams, got -0.5"),
         ({"drift": 1.0}, "drifts away must lie in 0 .. 1, got 1"),
         ({"drift": 0.1, "dose": 0.5, "complement": True}, "leave out the drift"),
         ({"noise": True}, "has noise already"),
