@@ -117,7 +117,8 @@ def misfit(channels: Mapping[str, Mapping[str, Any]], dispersion: float) -> Rema
     return Remark(
         "misfit",
         f"The model does not explain the test views: away from edges chi-square is {named}, where noise leaves 1; "
-        "do not trust the volumes before the cause is found (truncation, scatter, motion, or a wrong spectrum).",
+        "do not trust the volumes before the cause is found (truncation, scatter, motion, "
+        "pixels that saturate, or a wrong spectrum).",
     )
 
 
