@@ -19,7 +19,7 @@ PLAIN = "objects=[{type: cylinder, material: soft_tissue, radius: 50, length: 10
 @pytest.fixture(scope="module")
 def scan(tmp_path_factory):
     path = tmp_path_factory.mktemp("edge") / "scan.h5"
-    return make(path, "--views", "4", "--test-views", "1", "--set", LAID)
+    return make(path, "--views", "12", "--test-views", "1", "--set", LAID)
 
 
 @pytest.fixture(scope="module")

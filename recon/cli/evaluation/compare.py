@@ -117,7 +117,8 @@ def compare(
         check_run_name(output.out)
     protocol_named(rules.protocol)
     chosen = None if rules.study is None else study_named(rules.study, dataset)
-    ours = contenders((rules.methods or _usual_methods(dataset)).split(",")) if chosen is None else chosen.contenders
+    words = _usual_methods(dataset) if rules.methods is None else rules.methods
+    ours = contenders(words.split(",")) if chosen is None else chosen.contenders
     others = (*map(finished_volume, programs.finished), *map(command_program, programs.commands))
     check_names(others)
     who = (*ours, *others)

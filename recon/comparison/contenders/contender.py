@@ -49,13 +49,18 @@ class Contender:
         """Whether it fits Gaussians by a schedule, which must know its length from the start."""
         return self.method in (GAUSSIAN, PAPER)
 
+    @property
+    def on_curve(self) -> bool:
+        """Whether voxels lie on a curve of materials, by choice or because the method needs it."""
+        return self.curve or self.method in NEED_CURVE
+
     def __str__(self) -> str:
         parts = [
             self.method,
             "plain" if self.plain else "",
             "best" if self.best else "",
             "image" if self.image else "",
-            "curve" if self.curve and self.method not in NEED_CURVE else "",
+            "curve" if self.curve else "",
             str(self.bases or ""),
             f"views-{self.views}" if self.views is not None else "",
             f"blind-{self.blind}" if self.blind is not None else "",
@@ -93,11 +98,11 @@ def contender(word: str) -> Contender:
     method, *changes = word.split("+")
     if method not in known_methods():
         raise InputError(f"there is no method {method!r} to compare: choose from {', '.join(known_methods())}")
-    found: dict = {"method": method, "without": (), "curve": method in NEED_CURVE}
+    found: dict = {"method": method, "without": ()}
     for change in changes:
         if change == "image" and method not in (GAUSSIAN, PAPER):
             found["image"] = True
-        elif change == "curve" and method in ON_CURVE:
+        elif change == "curve" and method in ON_CURVE and method not in NEED_CURVE:
             found["curve"] = True
         elif change in ("best", "plain") and method == GAUSSIAN:
             found[change] = True

@@ -56,8 +56,8 @@ def run_voxels(dataset: Dataset, contender: Contender, recorder: Recorder) -> Ru
     check_method(method, pipeline, dataset)
     if isinstance(method, ViewMethod):
         return run_views(dataset, method, recorder)
-    check_curve(method, contender.curve, dataset)
-    if contender.curve:
+    check_curve(method, contender.on_curve, dataset)
+    if contender.on_curve:
         dataset, _ = with_named(dataset, OnCurve())
         method = replace(method, curve=OnCurve().curve(dataset))  # type: ignore[type-var] - methods are dataclasses
     grid, on_iteration = dataset.grid, no_callback
@@ -71,7 +71,7 @@ def run_voxels(dataset: Dataset, contender: Contender, recorder: Recorder) -> Ru
     else:
         on_iteration = record
     recorder.clock.start()
-    measured = read_measurements(dataset, dataset.splits["train"], contender.bases, separable=not contender.curve)
+    measured = read_measurements(dataset, dataset.splits["train"], contender.bases, separable=not contender.on_curve)
     measured = measured.without_partial_volume()
     measured = measured.compressed(Recipe().node_tolerance)[0]
     with suppress(BudgetSpent):

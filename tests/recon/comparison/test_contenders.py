@@ -42,6 +42,11 @@ def test_the_paper_without_components_is_its_word(names):
     assert set(contender(str(who)).without) == set(names)
 
 
+def test_methods_of_one_channel_are_on_the_curve_without_a_word():
+    assert [contender(word).on_curve for word in ("nmar", "one-step+curve", "one-step")] == [True, True, False]
+    assert str(contender("one-step+curve")) == "one-step+curve"
+
+
 def test_contenders_come_once_each_in_their_order():
     assert [*map(str, contenders(["sart", " fdk+image", "sart", ""]))] == ["sart", "fdk+image"]
 
@@ -50,7 +55,8 @@ def test_contenders_come_once_each_in_their_order():
     ("word", "sentence"),
     [
         ("tv", "there is no method 'tv' to compare: choose from gaussian, paper, fdk"),
-        ("fdk+4", "fdk+4: '4' is no change of the method fdk: choose from best, plain, image, 2, 3, views-N"),
+        ("fdk+4", "fdk+4: '4' is no change of the method fdk: choose from best, plain, image, curve, 2, 3, views-N"),
+        ("nmar+curve", "'curve' is no change of the method nmar"),
         ("gaussian+image", "'image' is no change of the method gaussian"),
         ("gaussian+without-tv", "'without-tv' is no change of the method gaussian"),
         ("paper+without-colour", "--without colour: there is no such component"),
