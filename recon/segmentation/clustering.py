@@ -10,6 +10,8 @@ References
 Comaniciu, Meer 2002, Mean shift: a robust approach toward feature space analysis, doi:10.1109/34.1000236.
 """
 
+from warnings import catch_warnings, filterwarnings
+
 import numpy as np
 from jaxtyping import Float, Int
 from threadpoolctl import threadpool_limits
@@ -76,7 +78,8 @@ def find_modes(
     if most is not None and len(chosen) > most:
         chosen = chosen[np.random.default_rng(seed).choice(len(chosen), most, replace=False)]
     rarest = max(RAREST * len(chosen), 1)
-    with threadpool_limits(1):
+    with threadpool_limits(1), catch_warnings():
+        filterwarnings("ignore", "Binning data failed")  # each sample is in a bin of its own, and begins a mode
         found = MeanShift(bandwidth=bandwidth, bin_seeding=True, min_bin_freq=max(int(rarest / 4), 1)).fit(chosen)
     sizes = np.bincount(found.labels_, minlength=len(found.cluster_centers_))
     kept = np.flatnonzero(sizes >= min(rarest, sizes.max()))

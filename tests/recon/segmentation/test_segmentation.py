@@ -352,6 +352,13 @@ def test_mechanisms_of_photoelectric_and_compton_are_themselves():
     np.testing.assert_allclose(Mechanisms.of(KEDGE, ENERGY, WEIGHTS).matrix, np.eye(2), atol=1e-12)
 
 
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_few_samples_far_apart_are_modes_without_a_warning(count):
+    samples = 100.0 * np.arange(count)[:, None] * np.ones(2)
+    modes = find_modes(samples, np.ones(2))
+    np.testing.assert_allclose(modes[np.argsort(modes[:, 0])], samples)
+
+
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 1000), clusters=st.integers(1, 5))
 def test_modes_lie_at_clusters_that_are_far_apart(seed, clusters):
