@@ -55,7 +55,9 @@ _TRAPS = (
     _Trap("dead", "dead pixels", "part of the pixels", (0.001, 0.01, 0.05, 0.2), lambda part: Degradation(dead=part)),
     _Trap("columns", "dead columns", "columns", (1, 2, 4, 8), lambda n: Degradation(dead_columns=int(n))),
     _Trap("hot", "hot pixels", "part of the pixels", (0.001, 0.01, 0.05, 0.2), lambda n: Degradation(hot=n), True),
-    _Trap("saturated", "pixels that saturate", "largest reading", (1, 0.5, 0.3), lambda x: Degradation(saturate=x)),
+    _Trap(
+        "saturated", "pixels that saturate", "largest reading", (1, 0.8, 0.5, 0.3), lambda x: Degradation(saturate=x)
+    ),
     _Trap("drift", "a drifting tube", "part lost", (0.01, 0.05, 0.2, 0.5), lambda part: Degradation(drift=part), True),
     _Trap("shift", "panel stated wrongly", "distance [pixel]", (0.1, 0.25, 0.5, 1), lambda d: Degradation(shift=d)),
     _Trap("tilt", "panel stated turned", "angle [degree]", (0.1, 0.3, 1, 3), lambda angle: Degradation(tilt=angle)),
