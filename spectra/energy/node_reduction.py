@@ -7,9 +7,9 @@ refined by Levenberg-Marquardt steps on the log counts. Columns stay inside the 
 stay positive, so extrapolation outside the box is tame.
 
 Processors round differently, and counts should not. Merging and damped steps do not amplify rounding: the log counts of
-the nodes then differ by about 1e-11. A sparse non-negative fit over the given nodes, whose columns are all but linearly
-dependent, lets them differ by as much as the tolerance. It serves where some of the given nodes are wanted, and where
-the fewest nodes of all are sought.
+the nodes then differ by less than 1e-9. A sparse non-negative fit over the given nodes, whose columns are all but
+linearly dependent, lets them differ by as much as the tolerance. It serves where some of the given nodes are wanted,
+and where the fewest nodes of all are sought.
 """
 
 from collections.abc import Iterator

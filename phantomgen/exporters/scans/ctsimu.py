@@ -1,4 +1,4 @@
-"""A CTSimU scenario and metadata of its projections, as aRTist and the CTSimU toolbox read them: TIFF of counts.
+"""A CTSimU scenario and the metadata of its projections, as the specification has them: TIFF of counts.
 
 Circles with equal steps are a stage that turns; other orbits are drifts of source and panel that a reconstruction may
 know, one value per view.
@@ -179,11 +179,11 @@ def _across(direction: Vectors) -> Vectors:
 
 def _metadata(projections: Projections, name: str) -> dict[str, Any]:
     """Files of a channel."""
-    panel = projections.geometry.panel
+    panel, files = projections.geometry.panel, name.replace("%", "%%") + "/{}_%04d.tif"
 
     def frames(what: str, images: np.ndarray | None) -> dict[str, Any]:
         number = 0 if images is None else len(images)
-        pattern = f"{name}/{what}_%04d.tif" if number else None
+        pattern = files.format(what) if number else None
         return {"number": number, "frame_average": 1, "filename": pattern, "projections_corrected": False}
 
     return {
@@ -194,7 +194,7 @@ def _metadata(projections: Projections, name: str) -> dict[str, Any]:
         },
         "output": {
             "projections": {
-                "filename": f"{name}/view_%04d.tif",
+                "filename": files.format("view"),
                 "number": len(projections),
                 "frame_average": 1,
                 "datatype": "float32",

@@ -94,6 +94,7 @@ class Pointer:
 
     def __init__(self, panes: Mapping[tuple[str, int], Pane], values: PointerValues) -> None:
         self.panes, self.values = panes, values
+        self.told = dict.fromkeys(panes, "")
         self.plotter: Any = next(iter(panes.values())).plotter  # whose wrapped methods confuse type checkers
         self.plotter.iren.picker = "cell"
 
@@ -111,10 +112,14 @@ class Pointer:
         """
         width, height = self.plotter.window_size
         picker = self.plotter.iren.picker
-        for (kind, _), pane in self.panes.items():
+        before = dict(self.told)
+        for key, pane in self.panes.items():
             left, bottom, right, top = pane.viewport
             over = left <= x / width < right and bottom <= y / height < top
             hit = over and picker.Pick(x, y, 0, pane.renderer)
             place: Triple = picker.GetPickPosition()
-            pane.tell(self.values.text(kind, place) if hit else "")
-        self.plotter.render()
+            self.told[key] = self.values.text(key[0], place) if hit else ""
+            if self.told[key] != before[key]:
+                pane.tell(self.told[key])
+        if self.told != before:
+            self.plotter.render()

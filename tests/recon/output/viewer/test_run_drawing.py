@@ -150,13 +150,15 @@ def test_the_panel_under_the_pointer_tells_the_values_there(drawn, monkeypatch):
     told = []
     monkeypatch.setattr(Pane, "tell", lambda pane, text: told.append(text))
     pointer.move(column, SIZE[1] - 1 - row)
-    assert told[0] == told[2] == ""
-    place, *coefficients, number, amount = told[1].splitlines()
+    (text,) = told  # in the other panels nothing changed
+    place, *coefficients, number, amount = text.splitlines()
     found = [float(word.split()[1]) for word in place.removesuffix(" mm").split(", ")]
     assert found == pytest.approx(contrast, abs=2)
     assert coefficients == ["photoelectric 0.0060 1/mm", "Compton 0.0200 1/mm", "K-edge 63.3 keV 0.0120 1/mm"]
     values = first.result[:, 9, 8, 11]
     assert number == f"{readouts.hounsfield(values, 70.0):.0f} HU at 70 keV"
+    pointer.move(SIZE[0] - 1, 0)
+    assert told[1:] == [""]
     assert amount == f"Yb {readouts.concentration(values, 'Yb'):.2f} mg/ml"
     picture_of(plotter)
 
