@@ -29,7 +29,7 @@ from recon.gaussians.optimize import Progress
 from recon.gaussians.processes import Resources
 from recon.gaussians.recipe import RECIPES, Recipe
 from recon.gaussians.reconstruct import Reconstruction, reconstruct
-from recon.kedge.basis_names import Asked, left_out, with_named
+from recon.kedge.basis_names import Asked, left_out, parse_bases, with_named
 from recon.kedge.choose_basis import BasisChoice, choose_basis
 from recon.output.render_file import rendered, views_of_geometry
 from recon.output.report.page import report_figures as figures_of_report
@@ -42,7 +42,7 @@ from recon.runs.outcomes.score_volume import score_volume
 from recon.runs.outcomes.volume_outcome import VolumeOutcome
 from recon.runs.read_run import StoredModel, open_model
 from recon.runs.run_folder import Run
-from recon.runs.run_gaussians import outcome_of_fit
+from recon.runs.run_gaussians import on_curve, outcome_of_fit
 from recon.runs.unfinished_run import LOG, log_entry
 from recon.runs.write_run import RunFolder
 from recon.scatter.chosen_scatter import SCATTER, ChosenScatter, parse_scatter
@@ -248,7 +248,7 @@ def fit(
     dataset: Dataset | str | Path,
     recipe: Recipe | PaperRecipe | str = "fast",
     *,
-    bases: Asked = None,
+    bases: Asked | str = None,
     edges: Sequence[float] | None = None,
     scatter: str | None = None,
     callbacks: Sequence[Any] = (),
@@ -261,8 +261,9 @@ def fit(
     ----------
     dataset : open dataset, or its file
     recipe : hyper-parameters, or ``fast``, ``best`` or ``paper``
-    bases : how many basis functions to fit, or their names, such as ``("photoelectric", "compton", "kedge_I")``; those
-        that the counts warrant where left out
+    bases : how many basis functions to fit, or their names, such as ``("photoelectric", "compton", "kedge_I")``; for a
+        scan with one channel a curve of materials, ``"curve"`` or ``"curve:water,Ti"``; those that the counts warrant
+        where left out
     edges : where to look for K edges [keV], see `recon.kedge.choose_basis.choose_basis`; None to believe the dataset
     scatter : estimate of scatter that is taken away: ``"compton"``, ``"compton:FACTOR"``, ``"compton:fit"``, or
         ``"kernel:RATIO,WIDTH"`` with the width in mm; None for none
@@ -288,9 +289,10 @@ def fit(
                 opened, recipe, bases=bases, edges=edges, scatter=scatter, callbacks=callbacks, progress=progress,
                 device=device,
             )  # fmt: skip
-    dataset = ChosenScatter.of(dataset, parse_scatter(scatter), bases).dataset
+    asked = parse_bases(bases) if isinstance(bases, str) else bases
+    dataset = ChosenScatter.of(dataset, parse_scatter(scatter), asked).dataset
     callbacks = [*callbacks, ProgressBar()] if progress else callbacks
-    how, log, stated = _recipe(recipe), [], dataset.spectra.basis.names
+    how, log, stated = on_curve(_recipe(recipe), asked, dataset), [], dataset.spectra.basis.names
     after_step = [_on_step(callback) for callback in callbacks]
 
     def on_step(step: Progress) -> bool:
@@ -303,11 +305,11 @@ def fit(
     if isinstance(how, PaperRecipe):
         if device != "cpu":
             raise InputError(f"the recipe paper is computed by the processor: leave out device={device!r}")
-        chosen, count = with_named(dataset, bases)
+        chosen, count = with_named(dataset, asked)
         choice, basis = None, chosen.spectra.basis
         result = reconstruct_paper(chosen, how, count, on_step=on_step)
     else:
-        choice = choose_basis(dataset, bases, edges)
+        choice = choose_basis(dataset, asked, edges)
         basis = choice.basis
         result = reconstruct(dataset.with_basis(basis), how, on_step=on_step, resources=resources)
     missing = left_out(stated, result.gaussians.basis_names)

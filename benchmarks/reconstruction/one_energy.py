@@ -1,12 +1,12 @@
-"""Scans with one channel: beam hardening and metal by five methods.
+"""Scans with one channel: beam hardening and metal by six methods.
 
-    python -m benchmarks.reconstruction.one_energy [--threads N] [SCENE ...]
+    python -m benchmarks.reconstruction.one_energy [--threads N] [--methods NAME,NAME] [SCENE ...]
 
 Scenes: a cylinder of water, `metal-hip` and `kedge` with a single threshold, and a head with dental metal
 (`benchmarks/scenes/dental_head.yaml`). Methods: filtered back-projection without a correction (`fdk`, in units of the
 mean attenuation of water), with a water correction (`fdk-water`), with normalised metal artefact reduction (`nmar`), a
-network behind a polychromatic model (`polyner`), and one-step voxels along the standard curve of materials (`curve`),
-as `recon fit --bases curve` has it.
+network behind a polychromatic model (`polyner`), one-step voxels along the standard curve of materials (`curve`), as
+`recon fit --bases curve --method one-step` has it, and the Gaussians of `--method gaussian` (`gaussian`).
 
 A row states the PSNR [dB] of the attenuation at 70 keV over all voxels; the same where the true attenuation is below
 0.1 per mm, which leaves out metal, with the attenuation of bone (0.05 per mm) as the peak; the root mean square error
@@ -19,6 +19,7 @@ import argparse
 import platform
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,8 @@ from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import read_truth
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements, read_measurements
-from recon.gaussians.recipe import Recipe
+from recon.gaussians.recipe import FAST, Recipe
+from recon.gaussians.reconstruct import reconstruct
 from recon.kedge.basis_names import OnCurve, with_named
 from recon.published_methods.neural.polyner import Polyner
 from recon.voxel.image_domain import log_projections
@@ -50,7 +52,7 @@ SCENES: dict[str, tuple[str, list[str]]] = {  # scene or preset, and changes
     "dental-head": (str(HEAD), []),
     "kedge": ("kedge", ["detector.thresholds=[20]"]),
 }
-METHODS = ("fdk", "fdk-water", "nmar", "polyner", "curve")
+METHODS = ("fdk", "fdk-water", "nmar", "polyner", "curve", "gaussian")
 NAMED = 26  # characters of a row for its scene and method
 HEADER = (
     f"{'scene':<14}{'method':<12}{'all [dB]':>10}{'no metal':>10}{'rms [HU]':>10}{'apart [HU]':>12}{'cupping [%]':>13}"
@@ -97,7 +99,12 @@ def row_of(scene: str, method: str, dataset: Dataset) -> str:
     at = smooth.spectra.basis.evaluate(np.array([ENERGY]))[:, 0]
     measured = read_measurements(smooth, smooth.splits["train"], separable=False)
     began = time.process_time()
-    found = mono_of(method, measured, dataset.grid, curve, at)
+    if method == "gaussian":
+        fitted = reconstruct(smooth, replace(FAST, curve=curve))
+        assert fitted.volumes is not None
+        found = np.einsum("m,mzyx->zyx", at, fitted.volumes)
+    else:
+        found = mono_of(method, measured, dataset.grid, curve, at)
     seconds = time.process_time() - began
     error, soft = (found - true) ** 2, true < METAL
     whole = 10 * np.log10(true.max() ** 2 / error.mean())
@@ -113,6 +120,7 @@ def row_of(scene: str, method: str, dataset: Dataset) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("scenes", nargs="*", default=list(SCENES), metavar="SCENE", help=", ".join(SCENES))
+    parser.add_argument("--methods", default=",".join(METHODS), help="default: %(default)s")
     parser.add_argument("--threads", type=int, help="default: all")
     asked = parser.parse_args()
     if unknown := set(asked.scenes) - set(SCENES):
@@ -124,7 +132,7 @@ def main() -> None:
             source, changes = SCENES[scene]
             path = Path(folder) / f"{scene}.h5"
             with phantomgen.make(phantomgen.load(source, changes), out=path, overwrite=True) as dataset:
-                for method in METHODS:
+                for method in asked.methods.split(","):
                     row = row_of(scene, method, dataset)
                     store(TABLE, [f"{platform.machine()}, {thread_count()} threads", HEADER], row, NAMED)
                     print(row, flush=True)

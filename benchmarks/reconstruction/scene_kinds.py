@@ -32,6 +32,7 @@ import phantomgen
 from benchmarks.result_rows import store
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import Truth, read_truth
+from recon.data.volume_edges import occupied_voxels
 from recon.evaluation.metrics import psnr
 from recon.evaluation.scoring import score_test_views
 from recon.gaussians.model import GaussianModel
@@ -47,7 +48,6 @@ HEADER = (
     f"{'scene':<{NAMED}}{'start':<24}{'fitted to start':<24}{'end':<24}{'gain':<24}"
     f"{'off edges':>9}{'all':>7}{'Gaussians':>11}{'numbers':>9}{'CPU s':>7}"
 )
-OCCUPIED = 0.02  # of the largest value of a basis; a voxel that holds less in every basis is empty
 
 
 def scanned(name: str, changes: dict[str, Any], seed: int, path: Path) -> Dataset:
@@ -89,8 +89,7 @@ def row_of(label: str, dataset: Dataset, recipe: Recipe) -> str:
     end = scores(found.gaussians.volume(truth.grid), truth)
     channels = score_test_views(dataset, found.gaussians).values()
     away, every = (max(c[name] for c in channels) for name in ("chi_square_away", "chi_square_all"))
-    peaks = truth.volumes.max(axis=(1, 2, 3), keepdims=True)
-    occupied = int((truth.volumes > OCCUPIED * peaks).any(axis=0).sum()) * len(peaks)
+    occupied = int(occupied_voxels(truth.volumes).sum()) * len(truth.volumes)
     stored = found.gaussians.numbers
     columns = (" ".join(f"{value:5.2f}" for value in values) for values in (start, fitted, end, end - start))
     told = "".join(f"{column:<24}" for column in columns)

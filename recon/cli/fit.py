@@ -111,6 +111,17 @@ def _chosen(recipe: _RecipeOptions, special: dict[str, Any]) -> "Recipe | PaperR
     )
 
 
+def _check_curve(method: str, recipe: _RecipeOptions, approach: _Approach) -> None:
+    """Refuse a method and options that take no curve of materials."""
+    from spectra.errors import InputError
+
+    if method not in ("gaussian", *ON_CURVE):
+        known = ", ".join(["gaussian", *ON_CURVE])
+        raise InputError(f"--method {method} takes no curve of materials: take {known}, or other --bases")
+    plain = "gaussian" if recipe.kernel == "gaussian" else None
+    refuse_options("--bases curve", {"phases": approach.phases, "residual": recipe.residual, "kernel": plain})
+
+
 @click.command(epilog="\b\nExamples:\n  recon fit kedge.h5\n  recon fit scan.h5 --edge auto --air 0:16,0:256")
 @click.argument("dataset", type=click.Path(dir_okay=False))
 @click.option("-o", "--out", type=click.Path(), help="Run folder to write [default: <dataset>-run].")
@@ -170,7 +181,7 @@ def _chosen(recipe: _RecipeOptions, special: dict[str, Any]) -> "Recipe | PaperR
     "--method",
     type=click.Choice(["gaussian", *METHODS]),
     help="Gaussians, or a classical or learned method for comparison; `--sweeps` are then its iterations "
-    "[default: gaussian, but one-step with --bases curve].",
+    "[default: gaussian].",
 )
 @click.option(
     "--pipeline",
@@ -262,13 +273,12 @@ def fit(
     from recon.runs.methods import method_named
     from recon.runs.run import run
     from recon.runs.run_folder import VOLUMES
-    from recon.runs.run_gaussians import GaussianRun
+    from recon.runs.run_gaussians import GaussianRun, on_curve
     from recon.runs.run_views import ViewRun
     from recon.runs.run_voxels import VoxelRun
     from recon.runs.write_run import RunFolder, score_table
     from recon.scatter.chosen_scatter import SCATTER, ChosenScatter, parse_scatter
     from recon.voxel.method import ViewMethod
-    from spectra.errors import InputError
     from spectra.threads import set_threads
 
     refuse_options("a spectrum that is not refined: add --refine", {"prior": not data.refine and bool(data.prior)})
@@ -276,9 +286,9 @@ def fit(
         check_run_name(Path(output.out))
     source, edges = Path(dataset), parse_edges(approach.edge)
     asked, scattered = parse_bases(approach.bases), parse_scatter(data.scatter)
-    method = approach.method or ("one-step" if isinstance(asked, OnCurve) else "gaussian")
-    if isinstance(asked, OnCurve) and method not in ON_CURVE:
-        raise InputError(f"--method {method} takes no curve of materials: take {', '.join(ON_CURVE)}, or other --bases")
+    method = approach.method or "gaussian"
+    if isinstance(asked, OnCurve):
+        _check_curve(method, recipe, approach)
     special = {
         "resume": output.resume,
         "dry-run": resources.dry_run,
@@ -305,7 +315,8 @@ def fit(
     if resources.dry_run and not isinstance(how, PaperRecipe):
         with open_dataset(source, data.air) as stored:
             named, count = with_named(ChosenSpectrum.of(stored, data.spectrum).dataset, asked)
-            found = expected_cost(named, how, count, resources.memory, resources.device)
+            costed = on_curve(how, asked, named)
+            found = expected_cost(named, costed, count, resources.memory, resources.device)
         click.echo(json.dumps(found.to_dict()) if printing.as_json else str(found))
         return
     with joined() as processes, open_dataset(source, data.air) as stored:

@@ -23,6 +23,7 @@ EDGE = 4.0
 # no unit, over the typical signal; larger gradients per voxel are edges whatever the median is; 0.3 loses 0.1 to 0.4 dB
 # (docs/development/decisions/0015-where-gaussians-are-dense.md)
 CONTRAST = 0.1
+OCCUPIED = 0.02  # no unit, over a large value of a basis; a voxel that holds less of every basis is air; by hand
 _FAINT = 0.02  # no unit; see `_typical`; chosen by hand, not measured
 
 
@@ -79,6 +80,21 @@ def large_signal(signal: Float[np.ndarray, "z y x"]) -> float:
     """
     occupied = _occupied_values(signal)
     return float(min(np.percentile(occupied, 99), LARGEST * np.median(occupied))) if len(occupied) else 0.0
+
+
+def occupied_voxels(volumes: Float[np.ndarray, "basis z y x"]) -> Bool[np.ndarray, "z y x"]:
+    """Find the voxels that are not air, whatever metal the object holds.
+
+    Parameters
+    ----------
+    volumes : coefficients of each basis [1/mm]
+
+    Returns
+    -------
+    True where a basis exceeds `OCCUPIED` of its large values
+    """
+    large = np.array([large_signal(volume) for volume in volumes])
+    return np.any(volumes > OCCUPIED * large[:, None, None, None], axis=0)
 
 
 def structure_tensor(gradients: Sequence[Sequence[Float[np.ndarray, "z y x"]]]) -> Float[np.ndarray, "pair z y x"]:

@@ -159,7 +159,7 @@ def ideal_observer_square(dataset: Dataset, model: GaussianModel | Voxels, witho
     """
     total = 0.0
     for view in dataset.splits["train"]:
-        one = read_measurements(dataset, np.array([view]), len(model.basis_names))
+        one = read_measurements(dataset, np.array([view]), len(model.basis_names), separable=False)
         with_insert, other = expected_quanta(one, model), expected_quanta(one, without)
         total += ideal_square(with_insert, other, (with_insert + other) / 2 + one.scattered(0))
     return total

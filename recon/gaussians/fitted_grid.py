@@ -44,7 +44,7 @@ def read_with_coverage(
     -------
     the views, and the grid that is to be fitted to them
     """
-    whole = read_measurements(dataset, dataset.splits["train"], bases, store)
+    whole = read_measurements(dataset, dataset.splits["train"], bases, store, separable=recipe.curve is None)
     covered = coverage(whole, dataset.grid)
     whole = whole.without_partial_volume(store)
     measured, node_error = whole.compressed(recipe.node_tolerance)
@@ -70,5 +70,6 @@ def fitted_grid(dataset: Dataset, recipe: Recipe, bases: int | None, folder: Pat
     train = dataset.splits["train"]
     some = train[evenly_spread_views(view_groups(dataset.exposure[train]), VIEWS)]
     with array_store(folder, on_disk=True) as store:
-        covered = coverage(read_measurements(dataset, some, bases, store), dataset.grid)
+        measured = read_measurements(dataset, some, bases, store, separable=recipe.curve is None)
+        covered = coverage(measured, dataset.grid)
         return read_with_coverage(dataset, recipe, bases, store).coverage.grid if covered.lateral else covered.grid

@@ -55,6 +55,8 @@ the part of a Gaussian's mass within it.
 Where planes divide the Gaussians (`recon.gaussians.divided.model`), coefficients have either sign, theta also has the
 offsets of the planes, and line integrals below 0 enter Y by `recon.gaussians.likelihood.bounded`.
 
+On a curve of materials (`recon.gaussians.on_curve`), coefficients move along the mixture of materials of their side.
+
 A step uses some of the views, scaled to all of them, and one slab of the voxels, scaled to the whole volume; the mean
 of its gradient over the steps is that of F. Gradients are of F over half the number of counts (`Objective.scale`).
 
@@ -77,9 +79,11 @@ from phantomgen.geometry.curved_panel import sees
 from phantomgen.geometry.poses import Geometry
 from recon.data.measurements import Measurements
 from recon.data.view_subsets import every_nth_view, view_groups
+from recon.gaussians.divided.model import DividedGaussians
 from recon.gaussians.fisher import coefficient_curvature
 from recon.gaussians.likelihood import Likelihood, likelihood_and_gradients
 from recon.gaussians.model import GaussianModel
+from recon.gaussians.on_curve.directions import along
 from recon.gaussians.processes import ALONE, Processes
 from recon.gaussians.settings import OptimizerSettings
 from recon.gaussians.voxel_prior import VoxelPrior
@@ -179,7 +183,10 @@ class Objective:
         held = None if self.prior is None else self.prior.held_coefficients(gaussians)
         if held is not None:
             added = added + settings.holding * held * diagonal
-        return Curvature(torch.linalg.inv(blocks + torch.diag_embed(added)), metric)
+        whole = blocks + torch.diag_embed(added)
+        if self.prior is not None and self.prior.on_curve is not None:
+            return Curvature(along(whole, self.prior.on_curve.directions(cast(DividedGaussians, gaussians))), metric)
+        return Curvature(torch.linalg.inv(whole), metric)
 
     def _to_all_views(self, views: Int[np.ndarray, " view"]) -> Float[np.ndarray, " gaussian"]:
         """Divide the number of views of the scan that see a Gaussian by that of some of them, at least 1.

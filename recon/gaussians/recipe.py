@@ -18,6 +18,7 @@ from recon.gaussians.settings import (
     check_positive,
 )
 from spectra.errors import InputError
+from spectra.materials.material_curve import MaterialCurve
 
 KERNELS = ("interface", "gaussian")
 RESIDUAL_PASSES = 4  # over the views, of `recon fit --residual`; later ones gain little
@@ -95,6 +96,8 @@ class Recipe:
     optimizer : how steps are made and when they end
     unseen_rays : which rays no part of a fit uses, and when they decide
     residual : what voxels take of that which Gaussians leave unexplained
+    curve : materials of the object; then coefficients stay on their curve (`recon.gaussians.on_curve`), and one
+        channel determines them; None for coefficients of all bases
     """
 
     name: str = "own"
@@ -130,6 +133,7 @@ class Recipe:
     optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
     unseen_rays: UnseenRaysSettings = field(default_factory=UnseenRaysSettings)
     residual: ResidualSettings = field(default_factory=ResidualSettings)
+    curve: MaterialCurve | None = None
 
     def __post_init__(self) -> None:
         check_positive(self, "recipe", others=_ANY_SIGN)
@@ -139,6 +143,10 @@ class Recipe:
             raise InputError("a recipe needs at least one stage")
         if self.kernel not in KERNELS:
             raise InputError(f"recipe kernel must be {' or '.join(KERNELS)}, got {self.kernel}")
+        if self.curve is not None and (self.kernel != "interface" or not self.prior or self.residual.passes):
+            raise InputError(
+                "Gaussians on a curve of materials need the kernel interface and a voxel prior, and take no residual"
+            )
 
     def steps(self, views: int) -> list[int]:
         """Count the steps of each stage.

@@ -5,7 +5,7 @@ counts, and decide by rays that none of this used whether to keep the result. Th
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -22,6 +22,8 @@ from recon.gaussians.divided.first_gaussians import divided_gaussians
 from recon.gaussians.fitted_grid import read_with_coverage
 from recon.gaussians.initial.first_guess import Scan, first_guess, part_with_gaussians, plain_gaussians, start_method
 from recon.gaussians.model import GaussianModel
+from recon.gaussians.on_curve.directions import AlongCurve
+from recon.gaussians.on_curve.information import mean_information
 from recon.gaussians.optimize import OnStep, fit
 from recon.gaussians.processes import LOCAL, Processes, Resources
 from recon.gaussians.recipe import Recipe
@@ -158,7 +160,8 @@ def reconstruct(
     if processes.first:
         with stage("mark"):
             result = gaussians.volume(dataset.grid)
-            unreliable = unreliable_voxels(result, measured, dataset.grid, recipe.dispersion)
+            if recipe.curve is None:  # on a curve, one number determines all bases
+                unreliable = unreliable_voxels(result, measured, dataset.grid, recipe.dispersion)
     return Reconstruction(
         gaussians,
         start_method(measured, grid, recipe).name,
@@ -187,7 +190,10 @@ def _read(dataset: Dataset, recipe: Recipe, bases: int | None, resources: Resour
 def _mean_information(measured: Measurements, voxel: float, recipe: Recipe) -> Float[np.ndarray, "basis basis"]:
     """Compute the Fisher matrix of line integrals, averaged over the rays of some views."""
     some = measured.completed(every_nth_view(view_groups(measured.exposure), recipe.information_step))
-    return decompose_views(some.binned(matching_bin(measured.geometry, voxel)), recipe.dispersion)[1]
+    coarse = some.binned(matching_bin(measured.geometry, voxel))
+    if recipe.curve is not None:
+        return mean_information(coarse, recipe.curve, recipe.dispersion)
+    return decompose_views(coarse, recipe.dispersion)[1]
 
 
 def _split(measured: Measurements, recipe: Recipe) -> tuple[Measurements, Measurements | None]:
@@ -219,6 +225,8 @@ def _prior_of(
     trust = recipe.prior_along_edges(count_complete_sets(view_groups(fitted.exposure)))
     part = part_with_gaussians(volumes, scan, recipe)
     prior = VoxelPrior.of_volumes(*part, scan.fisher, recipe.prior, trust, recipe.voxel_prior)
+    if recipe.curve is not None:
+        return replace(prior, on_curve=AlongCurve.of_volumes(recipe.curve, *part))
     return prior.holding_kedges(scan.measured.basis_names)
 
 

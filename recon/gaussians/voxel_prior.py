@@ -19,6 +19,7 @@ from torch import Tensor
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.volume_edges import VolumeEdges, metal_without_agents, over_metal
 from recon.gaussians.model import GaussianModel
+from recon.gaussians.on_curve.directions import AlongCurve
 from recon.gaussians.settings import PriorSettings
 from recon.ops.voxelize import mass_within
 
@@ -36,6 +37,7 @@ class VoxelPrior:
     strength : lambda, information of the prior over that of the data where the trust is 1 [no unit]
     trust : w of each voxel, 0 to 1 [no unit]
     metal : density over that of the least dense metal, at least 1 [no unit]; None where no coefficients are held
+    on_curve : where on a curve of materials the volumes are; None for coefficients of all bases
     settings : how the term is evaluated
     """
 
@@ -44,6 +46,7 @@ class VoxelPrior:
     strength: float
     trust: Float[np.ndarray, "z y x"]
     metal: Float[np.ndarray, "z y x"] | None = None
+    on_curve: AlongCurve | None = None
     settings: PriorSettings = DEFAULT
 
     @classmethod

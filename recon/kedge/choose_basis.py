@@ -6,7 +6,7 @@ from typing import Any
 
 from phantomgen.dataset.reader import Dataset
 from recon.gaussians.recipe import Recipe
-from recon.kedge.basis_names import CURVE, Asked, OnCurve, named_basis
+from recon.kedge.basis_names import Asked, OnCurve, with_named
 from recon.kedge.edge_likelihood import EdgeLikelihood, Functions
 from recon.kedge.elements import plain_alternatives, settle_elements
 from recon.kedge.judgement import LEAST_SCORE, Judgement, judge, judge_by_neighbours
@@ -83,8 +83,8 @@ def choose_basis(dataset: Dataset, bases: Asked = None, edges: Sequence[float] |
     Parameters
     ----------
     dataset : an open dataset
-    bases : number of functions, or names of functions of the file, which are not judged; None for those that the data
-        warrant
+    bases : number of functions, or names of functions of the file, which are not judged; for a curve of materials all
+        without a K edge; None for those that the data warrant
     edges : None to use the K edges that the file states; otherwise edges are searched at all energies. Numbers are
         energies to try besides [keV] and fix the number of edges; without numbers, `bases` and the data decide
 
@@ -98,12 +98,11 @@ def choose_basis(dataset: Dataset, bases: Asked = None, edges: Sequence[float] |
         When a K edge was asked for that the channels or the counts do not show, or a name that the file does not have.
     """
     stated = dataset.spectra.basis
-    if isinstance(bases, OnCurve):
-        raise InputError(f"Gaussians do not lie on a curve of materials: --bases {CURVE} is for voxel methods")
     if bases is not None and not isinstance(bases, int):
         if edges is not None:
-            raise InputError("bases are named, and a K edge that is looked for has no name: give their number instead")
-        return BasisChoice(named_basis(stated, bases, dataset.path))
+            how = "lie on a curve of materials" if isinstance(bases, OnCurve) else "are named"
+            raise InputError(f"bases {how}, and a K edge that is looked for has no name: give their number instead")
+        return BasisChoice(with_named(dataset, bases)[0].spectra.basis)
     lowest, highest = dataset.spectra.edges[[0, -1]]
     for energy in edges or ():
         if not lowest < energy < highest:

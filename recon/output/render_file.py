@@ -64,7 +64,7 @@ def views_of_dataset(run: Run, path: Path) -> Views:
         if dataset.spectra.basis.names[: len(names)] != names:
             others = ", ".join(dataset.spectra.basis.names)
             raise InputError(f"the model has the bases {', '.join(names)}, but {path} has {others}")
-        one = read_measurements(dataset, np.array([0]), len(names))
+        one = read_measurements(dataset, np.array([0]), len(names), separable=False)
         channels, exposure = dataset.spectra.channels, np.array(dataset.exposure)
         return Views(dataset.geometry, channels, one.transmission, one.gains, exposure, one.profile)
 

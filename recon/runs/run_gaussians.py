@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from recon.gaussians.optimize import Progress
 from recon.gaussians.processes import ALONE, Processes, Resources
 from recon.gaussians.recipe import PLAIN_RECIPES, RECIPES, Recipe, with_count, with_detail, with_residual_in_voxels
 from recon.gaussians.reconstruct import Reconstruction, reconstruct
-from recon.kedge.basis_names import Asked, left_out, with_named
+from recon.kedge.basis_names import Asked, OnCurve, left_out, with_named
 from recon.kedge.choose_basis import BasisChoice, choose_basis
 from recon.kedge.report import draw_choice
 from recon.published_methods.paper.recipe import PaperRecipe
@@ -29,6 +29,9 @@ from recon.runs.outcomes.volume_outcome import VolumeOutcome
 from recon.runs.unfinished_run import Interruption, PartialRun
 from recon.runs.write_run import Stopped
 from recon.voxel.initial_volumes import check_directions
+from spectra.errors import InputError
+
+AnyRecipe = TypeVar("AnyRecipe", bound=Recipe | PaperRecipe)
 
 
 class Fitted(NamedTuple):
@@ -69,7 +72,7 @@ class GaussianRun:
     device: str = "cpu"
 
     def check(self, dataset: Dataset) -> None:
-        """Refuse a scan whose views all have the same direction.
+        """Refuse a scan whose views all have the same direction, and a recipe that takes no curve of materials.
 
         Parameters
         ----------
@@ -79,8 +82,11 @@ class GaussianRun:
         ------
         GeometryError
             When it is such a scan.
+        InputError
+            When a curve is asked for and the recipe takes none.
         """
         check_directions(dataset.geometry[dataset.splits["train"]])
+        on_curve(self.recipe, self.bases, dataset)
 
     def reconstruct(self, dataset: Dataset, folder: Path | None, clock: Stopwatch, watcher: Watcher) -> VolumeOutcome:
         """Choose the basis and fit Gaussians to the training views; continue from a checkpoint in the folder.
@@ -102,9 +108,10 @@ class GaussianRun:
             When Ctrl-C ended the fit after a step; the model is in the folder.
         """
         stated, fitted = dataset.spectra.basis.names, self._fitted(dataset, clock, watcher)
+        recipe = on_curve(self.recipe, self.bases, fitted.dataset)
         unfinished = None
         if folder is not None:
-            options = {"grid": dataset.grid, **{f.name: getattr(self.recipe, f.name) for f in fields(self.recipe)}}
+            options = {"grid": dataset.grid, **{f.name: getattr(recipe, f.name) for f in fields(recipe)}}
             unfinished = PartialRun(folder, dataset.spectra.channels, options)
         last: list[Progress] = []
         with Interruption() as interruption:
@@ -116,15 +123,15 @@ class GaussianRun:
                 watcher.step(progress)
                 return interruption.asked
 
-            if isinstance(self.recipe, PaperRecipe):
-                result = reconstruct_paper(fitted.dataset, self.recipe, fitted.count, watcher.stage, on_step)
+            if isinstance(recipe, PaperRecipe):
+                result = reconstruct_paper(fitted.dataset, recipe, fitted.count, watcher.stage, on_step)
             else:
                 place = folder or Path()
-                plan = self._memory_plan(fitted, self.recipe, place, clock)
+                plan = self._memory_plan(fitted, recipe, place, clock)
                 with array_store(place, plan.on_disk) as store:
                     result = reconstruct(
                         fitted.dataset,
-                        self.recipe,
+                        recipe,
                         fitted.count,
                         watcher.stage,
                         on_step,
@@ -134,7 +141,7 @@ class GaussianRun:
                     )
         clock.seconds.update(result.seconds)
         missing = left_out(stated, result.gaussians.basis_names)
-        outcome = outcome_of_fit(fitted.dataset, self.recipe, result, fitted.choice, missing)
+        outcome = outcome_of_fit(fitted.dataset, recipe, result, fitted.choice, missing)
         if unfinished is None:
             return outcome
         if interruption.asked and last and last[0].step < last[0].steps:
@@ -208,6 +215,31 @@ def chosen_recipe(
     )
 
 
+def on_curve(recipe: AnyRecipe, bases: Asked, dataset: Dataset) -> AnyRecipe:
+    """Add the curve of materials to a recipe where one is asked for.
+
+    Parameters
+    ----------
+    recipe : without a curve
+    bases : basis functions as a user asks for them
+    dataset : whose basis functions and spectrum the curve has
+
+    Returns
+    -------
+    the recipe with the curve, or as it is
+
+    Raises
+    ------
+    InputError
+        When the recipe takes no curve.
+    """
+    if not isinstance(bases, OnCurve):
+        return recipe
+    if isinstance(recipe, PaperRecipe):
+        raise InputError("the recipe paper takes no curve of materials: take the recipe fast or best, or other bases")
+    return replace(recipe, curve=bases.curve(with_named(dataset, bases)[0]))
+
+
 def outcome_of_fit(
     dataset: Dataset,
     recipe: Recipe | PaperRecipe,
@@ -236,6 +268,8 @@ def outcome_of_fit(
     }
     about |= {"start": result.start, "notes": [*result.told, *result.notes]}
     about |= {} if choice is None else {"basis_choice": choice.record()}
+    if isinstance(recipe, Recipe) and recipe.curve is not None:
+        about |= {"curve": asdict(recipe.curve)}
     about |= {"recipe": recipe.description if isinstance(recipe, PaperRecipe) else recipe.name}
     settings = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(recipe).items()}
     return VolumeOutcome(

@@ -55,7 +55,7 @@ class VoxelRun:
         dataset : open dataset, of which counts are not read
         """
         check_method(self.method, self.pipeline, dataset)
-        check_curve(self.method, isinstance(self.bases, OnCurve), dataset)
+        check_curve(self.method, self._on_curve, dataset)
 
     def reconstruct(self, dataset: Dataset, folder: Path | None, clock: Stopwatch, watcher: Watcher) -> VolumeOutcome:
         """Reconstruct volumes from the training views.
@@ -73,7 +73,7 @@ class VoxelRun:
         """
         stated = dataset.spectra.basis.names
         dataset, count = with_named(dataset, self.bases)
-        method, on_curve = self.method, isinstance(self.bases, OnCurve)
+        method, on_curve = self.method, self._on_curve
         if isinstance(self.bases, OnCurve):
             method = replace(method, curve=self.bases.curve(dataset))  # type: ignore[type-var] - methods are dataclasses
         log = IterationLog(folder, dataset.grid, dataset.spectra.basis.names[:count])
@@ -103,6 +103,11 @@ class VoxelRun:
             {"dataset": dataset.path.name, "method": settings}, settings, node_error, Voxels(with_margin, grid, names),
             covered, unreliable, left_out(stated, names), log=log,
         )  # fmt: skip
+
+    @property
+    def _on_curve(self) -> bool:
+        """Whether coefficients lie on a curve of materials: one that is asked for, or that of a stored run."""
+        return isinstance(self.bases, OnCurve) or getattr(self.method, "curve", None) is not None
 
 
 def reconstruct_volumes(

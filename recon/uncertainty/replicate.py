@@ -127,7 +127,7 @@ class Replicate(Dataset):
 
     def _drawn(self, view: int) -> Image:
         """Draw the reading of a view."""
-        one = read_measurements(self.measured, np.array([view]), len(self.model.basis_names))
+        one = read_measurements(self.measured, np.array([view]), len(self.model.basis_names), separable=False)
         expected, unit = expected_quanta(one, self.model), self.spectra.quantum[:, None, None]
         exposed = one.gains * one.exposure[0][:, None, None]
         floor = without_floor(one.transmission)[1][:, None, None] * exposed

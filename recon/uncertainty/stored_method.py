@@ -80,8 +80,9 @@ def _built(kind: type, settings: dict[str, Any]) -> Any:
 
 def _value(hint: Any, value: Any) -> Any:
     """Value of a field; lists become tuples, and mappings dataclasses."""
-    if is_dataclass(hint) and isinstance(hint, type):
-        return _built(hint, value)
+    kinds = [kind for kind in (hint, *get_args(hint)) if is_dataclass(kind) and isinstance(kind, type)]
+    if kinds and isinstance(value, dict):
+        return _built(kinds[0], value)
     if get_origin(hint) is tuple:
         inner = get_args(hint)
         each = [inner[0]] * len(value) if inner[-1] is Ellipsis else inner

@@ -7,13 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from recon.data.volume_edges import occupied_voxels
 from recon.readouts.quantity import Quantity, in_pieces, quantity
 from recon.readouts.readouts import Readouts
 from recon.readouts.spectrum import detected_spectrum
 from recon.runs.read_run import StoredModel, open_model, read_run
 from recon.uncertainty.estimate import Uncertainty
-
-OCCUPIED = 0.02  # of the largest value of a basis; a voxel that holds less of every basis is air
 
 
 class Row(NamedTuple):
@@ -68,20 +67,6 @@ def summary(folder: Path, uncertainty: Uncertainty) -> Summary:
         found = uncertainty.replicates.quantity(shown)
         rows.append(_row(shown.about, shown.unit, in_pieces(shown, volumes), found.deviation, occupied))
     return Summary(tuple(rows))
-
-
-def occupied_voxels(volumes: Float[np.ndarray, "basis z y x"]) -> Bool[np.ndarray, "z y x"]:
-    """Find the voxels that are not air.
-
-    Parameters
-    ----------
-    volumes : basis coefficients [1/mm]
-
-    Returns
-    -------
-    True where a basis exceeds `OCCUPIED` of its largest value
-    """
-    return (volumes > OCCUPIED * volumes.max(axis=(1, 2, 3), keepdims=True)).any(axis=0)
 
 
 def main_quantities(stored: StoredModel) -> list[Quantity]:

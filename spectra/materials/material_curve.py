@@ -99,6 +99,20 @@ class MaterialCurve:
         beyond = attenuation - nodes[segment]
         return np.stack([row[segment] + slope[segment] * beyond for row, slope in zip(rows, slopes, strict=True)])
 
+    def attenuation_of(self, coefficients: Float[np.ndarray, "basis *shape"]) -> Float[np.ndarray, "*shape"]:
+        """Compute the attenuation of coefficients on the curve; the inverse of `values`.
+
+        Parameters
+        ----------
+        coefficients : of each basis [1/mm]
+
+        Returns
+        -------
+        attenuation at `energy` [1/mm]
+        """
+        functions = np.linalg.lstsq(np.array(self.coefficients), np.array(self.attenuations), rcond=None)[0]
+        return np.tensordot(functions.astype(coefficients.dtype), coefficients, 1)
+
     def slopes(self, attenuation: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "basis *shape"]:
         """Compute the derivatives of the coefficients in the attenuation; at a material, that towards denser ones.
 

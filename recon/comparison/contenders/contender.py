@@ -27,7 +27,7 @@ class Contender:
     best : whether the fit takes its longer recipe
     plain : whether the fit has plain Gaussians, without planes
     image : whether channels are reconstructed one by one, and decomposed in the voxels afterwards
-    curve : whether voxels lie on the standard curve of materials, as for ``--bases curve``
+    curve : whether coefficients lie on the standard curve of materials, as for ``--bases curve``
     bases : number of basis functions; None for all, and for ``gaussian`` for those that the counts warrant
     views : number of training views to use, evenly spread; None for all
     blind : channel that is not used; None for none
@@ -51,7 +51,7 @@ class Contender:
 
     @property
     def on_curve(self) -> bool:
-        """Whether voxels lie on a curve of materials, by choice or because the method needs it."""
+        """Whether coefficients lie on a curve of materials, by choice or because the method needs it."""
         return self.curve or self.method in NEED_CURVE
 
     def __str__(self) -> str:
@@ -102,7 +102,7 @@ def contender(word: str) -> Contender:
     for change in changes:
         if change == "image" and method not in (GAUSSIAN, PAPER):
             found["image"] = True
-        elif change == "curve" and method in ON_CURVE and method not in NEED_CURVE:
+        elif change == "curve" and method in (GAUSSIAN, *ON_CURVE) and method not in NEED_CURVE:
             found["curve"] = True
         elif change in ("best", "plain") and method == GAUSSIAN:
             found[change] = True

@@ -27,10 +27,12 @@ from recon.gaussians.optimize import Progress
 from recon.gaussians.recipe import BEST, FAST, PLAIN_BEST, PLAIN_FAST
 from recon.gaussians.reconstruct import reconstruct
 from recon.gaussians.state import FitState, InterruptedFit
+from recon.kedge.basis_names import OnCurve
 from recon.kedge.choose_basis import choose_basis
 from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.paper.reconstruct import reconstruct_paper
 from recon.runs.expected_cost import TIMED_STEPS, seconds_of_steps
+from recon.runs.run_gaussians import on_curve
 
 RESERVE = 0.95  # part of the rest of a budget that is planned; the rest allows for steps slower than the first ones
 GROWTH = 2.0  # ratio of the mean time of a step of the paper's method to that of its first steps: it adds Gaussians
@@ -90,9 +92,10 @@ def run_gaussian(dataset: Dataset, contender: Contender, clock: Clock, new: NewR
     the runs
     """
     clock.start()
-    dataset = dataset.with_basis(choose_basis(dataset, contender.bases).basis)
+    bases = OnCurve() if contender.on_curve else contender.bases
+    dataset = dataset.with_basis(choose_basis(dataset, bases).basis)
     recipes = (PLAIN_FAST, PLAIN_BEST) if contender.plain else (FAST, BEST)
-    recipe, beginning = recipes[contender.best], _Beginning(clock)
+    recipe, beginning = on_curve(recipes[contender.best], bases, dataset), _Beginning(clock)
     timed = _Timed(beginning)
     reconstruct(dataset, recipe, on_stage=beginning.stage, on_step=timed, checkpoints=beginning)
     clock.stop()

@@ -76,7 +76,8 @@ def start_method(measured: Measurements, grid: Grid, recipe: Recipe, device: str
     if not recipe.prior:
         return starting_method(measured.geometry, grid)
     coarse = OneStep().levels[:-1]
-    return OneStep(levels=(*coarse, (1, recipe.voxel_passes)), least_fall=recipe.voxel_fall, device=device)
+    levels = (*coarse, (1, recipe.voxel_passes))
+    return OneStep(levels=levels, least_fall=recipe.voxel_fall, device=device, curve=recipe.curve)
 
 
 def first_guess(

@@ -17,6 +17,7 @@ from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.guarded import Guard
 from phantomgen.runtime.versions import environment
 from recon.data.coverage import Coverage, seen_by_all_views
+from recon.data.volume_edges import occupied_voxels
 from recon.evaluation import verdict
 from recon.evaluation.scoring import psnr_of_bases, score_start, score_test_views, score_truth
 from recon.figures.model_figures import draw_model
@@ -27,8 +28,6 @@ from recon.runs.write_run import write_volumes
 from recon.voxel.model import Voxels
 from recon.voxel.unreliable import Unreliable
 from spectra.transmission import Transmission
-
-OCCUPIED = 0.02  # of the largest value of a basis; a voxel that holds less of every basis counts as empty
 
 
 @runtime_checkable
@@ -104,9 +103,8 @@ class VolumeOutcome:
 
     @property
     def _occupied(self) -> int:
-        """Number of voxels that hold more than `OCCUPIED` of the largest value of a basis."""
-        peaks = self.volumes.max(axis=(1, 2, 3), keepdims=True)
-        return int((self.volumes > OCCUPIED * peaks).any(axis=0).sum())
+        """Number of voxels that are not air."""
+        return int(occupied_voxels(self.volumes).sum())
 
     def write(self, folder: Path) -> None:
         """Write model, settings, the record of the scan, and volumes.

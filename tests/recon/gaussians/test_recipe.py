@@ -10,7 +10,7 @@ from recon.gaussians.recipe import FAST, PLAIN_BEST, PLAIN_FAST, Recipe, Stage
 from recon.gaussians.settings import PriorSettings
 from spectra.errors import InputError
 
-UNCHOSEN = ("name", "seed", "held_out")  # what a user gives
+UNCHOSEN = ("curve", "name", "seed", "held_out")  # what a user gives
 
 
 def is_group(field):

@@ -1,0 +1,1 @@
+"""Gaussians whose coefficients stay on a curve of materials, which one channel determines."""
