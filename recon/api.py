@@ -265,8 +265,8 @@ def fit(
         scan with one channel a curve of materials, ``"curve"`` or ``"curve:water,Ti"``; those that the counts warrant
         where left out
     edges : where to look for K edges [keV], see `recon.kedge.choose_basis.choose_basis`; None to believe the dataset
-    scatter : estimate of scatter that is taken away: ``"compton"``, ``"compton:FACTOR"``, ``"compton:fit"``, or
-        ``"kernel:RATIO,WIDTH"`` with the width in mm; None for none
+    scatter : estimate of scatter that is taken away: ``"compton"``, ``"compton:FACTOR"``, ``"compton:fit"``,
+        ``"compton:fit-channels"``, or ``"kernel:RATIO,WIDTH"`` with the width in mm; None for none
     callbacks : functions, or objects with a method ``on_step``, that get a `recon.gaussians.optimize.Progress` after
         every step and end the fit by returning True; objects may have a method ``on_end`` that gets the finished `Fit`;
         see `recon.EarlyStop`

@@ -2,9 +2,9 @@
 
     python -m benchmarks.reconstruction.scatter [--threads N] [SCENE ...]
 
-Scenes are `kedge-small` without scatter, with single Compton scatter, with the same behind an anti-scatter grid, and
-with a kernel of 0.3 times the primary signal. Each is fitted as `recon fit` does without options, with the values of
-`--scatter` named in the rows.
+Scenes are `kedge-small` without scatter, with single Compton scatter, with the same behind an anti-scatter grid, with
+the same times 1.6, 1.3, 1 and 0.7 in the four channels, and with a kernel of 0.3 times the primary signal. Each is
+fitted as `recon fit` does without options, with the values of `--scatter` named in the rows.
 
 A row states the ratio of estimated to simulated scatter, mean over all views, channels and pixels; PSNR [dB] and
 bias [1/km] of each basis volume; the largest chi-square of a channel of the test views away from edges; and seconds of
@@ -18,10 +18,13 @@ import tempfile
 import time
 from pathlib import Path
 
+import h5py
 import numpy as np
+from jaxtyping import Float
 
 import phantomgen
 from benchmarks.result_rows import store
+from phantomgen.dataset.file import DETECTOR, seal_file
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import read_truth
 from recon.evaluation.scoring import score_test_views, score_truth
@@ -35,25 +38,44 @@ PRESET = "kedge-small"
 COMPTON, KERNEL = "effects.scatter={type: compton}", "effects.scatter={type: kernel, ratio: 0.3, width: 60}"
 SCENES: dict[str, tuple[list[str], list[str]]] = {  # changes of the preset, and values of --scatter
     "none": ([], ["", "compton:fit"]),
-    "compton": ([COMPTON], ["", "compton", "compton:fit"]),
+    "compton": ([COMPTON], ["", "compton", "compton:fit", "compton:fit-channels"]),
     "grid": ([COMPTON, "effects.grid={primary: 0.7, scatter: 0.1}"], ["", "compton:0.142857", "compton:fit"]),
-    "kernel": ([KERNEL], ["", "kernel:0.3,60", "compton:fit"]),
+    "channels": ([COMPTON], ["", "compton:1.6,1.3,1,0.7", "compton:fit", "compton:fit-channels"]),
+    "kernel": ([KERNEL], ["", "kernel:0.3,60", "kernel:fit,60", "compton:fit"]),
 }
-NAMED = 28  # characters of a row for its scene and treatment
+FACTORS = {"channels": (1.6, 1.3, 1.0, 0.7)}  # of the scatter in each channel, else 1
+Images = Float[np.ndarray, "view channel row column"]
+NAMED = 32  # characters of a row for its scene and treatment
 HEADER = (
-    f"{'scatter':<10}{'--scatter':<18}{'estimate':>9}{'PSNR [dB]':>22}{'bias [1/km]':>24}{'chi-square':>12}"
+    f"{'scatter':<10}{'--scatter':<22}{'estimate':>9}{'PSNR [dB]':>22}{'bias [1/km]':>24}{'chi-square':>12}"
     f"{'s':>6}{'s':>6}"
 )
 
 
-def simulated(changes: list[str], folder: Path) -> float:
-    """Mean scattered signal of a scene, from two scans without noise."""
-    means = []
-    for name, overrides in (("with", changes), ("without", [c for c in changes if "scatter=" not in c])):
+def simulated(changes: list[str], folder: Path) -> tuple[Images, Images]:
+    """Counts without scatter, and the scattered signal, from two scans without noise."""
+    counts = []
+    for name, overrides in (("without", [c for c in changes if "scatter=" not in c]), ("with", changes)):
         scene = phantomgen.load(PRESET, [*overrides, "noise=false"])
         with phantomgen.make(scene, out=folder / f"{name}.h5", overwrite=True) as dataset:
-            means.append(float(dataset.load().mean(dtype=np.float64)))
-    return means[0] - means[1]
+            counts.append(dataset.load().astype(np.float64))
+    return counts[0], counts[1] - counts[0]
+
+
+def scan_of(scene: str, folder: Path) -> tuple[Dataset, float]:
+    """A scan with noise, and its mean scattered signal; factors of channels are put into its counts."""
+    changes = SCENES[scene][0]
+    plain, scattered = simulated(changes, folder)
+    path = folder / f"{scene}.h5"
+    phantomgen.make(phantomgen.load(PRESET, changes), out=path, overwrite=True).close()
+    if scene in FACTORS:
+        scattered *= np.reshape(FACTORS[scene], (1, -1, 1, 1))
+        with h5py.File(path, "r+") as file:
+            found = file[f"{DETECTOR}/data"]
+            assert isinstance(found, h5py.Dataset)
+            found[...] = np.random.default_rng(0).poisson(plain + scattered).astype(found.dtype)
+        seal_file(path)
+    return phantomgen.open_dataset(path), float(scattered.mean())
 
 
 def row_of(scene: str, treatment: str, dataset: Dataset, scattered: float) -> str:
@@ -77,7 +99,7 @@ def row_of(scene: str, treatment: str, dataset: Dataset, scattered: float) -> st
     bias = " / ".join(f"{1e6 * scores['bias']:.1f}" for scores in basis.values())
     worst = max(scores["chi_square_away"] for scores in views.values())
     seconds = f"{estimated - began:>6.0f}{ended - estimated:>6.0f}"
-    return f"{scene:<10}{treatment or 'ignored':<18}{ratio:>9}{decibels:>22}{bias:>24}{worst:>12.2f}{seconds}"
+    return f"{scene:<10}{treatment or 'ignored':<22}{ratio:>9}{decibels:>22}{bias:>24}{worst:>12.2f}{seconds}"
 
 
 @without_other_pools()
@@ -92,11 +114,9 @@ def main() -> None:
     print(HEADER)
     with tempfile.TemporaryDirectory() as folder:
         for scene in asked.scenes:
-            changes, treatments = SCENES[scene]
-            scattered = simulated(changes, Path(folder))
-            path = Path(folder) / f"{scene}.h5"
-            with phantomgen.make(phantomgen.load(PRESET, changes), out=path, overwrite=True) as dataset:
-                for treatment in treatments:
+            opened, scattered = scan_of(scene, Path(folder))
+            with opened as dataset:
+                for treatment in SCENES[scene][1]:
                     row = row_of(scene, treatment, dataset, scattered)
                     store(TABLE, [f"{platform.machine()}, {thread_count()} threads", HEADER], row, NAMED)
                     print(row, flush=True)

@@ -220,7 +220,8 @@ def _check_curve(method: str, recipe: _RecipeOptions, approach: _Approach) -> No
     "--scatter",
     metavar="MODEL",
     help="Subtract scatter: compton (of the object, computed in turns with large voxels), compton:FACTOR, "
-    "compton:fit, or kernel:RATIO,WIDTH (mm) of the counts.",
+    "compton:fit (one factor), compton:fit-channels, or kernel:RATIO,WIDTH (mm) of the counts, with fit or "
+    "fit-channels in place of the ratio.",
 )
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
 @click.option(

@@ -12,7 +12,7 @@ from phantomgen.dataset.reader import Dataset
 from phantomgen.effects.scatter import ScatterKernel
 from phantomgen.effects.smooth_signal import SmoothSignal
 from recon.kedge.basis_names import Asked
-from recon.scatter.estimate import Compton, ScatterModel, estimate_scatter
+from recon.scatter.estimate import Compton, FittedKernel, ScatterModel, estimate_scatter
 from recon.voxel.method import OnIteration, no_callback
 from spectra.errors import InputError
 
@@ -20,8 +20,9 @@ SCATTER = "scatter.safetensors"  # file in a run folder
 _NAME = "scatter"
 _ABOUT = "expected scattered signal per pixel at exposure 1 and gain 1: view, channel, place along rows, along columns"
 _FORMS = (
-    "--scatter takes compton, compton:FACTOR, compton:fit, or kernel:RATIO,WIDTH with the width in mm, such as "
-    "kernel:0.3,60"
+    "--scatter takes compton, compton:FACTOR, compton:FACTOR,FACTOR,... (one per channel), compton:fit, "
+    "compton:fit-channels, or kernel:RATIO,WIDTH with the width in mm, such as kernel:0.3,60, where fit or "
+    "fit-channels may take the place of the ratio"
 )
 
 
@@ -146,7 +147,8 @@ def parse_scatter(text: str | None) -> ScatterModel | None:
 
     Parameters
     ----------
-    text : ``compton``, ``compton:FACTOR``, ``compton:fit``, ``kernel:RATIO,WIDTH``, or None
+    text : ``compton``, ``compton:FACTOR`` (one, or one per channel with commas), ``compton:fit``,
+        ``compton:fit-channels``, ``kernel:RATIO,WIDTH``, ``kernel:fit,WIDTH``, ``kernel:fit-channels,WIDTH``, or None
 
     Returns
     -------
@@ -160,16 +162,19 @@ def parse_scatter(text: str | None) -> ScatterModel | None:
     if text is None:
         return None
     word, _, rest = text.strip().partition(":")
-    parts = rest.split(",") if rest else []
+    fits, parts = {"fit": False, "fit-channels": True}, rest.split(",") if rest else []
+    each = fits.get(parts[0].strip()) if parts else None  # None: nothing is fitted
     try:
-        numbers = [None if part == "fit" else float(part) for part in parts]
+        numbers = [float(part) for part in parts[each is not None :]]
     except ValueError:
         raise InputError(f"{_FORMS}; got {text!r}") from None
-    match word, numbers:
-        case "compton", []:
-            return Compton()
-        case "compton", [factor]:
-            return Compton(factor)
-        case "kernel", [float(ratio), float(width)]:
+    match word, each, numbers:
+        case "compton", None, _:
+            return Compton(tuple(numbers) or (1.0,))
+        case "compton", bool(each_channel), []:
+            return Compton(None, each_channel)
+        case "kernel", None, [ratio, width]:
             return ScatterKernel(ratio, width)
+        case "kernel", bool(each_channel), [width]:
+            return FittedKernel(width, each_channel)
     raise InputError(f"{_FORMS}; got {text!r}")

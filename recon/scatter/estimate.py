@@ -1,5 +1,6 @@
 """Estimates of scatter: from volumes that are reconstructed in turns with it, or from the counts by a kernel."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 
@@ -11,8 +12,9 @@ from phantomgen.effects.scatter import ScatterKernel
 from phantomgen.effects.smooth_signal import SmoothSignal, spline_weights
 from recon.data.measurements import read_measurements
 from recon.kedge.basis_names import Asked
-from recon.scatter.coarse_fit import CoarseFit
 from recon.scatter.compton import compton_signal
+from recon.scatter.factors import factor_between, factors_near
+from recon.scatter.voxel_fit import VoxelFit
 from recon.voxel.method import OnIteration, no_callback
 from spectra.errors import InputError
 
@@ -20,8 +22,10 @@ from spectra.errors import InputError
 # kedge-small, scatter is 12 % too large with 16 voxels, 5 % with 32 and 2 % with 64; a third reconstruction changes it
 # by 0.3 %
 TURNS = (24, 48)
+FINE = 128  # voxels along the longest axis, at least where the grid has them; of reconstructions that refine factors
 # subtractions of the kernel's scatter at most, and relative change of scatter at which they end; chosen by hand
 KERNEL_TURNS, KERNEL_CHANGE = 50, 3e-4
+FIRST_RATIO = 0.1  # scatter over primary signal that a fit begins with; chosen by hand, not measured
 LEAST_PRIMARY = 0.02  # part of the counts that a kernel leaves as primary signal; chosen by hand, not measured
 
 
@@ -31,23 +35,48 @@ class Compton:
 
     Parameters
     ----------
-    factor : of the computed scatter, such as what a grid lets through, or above 1 for multiple scatter; None for the
-        factor that explains the counts best
+    factors : of the computed scatter, one for all channels or one for each, such as what a grid lets through, or above
+        1 for multiple scatter; None for those that explain the counts best
+    each_channel : whether each channel has a factor of its own where they are fitted
 
     Raises
     ------
     InputError
-        When the factor is negative or not finite.
+        When a factor is negative or not finite.
     """
 
-    factor: float | None = 1.0
+    factors: tuple[float, ...] | None = (1.0,)
+    each_channel: bool = False
 
     def __post_init__(self) -> None:
-        if self.factor is not None and not 0 <= self.factor < np.inf:
-            raise InputError(f"a factor of scatter must be finite and not negative, got {self.factor:g}")
+        for factor in self.factors or ():
+            if not 0 <= factor < np.inf:
+                raise InputError(f"a factor of scatter must be finite and not negative, got {factor:g}")
 
 
-ScatterModel = Compton | ScatterKernel
+@dataclass(frozen=True)
+class FittedKernel:
+    """A kernel of known width whose ratio of scatter to primary signal is fitted to the counts.
+
+    Parameters
+    ----------
+    width : full width at half maximum [mm]
+    each_channel : whether each channel has a ratio of its own
+
+    Raises
+    ------
+    InputError
+        When the width is not positive.
+    """
+
+    width: float
+    each_channel: bool = False
+
+    def __post_init__(self) -> None:
+        ScatterKernel(FIRST_RATIO, self.width)  # which checks the width
+
+
+ScatterModel = Compton | FittedKernel | ScatterKernel
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,23 +117,80 @@ def estimate_scatter(
     InputError
         When the model does not suit the dataset.
     """
+    channels = dataset.spectra.channels
     if isinstance(model, ScatterKernel):
-        return ScatterEstimate(_by_kernel(dataset, model))
-    coarse = CoarseFit.of(dataset, asked, on_iteration)
+        return ScatterEstimate(_by_kernel(dataset, model, np.ones(len(channels))))
+    fit = VoxelFit.of(dataset, asked, on_iteration)
+    if isinstance(model, FittedKernel):
+        return _fitted_kernel(fit, model)
     if dataset.geometry.is_parallel:
         raise InputError(f"{dataset.path} has parallel rays: Compton scatter needs a source point, take a kernel")
-    current, signal, factor = coarse.dataset, None, 1.0
+    factors = _given_factors(model, channels)
+    current, single = fit.dataset, None
     for voxels in TURNS:
-        single = compton_signal(coarse.dataset, *coarse.volumes(current, voxels))
-        factor = coarse.factor(single, voxels) if model.factor is None else model.factor
-        signal = single.scaled(np.full(len(dataset.spectra.channels), factor))
-        current = coarse.dataset.with_scatter(signal)
-    assert signal is not None
-    return ScatterEstimate(signal, f"factor of Compton scatter {factor:.3g}" if model.factor is None else "")
+        single = compton_signal(fit.dataset, *fit.volumes(current, voxels))
+        if model.factors is None:
+            factors = _one_factor(fit, single, voxels)
+        current = fit.dataset.with_scatter(single.scaled(factors))
+    assert single is not None
+    if model.factors is not None:
+        return ScatterEstimate(single.scaled(factors))
+    factors = _refined(fit, single, factors, model.each_channel)
+    return ScatterEstimate(
+        single.scaled(factors), f"factor of Compton scatter {_listed(factors, channels, model.each_channel)}"
+    )
 
 
-def _by_kernel(dataset: Dataset, kernel: ScatterKernel) -> SmoothSignal:
-    """Scatter of a kernel whose primary signal is what it leaves of the counts (Ohnesorge et al. 1999)."""
+def _given_factors(model: Compton, channels: Sequence[str]) -> Float[np.ndarray, " channel"]:
+    """Factors of all channels that a model states; 1 where they are fitted."""
+    given = model.factors or (1.0,)
+    if len(given) not in (1, len(channels)):
+        raise InputError(
+            f"{len(given)} factors of scatter do not suit the {len(channels)} channels {', '.join(channels)}: give one "
+            "for all, or one for each"
+        )
+    return np.broadcast_to(np.array(given), (len(channels),))
+
+
+def _one_factor(fit: VoxelFit, signal: SmoothSignal, voxels: int) -> Float[np.ndarray, " channel"]:
+    """The same factor in all channels, found with large voxels."""
+    ones = np.ones(signal.values.shape[1])
+    return ones * factor_between(lambda factor: float(fit.slopes(signal, factor * ones, voxels).sum()))
+
+
+def _refined(
+    fit: VoxelFit, signal: SmoothSignal, factors: Float[np.ndarray, " channel"], each_channel: bool
+) -> Float[np.ndarray, " channel"]:
+    """One factor for all channels, or one for each, refined with voxels as small as those of the grid."""
+    shared = np.eye(len(factors)) if each_channel else np.ones((len(factors), 1))
+
+    def slopes(few: Float[np.ndarray, " factor"]) -> Float[np.ndarray, " factor"]:
+        return shared.T @ fit.slopes(signal, shared @ few, FINE)
+
+    return shared @ factors_near(slopes, factors[: shared.shape[1]])
+
+
+def _listed(factors: Float[np.ndarray, " channel"], channels: Sequence[str], each_channel: bool) -> str:
+    """Factors in words."""
+    if not each_channel:
+        return f"{factors[0]:.3g}"
+    return ", ".join(f"{factor:.3g} ({name})" for factor, name in zip(factors, channels, strict=True))
+
+
+def _fitted_kernel(fit: VoxelFit, model: FittedKernel) -> ScatterEstimate:
+    """Scatter of a kernel whose ratio explains the counts best; the primary signal changes with the ratio."""
+    channels = fit.dataset.spectra.channels
+    kernel, ones = ScatterKernel(FIRST_RATIO, model.width), np.ones(len(channels))
+    factors = _one_factor(fit, _by_kernel(fit.dataset, kernel, ones), TURNS[-1])
+    factors = factors * _refined(fit, _by_kernel(fit.dataset, kernel, factors), ones, model.each_channel)
+    signal = _by_kernel(fit.dataset, kernel, factors)
+    return ScatterEstimate(
+        signal, f"scatter over primary signal {_listed(FIRST_RATIO * factors, channels, model.each_channel)}"
+    )
+
+
+def _by_kernel(dataset: Dataset, kernel: ScatterKernel, factors: Float[np.ndarray, " channel"]) -> SmoothSignal:
+    """Scatter of a kernel, whose primary signal is what it leaves of the counts (Ohnesorge et al. 1999)."""
     panel, quantum = dataset.geometry.panel, dataset.spectra.quantum[:, None, None]
     down = _spline_fit(panel.rows, panel.row_pitch, kernel)
     across = _spline_fit(panel.columns, panel.column_pitch, kernel)
@@ -117,7 +203,7 @@ def _by_kernel(dataset: Dataset, kernel: ScatterKernel) -> SmoothSignal:
         for _ in range(KERNEL_TURNS):
             primary = np.maximum(whole - scattered, LEAST_PRIMARY * whole)
             strength = kernel.strength(primary, beam, panel) if view == 0 else strength
-            before, scattered = scattered, strength * kernel.spread(primary, beam, panel)
+            before, scattered = scattered, factors[:, None, None] * strength * kernel.spread(primary, beam, panel)
             if np.abs(scattered - before).max() <= KERNEL_CHANGE * scattered.max(initial=0.0):
                 break
         gain = np.mean(one.gains, axis=(1, 2), where=one.gains > 0, keepdims=True) * exposure

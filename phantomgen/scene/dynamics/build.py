@@ -39,8 +39,8 @@ def scene_dynamics(
     Raises
     ------
     SceneError
-        Where a signal is unknown or impossible, where an inflow leaves the range from 0 to 1, or where views are
-        divided by a signal that does not repeat.
+        Where a signal is unknown or impossible, where a deformation folds space, where an inflow leaves the range from
+        0 to 1, or where views are divided by a signal that does not repeat.
     """
     model = file.model.time
     if model is None:
@@ -58,6 +58,8 @@ def scene_dynamics(
         phases=None if model.phases is None else _phases(file, model.phases, signals),
         exposure=model.exposure,
     )
+    with file.at("objects"):
+        _check_folds(dynamics)
     lacking = _empty_phases(dynamics, train)
     if lacking and dynamics.phases is not None:
         raise file.error(
@@ -114,6 +116,15 @@ def _phases(file: SceneFile, model: schema.PhasesModel, signals: dict[str, Signa
         if signals[model.signal].cycles(np.zeros(1)) is None:
             raise file.error(place, f"signal {model.signal!r} does not repeat: leave it out to divide the time")
     return Phases(model.count, model.signal)
+
+
+def _check_folds(dynamics: Dynamics) -> None:
+    """Refuse deformations that fold space at some time of the scan."""
+    tried = np.linspace(0.0, dynamics.duration, _TRIED)
+    for motion in {id(motion.lattice): motion for motions in dynamics.motions for motion in motions}.values():
+        values = dynamics.signals[motion.signal].values(tried)
+        for value in (values.min(), values.max()):
+            motion.check_folds(float(value))
 
 
 def _empty_phases(dynamics: Dynamics, train: Int[np.ndarray, " train"]) -> list[int]:

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from phantomgen.scene.dynamics.object_motion import Motions, total_motion
+from phantomgen.scene.dynamics.object_motion import Motions, bends, moved_points, total_motion
 from phantomgen.scene.dynamics.signals import Signal
 from phantomgen.scene.scene_objects import SceneObjects
-from phantomgen.shapes import Placed
+from phantomgen.shapes import Placed, Shape
+from phantomgen.shapes.surfaces import bent, surface_of
 from spectra.errors import InputError
 
 # Instants within the exposure of a view, at the nodes of a Gauss rule, which is exact for motion of degree 5 in time.
@@ -90,9 +91,7 @@ class Dynamics:
         objects = scene.objects
         if any(self.motions):
             objects = tuple(
-                (Placed(shape, matrix[:3, :3], matrix[:3, 3]), content)
-                if motions and not np.array_equal(matrix := total_motion(motions, values), np.eye(4))
-                else (shape, content)
+                (_moved(shape, motions, values), content)
                 for (shape, content), motions in zip(scene.objects, self.motions, strict=True)
             )
         return replace(scene, objects=objects, mixing=self._mixing(len(scene.materials), values, time))
@@ -184,3 +183,13 @@ class Dynamics:
         the same numbers
         """
         return views[np.argsort(self._position[views], kind="stable")]
+
+
+def _moved(shape: Shape, motions: Motions, values: Mapping[str, float]) -> Shape:
+    """An object where it is, in the form that it has."""
+    if not motions:
+        return shape
+    if bends(motions):
+        return bent(surface_of(shape), lambda points: moved_points(motions, values, points))
+    matrix = total_motion(motions, values)
+    return shape if np.array_equal(matrix, np.eye(4)) else Placed(shape, matrix[:3, :3], matrix[:3, 3])

@@ -1,13 +1,14 @@
-"""Motion of an object that follows a signal: shift, rotation and scale around a pivot, and a path."""
+"""Motion of an object that follows a signal: shift, rotation and scale around a pivot, a path, and a deformation."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
 from phantomgen.geometry.rotation import rotation_matrix
+from phantomgen.scene.dynamics.lattice import Lattice
 from spectra.errors import InputError
 
 Triple = tuple[float, float, float]
@@ -29,6 +30,8 @@ class ObjectMotion:
     scale : along x, y and z, where the signal is 1
     path : further shifts at equal steps of the signal from 0 to 1 [mm], (point, 3), joined by a cubic spline
     frame : matrix from the frame that all of these are given in to the world
+    lattice : displacements where the signal is 1, which come before all other motion; None for an object that keeps its
+        form
     """
 
     signal: str
@@ -38,6 +41,7 @@ class ObjectMotion:
     scale: Triple = (1.0, 1.0, 1.0)
     path: tuple[Triple, ...] = ()
     frame: Affine | None = None
+    lattice: Lattice | None = None
 
     def matrix(self, value: float) -> Affine:
         """Compute where the points of the object at rest are.
@@ -86,7 +90,50 @@ class ObjectMotion:
         the motion there
         """
         whole = frame if self.frame is None else frame @ self.frame
-        return ObjectMotion(self.signal, self.pivot, self.shift, self.rotation, self.scale, self.path, whole)
+        return replace(self, frame=whole)
+
+    def points(self, points: Float[np.ndarray, "point 3"], value: float) -> Float[np.ndarray, "point 3"]:
+        """Compute where points of the object at rest are.
+
+        Parameters
+        ----------
+        points : (x, y, z) [mm]
+        value : of the signal
+
+        Returns
+        -------
+        points [mm]
+
+        Raises
+        ------
+        InputError
+            When the object shrinks to nothing.
+        """
+        if self.lattice is not None:
+            frame = np.eye(4) if self.frame is None else self.frame
+            local = _mapped(np.linalg.inv(frame), points)
+            points = _mapped(frame, local + value * self.lattice.displacements(local))
+        return _mapped(self.matrix(value), points)
+
+    def check_folds(self, value: float) -> None:
+        """Refuse a deformation that folds space.
+
+        Parameters
+        ----------
+        value : of the signal
+
+        Raises
+        ------
+        InputError
+            When it does.
+        """
+        place = None if self.lattice is None else self.lattice.fold(value)
+        if place is not None:
+            x, y, z = place
+            raise InputError(
+                f"the deformation folds space at ({x:.3g}, {y:.3g}, {z:.3g}) mm where signal {self.signal!r} is "
+                f"{value:.3g}: give smaller shifts, or points further apart"
+            )
 
 
 Motions = tuple[ObjectMotion, ...]
@@ -109,3 +156,42 @@ def total_motion(motions: Motions, values: Mapping[str, float]) -> Affine:
     for motion in motions:
         total = motion.matrix(values[motion.signal]) @ total
     return total
+
+
+def bends(motions: Motions) -> bool:
+    """Return whether a motion changes the form of an object.
+
+    Parameters
+    ----------
+    motions : of the object and of its groups
+
+    Returns
+    -------
+    True where one has a lattice
+    """
+    return any(motion.lattice is not None for motion in motions)
+
+
+def moved_points(
+    motions: Motions, values: Mapping[str, float], points: Float[np.ndarray, "point 3"]
+) -> Float[np.ndarray, "point 3"]:
+    """Compute where points of an object are.
+
+    Parameters
+    ----------
+    motions : of the object and of its groups
+    values : of the signals by name
+    points : at rest (x, y, z) [mm]
+
+    Returns
+    -------
+    points [mm]
+    """
+    for motion in motions:
+        points = motion.points(points, values[motion.signal])
+    return points
+
+
+def _mapped(matrix: Affine, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 3"]:
+    """Points under an affine map."""
+    return points @ matrix[:3, :3].T + matrix[:3, 3]

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from phantomgen.scene import schema
-from phantomgen.scene.dynamics.object_motion import Motions, ObjectMotion
+from phantomgen.scene.dynamics.lattice import Lattice
+from phantomgen.scene.dynamics.object_motion import Motions, ObjectMotion, bends
 from phantomgen.scene.file.random_values import MOST_OBJECTS
 from phantomgen.scene.file.scene_file import Location, SceneFile, closest
 from phantomgen.scene.materials import check_material
@@ -35,6 +36,7 @@ from phantomgen.shapes import (
     rotation_matrix,
     sweep,
 )
+from phantomgen.shapes.surfaces import surface_of
 
 # Name of an object's material; of a voxel map those of its parts.
 ObjectContent = str | tuple[str, ...]
@@ -129,6 +131,8 @@ def _members(file: SceneFile, models: tuple[schema.ObjectModel, ...], where: Loc
             found = [BuiltObject(_shape(file, model, place), _material(file, model, place))]
         if model.motion is not None:
             motion = _motion(file, model.motion, _center(model, found), place)
+            with file.at(*place, "motion", "deform"):
+                found = [_as_surface(file, item, motion) for item in found]
             found = [item._replace(motions=(*item.motions, motion)) for item in found]
         for copy in _copies(model):
             yield from map(copy, found)
@@ -157,7 +161,18 @@ def _motion(file: SceneFile, model: schema.ObjectMotionModel, center: schema.Vec
         rotation=_radians(model.rotation),
         scale=(x, y, z),
         path=model.path or (),
+        lattice=None if model.deform is None else _lattice(model.deform),
     )
+
+
+def _lattice(model: schema.LatticeModel) -> Lattice:
+    """The displacements of a deformation."""
+    return Lattice(np.array(model.low), np.array(model.high), np.array(model.shifts, dtype=np.float64))
+
+
+def _as_surface(file: SceneFile, item: BuiltObject, motion: ObjectMotion) -> BuiltObject:
+    """An object as a surface of triangles where a motion bends it."""
+    return item._replace(shape=surface_of(item.shape, _fineness(file))) if bends((motion,)) else item
 
 
 def _group(file: SceneFile, model: schema.GroupModel, where: Location) -> Iterator[BuiltObject]:
@@ -201,9 +216,9 @@ def has_curves(file: SceneFile) -> bool:
 
 def _curved(model: schema.ObjectModel) -> bool:
     """Return whether an object, or a part of it, is a smooth surface that becomes triangles."""
+    if isinstance(model, schema.SweepModel) or (model.motion is not None and model.motion.deform is not None):
+        return True
     match model:
-        case schema.SweepModel():
-            return True
         case schema.MeshModel():
             return is_cad(model.file)
         case schema.GroupModel():

@@ -2,12 +2,15 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field, FiniteFloat, PositiveFloat, PositiveInt
+from pydantic import Field, FiniteFloat, PositiveFloat, PositiveInt, model_validator
 
 from phantomgen.scene.schema.base import Model, NonNegative, Size, Vector
 
 Share = Annotated[PositiveFloat, Field(le=1)]
 Deviation = Annotated[NonNegative, Field(le=0.5)]
+MOST_POINTS = 64  # along each axis of a lattice
+LatticeRow = Annotated[tuple[Vector, ...], Field(min_length=1, max_length=MOST_POINTS)]
+LatticeLayer = Annotated[tuple[LatticeRow, ...], Field(min_length=1, max_length=MOST_POINTS)]
 
 
 class SineSignalModel(Model):
@@ -89,12 +92,33 @@ class TimeModel(Model):
     exposure: NonNegative = 0.0
 
 
+class LatticeModel(Model):
+    """Displacements `shifts` [mm] at the points of a lattice from `low` to `high` (x, y, z) [mm].
+
+    They are nested lists: layers along z, of rows along y, of points along x, each with three components. Between the
+    points they follow cubic splines; beyond the lattice they stay as at its faces.
+    """
+
+    low: Vector
+    high: Vector
+    shifts: Annotated[tuple[LatticeLayer, ...], Field(min_length=1, max_length=MOST_POINTS)]
+
+    @model_validator(mode="after")
+    def _is_a_lattice(self) -> "LatticeModel":
+        if any(high <= low for low, high in zip(self.low, self.high, strict=True)):
+            raise ValueError(f"high must exceed low along x, y and z, got {self.low} and {self.high}")
+        rows, columns = len(self.shifts[0]), len(self.shifts[0][0])
+        if any(len(layer) != rows or any(len(row) != columns for row in layer) for layer in self.shifts):
+            raise ValueError("all layers of a lattice have as many rows, and all rows as many points")
+        return self
+
+
 class ObjectMotionModel(Model):
     """Motion of an object: shift [mm], rotation [degree] and scale that it has where the signal is 1.
 
     They are proportional to the signal; an object turns about x, then y, then z, and scales, around its `pivot` [mm],
     which is its centre where left out. A `path` [mm] are further shifts, at equal steps of the signal from 0 to 1,
-    joined by a smooth curve.
+    joined by a smooth curve. `deform` are displacements at points of a lattice, where the signal is 1; they come first.
     """
 
     signal: str
@@ -103,6 +127,7 @@ class ObjectMotionModel(Model):
     scale: PositiveFloat | Size = 1.0
     path: Annotated[tuple[Vector, ...], Field(min_length=2)] | None = None
     pivot: Vector | None = None
+    deform: LatticeModel | None = None
 
 
 class InflowModel(Model):

@@ -1,11 +1,11 @@
-"""Reconstructions with large voxels, which suffice for scatter, and the factor of scatter that explains the counts.
+"""Reconstructions that estimates of scatter need, and how the likelihood changes with scatter.
 
-With scatter s S, expected counts are P + s S, where volumes determine P. The likelihood of the best volumes for each s
-has, by the envelope theorem, the derivative
+With scatter s S in every channel, expected counts are P + s S, where volumes determine P. The likelihood of the best
+volumes for each s has, by the envelope theorem, the derivative
 
     d/ds log L = sum over rays (Y / (P + s S) - 1) S
 
-at these volumes. Its zero is the factor that the counts ask for. Rays beside edges are left out, as large voxels cannot
+at these volumes. Its zero is the factor that the counts ask for. Rays beside edges are left out, as voxels cannot
 explain them.
 """
 
@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import root_scalar
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.effects.smooth_signal import SmoothSignal
@@ -27,18 +26,16 @@ from recon.voxel.iterative.one_step import OneStep
 from recon.voxel.method import OnIteration, no_callback
 from recon.voxel.model import Voxels
 
-PASSES = 10  # passes over the views of each reconstruction, as `OneStep` takes about on its coarsest voxels
+PASSES = 10  # passes over the views with large voxels, as `OneStep` takes about on its coarsest voxels
+MANY = 64  # voxels along the longest axis; reconstructions of as many or more begin with larger voxels
 NODE_TOLERANCE = 1e-3  # no unit; largest error of log counts by few energy nodes, as in `recon.gaussians.recipe.Recipe`
-LARGEST = 16.0  # largest factor that is searched for; chosen by hand, not measured
-SEARCHES = 8  # steps of a search between two factors at most; chosen by hand, not measured
-ENOUGH = 0.02  # change of the factor at which a search ends; far below its error, see docs/howto/scatter.md
 
 Volumes = Float[np.ndarray, "basis z y x"]
 
 
 @dataclass(frozen=True, eq=False)
-class CoarseFit:
-    """Reconstructs a dataset with large voxels.
+class VoxelFit:
+    """Reconstructs a dataset with voxels of any size.
 
     Parameters
     ----------
@@ -54,7 +51,7 @@ class CoarseFit:
     on_iteration: OnIteration = no_callback
 
     @classmethod
-    def of(cls, dataset: Dataset, asked: Asked, on_iteration: OnIteration) -> "CoarseFit":
+    def of(cls, dataset: Dataset, asked: Asked, on_iteration: OnIteration) -> "VoxelFit":
         """Choose the basis functions.
 
         Parameters
@@ -86,53 +83,33 @@ class CoarseFit:
         measured, grid = self._measured(dataset, voxels)
         return self._reconstructed(measured, grid), grid
 
-    def factor(self, signal: SmoothSignal, voxels: int) -> float:
-        """Find the factor of a scattered signal that explains the counts best.
+    def slopes(
+        self, signal: SmoothSignal, factors: Float[np.ndarray, " channel"], voxels: int
+    ) -> Float[np.ndarray, " channel"]:
+        """Compute the derivatives of the log likelihood in the factors of scatter, at the best volumes for them.
 
         Parameters
         ----------
         signal : scattered signal
+        factors : of the signal in each channel
         voxels : along the longest axis of the grid, at least
 
         Returns
         -------
-        the factor, from 0 to `LARGEST`
+        one derivative per channel
         """
-        known: dict[float, float] = {}
-
-        def slope(factor: float) -> float:
-            if factor not in known:
-                known[factor] = self._slope(signal, factor, voxels)
-            return known[factor]
-
-        if slope(0.0) <= 0:
-            return 0.0
-        high = 1.0
-        while slope(high) > 0 and high < LARGEST:
-            high *= 2
-        if slope(high) > 0:
-            return high
-        low = max(factor for factor, value in known.items() if value > 0)
-        found = root_scalar(slope, method="brentq", bracket=(low, high), xtol=ENOUGH, maxiter=SEARCHES)
-        return float(found.root)
-
-    def _slope(self, signal: SmoothSignal, factor: float, voxels: int) -> float:
-        """Derivative of the log likelihood in the factor, at the best volumes for it."""
-        channels = len(self.dataset.spectra.channels)
-        dataset = self.dataset.with_scatter(signal.scaled(np.full(channels, factor)))
+        dataset = self.dataset.with_scatter(signal.scaled(factors))
         measured, grid = self._measured(dataset, voxels)
         model = Voxels(self._reconstructed(measured, grid), grid, measured.basis_names)
-        lengths = model.line_integrals(measured.geometry).numpy()
-        expected = np.moveaxis(
-            measured.transmission.expected(measured.with_profile(np.moveaxis(lengths, 1, -1))), -1, 1
-        )
         scattered = replace(measured, scatter=signal.scaled(1 / dataset.spectra.quantum))
-        total = 0.0
+        total = np.zeros(len(factors))
         for view, image in enumerate(measured.counts):
-            primary = expected[view] * measured.gains * measured.exposure[view, :, None, None]
+            lengths = model.line_integrals(measured.geometry[[view]]).numpy()[0]
+            expected = measured.transmission.expected(measured.with_profile(np.moveaxis(lengths, 0, -1)))
+            primary = np.moveaxis(expected, -1, 0) * measured.gains * measured.exposure[view, :, None, None]
             whole, part = primary + measured.scattered(view), scattered.scattered(view)
             rest = np.divide(image - primary, whole, out=np.zeros_like(primary), where=whole > 0)
-            total += float((rest * part)[:, edge_mask(lengths[view])].sum())
+            total += (rest * part)[:, edge_mask(lengths)].sum(axis=1)
         return total
 
     def _measured(self, dataset: Dataset, voxels: int) -> tuple[Measurements, Grid]:
@@ -146,4 +123,5 @@ class CoarseFit:
     def _reconstructed(self, measured: Measurements, grid: Grid) -> Volumes:
         """Reconstruct by one-step voxels, on the curve of materials where one is asked for."""
         curve = self.asked.curve(self.dataset) if isinstance(self.asked, OnCurve) else None
-        return OneStep(levels=((1, PASSES),), curve=curve).reconstruct_counts(measured, grid, self.on_iteration)
+        levels = ((1, PASSES),) if max(grid.shape) < MANY else OneStep().levels
+        return OneStep(levels=levels, curve=curve).reconstruct_counts(measured, grid, self.on_iteration)
