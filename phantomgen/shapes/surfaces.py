@@ -40,9 +40,9 @@ def surface_of(shape: Shape, fineness: int = 1) -> Mesh:
     InputError
         When it is another shape.
     """
-    terms = shape.terms
-    part = terms[0][0]
-    if len(terms) > 1 or len(terms[0]) > 1 or (part.surface is None and part.kind not in (BALL, CYLINDER, BOX)):
+    parts = [part for term in shape.terms for part in term]
+    part = parts[0]
+    if len(parts) > 1 or (part.surface is None and part.kind not in (BALL, CYLINDER, BOX)):
         raise InputError(
             "a shape that deforms is a sphere, an ellipsoid, a cylinder, a box, a sweep or a mesh, without clip planes "
             f"and not combined, got {type(shape).__name__.lower()}"

@@ -332,8 +332,9 @@ def read_measurements(
     whole = dataset.spectra.transmission()
     if separable and len(whole) < count:
         channels = f"{len(whole)} channel{'s' if len(whole) > 1 else ''}"
-        hint = f": use --bases {min(len(whole), 3)}" if len(whole) > 1 else ": a scan needs a channel for each"
-        raise InputError(f"{channels} cannot tell {count} bases apart{hint}")
+        one = "a scan needs a channel for each, or materials that are known, as with --bases curve"
+        hint = one if len(whole) == 1 else f"use --bases {min(len(whole), 3)}"
+        raise InputError(f"{channels} cannot tell {count} bases apart: {hint}")
     if dataset.spectra.basis.signed:
         raise InputError(
             f"the basis of {dataset.path} ({', '.join(names)}) gives negative coefficients, which no fit here allows: "

@@ -132,9 +132,10 @@ ALONG_X, ALONG_Y = "[[[[-2, 0, 0], [2, 0, 0]]]]", "[[[[0, -2, 0]], [[0, 2, 0]]]]
 @pytest.mark.parametrize(("of_group", "shifts"), [(True, ALONG_Y), (False, ALONG_X)])
 def test_members_of_a_turned_group_bend_in_its_frame_and_with_the_group_in_that_of_the_scene(of_group, shifts):
     motion = "motion: {signal: ramp, deform: {low: [-9, -9, -9], high: [9, 9, 9], shifts: " + shifts + "}}"
+    of_whole, of_member = (motion, "clip: []") if of_group else ("clip: []", motion)
+    member = f"{{type: sphere, material: water, center: [4.5, 0, 0], radius: 1, {of_member}}}"
     scan = bending(
-        f"objects.0={{type: group, center: [0, 0, 3], rotation: [0, 0, 90], {motion if of_group else 'clip: []'}, "
-        f"objects: [{{type: sphere, material: water, center: [4.5, 0, 0], radius: 1, {'clip: []' if of_group else motion}}}]}}"
+        f"objects.0={{type: group, center: [0, 0, 3], rotation: [0, 0, 90], {of_whole}, objects: [{member}]}}"
     )
     low, high = scan.at_time(8.0).scene.objects[0][0].bounds
     assert (low + high) / 2 == pytest.approx([0, 5.5, 3], abs=1e-9)
