@@ -36,7 +36,7 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     def call(*args: Any, **kwargs: Any) -> Any:
         __tracebackhide__ = True
         nonlocal checking
-        if config.jaxtyping_disable:
+        if config.jaxtyping_disable or sys.is_finalizing():
             return function(*args, **kwargs)
         call.calls += 1
         if call.calls > ALL_OF and call.calls % ONE_OF:
