@@ -125,6 +125,9 @@ def main() -> None:
     asked = parser.parse_args()
     if unknown := set(asked.scenes) - set(SCENES):
         parser.error(f"no scene {', '.join(sorted(unknown))}; there are {', '.join(SCENES)}")
+    methods = asked.methods.split(",")
+    if unknown := set(methods) - set(METHODS):
+        parser.error(f"no method {', '.join(sorted(unknown))}; there are {', '.join(METHODS)}")
     set_threads(asked.threads)
     print(HEADER)
     with tempfile.TemporaryDirectory() as folder:
@@ -132,7 +135,7 @@ def main() -> None:
             source, changes = SCENES[scene]
             path = Path(folder) / f"{scene}.h5"
             with phantomgen.make(phantomgen.load(source, changes), out=path, overwrite=True) as dataset:
-                for method in asked.methods.split(","):
+                for method in methods:
                     row = row_of(scene, method, dataset)
                     store(TABLE, [f"{platform.machine()}, {thread_count()} threads", HEADER], row, NAMED)
                     print(row, flush=True)

@@ -2,7 +2,7 @@
 
     python docs/development/draw_deformation.py
 
-Coronal slices of the attenuation at 70 keV, -100 to 300 HU, at three values of the signal.
+Coronal slices of the attenuation at 70 keV, 0.9 to 1.3 times that of soft tissue, at three values of the signal.
 """
 
 from pathlib import Path
@@ -26,14 +26,14 @@ def main() -> None:
     grid = Grid((PIXELS, 1, PIXELS), (step, step, step), (first, 0.0, first))
     energy = np.array([70.0])
     attenuation = np.array([material.attenuation(energy)[0] for material in scan.scene.materials])
-    water = attenuation[[m.name for m in scan.scene.materials].index("tissue")]
+    tissue = attenuation[[m.name for m in scan.scene.materials].index("tissue")]
     with figure_file(TARGET, (WIDTH, 2.35)) as figure:
         for axis, time in zip(figure.subplots(1, 3), (0.0, 0.35 * PERIOD, PERIOD / 2), strict=True):
             filled = scan.at_time(time).scene.fractions(grid)[:, :, 0]
             assert scan.dynamics is not None
             value = float(scan.dynamics.signals["breath"].values(np.array([time]))[0])
             image = np.tensordot(attenuation, filled, 1)
-            axis.imshow(image[::-1], cmap="gray", vmin=0.9 * water, vmax=1.3 * water)
+            axis.imshow(image[::-1], cmap="gray", vmin=0.9 * tissue, vmax=1.3 * tissue)
             axis.set_title(f"signal {value:.2g}", fontsize=8)
             axis.set_axis_off()
 

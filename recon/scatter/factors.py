@@ -66,10 +66,10 @@ def factors_near(slopes: Callable[[Factors], Factors], start: Factors) -> Factor
     factors, found = start, slopes(start)
     steps = DIFFERENCE * np.eye(len(start))
     changes = np.stack([(slopes(start + step) - found) / DIFFERENCE for step in steps], axis=1)
-    for _ in range(UPDATES):
+    for left in reversed(range(UPDATES)):
         ahead = np.clip(factors - np.linalg.lstsq(changes, found, rcond=None)[0], 0.0, LARGEST)
         step, factors = ahead - factors, ahead
-        if np.abs(step).max() < ENOUGH:
+        if np.abs(step).max() < ENOUGH or not left:
             break
         there = slopes(factors)
         changes += np.outer(there - found - changes @ step, step) / (step @ step)

@@ -183,7 +183,11 @@ def _group(file: SceneFile, model: schema.GroupModel, where: Location) -> Iterat
     for member in _members(file, model.objects, (*where, "objects")):
         placed = member.placed(matrix, np.asarray(model.center))
         if not any(_sides(placed.shape, plane)[0] for plane in model.clip):
-            yield placed._replace(shape=_clipped(placed.shape, model))
+            clipped = _clipped(placed.shape, model)
+            if bends(placed.motions):
+                with file.at(*where, "clip"):
+                    surface_of(clipped)  # refuses what cannot bend
+            yield placed._replace(shape=clipped)
 
 
 def _material(file: SceneFile, model: schema.ObjectModel, where: Location) -> str:

@@ -156,6 +156,14 @@ def test_fields_that_cannot_be_are_refused(deform, words):
         bending("objects.0.motion={signal: ramp, deform: " + deform + "}")
 
 
+def test_a_group_that_cuts_a_member_that_bends_is_refused_with_its_place():
+    member = "{type: sphere, material: water, radius: 4, motion: {signal: ramp, deform: " + SHEAR + "}}"
+    with pytest.raises(SceneError, match=r"objects\.0\.clip - a shape that deforms is a sphere.*without clip planes"):
+        bending(f"objects.0={{type: group, clip: [{{normal: [0, 0, 1], offset: 1}}], objects: [{member}]}}")
+    apart = bending(f"objects.0={{type: group, clip: [{{normal: [0, 0, 1], offset: 9}}], objects: [{member}]}}")
+    assert apart.at_time(8.0).scene.objects[0][0].volume == pytest.approx(4 / 3 * np.pi * 64, rel=1e-6)
+
+
 def test_a_shape_that_cannot_bend_is_refused_with_its_place():
     torus = "{type: torus, material: water, radius: 5, tube: 1, motion: {signal: ramp, deform: " + SHEAR + "}}"
     with pytest.raises(SceneError, match=r"objects\.0\.motion\.deform - a shape that deforms is a sphere.*got torus"):
