@@ -14,7 +14,6 @@ from jaxtyping import Shaped
 from phantomgen.building.scene import Scene
 from phantomgen.dataset.reader import Dataset, open_dataset
 from phantomgen.dataset.writing.writer import check_dataset_name
-from phantomgen.degradation.run import degrade_file
 from phantomgen.degradation.settings import Degradation
 from phantomgen.importers.formats import import_scan as write_imported
 from phantomgen.importers.scans.finish import Wanted
@@ -158,6 +157,8 @@ def degrade(
     -------
     the new dataset, to be closed or used in a ``with`` statement
     """
+    from phantomgen.degradation.run import degrade_file  # noqa: PLC0415 - as for `correct`
+
     path = dataset.path if isinstance(dataset, Dataset) else Path(dataset)
     wanted = replace(settings or Degradation(), **options)
     return open_dataset(degrade_file(path, out, wanted, overwrite=overwrite).path)

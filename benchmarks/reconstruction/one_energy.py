@@ -1,11 +1,12 @@
-"""Scans with one channel: beam hardening and metal by six methods.
+"""Scans with one channel: beam hardening and metal by seven methods.
 
     python -m benchmarks.reconstruction.one_energy [--threads N] [--methods NAME,NAME] [SCENE ...]
 
 Scenes: a cylinder of water, `metal-hip` and `kedge` with a single threshold, and a head with dental metal
 (`benchmarks/scenes/dental_head.yaml`). Methods: filtered back-projection without a correction (`fdk`, in units of the
 mean attenuation of water), with a water correction (`fdk-water`), with normalised metal artefact reduction (`nmar`), a
-network behind a polychromatic model (`polyner`), one-step voxels along the standard curve of materials (`curve`), as
+network behind a polychromatic model (`polyner`), published Gaussians with one material each behind the same model
+(`gaussian-poly`), one-step voxels along the standard curve of materials (`curve`), as
 `recon fit --bases curve --method one-step` has it, and the Gaussians of `--method gaussian` (`gaussian`).
 
 A row states the PSNR [dB] of the attenuation at 70 keV over all voxels; the same where the true attenuation is below
@@ -36,6 +37,7 @@ from recon.gaussians.recipe import FAST, Recipe
 from recon.gaussians.reconstruct import reconstruct
 from recon.kedge.basis_names import OnCurve, with_named
 from recon.published_methods.neural.polyner import Polyner
+from recon.published_methods.splatting.polychromatic import GaussianPoly
 from recon.voxel.image_domain import log_projections
 from recon.voxel.iterative.one_step import OneStep
 from recon.voxel.one_channel.nmar import Nmar
@@ -52,10 +54,10 @@ SCENES: dict[str, tuple[str, list[str]]] = {  # scene or preset, and changes
     "dental-head": (str(HEAD), []),
     "kedge": ("kedge", ["detector.thresholds=[20]"]),
 }
-METHODS = ("fdk", "fdk-water", "nmar", "polyner", "curve", "gaussian")
-NAMED = 26  # characters of a row for its scene and method
+METHODS = ("fdk", "fdk-water", "nmar", "polyner", "gaussian-poly", "curve", "gaussian")
+NAMED = 28  # characters of a row for its scene and method
 HEADER = (
-    f"{'scene':<14}{'method':<12}{'all [dB]':>10}{'no metal':>10}{'rms [HU]':>10}{'apart [HU]':>12}{'cupping [%]':>13}"
+    f"{'scene':<14}{'method':<14}{'all [dB]':>10}{'no metal':>10}{'rms [HU]':>10}{'apart [HU]':>12}{'cupping [%]':>13}"
     f"{'CPU s':>8}"
 )
 METAL, BONE = 0.1, 0.05  # 1/mm at 70 keV
@@ -74,10 +76,8 @@ def mono_of(
     if method == "curve":
         prepared, _ = measured.without_partial_volume().compressed(Recipe().node_tolerance)
         return np.einsum("m,mzyx->zyx", at, OneStep(curve=curve).reconstruct_counts(prepared, grid))
-    if method == "polyner":
-        return np.einsum("m,mzyx->zyx", at, Polyner(curve=curve).reconstruct_counts(measured, grid))
-    how = FdkWater(curve) if method == "fdk-water" else Nmar(curve)
-    return np.einsum("m,mzyx->zyx", at, how.reconstruct_counts(measured, grid))
+    kinds = {"fdk-water": FdkWater, "nmar": Nmar, "polyner": Polyner, "gaussian-poly": GaussianPoly}
+    return np.einsum("m,mzyx->zyx", at, kinds[method](curve=curve).reconstruct_counts(measured, grid))
 
 
 def cupping(volume: Float[np.ndarray, "z y x"], grid: Grid) -> float:
@@ -113,7 +113,7 @@ def row_of(scene: str, method: str, dataset: Dataset) -> str:
     unit = curve.attenuations[curve.materials.index("water")] / 1000  # 1/mm, of a Hounsfield unit
     edges, away = (np.sqrt(error[part & (true > 0)].mean()) / unit for part in (soft, apart))
     cup = f"{cupping(found, dataset.grid):>13.2f}" if scene == "water" else f"{'-':>13}"
-    return f"{scene:<14}{method:<12}{whole:>10.2f}{without:>10.2f}{edges:>10.1f}{away:>12.1f}{cup}{seconds:>8.1f}"
+    return f"{scene:<14}{method:<14}{whole:>10.2f}{without:>10.2f}{edges:>10.1f}{away:>12.1f}{cup}{seconds:>8.1f}"
 
 
 @without_other_pools()

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,14 +18,12 @@ from phantomgen.scene import schema
 from phantomgen.scene.basis import needed, scene_basis
 from phantomgen.scene.beam_profile import Profile
 from phantomgen.scene.detector import has_cumulative_counters, has_pile_up, scene_dead_time, scene_detector
-from phantomgen.scene.dynamics.build import scene_dynamics
-from phantomgen.scene.dynamics.dynamics import Dynamics
 from phantomgen.scene.effects import scene_effects
 from phantomgen.scene.file.find_scene import find_scene
 from phantomgen.scene.file.scene_file import Overrides, SceneFile, closest
-from phantomgen.scene.geometry import scene_geometry
+from phantomgen.scene.geometry import SceneGeometry, scene_geometry
 from phantomgen.scene.materials import check_material, inflow_peaks, scene_materials
-from phantomgen.scene.objects.build import ObjectContent, has_curves, objects_of
+from phantomgen.scene.objects.build import BuiltObject, ObjectContent, has_curves, objects_of
 from phantomgen.scene.objects.overlap import added_up
 from phantomgen.scene.scene_objects import SceneObjects
 from phantomgen.scene.source import beam_profile_of, modulation_of, source_fields, sources_of
@@ -35,6 +34,9 @@ from spectra.detector.detector import AnyDetector, Detector
 from spectra.detector.multi_source import MultiSource, added
 from spectra.detector.pile_up import pulse_detector
 from spectra.source.source import Source
+
+if TYPE_CHECKING:
+    from phantomgen.scene.dynamics.dynamics import Dynamics
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +93,7 @@ class Scan:
     file: SceneFile | None = None
     nominal: Geometry | None = None
     sample_poses: Float[np.ndarray, "view 4 4"] | None = None
-    dynamics: Dynamics | None = None
+    dynamics: "Dynamics | None" = None
     cumulative: bool = False
     pulses: Detector | None = None
 
@@ -254,12 +256,20 @@ def load_scene(scene: str | Path | SceneFile, overrides: Overrides = ()) -> Scan
         file=file if model.tessellation == "auto" and has_curves(file) else None,
         nominal=geometry.nominal,
         sample_poses=geometry.sample,
-        dynamics=scene_dynamics(
-            file, geometry.times, geometry.splits["train"], tuple(item.motions for item in built), used
-        ),
+        dynamics=None if model.time is None else _dynamics(file, geometry, built, used),
         cumulative=has_cumulative_counters(file),
         pulses=_pulses(file, detector),
     )
+
+
+def _dynamics(
+    file: SceneFile, geometry: SceneGeometry, built: Sequence[BuiltObject], used: list[str]
+) -> "Dynamics | None":
+    """The time of a scene that states one."""
+    from phantomgen.scene.dynamics.build import scene_dynamics  # noqa: PLC0415 - only where something changes
+
+    motions = tuple(item.motions for item in built)
+    return scene_dynamics(file, geometry.times, geometry.splits["train"], motions, used)
 
 
 def _pulses(file: SceneFile, detector: AnyDetector) -> Detector | None:

@@ -21,7 +21,6 @@ from phantomgen.simulation.forward_model.energy_grids import (
 from phantomgen.simulation.forward_model.fingerprint import identity
 from phantomgen.simulation.forward_model.frames import Views
 from phantomgen.simulation.forward_model.truth import streamed_truth
-from phantomgen.simulation.forward_model.view_times import view_times
 from phantomgen.simulation.options import SimulationOptions
 from phantomgen.simulation.planning.make_plan import make_plan
 from phantomgen.simulation.planning.plan import TOLERANCE
@@ -97,6 +96,8 @@ def _simulate(scan: Scan, out: Path | str, options: SimulationOptions) -> Summar
                 filled = None if kept is None else kept.fractions(scan)
                 writer.write_truth(streamed_truth(scan, filled), scan.scene.materials)
                 if scan.dynamics is not None:
+                    from phantomgen.simulation.forward_model.view_times import view_times  # noqa: PLC0415 - seldom
+
                     writer.write_time(*view_times(scan.dynamics))
                 if scan.nominal is not None:
                     writer.write_true_geometry(scan.geometry, scan.sample_poses)

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from phantomgen.dataset.reader import Dataset
-from phantomgen.dataset.spectral_model import Spectra
+from phantomgen.dataset.spectral_model import Spectra, in_basis
 from recon.calibration.scoring import Vector
 from recon.calibration.spectrum_file import check_plain
 from spectra.channel_model import Tube
@@ -102,6 +102,30 @@ class Perturbation:
             lower=self.stated.lower + np.append(0.0, thresholds),
             upper=self.stated.upper + np.append(thresholds, shift),
         )
+
+    def corrected(self, errors: Vector, stated: Spectra) -> Spectra:
+        """Compute the spectral model with other values than the stated ones, for a dataset.
+
+        Parameters
+        ----------
+        errors : true less stated values, in the order of `names` [kV, mm, keV]
+        stated : model of the dataset
+
+        Returns
+        -------
+        the model without empty bins at its end, with the stated number of counts, and bins cut at edges
+        """
+        found = self.spectra(errors)
+        last = int(np.flatnonzero(found.source)[-1]) + 1
+        cut = replace(
+            found,
+            energy=found.energy[:last],
+            edges=found.edges[: last + 1],
+            source=found.source[:last] * (stated.weights.sum() / found.weights.sum()),
+            response=np.ascontiguousarray(found.response[:, :last]),
+            basis_values=found.basis_values[:, :last],
+        )
+        return in_basis(cut, stated.basis)
 
     def _photons(self, shift: float) -> Float[np.ndarray, " energy"]:
         """Photons of the bare tube at the stated voltage and another; 1 without a tube."""

@@ -1,24 +1,22 @@
 """What ``recon fit --refine`` does: find small errors of the stated spectral model in the counts, and correct them."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from shutil import copyfile
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
 from phantomgen.dataset.reader import Dataset
-from phantomgen.dataset.spectral_model import Spectra, in_basis
-from recon.calibration.perturbation import Perturbation
-from recon.calibration.ray_likelihood import RayLikelihood
-from recon.calibration.scoring import Maximum, maximise
-from recon.calibration.smooth_blocks import smooth_blocks
 from recon.calibration.spectrum_file import read_spectrum, sensitivities_of, with_sensitivities, write_spectrum
 from recon.data.measurements import read_measurements
 from spectra.errors import InputError
 from spectra.materials.material import Material
+
+if TYPE_CHECKING:
+    from recon.calibration.scoring import Maximum
 
 # Standard deviations of the errors that are looked for: voltage [kV], filter [mm], thresholds [keV].
 PRIORS = {"voltage": 2.0, "filter": 0.25, "thresholds": 1.0}
@@ -48,7 +46,7 @@ class Refinement:
     names: tuple[str, ...]
     units: tuple[str, ...]
     prior: Float[np.ndarray, " parameter"]
-    found: Maximum
+    found: "Maximum"
     rays: int
     freedom: int
     before: float
@@ -215,6 +213,11 @@ def refined(
         When there are not more channels than basis functions, attenuation is even in too few places, or a prior has no
         use.
     """
+    from recon.calibration.perturbation import Perturbation  # noqa: PLC0415 - only where it is asked for
+    from recon.calibration.ray_likelihood import RayLikelihood  # noqa: PLC0415
+    from recon.calibration.scoring import maximise  # noqa: PLC0415
+    from recon.calibration.smooth_blocks import smooth_blocks  # noqa: PLC0415
+
     spectra = dataset.spectra
     channels, bases = len(spectra.channels), len(spectra.basis.names)
     if channels <= bases and not air:
@@ -237,7 +240,7 @@ def refined(
     found = maximise(likelihood.likelihood, start, prior)
     before = likelihood.likelihood(start).deviance
     freedom = len(rays.counts) * max(channels - bases, 0) + (channels - 1 if air else 0) - len(prior)
-    corrected = dataset.with_spectra(_complete(perturbation.spectra(found.values), spectra))
+    corrected = dataset.with_spectra(perturbation.corrected(found.values, spectra))
     return Refinement(
         corrected, perturbation.names, perturbation.units, prior, found, len(rays.counts), max(freedom, 1), before
     )
@@ -255,20 +258,6 @@ def measured_air(dataset: Dataset) -> Float[np.ndarray, " channel"]:
     counts
     """
     return np.mean(dataset.flat, axis=(1, 2), where=~dataset.mask)
-
-
-def _complete(found: Spectra, stated: Spectra) -> Spectra:
-    """The model without empty bins at its end, with the stated number of counts, and bins cut at edges."""
-    last = int(np.flatnonzero(found.source)[-1]) + 1
-    cut = replace(
-        found,
-        energy=found.energy[:last],
-        edges=found.edges[: last + 1],
-        source=found.source[:last] * (stated.weights.sum() / found.weights.sum()),
-        response=np.ascontiguousarray(found.response[:, :last]),
-        basis_values=found.basis_values[:, :last],
-    )
-    return in_basis(cut, stated.basis)
 
 
 def _short(value: float) -> float:

@@ -22,7 +22,9 @@ from recon.cli.run_argument import check_run_name
 from recon.runs.methods import METHODS, ON_CURVE
 
 if TYPE_CHECKING:
+    from phantomgen.dataset.reader import Dataset
     from recon.gaussians.recipe import Recipe
+    from recon.phases.run import Division
     from recon.published_methods.paper.recipe import PaperRecipe
     from recon.runs.interfaces import RunMethod
 
@@ -120,6 +122,28 @@ def _check_curve(method: str, recipe: _RecipeOptions, approach: _Approach) -> No
         raise InputError(f"--method {method} takes no curve of materials: take {known}, or other --bases")
     plain = "gaussian" if recipe.kernel == "gaussian" else None
     refuse_options("--bases curve", {"phases": approach.phases, "residual": recipe.residual, "kernel": plain})
+
+
+def _divided(dataset: "Dataset", phases: str | None) -> "Division | None":
+    """The division of the views into phases; None where no phases are fitted."""
+    if phases is None:
+        return None
+    from recon.phases.run import divide
+
+    return divide(dataset, phases)
+
+
+def _fit_phases(
+    dataset: "Dataset", folder: Path, division: "Division", recipe: "Recipe", figures: bool, bar: ProgressBar
+) -> dict[str, Any]:
+    """Fit the phases of a scan, and return their scores."""
+    from recon.phases.run import fit_phases_of_run
+    from recon.phases.settings import PhaseSettings
+
+    settings = PhaseSettings()
+    scores = fit_phases_of_run(dataset, folder, division, recipe, settings, figures, bar.phase_step, bar.stage)
+    bar.stage("fit")
+    return scores
 
 
 @click.command(epilog="\b\nExamples:\n  recon fit kedge.h5\n  recon fit scan.h5 --edge auto --air 0:16,0:256")
@@ -267,8 +291,6 @@ def fit(
     from recon.gaussians.processes import joined
     from recon.kedge.basis_names import OnCurve, parse_bases, with_named
     from recon.kedge.report import parse_edges
-    from recon.phases.run import divide, fit_phases_of_run, phase_table
-    from recon.phases.settings import PhaseSettings
     from recon.published_methods.paper.recipe import PaperRecipe
     from recon.runs.expected_cost import expected_cost
     from recon.runs.methods import method_named
@@ -321,7 +343,7 @@ def fit(
         click.echo(json.dumps(found.to_dict()) if printing.as_json else str(found))
         return
     with joined() as processes, open_dataset(source, data.air) as stored:
-        division = None if approach.phases is None else divide(stored, approach.phases)
+        division = _divided(stored, approach.phases)
         bar = ProgressBar(printing.silent or not processes.first)
         energies = ChosenSpectrum.of(stored, data.spectrum, data.refine, data.prior)
         energies.note(bar.note)
@@ -344,17 +366,15 @@ def fit(
             corrected.write(part / SCATTER)
             metrics = run(opened, part, way, output.figures, bar)
             if division is not None and not isinstance(how, PaperRecipe):
-                settings, figures = PhaseSettings(), output.figures
-                told = bar.phase_step, bar.stage
-                scores = fit_phases_of_run(opened, part, division, how, settings, figures, *told)
-                bar.stage("fit")
-                metrics |= {"phases": scores}
+                metrics |= {"phases": _fit_phases(opened, part, division, how, output.figures, bar)}
     if printing.as_json:
         click.echo(to_json({"run": str(folder.path), **metrics}))
         exit_where_failed(metrics, output.strict)
         return
     click.echo("\n".join([score_table(metrics), "", *verdict.lines(metrics)]))
     if division is not None:
+        from recon.phases.run import phase_table
+
         click.echo("\n" + phase_table(metrics["phases"]))
     if isinstance(how, PaperRecipe):
         click.echo(how.description)

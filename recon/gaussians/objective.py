@@ -83,7 +83,6 @@ from recon.gaussians.divided.model import DividedGaussians
 from recon.gaussians.fisher import coefficient_curvature
 from recon.gaussians.likelihood import Likelihood, likelihood_and_gradients
 from recon.gaussians.model import GaussianModel
-from recon.gaussians.on_curve.directions import along
 from recon.gaussians.processes import ALONE, Processes
 from recon.gaussians.settings import OptimizerSettings
 from recon.gaussians.voxel_prior import VoxelPrior
@@ -185,6 +184,8 @@ class Objective:
             added = added + settings.holding * held * diagonal
         whole = blocks + torch.diag_embed(added)
         if self.prior is not None and self.prior.on_curve is not None:
+            from recon.gaussians.on_curve.directions import along  # noqa: PLC0415 - only on a curve
+
             return Curvature(along(whole, self.prior.on_curve.directions(cast(DividedGaussians, gaussians))), metric)
         return Curvature(torch.linalg.inv(whole), metric)
 

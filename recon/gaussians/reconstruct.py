@@ -22,12 +22,9 @@ from recon.gaussians.divided.first_gaussians import divided_gaussians
 from recon.gaussians.fitted_grid import read_with_coverage
 from recon.gaussians.initial.first_guess import Scan, first_guess, part_with_gaussians, plain_gaussians, start_method
 from recon.gaussians.model import GaussianModel
-from recon.gaussians.on_curve.directions import AlongCurve
-from recon.gaussians.on_curve.information import mean_information
 from recon.gaussians.optimize import OnStep, fit
 from recon.gaussians.processes import LOCAL, Processes, Resources
 from recon.gaussians.recipe import Recipe
-from recon.gaussians.residual.fit_residual import with_residual
 from recon.gaussians.state import FitState, InterruptedFit
 from recon.gaussians.unseen_rays import UnseenRays, with_unseen_rays
 from recon.gaussians.voxel_prior import VoxelPrior
@@ -192,6 +189,8 @@ def _mean_information(measured: Measurements, voxel: float, recipe: Recipe) -> F
     some = measured.completed(every_nth_view(view_groups(measured.exposure), recipe.information_step))
     coarse = some.binned(matching_bin(measured.geometry, voxel))
     if recipe.curve is not None:
+        from recon.gaussians.on_curve.information import mean_information  # noqa: PLC0415 - only on a curve
+
         return mean_information(coarse, recipe.curve, recipe.dispersion)
     return decompose_views(coarse, recipe.dispersion)[1]
 
@@ -214,6 +213,8 @@ def _with_residual(
     if measured.unseen_blocks is None:
         measured = with_unseen_rays(measured, min(grid.spacing), recipe.seed, recipe.unseen_rays)
     rays = UnseenRays.of(measured, min(grid.spacing), recipe.dispersion, recipe.unseen_rays)
+    from recon.gaussians.residual.fit_residual import with_residual  # noqa: PLC0415 - only where it is asked for
+
     found = with_residual(gaussians, measured, grid, recipe.residual, on_iteration, device)
     return rays.with_or_without(found, gaussians, recipe.residual.worth)
 
@@ -226,6 +227,8 @@ def _prior_of(
     part = part_with_gaussians(volumes, scan, recipe)
     prior = VoxelPrior.of_volumes(*part, scan.fisher, recipe.prior, trust, recipe.voxel_prior)
     if recipe.curve is not None:
+        from recon.gaussians.on_curve.directions import AlongCurve  # noqa: PLC0415 - only on a curve
+
         return replace(prior, on_curve=AlongCurve.of_volumes(recipe.curve, *part))
     return prior.holding_kedges(scan.measured.basis_names)
 

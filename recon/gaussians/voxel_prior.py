@@ -9,6 +9,7 @@ proportion to what they hold and rays have little information.
 """
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -19,9 +20,11 @@ from torch import Tensor
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.volume_edges import VolumeEdges, metal_without_agents, over_metal
 from recon.gaussians.model import GaussianModel
-from recon.gaussians.on_curve.directions import AlongCurve
 from recon.gaussians.settings import PriorSettings
 from recon.ops.voxelize import mass_within
+
+if TYPE_CHECKING:
+    from recon.gaussians.on_curve.directions import AlongCurve
 
 DEFAULT = PriorSettings()
 
@@ -46,7 +49,7 @@ class VoxelPrior:
     strength: float
     trust: Float[np.ndarray, "z y x"]
     metal: Float[np.ndarray, "z y x"] | None = None
-    on_curve: AlongCurve | None = None
+    on_curve: "AlongCurve | None" = None
     settings: PriorSettings = DEFAULT
 
     @classmethod

@@ -1,13 +1,11 @@
 """Check of a voxel or view method before a run: its pipeline, its curve of materials, and the orbit of the scan."""
 
 from phantomgen.dataset.reader import Dataset
-from recon.runs.methods import NEED_CURVE
+from recon.runs.methods import NEED_CURVE, ONE_CHANNEL
 from recon.voxel.filtered.circular_orbit import circular_orbit_of
 from recon.voxel.filtered.fdk import Fdk
 from recon.voxel.initial_volumes import check_directions
 from recon.voxel.method import CountsMethod, Method, ViewMethod
-from recon.voxel.one_channel.nmar import Nmar
-from recon.voxel.one_channel.water_correction import FdkWater
 from spectra.errors import InputError
 
 PIPELINES = ("two-step", "image")
@@ -60,7 +58,7 @@ def check_curve(method: Method, on_curve: bool, dataset: Dataset) -> None:
         raise InputError(f"the method {method.name} takes no curve of materials: take --method one-step")
     if method.name in NEED_CURVE and not on_curve:
         raise InputError(f"the method {method.name} needs a curve of materials: add --bases curve")
-    if isinstance(method, FdkWater | Nmar):
+    if method.name in ONE_CHANNEL:
         if (channels := len(dataset.spectra.channels)) > 1:
             raise InputError(f"the method {method.name} takes one channel, and {dataset.path} has {channels}")
         circular_orbit_of(dataset.geometry[dataset.splits["train"]], dataset.grid)

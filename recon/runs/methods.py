@@ -28,8 +28,10 @@ METHODS = {  # name -> module below recon, and class
     "neural": ("published_methods.neural.naf", "Neural"),
     "sax-nerf": ("published_methods.neural.sax_nerf", "SaxNerf"),
     "polyner": ("published_methods.neural.polyner", "Polyner"),
+    "gaussian-poly": ("published_methods.splatting.polychromatic", "GaussianPoly"),
 }
-NEED_CURVE = ("fdk-water", "nmar", "polyner")  # methods that need ``--bases curve``
+ONE_CHANNEL = ("fdk-water", "nmar", "gaussian-poly")  # methods of one channel and a circular orbit
+NEED_CURVE = (*ONE_CHANNEL, "polyner")  # methods that need ``--bases curve``
 ON_CURVE = ("one-step", *NEED_CURVE)  # methods that take it
 
 

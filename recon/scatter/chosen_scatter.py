@@ -12,7 +12,7 @@ from phantomgen.dataset.reader import Dataset
 from phantomgen.effects.scatter import ScatterKernel
 from phantomgen.effects.smooth_signal import SmoothSignal
 from recon.kedge.basis_names import Asked
-from recon.scatter.estimate import Compton, FittedKernel, ScatterModel, estimate_scatter
+from recon.scatter.models import Compton, FittedKernel, ScatterModel
 from recon.voxel.method import OnIteration, no_callback
 from spectra.errors import InputError
 
@@ -63,6 +63,8 @@ class ChosenScatter:
         """
         if model is None:
             return cls(dataset)
+        from recon.scatter.estimate import estimate_scatter  # noqa: PLC0415 - only where it is asked for
+
         on_stage("scatter")
         found = estimate_scatter(dataset, model, asked, on_iteration)
         signal = found.signal

@@ -14,6 +14,7 @@ from recon.data.measurements import read_measurements
 from recon.kedge.basis_names import Asked
 from recon.scatter.compton import compton_signal
 from recon.scatter.factors import factor_between, factors_near
+from recon.scatter.models import FIRST_RATIO, Compton, FittedKernel, ScatterModel
 from recon.scatter.voxel_fit import VoxelFit
 from recon.voxel.method import OnIteration, no_callback
 from spectra.errors import InputError
@@ -25,58 +26,7 @@ TURNS = (24, 48)
 FINE = 128  # voxels along the longest axis, at least where the grid has them; of reconstructions that refine factors
 # subtractions of the kernel's scatter at most, and relative change of scatter at which they end; chosen by hand
 KERNEL_TURNS, KERNEL_CHANGE = 50, 3e-4
-FIRST_RATIO = 0.1  # scatter over primary signal that a fit begins with; chosen by hand, not measured
 LEAST_PRIMARY = 0.02  # part of the counts that a kernel leaves as primary signal; chosen by hand, not measured
-
-
-@dataclass(frozen=True)
-class Compton:
-    """Single Compton scatter of the reconstructed object.
-
-    Parameters
-    ----------
-    factors : of the computed scatter, one for all channels or one for each, such as what a grid lets through, or above
-        1 for multiple scatter; None for those that explain the counts best
-    each_channel : whether each channel has a factor of its own where they are fitted
-
-    Raises
-    ------
-    InputError
-        When a factor is negative or not finite.
-    """
-
-    factors: tuple[float, ...] | None = (1.0,)
-    each_channel: bool = False
-
-    def __post_init__(self) -> None:
-        for factor in self.factors or ():
-            if not 0 <= factor < np.inf:
-                raise InputError(f"a factor of scatter must be finite and not negative, got {factor:g}")
-
-
-@dataclass(frozen=True)
-class FittedKernel:
-    """A kernel of known width whose ratio of scatter to primary signal is fitted to the counts.
-
-    Parameters
-    ----------
-    width : full width at half maximum [mm]
-    each_channel : whether each channel has a ratio of its own
-
-    Raises
-    ------
-    InputError
-        When the width is not positive.
-    """
-
-    width: float
-    each_channel: bool = False
-
-    def __post_init__(self) -> None:
-        ScatterKernel(FIRST_RATIO, self.width)  # which checks the width
-
-
-ScatterModel = Compton | FittedKernel | ScatterKernel
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,10 +9,11 @@ at these volumes. Its zero is the factor that the counts ask for. Rays beside ed
 explain them.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.effects.smooth_signal import SmoothSignal
@@ -57,7 +58,8 @@ class VoxelFit:
         Parameters
         ----------
         dataset : open dataset
-        asked : basis functions, see `recon.kedge.basis_names.with_named`; as many as there are channels for None
+        asked : basis functions, see `recon.kedge.basis_names.with_named`; as many as there are channels for None,
+            and all of a curve
         on_iteration : called after every pass over the views
 
         Returns
@@ -66,7 +68,9 @@ class VoxelFit:
         """
         named, count = with_named(dataset, asked)
         spectra = named.spectra
-        return cls(named, count or min(len(spectra.basis.names), len(spectra.channels)), asked, on_iteration)
+        named_count = len(spectra.basis.names)
+        free = named_count if isinstance(asked, OnCurve) else min(named_count, len(spectra.channels))
+        return cls(named, count or free, asked, on_iteration)
 
     def volumes(self, dataset: Dataset, voxels: int) -> tuple[Volumes, Grid]:
         """Reconstruct the training views.
@@ -100,17 +104,34 @@ class VoxelFit:
         """
         dataset = self.dataset.with_scatter(signal.scaled(factors))
         measured, grid = self._measured(dataset, voxels)
-        model = Voxels(self._reconstructed(measured, grid), grid, measured.basis_names)
         scattered = replace(measured, scatter=signal.scaled(1 / dataset.spectra.quantum))
         total = np.zeros(len(factors))
-        for view, image in enumerate(measured.counts):
-            lengths = model.line_integrals(measured.geometry[[view]]).numpy()[0]
-            expected = measured.transmission.expected(measured.with_profile(np.moveaxis(lengths, 0, -1)))
-            primary = np.moveaxis(expected, -1, 0) * measured.gains * measured.exposure[view, :, None, None]
+        for view, (image, primary, kept) in enumerate(_views(measured, self._reconstructed(measured, grid), grid)):
             whole, part = primary + measured.scattered(view), scattered.scattered(view)
             rest = np.divide(image - primary, whole, out=np.zeros_like(primary), where=whole > 0)
-            total += (rest * part)[:, edge_mask(lengths)].sum(axis=1)
+            total += (rest * part)[:, kept].sum(axis=1)
         return total
+
+    def deviance_per_ray(self, volumes: Volumes, grid: Grid) -> float:
+        """Compute how well volumes explain the training views, rays beside edges left out.
+
+        Parameters
+        ----------
+        volumes : coefficients [1/mm]
+        grid : their voxels
+
+        Returns
+        -------
+        mean of the squared residuals over the variance of the counts; 1 where only noise is left
+        """
+        measured, _ = self._measured(self.dataset, max(grid.shape))
+        total, count = 0.0, 0
+        for view, (image, primary, kept) in enumerate(_views(measured, volumes, grid)):
+            variance = (primary + measured.scattered(view))[:, kept]
+            seen = variance > 0
+            total += float((((image - primary)[:, kept][seen]) ** 2 / variance[seen]).sum())
+            count += int(seen.sum())
+        return total / max(count, 1)
 
     def _measured(self, dataset: Dataset, voxels: int) -> tuple[Measurements, Grid]:
         """Training views with pixels as large as the voxels, and these."""
@@ -125,3 +146,19 @@ class VoxelFit:
         curve = self.asked.curve(self.dataset) if isinstance(self.asked, OnCurve) else None
         levels = ((1, PASSES),) if max(grid.shape) < MANY else OneStep().levels
         return OneStep(levels=levels, curve=curve).reconstruct_counts(measured, grid, self.on_iteration)
+
+
+def _views(
+    measured: Measurements, volumes: Volumes, grid: Grid
+) -> Iterator[
+    tuple[
+        Float[np.ndarray, "channel row column"], Float[np.ndarray, "channel row column"], Bool[np.ndarray, "row column"]
+    ]
+]:
+    """Counts without scatter of each view, what volumes expect, and the rays that pass no edge."""
+    model = Voxels(volumes, grid, measured.basis_names)
+    for view, image in enumerate(measured.counts):
+        lengths = model.line_integrals(measured.geometry[[view]]).numpy()[0]
+        expected = measured.transmission.expected(measured.with_profile(np.moveaxis(lengths, 0, -1)))
+        primary = np.moveaxis(expected, -1, 0) * measured.gains * measured.exposure[view, :, None, None]
+        yield image, primary, edge_mask(lengths)

@@ -21,9 +21,18 @@ def fit(*arguments):
     return CliRunner().invoke(recon, ["fit", *map(str, arguments), "--no-figures", "-q"])
 
 
-@pytest.mark.parametrize("method", ["one-step", "fdk-water", "nmar"])
-def test_one_channel_gives_both_bases(scan, tmp_path, method):
-    result = fit(scan, "--bases", "curve:water,Ti", "--method", method, "-o", tmp_path / "run")
+@pytest.mark.parametrize(
+    ("method", "more"),
+    [
+        ("one-step", ()),
+        ("one-step", ("--scatter", "compton")),
+        ("fdk-water", ()),
+        ("nmar", ()),
+        ("gaussian-poly", ("--sweeps", "30")),
+    ],
+)
+def test_one_channel_gives_both_bases(scan, tmp_path, method, more):
+    result = fit(scan, "--bases", "curve:water,Ti", "--method", method, *more, "-o", tmp_path / "run")
     assert result.exit_code == 0, result.output
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert metrics["method"]["method"] == method
@@ -73,6 +82,7 @@ def test_replicates_of_a_run_are_on_its_curve(scan, gaussian_run, tmp_path, meth
         (["--bases", "curve", "--edge", "auto"], "lie on a curve of materials"),
         (["--method", "nmar"], "nmar needs a curve of materials: add --bases curve"),
         (["--method", "polyner"], "polyner needs a curve of materials: add --bases curve"),
+        (["--method", "gaussian-poly"], "gaussian-poly needs a curve of materials: add --bases curve"),
         (["--bases", "curve:water,,Ti"], "curve: takes materials with commas between"),
         (["--bases", "curve:watr,Ti"], "watr"),
         (["--bases", "curve:Ti", "--method", "fdk-water"], "with water: add --bases curve"),

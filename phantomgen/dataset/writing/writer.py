@@ -24,7 +24,6 @@ from phantomgen.dataset.geometry import write_geometry
 from phantomgen.dataset.layout import SCHEMA, SCHEMA_VERSION, new_frames, new_group, put, put_note
 from phantomgen.dataset.pixel_mask import write_mask
 from phantomgen.dataset.spectral_model import Spectra
-from phantomgen.dataset.time.true_phases import write_signals
 from phantomgen.dataset.time.view_times import ViewTimes, write_view_times
 from phantomgen.dataset.true_poses import write_true_geometry
 from phantomgen.dataset.truth import StreamedTruth, Truth, truth_group, write_grid, write_truth
@@ -242,6 +241,8 @@ class DatasetWriter:
         times : of the views
         signals : value at each view, by name
         """
+        from phantomgen.dataset.time.true_phases import write_signals  # noqa: PLC0415 - only where something moves
+
         write_view_times(group_at(self.file, "entry"), times)
         write_signals(truth_group(self.file), signals)
 

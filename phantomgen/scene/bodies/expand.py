@@ -5,22 +5,19 @@ takes its place.
 """
 
 from collections.abc import Callable, Iterable, Mapping
+from importlib import import_module
 from typing import Any
 
 from pydantic import ValidationError
 
-from phantomgen.scene.bodies.head import head
-from phantomgen.scene.bodies.torso import torso
 from phantomgen.scene.schema.bodies import BodyModel, HeadModel, TorsoModel
 from spectra.errors import InputError
 
 Location = tuple[str | int, ...]
 Explain = Callable[[Iterable[Any]], tuple[Location, str]]
 
-_BODIES: Mapping[str, tuple[type[BodyModel], Callable[[Any], tuple]]] = {
-    "torso": (TorsoModel, torso),
-    "head": (HeadModel, head),
-}
+# The function that builds a body has the name of its module.
+_BODIES: Mapping[str, type[BodyModel]] = {"torso": TorsoModel, "head": HeadModel}
 # Keys that a body shares with a group.
 _PLACED = ("center", "rotation", "clip", "repeat", "motion")
 
@@ -99,9 +96,9 @@ def _replaced(item: Any, where: Location, materials: dict[str, Any]) -> Any:
     if not (isinstance(kind, str) and kind in _BODIES):
         members = [_replaced(one, (*where, "objects", i), materials) for i, one in enumerate(item["objects"])]
         return _like(item, {**item, "objects": members})
-    model_class, build = _BODIES[kind]
+    build = getattr(import_module(f"phantomgen.scene.bodies.{kind}"), kind)  # only where a scene has a body
     try:
-        model = model_class.model_validate(dict(item))
+        model = _BODIES[kind].model_validate(dict(item))
         if model.material is not None:
             raise InputError("a body has tissues, and no material of its own")
         objects, needed, scale = build(model)

@@ -4,15 +4,13 @@ from collections.abc import Iterator
 from itertools import product
 from math import prod, radians
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from phantomgen.scene import schema
-from phantomgen.scene.dynamics.lattice import Lattice
-from phantomgen.scene.dynamics.object_motion import Motions, ObjectMotion, bends
 from phantomgen.scene.file.random_values import MOST_OBJECTS
-from phantomgen.scene.file.scene_file import Location, SceneFile, closest
+from phantomgen.scene.file.scene_file import Location, SceneFile
 from phantomgen.scene.materials import check_material
 from phantomgen.scene.objects.voxel_maps import voxels_of
 from phantomgen.shapes import (
@@ -36,7 +34,9 @@ from phantomgen.shapes import (
     rotation_matrix,
     sweep,
 )
-from phantomgen.shapes.surfaces import surface_of
+
+if TYPE_CHECKING:
+    from phantomgen.scene.dynamics.object_motion import Motions
 
 # Name of an object's material; of a voxel map those of its parts.
 ObjectContent = str | tuple[str, ...]
@@ -54,7 +54,7 @@ class BuiltObject(NamedTuple):
 
     shape: Shape
     content: ObjectContent
-    motions: Motions = ()
+    motions: "Motions" = ()
 
     def placed(self, matrix: np.ndarray, offset: np.ndarray) -> "BuiltObject":
         """Move the object, and its motions with it: every point x goes to ``matrix @ x + offset``.
@@ -130,10 +130,14 @@ def _members(file: SceneFile, models: tuple[schema.ObjectModel, ...], where: Loc
         else:
             found = [BuiltObject(_shape(file, model, place), _material(file, model, place))]
         if model.motion is not None:
-            motion = _motion(file, model.motion, _center(model, found), place)
+            from phantomgen.scene.objects.motion import form_of, motion_of  # noqa: PLC0415 - only where something moves
+
+            motion = motion_of(file, model.motion, _center(model, found), place)
             with file.at(*place, "motion", "deform"):
-                found = [_as_surface(file, item, motion) for item in found]
-            found = [item._replace(motions=(*item.motions, motion)) for item in found]
+                forms = [form_of(item.shape, motion, _fineness(file)) for item in found]
+            found = [
+                item._replace(shape=s, motions=(*item.motions, motion)) for item, s in zip(found, forms, strict=True)
+            ]
         for copy in _copies(model):
             yield from map(copy, found)
 
@@ -147,34 +151,6 @@ def _center(model: schema.ObjectModel, found: list[BuiltObject]) -> schema.Vecto
     return x, y, z
 
 
-def _motion(file: SceneFile, model: schema.ObjectMotionModel, center: schema.Vector, where: Location) -> ObjectMotion:
-    """The motion of an object."""
-    signals = {} if file.model.time is None else file.model.time.signals
-    if model.signal not in signals:
-        hint = closest(model.signal, signals) if signals else ": give it below time.signals"
-        raise file.error((*where, "motion", "signal"), f"there is no signal {model.signal!r}{hint}")
-    x, y, z = np.broadcast_to(np.asarray(model.scale, dtype=np.float64), 3).tolist()
-    return ObjectMotion(
-        signal=model.signal,
-        pivot=center if model.pivot is None else model.pivot,
-        shift=model.shift,
-        rotation=_radians(model.rotation),
-        scale=(x, y, z),
-        path=model.path or (),
-        lattice=None if model.deform is None else _lattice(model.deform),
-    )
-
-
-def _lattice(model: schema.LatticeModel) -> Lattice:
-    """The displacements of a deformation."""
-    return Lattice(np.array(model.low), np.array(model.high), np.array(model.shifts, dtype=np.float64))
-
-
-def _as_surface(file: SceneFile, item: BuiltObject, motion: ObjectMotion) -> BuiltObject:
-    """An object as a surface of triangles where a motion bends it."""
-    return item._replace(shape=surface_of(item.shape, _fineness(file))) if bends((motion,)) else item
-
-
 def _group(file: SceneFile, model: schema.GroupModel, where: Location) -> Iterator[BuiltObject]:
     """Members of a group where they belong."""
     _refuse_material(file, model, where)
@@ -184,9 +160,11 @@ def _group(file: SceneFile, model: schema.GroupModel, where: Location) -> Iterat
         placed = member.placed(matrix, np.asarray(model.center))
         if not any(_sides(placed.shape, plane)[0] for plane in model.clip):
             clipped = _clipped(placed.shape, model)
-            if bends(placed.motions):
+            if placed.motions:
+                from phantomgen.scene.objects.motion import check_form  # noqa: PLC0415 - only where something moves
+
                 with file.at(*where, "clip"):
-                    surface_of(clipped)  # refuses what cannot bend
+                    check_form(clipped, placed.motions)
             yield placed._replace(shape=clipped)
 
 

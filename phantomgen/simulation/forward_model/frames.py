@@ -10,6 +10,7 @@ A frame passes these stages, in this order. What a scene does not ask for is lef
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -20,9 +21,11 @@ from phantomgen.simulation.forward_model.detector import DetectorStages, Frame
 from phantomgen.simulation.forward_model.discretization import Settings
 from phantomgen.simulation.forward_model.expected_counts import expected_view, open_beam
 from phantomgen.simulation.forward_model.exposure import Exposure, Groups, Images
-from phantomgen.simulation.forward_model.scatter import Scatter, scatter_of
 from phantomgen.simulation.forward_model.tube_output import tube_output
 from spectra.transmission import Transmission
+
+if TYPE_CHECKING:
+    from phantomgen.simulation.forward_model.scatter import Scatter
 
 Primary = Callable[[int, Transmission], Groups]
 
@@ -53,7 +56,7 @@ class Views:
     output: dict[Stream, Float[np.ndarray, " frame"]] = field(init=False)
     known_output: Float[np.ndarray, " view"] | None = field(init=False)
     detector: DetectorStages = field(init=False)
-    scatter: Scatter | None = field(init=False)
+    scatter: "Scatter | None" = field(init=False)
     cached: Primary | None = None
 
     def __post_init__(self) -> None:
@@ -115,10 +118,12 @@ class Views:
             return self.cached(view, transmission)
         return expected_view(self.scan, transmission, view, self.settings)
 
-    def _scatter(self) -> Scatter | None:
+    def _scatter(self) -> "Scatter | None":
         """Model of scatter, whose strength the first view decides."""
         if self.scan.effects.scatter is None:
             return None
+        from phantomgen.simulation.forward_model.scatter import scatter_of  # noqa: PLC0415 - only where there is scatter
+
         groups = self.exposure.groups
         first = self.primary(0, groups)
         return scatter_of(self.scan, self.exposure, self.settings, first, open_beam(self.scan, groups))

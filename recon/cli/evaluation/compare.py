@@ -12,7 +12,7 @@ from recon.cli.run_argument import check_run_name
 
 CHECK_FAILED = 3  # exit code of a finished comparison in which a requirement is not met
 _METHODS = "fdk,cgls,pdhg-tv,one-step,gaussian"
-_ONE_CHANNEL = "fdk-water,nmar,polyner,one-step+curve,gaussian+curve"  # of a scan with one channel
+_ONE_CHANNEL = "fdk-water,nmar,polyner,gaussian-poly,one-step+curve,gaussian+curve"  # of a scan with one channel
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Settings and loop of all methods that splat: Adam, one random view per step, density control, L1 and D-SSIM."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
@@ -50,7 +50,8 @@ class Splatting:
     @property
     def recipe(self) -> PaperRecipe:
         """All settings, those of R2-Gaussian included."""
-        own = {name: value for name, value in vars(self).items() if name not in ("iterations", "pace")}
+        shared = {field.name for field in fields(PaperRecipe)}
+        own = {name: value for name, value in vars(self).items() if name in shared}
         return paced(PaperRecipe(steps=self.iterations, without=UNUSED, **own), self.pace)
 
 

@@ -11,7 +11,8 @@ from phantomgen.effects.smooth_signal import SmoothSignal
 from recon.data.measurements import read_measurements
 from recon.scatter.chosen_scatter import SCATTER, ChosenScatter, parse_scatter, read_scatter
 from recon.scatter.compton import compton_signal
-from recon.scatter.estimate import Compton, FittedKernel, estimate_scatter
+from recon.scatter.estimate import estimate_scatter
+from recon.scatter.models import Compton, FittedKernel
 from recon.voxel.iterative.one_step import OneStep
 from spectra.errors import InputError
 
