@@ -15,7 +15,7 @@ from phantomgen.dataset.reader import Dataset
 from phantomgen.effects.smooth_signal import SmoothSignal
 from phantomgen.geometry.poses import Geometry
 from recon.data.array_store import IN_MEMORY, ArrayStore, read_part, release
-from recon.data.missing_channels import interpolate_missing
+from recon.data.incomplete_counts import LargestReadings, interpolate_missing
 from recon.data.partial_volume import (
     LEAST_COUNTS,
     correction_weights,
@@ -55,7 +55,9 @@ class Measurements:
     transmission : spectral model whose columns are the basis functions, and after them the parts of `profile`
     basis_names : names of the basis functions
     profile : line integrals of bowtie filter and heel effect in each pixel; None where there are none
-    statistical_weights : weight of each count in a fit, from 0 to 1, see `weighted`; None where all weights are 1
+    statistical_weights : weight of each count in a fit, from 0 to 1, see `weighted`; None where all weights are 1. Of
+        pixels that saturate, the count is that of the open beam, and the weight is minus the reading over it: a lower
+        bound
     unseen_blocks : blocks of pixels of the whole panel that are left out of a fit, see `recon.gaussians.unseen_rays`;
         None where there are none
     scatter : expected scattered signal that was subtracted from the counts, in their units; None where it is not known
@@ -98,14 +100,21 @@ class Measurements:
 
         Returns
         -------
-        the binned scan, without `statistical_weights`, which belong to single pixels
+        the binned scan; of `statistical_weights`, which belong to single pixels, lower bounds alone are kept
         """
         if factor == 1:
             return self
         geometry = self.geometry.binned(factor)  # refuses panels that do not divide
         counts, gains = (sum_blocks(images, factor) for images in (self.counts, self.gains))
         profile = None if self.profile is None else sum_blocks(self.profile, factor) / factor**2
-        coarse = replace(self, counts=counts, gains=gains, geometry=geometry, profile=profile, statistical_weights=None)
+        coarse = replace(
+            self,
+            counts=counts,
+            gains=gains,
+            geometry=geometry,
+            profile=profile,
+            statistical_weights=_bounds_of_blocks(self, factor),
+        )
         if profile is None:
             return coarse
         open_beam = sum_blocks(self.gains * self.open_beam, factor)
@@ -122,14 +131,14 @@ class Measurements:
 
         Returns
         -------
-        the binned scan, without `statistical_weights`
+        the binned scan, as `summed` gives it
         """
         if factor == 1:
             return self
         coarse, air = self.summed(factor), self.gains * self.open_beam
 
         def correct(view: int) -> None:
-            image, beam = np.asarray(self.counts[view]), air * self.exposure[view, :, None, None]
+            image, beam = self._readings(view), air * self.exposure[view, :, None, None]
             coarse.counts[view] *= np.exp(-excess_of_blocks(image, beam, factor))
 
         _in_parallel(correct, self.counts)
@@ -149,8 +158,8 @@ class Measurements:
         counts, air = store.empty("corrected", self.counts.shape), self.gains * self.open_beam
 
         def correct(view: int) -> None:
-            image, beam = np.asarray(self.counts[view]), air * self.exposure[view, :, None, None]
-            counts[view] = image * np.exp(-excess_of_pixels(image, beam))
+            image, beam = self._readings(view), air * self.exposure[view, :, None, None]
+            counts[view] = np.asarray(self.counts[view]) * np.exp(-excess_of_pixels(image, beam))
 
         _in_parallel(correct, self.counts)
         release(counts)
@@ -176,16 +185,40 @@ class Measurements:
         statistical_weights, air = store.empty("statistical_weights", self.counts.shape), self.gains * self.open_beam
 
         def fill(view: int) -> None:
-            image, beam = np.asarray(self.counts[view]), air * self.exposure[view, :, None, None]
+            image, beam = self._readings(view), air * self.exposure[view, :, None, None]
             statistical_weights[view] = neighbourhood_weights(image, beam) * correction_weights(image, beam, dispersion)
             if self.scatter is not None:
                 statistical_weights[view] *= _primary_part(image, self.scattered(view))
             if self.unseen_blocks is not None:
                 statistical_weights[view, :, touched(self.unseen_blocks[view], *image.shape[1:])] = 0
+            if self.statistical_weights is not None:
+                bounds = self.statistical_weights[view]
+                statistical_weights[view] = np.where(bounds < 0, bounds, statistical_weights[view])
 
         _in_parallel(fill, self.counts)
         release(statistical_weights)
         return replace(self, statistical_weights=statistical_weights)
+
+    @property
+    def bounded(self) -> Float[np.ndarray, " channel"]:
+        """Part of the counts of each channel that are lower bounds."""
+        if self.statistical_weights is None:
+            return np.zeros(self.counts.shape[1])
+        return np.mean([(weights < 0).mean(axis=(1, 2)) for weights in self.statistical_weights], axis=0)
+
+    def _readings(self, view: int) -> Float[np.ndarray, "channel row column"]:
+        """Counts of a view, with readings in place of open-beam counts where pixels saturate."""
+        image = np.asarray(self.counts[view])
+        if self.statistical_weights is None:
+            return image
+        bounds = np.asarray(self.statistical_weights[view])
+        return np.where(bounds < 0, -bounds * image, image)
+
+    @property
+    def whole_weights(self) -> Float[np.ndarray, "view channel row column"]:
+        """Statistical weights, 1 for lower bounds, whatever a model expects there."""
+        weights = np.asarray(self.statistical_weights)
+        return np.where(weights < 0, np.float32(1), weights)
 
     def scattered(self, view: int) -> Float[np.ndarray, "channel row column"]:
         """Compute the expected scattered signal of a view.
@@ -351,8 +384,9 @@ def read_measurements(
     if dead_time is not None:
         _check_load(dataset, dead_time)
         flat = dataset.spectra.events(flat)
+    counts, limits = _read_counts(dataset, views, unit, store)
     measured = Measurements(
-        counts=_read_counts(dataset, views, unit, store),
+        counts=counts,
         gains=np.ones(flat.shape, np.float32),
         exposure=dataset.exposure[views],
         geometry=dataset.geometry[views],
@@ -366,6 +400,7 @@ def read_measurements(
         measured = replace(measured, scatter=dataset.scatter[views].scaled(1 / quantum))
         for view in range(len(measured)):
             measured.counts[view] -= measured.scattered(view)
+    measured = _with_lower_bounds(measured, dataset, views, limits, store)
     variance = dataset.dark_variance / quantum**2
     if variance.any():
         measured = measured.shifted(variance, with_floor(transmission, variance))
@@ -377,13 +412,53 @@ def read_measurements(
 
 def _read_counts(
     dataset: Dataset, views: Int[np.ndarray, " view"], unit: Float[np.ndarray, "channel 1 1"], store: ArrayStore
-) -> Float[np.ndarray, "view channel row column"]:
-    """Counts minus dark, corrected for dead time, one view at a time."""
+) -> tuple[Float[np.ndarray, "view channel row column"], Float[np.ndarray, " channel"]]:
+    """Counts minus dark, corrected for dead time, one view at a time; and where the readings of each channel end."""
     counts = store.empty("counts", (len(views), *dataset.counts.shape[1:]))
+    flat = dataset.flat
+    largest = LargestReadings(~np.broadcast_to(dataset.mask, flat.shape))
     for image, view in zip(counts, views, strict=True):
-        image[:] = dataset.spectra.events(dataset.load([int(view)])[0] - dataset.dark) / unit
+        readings = dataset.load([int(view)])[0]
+        largest.add(readings, flat * dataset.exposure[view, :, None, None] + dataset.dark)
+        image[:] = dataset.spectra.events(readings - dataset.dark) / unit
     release(counts)
-    return counts
+    return counts, largest.limits()
+
+
+def _with_lower_bounds(
+    measured: Measurements,
+    dataset: Dataset,
+    views: Int[np.ndarray, " view"],
+    limits: Float[np.ndarray, " channel"],
+    store: ArrayStore,
+) -> Measurements:
+    """Counts of the open beam where readings end, and the weights that make them lower bounds."""
+    if not np.isfinite(limits).any():
+        return measured
+    weights = store.empty("lower_bounds", measured.counts.shape)
+    open_beam = measured.gains * measured.open_beam
+    for number, view in enumerate(views):
+        ends = dataset.load([int(view)])[0] >= limits[:, None, None]
+        air = open_beam * measured.exposure[number, :, None, None]
+        reading = np.array(measured.counts[number])
+        measured.counts[number] = np.where(ends, np.maximum(reading, air), reading)
+        weights[number] = np.where(ends, -_ratio(reading, measured.counts[number]), 1)
+    release(weights)
+    return replace(measured, statistical_weights=weights)
+
+
+def _bounds_of_blocks(measured: Measurements, factor: int) -> Float[np.ndarray, "view channel row column"] | None:
+    """Weights of 1 of blocks of pixels, or lower bounds where pixels of a block have some; None where none has."""
+    weights, found, any_bound = measured.statistical_weights, [], False
+    if weights is None:
+        return None
+    for image, bounds in zip(measured.counts, weights, strict=True):
+        least = np.where(bounds < 0, -bounds * image, image)
+        part = _ratio(sum_blocks(least, factor), sum_blocks(np.asarray(image), factor))
+        bounded = sum_blocks((bounds < 0).astype(np.float32), factor) > 0
+        found.append(np.where(bounded, -part, 1).astype(np.float32))
+        any_bound |= bool(bounded.any())
+    return np.stack(found) if any_bound else None
 
 
 def in_quanta(transmission: Transmission, quantum: Float[np.ndarray, " channel"]) -> Transmission:

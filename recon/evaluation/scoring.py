@@ -66,9 +66,13 @@ def _predict(
         through = None if marked is None else marked[view]
         scattered = measured.scattered(view)
         primary = expected[view] * measured.gains * scale
+        found = counts
+        if measured.statistical_weights is not None:  # lower bounds that are met tell no more
+            bounds = measured.statistical_weights[view]
+            found = np.where(bounds < 0, np.maximum(primary, -bounds * counts), counts).astype(np.float32)
         yield partial(
             HeldOutView.of,
-            counts + scattered,
+            found + scattered,
             primary + scattered,
             open_beam * scale,
             marked=through,

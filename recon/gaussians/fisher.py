@@ -89,7 +89,7 @@ def ray_information(
     expected, jacobian = expected * gains, jacobian[..., : len(measurements.basis_names)] * gains[..., None]
     precision = 1 / np.maximum(expected * (1 + dispersion**2 * expected), np.finfo(float).tiny)
     if measurements.statistical_weights is not None:
-        precision = precision * np.moveaxis(measurements.statistical_weights, 1, -1)
+        precision = precision * np.moveaxis(measurements.whole_weights, 1, -1)
     return np.einsum("...c,...cm,...cn->...mn", precision, jacobian, jacobian, optimize=True)
 
 
@@ -117,5 +117,5 @@ def ray_information_on_device(
     expected, jacobian = expected * gains, jacobian[..., : len(data.basis_names)] * gains[..., None]
     precision = 1 / (expected * (1 + dispersion**2 * expected)).clamp(min=torch.finfo(exact).tiny)
     if data.statistical_weights is not None:
-        precision = precision * torch.from_numpy(np.asarray(data.statistical_weights)).to(device).movedim(1, -1)
+        precision = precision * torch.from_numpy(data.whole_weights).to(device).movedim(1, -1)
     return (jacobian * precision[..., None]).mT @ jacobian

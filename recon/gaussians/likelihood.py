@@ -19,7 +19,7 @@ from torch import Tensor
 from recon.data.measurements import Measurements
 from recon.gaussians.model import GaussianModel
 from recon.gaussians.processes import ALONE, Processes
-from recon.ops.deviance import chi_square, deviance, expected_chi_square, expected_deviance
+from recon.ops.deviance import at_bounds, chi_square, deviance, expected_chi_square, expected_deviance
 from recon.ops.likelihood import MeasuredCounts
 from recon.ops.likelihood.data_term import data_term
 from recon.voxel.model import Voxels
@@ -185,12 +185,17 @@ def _sums(
     images: Float[Tensor, "view basis row column"], rays: "_Rays", dispersion: float
 ) -> tuple[Tensor, Float[Tensor, " sum"]]:
     """Compute the sum of the deviance; and as numbers that sum, chi-square per channel, and expected values of both."""
-    expected, measuring, weights = _expected_counts(images, rays), rays.gains > 0, rays.weights
-    loss = (weights * deviance(rays.counts, expected, dispersion)).sum()
+    expected = _expected_counts(images, rays)
+    measuring, counts, weights = rays.gains > 0, rays.counts, rays.weights
+    constant = images.new_zeros(())
+    if weights.ndim:
+        measuring = measuring & (weights >= 0)
+        counts, weights, constant = at_bounds(counts, weights, expected.detach(), dispersion)
+    loss = (weights * deviance(counts, expected, dispersion)).sum() + constant.sum()
     with torch.no_grad():
-        found = torch.where(measuring, chi_square(rays.counts, expected, dispersion), 0.0)
+        found = torch.where(measuring, chi_square(counts, expected, dispersion), 0.0)
         noise = torch.where(measuring, expected_chi_square(expected, dispersion), 0.0)
-        least = torch.where(measuring, weights * expected_deviance(expected, dispersion), 0.0).sum()
+        least = torch.where(rays.gains > 0, weights * expected_deviance(expected, dispersion), 0.0).sum()
         parts = [loss.reshape(1), found.sum(dim=(0, 2, 3)), least.reshape(1), noise.sum(dim=(0, 2, 3))]
         return loss, torch.cat([part.double() for part in parts])
 

@@ -15,6 +15,7 @@ from phantomgen.dataset.reader import Dataset
 from phantomgen.runtime.stopwatch import Stopwatch
 from recon.data.coverage import Coverage, inner_box
 from recon.data.devices import device_named
+from recon.data.incomplete_counts import saturation_notes
 from recon.data.material_decomposition import decompose_views
 from recon.data.measurements import Measurements, matching_bin
 from recon.data.view_subsets import count_complete_sets, every_nth_view, view_groups
@@ -149,6 +150,7 @@ def reconstruct(
         with stage("judge"):
             rays = UnseenRays.of(measured, voxel, recipe.dispersion, recipe.unseen_rays)
             gaussians, notes = rays.better_of(state.initial, gaussians, Voxels(volumes, grid, measured.basis_names))
+    notes = (*saturation_notes(dataset.spectra.channels, measured.bounded), *notes)
     volumes = np.ascontiguousarray(volumes[:, *inner_box(dataset.grid, grid)])
     gaussians, unreliable, result = gaussians.to("cpu"), None, None
     if recipe.residual.passes and processes.first:

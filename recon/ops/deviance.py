@@ -45,6 +45,37 @@ def deviance(
     return 2 * (ratio - (counts + k) * torch.log((counts + k) / (expected + k)))
 
 
+def at_bounds(
+    counts: Float[Tensor, "..."], weights: Float[Tensor, "..."], expected: Float[Tensor, "..."], dispersion: float
+) -> tuple[Float[Tensor, "..."], Float[Tensor, "..."], Float[Tensor, "..."]]:
+    """Compute what counts and weights are where counts are lower bounds.
+
+    A pixel that saturates says that its counts lie between its reading and those of the open beam. So the count is that
+    of the open beam, with the weight that gives it the variance of counts which are equally likely between the two,
+    (open beam - reading)^2 / 12; what no other ray sees stays empty. Where a model expects fewer than the reading, the
+    deviance from the reading adds to that.
+
+    Parameters
+    ----------
+    counts : measured counts; those of the open beam where they are lower bounds
+    weights : of the counts; minus the reading over the counts where they are lower bounds
+    expected : modelled counts
+    dispersion : relative model error
+
+    Returns
+    -------
+    counts, weights without signs, and constants that make the deviance continuous at the readings
+    """
+    bound, reading = weights < 0, (-weights * counts).clamp_min(LEAST)
+    missing, variance = bound & (expected < reading), counts + dispersion**2 * counts**2
+    met = variance / torch.maximum((counts - reading) ** 2 / 12, variance).clamp_min(LEAST)
+    both = 1 + met
+    middle = (met * counts + reading) / both
+    step = met * deviance(counts, reading, dispersion) - both * deviance(middle, reading, dispersion)
+    found = torch.where(bound, torch.where(missing, both, met), weights)
+    return torch.where(missing, middle, counts), found, torch.where(missing, step, 0.0)
+
+
 def chi_square(
     counts: Float[Tensor, "..."], expected: Float[Tensor, "..."], dispersion: float = 0.0
 ) -> Float[Tensor, "..."]:

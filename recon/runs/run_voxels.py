@@ -16,6 +16,7 @@ from phantomgen.dataset.reader import Dataset
 from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.stopwatch import Stopwatch
 from recon.data.coverage import coverage, inner_box
+from recon.data.incomplete_counts import saturation_notes
 from recon.data.material_decomposition import decompose_views
 from recon.data.measured_rays import ray_weights
 from recon.data.measurements import Measurements, matching_bin, read_measurements
@@ -95,13 +96,14 @@ class VoxelRun:
             if not on_curve:  # on a curve, one number per voxel determines all bases
                 unreliable = unreliable_voxels(volumes, measured, dataset.grid, Recipe().dispersion)
         log.write()
+        notes = saturation_notes(dataset.spectra.channels, measured.bounded) if isinstance(method, CountsMethod) else ()
         way = {} if isinstance(method, CountsMethod) else {"pipeline": self.pipeline}
         settings = {"method": method.name} | way | asdict(method)  # type: ignore[call-overload] - methods are dataclasses
         names = measured.basis_names
         return VolumeOutcome(
             dataset, Voxels(volumes, dataset.grid, names), measured.transmission,
             {"dataset": dataset.path.name, "method": settings}, settings, node_error, Voxels(with_margin, grid, names),
-            covered, unreliable, left_out(stated, names), log=log,
+            covered, unreliable, left_out(stated, names), notes=notes, log=log,
         )  # fmt: skip
 
     @property

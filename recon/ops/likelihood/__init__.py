@@ -24,7 +24,8 @@ class MeasuredCounts(NamedTuple):
     gains : open-beam counts of each pixel over those of the transmission; 0 where a channel of a pixel is not used
     exposure : tube output of each view and channel relative to the flat frames; 0 where a view was not taken
     profile : line integrals of a bowtie filter and of the heel effect for each pixel; None where there are none
-    statistical_weights : weight of each count in the likelihood; None where all weights are 1
+    statistical_weights : weight of each count in the likelihood; None where all weights are 1. A negative one
+        says that at least that part of the count arrived, see `recon.ops.deviance.at_bounds`
     """
 
     counts: Float[np.ndarray, "view channel row column"]

@@ -21,7 +21,8 @@ class Rays(NamedTuple):
     lengths : line integrals of the bases
     known : line integrals of further columns, which are the same in all views; none where there are no such columns
     counts : measured counts
-    statistical_weights : weight of each count in the likelihood; no views where all weights are 1
+    statistical_weights : weight of each count in the likelihood, minus the part that arrived for a lower bound; no
+        views where all weights are 1
     gains : open-beam counts of each pixel over those of the energy nodes
     exposure : tube output of each view and channel
     """
@@ -46,6 +47,22 @@ def _half_deviance(counted, expected, dispersion):
     if change < -0.5:  # where rounding could make it -1
         return ratio - (counted + k) * log((counted + k) / (expected + k))
     return ratio - (counted + k) * log1p(change)
+
+
+@inlined
+@no_type_check
+def _at_bound(counted, share, expected, dispersion):
+    """Count, weight and constant of the deviance of a lower bound, see `recon.ops.deviance.at_bounds`."""
+    reading, variance = -share * counted, counted + dispersion * dispersion * counted * counted
+    weight = variance / max((counted - reading) * (counted - reading) / 12.0, variance)
+    if expected >= reading:
+        return counted, weight, 0.0
+    both = 1.0 + weight
+    middle = (weight * counted + reading) / both
+    constant = weight * _half_deviance(counted, reading, dispersion) - both * _half_deviance(
+        middle, reading, dispersion
+    )
+    return middle, both, 2.0 * constant
 
 
 @njit(forceinline=True, fastmath=FLAGS, error_model="numpy")
@@ -126,8 +143,12 @@ def data_term(rays, part, nodes, dispersion, least, table, room, written):
                 share = statistical_weights[0, c, start + i] if statistical_weights.shape[0] > 0 else 1.0
                 expected, counted = scale * room[0, i], float(counts[0, c, start + i])
                 variance = max(expected + squared * expected * expected, 1.0)
-                sums[2, c] += (counted - expected) * (counted - expected) / variance
-                sums[3, c] += expected / variance
+                if share < 0.0:
+                    counted, share, constant = _at_bound(counted, share, max(expected, least), dispersion)
+                    sums[0, c] += constant
+                else:
+                    sums[2, c] += (counted - expected) * (counted - expected) / variance
+                    sums[3, c] += expected / variance
                 if share == 0.0:
                     continue
                 sums[0, c] += 2.0 * share * _half_deviance(counted, max(expected, least), dispersion)
@@ -161,6 +182,7 @@ def likelihood(rays, view, nodes, dispersion, least, room, gradient, fisher):
     """
     counts, statistical_weights, gains, exposure = rays.counts, rays.statistical_weights, rays.gains, rays.exposure
     bases, _, size = rays.lengths.shape
+    squared = dispersion * dispersion
     view = np.uint64(view)  # unsigned: no index counts from the end, so loops become vector instructions
     total, block = 0.0, room.shape[1]
     for start in range(np.uint64(0), np.uint64(size), np.uint64(block)):
@@ -176,16 +198,23 @@ def likelihood(rays, view, nodes, dispersion, least, room, gradient, fisher):
                 scale = gains[c, start + i] * exposure[view, c]
                 share = statistical_weights[view, c, start + i] if statistical_weights.shape[0] > 0 else 1.0
                 expected, counted = scale * room[0, i], float(counts[view, c, start + i])
+                whole = share if share >= 0.0 else 2.0  # of curvatures, the most that a lower bound can have
+                bound = (
+                    _at_bound(counted, share, max(expected, least), dispersion)
+                    if share < 0.0
+                    else (counted, share, 0.0)
+                )
+                counted, share, constant = bound
+                total += constant
+                if expected >= least or (counted > 0.0 and scale > 0.0):
+                    total += 2.0 * share * _half_deviance(counted, max(expected, least), dispersion)
                 if expected < least:
-                    if counted > 0.0 and scale > 0.0:
-                        total += 2.0 * share * _half_deviance(counted, least, dispersion)
                     continue
-                total += 2.0 * share * _half_deviance(counted, expected, dispersion)
-                precision = share * scale / (expected * (1.0 + dispersion * dispersion * expected))
+                precision = share * scale / (expected * (1.0 + squared * expected))
                 to_value = (expected - counted) * precision
                 most = max(expected, counted)
-                precision = share * scale * scale * most
-                precision /= expected * expected * (1.0 + dispersion * dispersion * most)
+                precision = whole * scale * scale * most
+                precision /= expected * expected * (1.0 + squared * most)
                 for m in range(bases):
                     gradient[m, view, start + i] += to_value * room[1 + m, i]
                 pair = 0

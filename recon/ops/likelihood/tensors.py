@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
 
-from recon.ops.deviance import deviance
+from recon.ops.deviance import at_bounds, deviance
 from recon.ops.likelihood import LEAST, MeasuredCounts
 from spectra.differentiable import transmit_and_jacobian
 from spectra.transmission import Transmission
@@ -58,14 +58,17 @@ def likelihood(
     expected, slopes = transmit_and_jacobian(along, transmission)
     scale = on_device(measured.gains).movedim(0, -1) * on_device(measured.exposure)[:, None, None]
     expected, slopes = expected * scale, slopes[..., :bases] * scale[..., None]
-    weights: Tensor | float = 1.0
+    weights = shares = torch.ones((), dtype=torch.float64, device=lengths.device)
+    constants = torch.zeros((), dtype=torch.float64, device=lengths.device)
     if measured.statistical_weights is not None:
         weights = on_device(measured.statistical_weights).movedim(1, -1)
+        counts, shares, constants = at_bounds(counts, weights, expected, dispersion)
+        weights = torch.where(weights < 0, 2.0, weights)  # of curvatures, the most that a lower bound can have
     used = expected >= LEAST
     per_count = deviance(counts, expected.clamp(min=LEAST), dispersion)
-    per_count = torch.where(used | ((counts > 0) & (scale > 0)), weights * per_count, 0.0)
+    per_count = torch.where(used | ((counts > 0) & (scale > 0)), shares * per_count + constants, 0.0)
     safe = torch.where(used, expected, 1.0)
-    to_counts = torch.where(used, weights * (safe - counts) / (safe * (1 + dispersion**2 * safe)), 0.0)
+    to_counts = torch.where(used, shares * (safe - counts) / (safe * (1 + dispersion**2 * safe)), 0.0)
     gradient = torch.einsum("vrkc,vrkcm->mvrk", to_counts, slopes)
     curvatures = None
     if information:

@@ -15,7 +15,7 @@ from spectra.threads import set_threads
 VIEWS, ROWS = 2, 3
 
 
-def some_views(bases, columns, scale=1.0, weighted=True, parts=0):
+def some_views(bases, columns, scale=1.0, weighted=True, parts=0, bounds=False):
     """Line integrals, and counts of others nearby, with gains, exposures and weights of their own."""
     rng = np.random.default_rng(columns)
     model = spectral_model(bases + parts)
@@ -27,6 +27,12 @@ def some_views(bases, columns, scale=1.0, weighted=True, parts=0):
     expected = model.expected(np.moveaxis(with_profile(lengths, profile) * rng.uniform(0.9, 1.1), 1, -1))
     counts = rng.poisson(np.moveaxis(expected, -1, 1) * gains * exposure[:, :, None, None]).astype(np.float32)
     weights = rng.integers(0, 3, counts.shape).astype(np.float32) / 2 if weighted else None
+    if bounds:  # of which about half are missed
+        weights = np.where(rng.random(counts.shape) < 0.3, -1 / rng.uniform(1.02, 1.5, counts.shape), 1)
+        counts, weights = (
+            np.where(weights < 0, counts / -weights, counts).astype(np.float32),
+            weights.astype(np.float32),
+        )
     return lengths, MeasuredCounts(counts, gains, exposure, profile, weights), model
 
 
@@ -48,13 +54,17 @@ def by_torch(lengths, measured, model, dispersion):
     expected, counts, used = expected * scale, torch.tensor(measured.counts.astype(float)), scale > 0
     shares = measured.statistical_weights
     shares = torch.ones_like(counts) if shares is None else torch.tensor(shares.astype(float))
-    deviances = torch.where(used, shares * formulas.deviance(counts, expected, dispersion), 0)
+    bound, reading, variance = shares < 0, -shares * counts, counts + dispersion**2 * counts**2
+    weak = variance / torch.maximum(variance, (counts - reading) ** 2 / 12)
+    shares, missed = torch.where(bound, weak, shares), bound & (expected < reading)
+    below = torch.where(missed, formulas.deviance(reading.clamp_min(0), expected, dispersion), 0)
+    deviances = torch.where(used, shares * formulas.deviance(counts, expected, dispersion) + below, 0)
     (deviances.sum() / 2).backward()
     rows = (
         deviances,
-        shares * formulas.expected_deviance(expected, dispersion),
-        formulas.chi_square(counts, expected, dispersion),
-        formulas.expected_chi_square(expected, dispersion),
+        (shares + missed) * formulas.expected_deviance(expected, dispersion),
+        torch.where(bound, 0, formulas.chi_square(counts, expected, dispersion)),
+        torch.where(bound, 0, formulas.expected_chi_square(expected, dispersion)),
     )
     sums = [torch.where(used, row, 0).sum(dim=(0, 2, 3)).detach().numpy() for row in rows]
     return along.grad.numpy(), sums
@@ -65,6 +75,16 @@ def by_torch(lengths, measured, model, dispersion):
 @pytest.mark.parametrize(("columns", "scale"), [(7, 1.0), (RAYS_PER_PIECE // 2, 0.5), (40, 8.0), (40, 30.0)])
 def test_gradient_and_sums_are_those_of_the_formulas(bases, dispersion, columns, scale):
     scan = some_views(bases, columns, scale, weighted=columns == 40)
+    gradient, sums = by_torch(*scan, dispersion)
+    found = data_term(*scan, dispersion)
+    np.testing.assert_allclose(found.gradient, gradient, atol=TOLERANCES["likelihood"] * np.abs(gradient).max())
+    for row, right in zip(found[1:], sums, strict=True):
+        np.testing.assert_allclose(row, right, rtol=TOLERANCES["likelihood"])
+
+
+@pytest.mark.parametrize("dispersion", [0.0, 0.02])
+def test_lower_bounds_count_where_fewer_are_expected(dispersion):
+    scan = some_views(3, 40, bounds=True)
     gradient, sums = by_torch(*scan, dispersion)
     found = data_term(*scan, dispersion)
     np.testing.assert_allclose(found.gradient, gradient, atol=TOLERANCES["likelihood"] * np.abs(gradient).max())

@@ -6,10 +6,12 @@ import torch
 from support.gaussian_scenes import spectral_model
 from support.tolerances import TOLERANCES
 
+from recon.ops.deviance import deviance
 from recon.ops.likelihood import BLOCK, MeasuredCounts, likelihood, tensors
 from recon.ops.likelihood.reference import half_deviance
 from recon.ops.nonnegative_newton import as_matrices
 from spectra.errors import InputError
+from spectra.ops.transmit import reference as transmit
 from spectra.threads import set_threads
 from spectra.transmission import Transmission
 
@@ -52,6 +54,35 @@ def test_value_and_gradient_are_those_of_the_reference(bases, dispersion, column
     np.testing.assert_allclose(deviances.sum() / 2, value, rtol=TOLERANCES["likelihood"])
     np.testing.assert_allclose(found, gradient, atol=TOLERANCES["likelihood"] * np.abs(gradient).max())
     assert fisher is None
+
+
+@pytest.mark.parametrize("kernel", ["cpu", "tensors"])
+@pytest.mark.parametrize("dispersion", [0.0, 0.02])
+def test_lower_bounds_add_the_deviance_from_the_reading_to_a_weak_one_from_the_open_beam(kernel, dispersion):
+    model = spectral_model(2)
+    lengths, _, gains, exposure = some_rays(model, 2)
+    flat = torch.tensor(lengths.reshape(2, -1).T.astype(float), requires_grad=True)
+    scale = torch.tensor(np.moveaxis(gains * exposure[:, :, None, None], 1, -1).reshape(-1, len(model)))
+    columns, weights = torch.from_numpy(model.columns), torch.from_numpy(model.weights)
+    expected = transmit.transmit(flat, columns, weights, model.starts.tolist()) * scale
+    air = torch.from_numpy(model.open_beam) * scale
+    reading = torch.tensor(np.random.default_rng(3).uniform(0.7, 1.3, expected.shape)) * expected.detach()
+    reading = torch.minimum(reading, 0.95 * air)
+    variance = air + dispersion**2 * air**2
+    weak = variance / torch.maximum(variance, (air - reading) ** 2 / 12)
+    below = torch.where(expected < reading, deviance(reading, expected, dispersion), 0.0)
+    value = (weak * deviance(air, expected, dispersion) + below).sum() / 2
+    (gradient,) = torch.autograd.grad(value, flat)
+    whole, bounds = (
+        part.float().numpy().reshape(2, 3, -1, len(model)).transpose(0, 3, 1, 2) for part in (air, -reading / air)
+    )
+    measured = MeasuredCounts(whole, gains, exposure, None, bounds)
+    how = likelihood if kernel == "cpu" else tensors.likelihood
+    found = how(lengths if kernel == "cpu" else torch.from_numpy(lengths), measured, model, dispersion, True)
+    right = gradient.T.reshape(lengths.shape).numpy()
+    assert float(sum(found.deviances)) / 2 == pytest.approx(value.item(), rel=TOLERANCES["likelihood"])
+    np.testing.assert_allclose(np.asarray(found.gradient), right, atol=TOLERANCES["likelihood"] * np.abs(right).max())
+    assert (as_matrices(np.asarray(found.curvatures)).trace(axis1=-2, axis2=-1) > 0).all()
 
 
 def test_a_known_profile_adds_to_every_ray():
