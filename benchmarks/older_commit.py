@@ -26,7 +26,7 @@ from benchmarks.result_rows import store
 
 ROOT = Path(__file__).parents[1]
 TABLE = Path(__file__).parent / "results" / "older_commit.txt"
-SCENES = ("kedge-small", "foam")
+SCENES = ("kedge-small",)
 NAMED = 24  # characters of a row for its scene and command
 HEADER = (
     f"{'scene, command':<{NAMED}}{'before [s]':>11}{'now [s]':>9}{'ratio':>7}{'least':>7}{'most':>7}"

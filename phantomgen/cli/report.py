@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option
+from phantomgen.cli.common import Printing, debug_option, grouped, json_option, quiet_option
 
 
 @click.command(
@@ -15,9 +15,11 @@ from phantomgen.cli.common import debug_option, json_option
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Page to write [default: <dataset>-report.html].")
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
 @click.option("--overwrite", is_flag=True, help="Replace a page that exists.")
+@quiet_option
 @json_option
 @debug_option
-def report(file: Path, out: Path | None, air: str | None, overwrite: bool, as_json: bool) -> None:
+@grouped(printing=Printing)
+def report(file: Path, out: Path | None, air: str | None, overwrite: bool, printing: Printing) -> None:
     """Write one page about DATASET: scene, geometry, energies, views, errors, provenance.
 
     The page holds everything: pictures, and their numbers as tables to save.
@@ -27,11 +29,11 @@ def report(file: Path, out: Path | None, air: str | None, overwrite: bool, as_js
 
     target = out or Path(f"{file.stem}-report.html")
     check_page(target, overwrite)
-    page = dataset_report(file, air)
+    page = dataset_report(file, air, progress=not printing.silent)
     size = write_page(page, target)
     sections = [section.title for section in page.sections]
     found = {"report": str(target), "bytes": size, "sections": sections, "left_out": dict(page.left_out)}
-    if as_json:
+    if printing.as_json:
         click.echo(json.dumps(found))
         return
     for name, why in page.left_out:

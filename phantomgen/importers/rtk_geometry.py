@@ -11,7 +11,8 @@ from phantomgen.geometry.poses import Geometry
 from spectra.errors import Error, InputError
 
 _ROOT = "RTKThreeDCircularGeometry"
-_NAMES = tuple(RtkGeometry.__dataclass_fields__)
+_RADIUS = "RadiusCylindricalDetector"
+_NAMES = tuple(name for name in RtkGeometry.__dataclass_fields__ if name != _RADIUS)
 _SAME = 1e-3  # relative; a matrix of the file may differ so much from the one that its numbers give
 
 
@@ -30,8 +31,8 @@ def read_rtk_geometry(path: Path, panel: Panel) -> Geometry:
     Raises
     ------
     InputError
-        When the file cannot be read, is of another kind, holds something that is no number, has a cylindrical panel, or
-        its matrices contradict its numbers.
+        When the file cannot be read, is of another kind, holds something that is no number, has a panel with a
+        different radius in some view, or its matrices contradict its numbers.
     """
     try:
         root = ElementTree.fromstring(path.read_text(encoding="utf-8"))
@@ -47,11 +48,12 @@ def read_rtk_geometry(path: Path, panel: Panel) -> Geometry:
     views = root.findall("Projection")
     if not views:
         raise InputError(f"{path} holds no Projection")
-    if any(_number(path, part, "RadiusCylindricalDetector", 0.0) for part in (root, *views)):
-        raise InputError(f"{path}: RadiusCylindricalDetector is not 0, but panels are flat here")
+    radius, *others = {_number(path, view, _RADIUS, _number(path, root, _RADIUS, 0.0)) for view in views}
+    if others:
+        raise InputError(f"{path}: {_RADIUS} must be the same in all views")
     common = {name: _number(path, root, name, 0.0) for name in _NAMES}
     numbers = {name: np.array([_number(path, view, name, common[name]) for view in views]) for name in _NAMES}
-    rtk = RtkGeometry(**numbers)
+    rtk = RtkGeometry(**numbers, RadiusCylindricalDetector=radius)
     _check_matrices(path, views, rtk)
     try:
         return from_rtk(rtk, panel)

@@ -12,7 +12,7 @@ from phantomgen.scene.scan import load_scene
 PHOTONS, VOXELS = 300_000, 48  # of the map, and for each cylinder; a few seconds
 
 
-def dose_parts(path: Path, truth: Truth, folder: Path) -> list[Part]:
+def dose_parts(path: Path, truth: Truth, folder: Path, progress: bool = False) -> list[Part]:
     """Compute the dose of the scan that a dataset was simulated from.
 
     Parameters
@@ -20,6 +20,7 @@ def dose_parts(path: Path, truth: Truth, folder: Path) -> list[Part]:
     path : of the dataset; files that its scene names are looked for beside it
     truth : with the scene as text
     folder : folder for the picture
+    progress : show bars on stderr
 
     Returns
     -------
@@ -30,7 +31,7 @@ def dose_parts(path: Path, truth: Truth, folder: Path) -> list[Part]:
     InputError
         When the scene cannot be read, or its dose not be computed.
     """
-    report = DoseReport.of(load_scene(SceneFile(str(path), truth.scene)), PHOTONS, VOXELS)
+    report = DoseReport.of(load_scene(SceneFile(str(path), truth.scene)), PHOTONS, VOXELS, progress=progress)
     rows = [("air kerma at the isocentre, nothing in the beam", _milligray(report.kerma), "")]
     for each in report.ctdi:
         where = f"CTDIvol in {each.diameter / 10:g} cm of PMMA"

@@ -19,13 +19,14 @@ from spectra.errors import Error, InputError
 _CHANGES_DOSE = ("degrade",)  # processes after which the scene no longer states the dose of the file
 
 
-def dataset_report(path: Path, air: str | None = None) -> Page:
+def dataset_report(path: Path, air: str | None = None, progress: bool = False) -> Page:
     """Create the page about a dataset.
 
     Parameters
     ----------
     path : of the dataset
     air : a part of the panel that sees only air, for lack of flats
+    progress : show bars on stderr
 
     Returns
     -------
@@ -49,7 +50,7 @@ def dataset_report(path: Path, air: str | None = None) -> Page:
         missing: list[tuple[str, str]] = []
         if truth is not None and truth.scene:
             try:
-                chapters.append(("Dose", _dose_parts(path, truth, info, folder)))
+                chapters.append(("Dose", _dose_parts(path, truth, info, folder, progress)))
             except Error as error:  # a file of the scene that is not here, a geometry without dose
                 missing.append(("Dose", f"{error}."))
         plan = plan_of(dataset)
@@ -80,10 +81,10 @@ def dataset_report(path: Path, air: str | None = None) -> Page:
         )
 
 
-def _dose_parts(path: Path, truth: Truth, info: dict[str, Any], folder: Path) -> list[Part]:
+def _dose_parts(path: Path, truth: Truth, info: dict[str, Any], folder: Path, progress: bool) -> list[Part]:
     """Create the parts about dose of a scan that is still as it was simulated."""
     steps = [step["step"] for step in info["history"]]
     changed = [step for step in steps if step in _CHANGES_DOSE]
     if changed:
         raise InputError(f"the scene states the dose before the step {changed[0]}")
-    return dose_parts(path, truth, folder)
+    return dose_parts(path, truth, folder, progress)

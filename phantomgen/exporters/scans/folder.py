@@ -134,8 +134,9 @@ def write_folder(path: Path, program: str, projections: Projections) -> None:
             part.mkdir()
             record = _record(program, written) | writer.write(part, written)
             (part / _SCAN).write_text(json.dumps(record, indent=1), encoding="utf-8")
-            script = _HEAD.format(imports=writer.IMPORTS) + writer.SCRIPT
-            (part / _SCRIPT).write_text(script, encoding="utf-8")
+            curved = written.geometry.panel.curvature is not None
+            own = getattr(writer, "CURVED_SCRIPT", writer.SCRIPT) if curved else writer.SCRIPT
+            (part / _SCRIPT).write_text(_HEAD.format(imports=writer.IMPORTS) + own, encoding="utf-8")
             if path.is_dir():
                 shutil.rmtree(path)
             part.replace(path)

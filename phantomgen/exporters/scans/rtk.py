@@ -14,17 +14,31 @@ from phantomgen.geometry.conversions.rtk import RtkGeometry, rtk_matrices, to_rt
 from phantomgen.geometry.panel import Panel
 
 KINDS: tuple[Kind, ...] = ("line-integrals",)
-SCRIPT = """
+_LOAD = """
 scan, name = load()
 kind, geometry = itk.Image[itk.F, 3], rtk.read_geometry("geometry.xml")
 data = itk.imread(f"{scan['files'][name]}.mha", itk.F)
-data = rtk.displaced_detector_image_filter(data, geometry=geometry)  # nothing where the panel is centred
-data = rtk.parker_short_scan_image_filter(data, geometry=geometry)  # nothing on a full circle
 grid = {key: [v[i] for i in (1, 0, 2)] for key, v in scan["grid"].items()}  # RTK's (x, y, z) are our (y, z, x)
 empty = rtk.constant_image_source(origin=grid["origin"], spacing=grid["spacing"], size=grid["shape"], ttype=[kind])
-volume = rtk.fdk_cone_beam_reconstruction_filter(empty, data, geometry=geometry)
-np.save(f"{scan['files'][name]}_volume.npy", itk.array_from_image(volume).transpose(1, 2, 0))  # (z, y, x)
 """
+_SAVE = """np.save(f"{scan['files'][name]}_volume.npy", itk.array_from_image(volume).transpose(1, 2, 0))  # (z, y, x)
+"""
+_FDK = """data = rtk.displaced_detector_image_filter(data, geometry=geometry)  # nothing where the panel is centred
+data = rtk.parker_short_scan_image_filter(data, geometry=geometry)  # nothing on a full circle
+volume = rtk.fdk_cone_beam_reconstruction_filter(empty, data, geometry=geometry)
+"""
+_GRADIENTS = """fit = rtk.ConjugateGradientConeBeamReconstructionFilter[kind].New(Geometry=geometry)
+fit.SetNumberOfIterations(20)
+fit.SetForwardProjectionFilter(fit.ForwardProjectionType_FP_JOSEPH)
+fit.SetBackProjectionFilter(fit.BackProjectionType_BP_JOSEPH)
+fit.SetDisableDisplacedDetectorFilter(True)  # which knows flat panels only, as RTK's FDK does
+fit.SetInputVolume(empty)
+fit.SetInputProjectionStack(data)
+fit.SetInputWeights(rtk.constant_image_source(information_from_image=data, constant=1.0, ttype=[kind]))
+fit.Update()
+volume = fit.GetOutput()
+"""
+SCRIPT, CURVED_SCRIPT = _LOAD + _FDK + _SAVE, _LOAD + _GRADIENTS + _SAVE
 IMPORTS = "import itk\nfrom itk import RTK as rtk"
 
 
@@ -62,9 +76,11 @@ def geometry_xml(rtk: RtkGeometry) -> str:
     the text; numbers that are equal in all views stand at the top, as RTK writes them
     """
     lines = ['<?xml version="1.0"?>', "<!DOCTYPE RTKGEOMETRY>", '<RTKThreeDCircularGeometry version="3">']
-    numbers = vars(rtk)
+    numbers = {name: values for name, values in vars(rtk).items() if isinstance(values, np.ndarray)}
     common = [name for name, values in numbers.items() if name != "GantryAngle" and (values == values[0]).all()]
     lines += [_element("  ", name, numbers[name][0]) for name in common]
+    if rtk.RadiusCylindricalDetector:
+        lines.append(_element("  ", "RadiusCylindricalDetector", rtk.RadiusCylindricalDetector))
     for view, matrix in enumerate(rtk_matrices(rtk)):
         own = [_element("    ", name, numbers[name][view]) for name in numbers if name not in common]
         rows = ["      " + " ".join(f"{value:.15g}" for value in row) for row in matrix]

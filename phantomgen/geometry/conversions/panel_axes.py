@@ -27,24 +27,27 @@ def unit_steps(geometry: Geometry) -> tuple[VectorPerView, VectorPerView]:
     return column, row
 
 
-def right_angled_steps(geometry: Geometry, program: str) -> tuple[VectorPerView, VectorPerView]:
+def right_angled_steps(geometry: Geometry, program: str, curved: bool = False) -> tuple[VectorPerView, VectorPerView]:
     """Return the directions along which columns and rows count, for a program whose panels are rectangles.
 
     Parameters
     ----------
     geometry : poses
     program : its name, for the message
+    curved : whether it knows curved panels
 
     Returns
     -------
-    unit vectors to the next column and to the next row
+    unit vectors to the next column and to the next row; of a curved panel, in its middle
 
     Raises
     ------
     GeometryError
-        When the panel is curved, the pixels of a view are no rectangles, or their size is not that of the panel.
+        When the panel is curved and may not be, the pixels of a view are no rectangles, or their size is not that of
+        the panel.
     """
-    refuse_curved(geometry, program)
+    if not curved:
+        refuse_curved(geometry, program)
     check_pitch(geometry, program)
     column, row = unit_steps(geometry)
     cosine = np.abs(np.einsum("vi,vi->v", column, row))

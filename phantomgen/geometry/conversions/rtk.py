@@ -10,7 +10,7 @@ References
 .. [2] https://docs.openrtk.org, Geometry.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any
 
@@ -18,11 +18,13 @@ import numpy as np
 from jaxtyping import Float
 
 from phantomgen.geometry.conversions.panel_axes import geometry_of, right_angled_steps
-from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.curved_panel import flat_modules
+from phantomgen.geometry.panel import Curvature, Panel
 from phantomgen.geometry.poses import Geometry, VectorPerView
 from spectra.errors import GeometryError, NotInstalledError
 
 _TO_RTK, _FROM_RTK = [1, 2, 0], [2, 0, 1]  # order of the axes
+_CENTRAL = 1e-9  # part of the radius; an axis nearer to the isocentre passes it
 _PERPENDICULAR = 1e-6  # largest difference between the ray and the normal of the panel in a parallel beam
 Numbers = Float[np.ndarray, " view"]
 
@@ -39,6 +41,8 @@ class RtkGeometry:
     ProjectionOffsetX, ProjectionOffsetY : of the panel's centre from the isocentre's foot, along columns and upwards
     OutOfPlaneAngle, InPlaneAngle : about x, then z
     SourceOffsetX, SourceOffsetY : of the source from the isocentre, along the same
+    RadiusCylindricalDetector : of a panel that is curved about an axis along its columns of pixels; 0 for a flat one.
+        The normal then passes the isocentre and that axis, and ProjectionOffsetX is the length of the arc from there
     """
 
     SourceToIsocenterDistance: Numbers
@@ -50,6 +54,7 @@ class RtkGeometry:
     InPlaneAngle: Numbers
     SourceOffsetX: Numbers
     SourceOffsetY: Numbers
+    RadiusCylindricalDetector: float = 0.0
 
     def __len__(self) -> int:
         return len(self.GantryAngle)
@@ -71,6 +76,11 @@ def to_rtk(geometry: Geometry) -> RtkGeometry:
     GeometryError
         When pixels are no rectangles of one size, columns and rows are mirrored, or a parallel beam does not meet the
         panel at right angles.
+
+    Notes
+    -----
+    RTK's curved panel is a smooth cylinder, ours has flat modules that touch it: pixels at the edges of modules lie
+    beside it by the square of a module's width over eight radii.
     """
     source, center, across, up = _in_rtk_axes(geometry)
     normal = np.cross(across, up)
@@ -83,7 +93,9 @@ def to_rtk(geometry: Geometry) -> RtkGeometry:
     else:
         shift = np.einsum("vij,vj->vi", turn, source)
         distances = shift[:, 2], shift[:, 2] - offset[:, 2]
-    return RtkGeometry(*distances, gantry, offset[:, 0], offset[:, 1], outer, inner, shift[:, 0], shift[:, 1])
+    curvature = geometry.panel.curvature
+    radius = 0.0 if curvature is None else curvature.radius
+    return RtkGeometry(*distances, gantry, offset[:, 0], offset[:, 1], outer, inner, shift[:, 0], shift[:, 1], radius)
 
 
 def from_rtk(rtk: RtkGeometry, panel: Panel) -> Geometry:
@@ -92,7 +104,8 @@ def from_rtk(rtk: RtkGeometry, panel: Panel) -> Geometry:
     Parameters
     ----------
     rtk : the numbers
-    panel : the pixel grid, which RTK keeps with the projections
+    panel : the pixel grid, which RTK keeps with the projections; a flat one gets the radius of `rtk`, and a module for
+        each column
 
     Returns
     -------
@@ -120,7 +133,18 @@ def from_rtk(rtk: RtkGeometry, panel: Panel) -> Geometry:
     if parallel.all():
         return geometry_of(*steps, size, ray_direction=-normal, angles=angles)
     source = at(rtk.SourceOffsetX, rtk.SourceOffsetY, rtk.SourceToIsocenterDistance)
-    return geometry_of(*steps, size, source=source, angles=angles)
+    radius = rtk.RadiusCylindricalDetector
+    if not radius:
+        return geometry_of(*steps, size, source=source, angles=angles)
+    along = rtk.ProjectionOffsetX / radius
+    cosine, sine = np.cos(along), np.sin(along)
+    center = at(radius * sine, rtk.ProjectionOffsetY, depth + radius * (1 - cosine))
+    column = panel.column_pitch * (cosine[:, None] * across + sine[:, None] * normal)
+    flat = geometry_of(center, column, steps[2], size, source=source, angles=angles)
+    curvature = panel.curvature or Curvature(radius, panel.columns)
+    curved = replace(flat, panel=replace(panel, curvature=curvature))
+    flat_modules(curved)  # refuses a panel that is wrapped past the source
+    return curved
 
 
 def rtk_matrices(rtk: RtkGeometry) -> Float[np.ndarray, "view 3 4"]:
@@ -172,7 +196,8 @@ def to_rtk_object(geometry: Geometry) -> Any:
     except (ImportError, AttributeError):
         raise NotInstalledError("RTK's geometry as an object needs itk-rtk: pip install itk-rtk") from None
     if geometry.is_parallel:
-        for numbers in zip(*vars(to_rtk(geometry)).values(), strict=True):
+        lengths = [values for values in vars(to_rtk(geometry)).values() if isinstance(values, np.ndarray)]
+        for numbers in zip(*lengths, strict=True):
             poses.AddProjection(*map(float, numbers))
         return poses
     for view, vectors in enumerate(zip(*_in_rtk_axes(geometry), strict=True)):
@@ -180,6 +205,8 @@ def to_rtk_object(geometry: Geometry) -> Any:
         point, vector = itk.Point[itk.D, 3], itk.Vector[itk.D, 3]
         if not poses.AddProjection(point(source), point(center), vector(across), vector(up)):
             raise GeometryError(f"RTK refuses the pose of view {view}")
+    if geometry.panel.curvature is not None:
+        poses.SetRadiusCylindricalDetector(geometry.panel.curvature.radius)
     return poses
 
 
@@ -210,12 +237,14 @@ def from_rtk_object(poses: Any, panel: Panel) -> Geometry:
             ("SourceOffsetY", "SourceOffsetsY"),
         )
     }
-    return from_rtk(RtkGeometry(GantryAngle=gantry, OutOfPlaneAngle=outer, InPlaneAngle=inner, **lengths), panel)
+    turned = {"GantryAngle": gantry, "OutOfPlaneAngle": outer, "InPlaneAngle": inner}
+    radius = float(poses.GetRadiusCylindricalDetector())
+    return from_rtk(RtkGeometry(**turned, **lengths, RadiusCylindricalDetector=radius), panel)
 
 
 def _in_rtk_axes(geometry: Geometry) -> tuple[VectorPerView, VectorPerView, VectorPerView, VectorPerView]:
-    """Source, centre of the panel, and its axes along columns and upwards, in RTK's axes."""
-    column, row = right_angled_steps(geometry, "RTK")
+    """Source, centre of the panel, and its axes along columns and upwards, in RTK's axes; a curved panel unrolled."""
+    column, row = right_angled_steps(geometry, "RTK", curved=True)
     away = np.cross(column, row)
     if geometry.ray_direction is not None:
         slant = np.linalg.norm(geometry.ray_direction - away, axis=1)
@@ -229,7 +258,28 @@ def _in_rtk_axes(geometry: Geometry) -> tuple[VectorPerView, VectorPerView, Vect
         )
     vectors = geometry.source, geometry.panel_center, column, -row
     source, center, across, up = (vector[:, _TO_RTK] for vector in vectors)
+    if geometry.panel.curvature is not None:
+        center, across = _unrolled(center, across, up, geometry.panel.curvature.radius)
     return source, center, across, up
+
+
+def _unrolled(
+    center: VectorPerView, across: VectorPerView, up: VectorPerView, radius: float
+) -> tuple[VectorPerView, VectorPerView]:
+    """Centre and axis along columns of the flat panel that touches a cylinder where the isocentre's normal meets it."""
+    normal = np.cross(across, up)
+    axis = center + radius * normal
+    height = np.einsum("vi,vi->v", axis, up)[:, None]
+    toward = axis - height * up
+    distance = np.linalg.norm(toward, axis=1, keepdims=True)
+    central = distance < _CENTRAL * radius  # where the axis passes the isocentre, any normal does
+    toward = np.where(central, normal, toward / np.where(central, 1.0, distance))
+    toward *= np.where(np.einsum("vi,vi->v", toward, normal) < 0, -1.0, 1.0)[:, None]
+    beside = np.cross(up, toward)
+    sine, cosine = -np.einsum("vi,vi->v", normal, beside), np.einsum("vi,vi->v", normal, toward)
+    depth = np.einsum("vi,vi->v", axis, toward) - radius
+    arc = radius * np.arctan2(sine, cosine)
+    return depth[:, None] * toward + arc[:, None] * beside + height * up, beside
 
 
 def _angles(turn: Float[np.ndarray, "view 3 3"]) -> tuple[Numbers, Numbers, Numbers]:

@@ -171,7 +171,8 @@ class Plan:
             for c in self.choices
         ]
         verdict = "meets" if self.error <= self.tolerance else "MISSES"
-        return "\n".join([*lines, f"{'together':<{width}}  {self.error:.1e}  {verdict} {self.tolerance:.0e}"])
+        digits = 1 if f"{self.error:.1e}" != f"{self.tolerance:.1e}" or verdict == "meets" else 3  # that show the miss
+        return "\n".join([*lines, f"{'together':<{width}}  {self.error:.{digits}e}  {verdict} {self.tolerance:.0e}"])
 
 
 def check_tolerance(tolerance: float) -> None:

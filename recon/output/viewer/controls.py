@@ -21,6 +21,7 @@ class Controls:
     draw : function that draws a panel from its kind, its basis and the positions of the planes
     bases : numbers of the bases that are shown
     at : positions of the planes (x, y, z) [mm]
+    drawn : called after the panels were drawn anew, which removes all text
     """
 
     content: RunContent
@@ -28,6 +29,7 @@ class Controls:
     draw: Callable[[Pane, str, int, Triple], None]
     bases: list[int]
     at: Triple
+    drawn: Callable[[], None] = lambda: None
 
     def turn(self, step: int) -> None:
         """Show other bases.
@@ -70,5 +72,6 @@ class Controls:
             pane.clear()
             self.draw(pane, kind, self.bases[i], self.at)
             pane.finish()
+        self.drawn()
         plotter.suppress_rendering = False
         plotter.render()

@@ -99,9 +99,12 @@ def draw(
     for row, column in np.ndindex(found.shape):
         plotter.renderers[plotter.renderers.loc_to_index((row, column))].set_background("white")
     if not off_screen:
-        Controls(content, panes, partial(draw_slices, content=content), bases, content.at).bind()
+        controls = Controls(content, panes, partial(draw_slices, content=content), bases, content.at)
+        controls.bind()
         if pointed is not None:
-            Pointer(panes, pointed).bind()
+            pointer = Pointer(panes, pointed)
+            pointer.bind()
+            controls.drawn = pointer.again
     if not for_page:
         plotter.enable_anti_aliasing("ssaa", all_renderers=True)
     return plotter, every

@@ -95,6 +95,7 @@ class Pointer:
     def __init__(self, panes: Mapping[tuple[str, int], Pane], values: PointerValues) -> None:
         self.panes, self.values = panes, values
         self.told = dict.fromkeys(panes, "")
+        self.place: tuple[int, int] | None = None
         self.plotter: Any = next(iter(panes.values())).plotter  # whose wrapped methods confuse type checkers
         self.plotter.iren.picker = "cell"
 
@@ -103,6 +104,12 @@ class Pointer:
         window = self.plotter.iren
         window.add_observer("MouseMoveEvent", lambda *_: self.move(*window.get_event_position()))
 
+    def again(self) -> None:
+        """Tell the values under the last place once more, where panels were drawn anew."""
+        self.told = dict.fromkeys(self.panes, "")
+        if self.place is not None:
+            self.move(*self.place)
+
     def move(self, x: int, y: int) -> None:
         """Tell the values under a place of the window.
 
@@ -110,6 +117,7 @@ class Pointer:
         ----------
         x, y : from the lower left corner [pixel]
         """
+        self.place = x, y
         width, height = self.plotter.window_size
         picker = self.plotter.iren.picker
         before = dict(self.told)

@@ -1,17 +1,21 @@
 """Scans on curved panels for other programs: kept where the format has them, resampled on demand, refused otherwise."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from support.poses import largest_difference
 from support.tiny_scans import make, one_sentence
 
 from phantomgen.cli.export import PROGRAMS
 from phantomgen.cli.main import main as phantomgen
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.geometry.conversions.astra import from_astra
+from phantomgen.geometry.curved_panel import flat_modules
 from phantomgen.geometry.flat_panel import flat_equivalent, on_flat_panel
+from phantomgen.importers.rtk_geometry import read_rtk_geometry
 from recon.cli.main import main as recon
 
 ORBIT = "geometry={type: helical, sod: 500, sdd: 800, views: 6, pitch: 20, turns: 1, test_views: 0}"
@@ -27,7 +31,9 @@ def scan(tmp_path_factory):
     return make(tmp_path_factory.mktemp("curved") / "curved.h5", "--set", ORBIT, "--set", PANEL % 800)
 
 
-@pytest.mark.parametrize("program", [name for name in PROGRAMS if name not in ("dicom-ct-pd", "tiff", "dxchange")])
+@pytest.mark.parametrize(
+    "program", [name for name in PROGRAMS if name not in ("rtk", "dicom-ct-pd", "tiff", "dxchange")]
+)
 def test_programs_with_flat_panels_refuse_a_curved_one(scan, program, tmp_path):
     said = one_sentence(export(scan, "--to", program, "-o", tmp_path / "out"))
     assert re.search(
@@ -58,6 +64,16 @@ def test_line_integrals_are_resampled_on_demand(scan, command, tmp_path):
 def test_counts_are_not_resampled(scan, tmp_path):
     said = one_sentence(export(scan, "--to", "tiff", "--what", "counts", "--flat-panel", "-o", tmp_path / "out"))
     assert "counts of a curved panel are not resampled to a flat one" in said
+
+
+def test_rtk_keeps_the_panel(scan, tmp_path):
+    assert export(scan, "--to", "rtk", "-o", tmp_path / "out").exit_code == 0
+    with open_dataset(scan) as dataset:
+        geometry = dataset.geometry
+        found = read_rtk_geometry(tmp_path / "out/geometry.xml", replace(geometry.panel, curvature=None))
+        assert found.panel == geometry.panel
+        assert largest_difference(found, geometry) < 1e-9
+        assert largest_difference(flat_modules(found), flat_modules(geometry)) < 1e-9
 
 
 def test_tiff_says_the_radius(scan, tmp_path):

@@ -414,8 +414,9 @@ def test_a_broken_geometry_of_rtk_is_one_sentence(written, tmp_path):
     )
     wrong = ("<GantryAngle>0</GantryAngle>", "<GantryAngle>x</GantryAngle>")
     assert "GantryAngle must be a number, got 'x'" in xml(tmp_path, written, wrong)
-    added = "<RadiusCylindricalDetector>800</RadiusCylindricalDetector>\n  <Projection>"
-    assert "panels are flat here" in xml(tmp_path, written, ("<Projection>", added))
+    added = "<GantryAngle>0</GantryAngle><RadiusCylindricalDetector>800</RadiusCylindricalDetector>"
+    change = ("<GantryAngle>0</GantryAngle>", added)
+    assert "RadiusCylindricalDetector must be the same in all views" in xml(tmp_path, written, change)
     moved = "<SourceToIsocenterDistance>400<"
     assert "Matrix of view 0 is not the one" in xml(tmp_path, written, ("<SourceToIsocenterDistance>500<", moved))
 

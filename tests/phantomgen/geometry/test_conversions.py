@@ -1,6 +1,7 @@
 """Geometry in the terms of other programs: known poses, the way back, and what is refused."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,8 @@ from support.poses import (
 
 from phantomgen.geometry import orbits
 from phantomgen.geometry.conversions import astra, cil, diffdrr, leap, naf, r2_gaussian, rtk, tigre, tomosipo
-from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.curved_panel import flat_modules
+from phantomgen.geometry.panel import Curvature, Panel
 from phantomgen.geometry.panel_mount import Mount, mounted
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.rotation import rotation_matrix
@@ -166,6 +168,21 @@ def test_a_circle_with_an_ideal_panel_comes_back(program, geometry):
 @settings(max_examples=30)
 def test_any_parallel_beam_comes_back(program, geometry):
     assert largest_difference(THERE_AND_BACK[program](geometry), geometry) < NEAR
+
+
+@given(geometry=free_poses(), bend=st.floats(0.7, 20))
+@settings(max_examples=60)
+def test_any_pose_of_a_curved_panel_comes_back_from_rtk(geometry, bend):
+    panel = geometry.panel
+    curvature = Curvature(bend * panel.columns * panel.column_pitch, panel.columns)
+    curved = replace(geometry, panel=replace(panel, curvature=curvature))
+    try:
+        wanted = flat_modules(curved)
+    except GeometryError:  # wrapped past the source
+        assume(False)
+    found = rtk.from_rtk(rtk.to_rtk(curved), panel)
+    assert largest_difference(found, curved) < NEAR
+    assert largest_difference(flat_modules(found), wanted) < NEAR
 
 
 @given(geometry=parallel_poses())

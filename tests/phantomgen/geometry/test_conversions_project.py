@@ -4,6 +4,8 @@ An object of three blobs, none in the middle, none like another: a mirrored, shi
 by pixels. Run with `pip install itk-rtk astra-toolbox diffdrr gecatsim`; without them the tests are skipped.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.poses import largest_difference
@@ -13,7 +15,8 @@ from phantomgen.geometry.conversions.astra import to_astra
 from phantomgen.geometry.conversions.diffdrr import to_diffdrr
 from phantomgen.geometry.conversions.leap import to_leap, to_leap_volume
 from phantomgen.geometry.conversions.rtk import from_rtk_object, to_rtk, to_rtk_object
-from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.curved_panel import module_frames
+from phantomgen.geometry.panel import Curvature, Panel
 from phantomgen.geometry.panel_mount import Mount, mounted
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.rotation import rotation_matrix
@@ -34,6 +37,8 @@ POSES = {
     "free poses": MOUNTED.moved(TURNS, np.array([[1.5, -2.0, 10.0], [-4.0, 1.0, 3.0], [0.0, 6.0, -5.0]])),
     "helix": orbits.helical(500.0, 800.0, np.array([-0.4, 0.3, 0.8]), 60.0, PANEL),
 }
+BENT = replace(PANEL, curvature=Curvature(640.0, PANEL.columns))
+CURVED = {name: replace(POSES[name], panel=BENT) for name in ("circle", "panel shifted and tilted", "helix")}
 FINE = Panel(110, 120, (0.7, 0.8))  # pixels narrower than voxels, where our projector is Joseph's
 PARALLEL = mounted(orbits.parallel(150.0, np.array([0.3, 1.9]), FINE), Mount((5.0, -3.0), (0.0, 0.0, 0.1)))
 
@@ -47,7 +52,7 @@ def blobs(grid: Grid = GRID) -> np.ndarray:
 
 def ours(geometry: Geometry) -> np.ndarray:
     """By our voxel projector, (view, row, column)."""
-    frames = geometry.ray_frames()
+    frames = module_frames(geometry)
     return project(blobs()[None], GRID, frames, geometry.panel.rows, geometry.panel.columns)[0]
 
 
@@ -96,6 +101,19 @@ def by_rtk(itk, geometry: Geometry, poses) -> np.ndarray:
 def test_rtk_projects_as_we_do(name):
     itk, geometry = need_rtk(), POSES[name]
     compare(by_rtk(itk, geometry, to_rtk_object(geometry)), ours(geometry), 5e-5)
+
+
+@pytest.mark.parametrize("name", CURVED)
+def test_rtk_projects_on_a_curved_panel_as_we_do(name, tmp_path):
+    from phantomgen.exporters.scans.rtk import geometry_xml
+
+    itk, geometry = need_rtk(), CURVED[name]
+    compare(by_rtk(itk, geometry, to_rtk_object(geometry)), ours(geometry), 5e-5)
+    (tmp_path / "ours.xml").write_text(geometry_xml(to_rtk(geometry)))
+    read = itk.RTK.read_geometry(str(tmp_path / "ours.xml"))
+    found = from_rtk_object(read, PANEL)
+    assert found.panel == BENT
+    assert largest_difference(found, geometry) < 1e-9
 
 
 def test_rtk_projects_a_parallel_beam_as_we_do():

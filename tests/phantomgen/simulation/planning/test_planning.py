@@ -1,6 +1,7 @@
 """Plans: what a tolerance chooses, that it is met by another reference, and what is said where it cannot be."""
 
 import json
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -162,3 +163,12 @@ def test_it_is_said_before_views_are_computed_where_all_bins_are_kept(scan, monk
     [record] = caplog.records
     assert "no fewer energy nodes than all" in record.message
     assert "times longer" in record.message
+
+
+@pytest.mark.parametrize(("part", "said"), [(0.5, "meets"), (1.0, "meets"), (1.004, "MISSES"), (3.0, "MISSES")])
+def test_a_plan_that_misses_shows_the_digits_by_which_it_does(scan, part, said):
+    plan = make_plan(scan, 1e-1)
+    choices = (replace(plan.choices[0], error=part * 1e-1, of_pixels=False),)
+    error, verdict, tolerance = replace(plan, choices=choices).text.splitlines()[-1].split()[1:]
+    assert (verdict, float(tolerance)) == (said, 1e-1)
+    assert (float(error) > 1e-1) == (said == "MISSES")

@@ -157,8 +157,10 @@ def test_the_panel_under_the_pointer_tells_the_values_there(drawn, monkeypatch):
     assert coefficients == ["photoelectric 0.0060 1/mm", "Compton 0.0200 1/mm", "K-edge 63.3 keV 0.0120 1/mm"]
     values = first.result[:, 9, 8, 11]
     assert number == f"{readouts.hounsfield(values, 70.0):.0f} HU at 70 keV"
+    pointer.again()  # after a key has drawn the panels anew
+    assert told[1:] == [text]
     pointer.move(SIZE[0] - 1, 0)
-    assert told[1:] == [""]
+    assert told[2:] == [""]
     assert amount == f"Yb {readouts.concentration(values, 'Yb'):.2f} mg/ml"
     picture_of(plotter)
 
