@@ -47,7 +47,7 @@ def row_of(dataset: Dataset, error: tuple[float, float]) -> str:
     assert truth is not None
     true = np.tensordot(dataset.spectra.basis.evaluate(np.array([ENERGY]))[:, 0], truth.volumes, axes=1)
     parts = Perturbation.of(dataset, Material(FILTER, None, FILTER))
-    stated = dataset.with_spectra(parts.complete(np.array(error), dataset.spectra))
+    stated = dataset.with_spectra(parts.corrected(np.array(error), dataset.spectra))
     fit = VoxelFit.of(stated, OnCurve(), no_callback)
     volumes, grid = fit.volumes(fit.dataset, max(dataset.grid.shape))
     at = fit.dataset.spectra.basis.evaluate(np.array([ENERGY]))[:, 0]

@@ -119,10 +119,9 @@ class Beam:
         edges = spectra.edges[ends]
         middles = (edges[:-1] + edges[1:]) / 2
         table = np.arange(0.0, spectra.edges[-1] + 2 * STEP, STEP)
-        signal = np.concatenate(
-            [np.zeros((len(spectra.response), 1)), spectra.response * np.diff(spectra.edges)], axis=1
-        )
-        measured = np.stack([np.interp(table, spectra.edges, np.cumsum(row)) for row in signal], axis=1)
+        known, response = _with_lost_energy(spectra)
+        signal = np.concatenate([np.zeros((len(response), 1)), response * np.diff(known)], axis=1)
+        measured = np.stack([np.interp(table, known, np.cumsum(row)) for row in signal], axis=1)
         curves = np.ascontiguousarray(spectra.basis.evaluate(np.maximum(table, LOWEST)).T)
         parts = np.zeros((0, len(spectra.energy))) if spectra.profile is None else spectra.profile.attenuation
         profile = (
@@ -210,6 +209,23 @@ def _middle_solid_angle(geometry: Geometry) -> float:
     center = geometry.panel_center[0] - geometry.source[0]
     area = np.cross(geometry.column_step[0], geometry.row_step[0])
     return float(abs(center @ area) / np.linalg.norm(center) ** 3)
+
+
+def _with_lost_energy(
+    spectra: Spectra,
+) -> tuple[Float[np.ndarray, " energy_plus_1"], Float[np.ndarray, "channel energy"]]:
+    """Edges and responses of energies, also below the spectrum where a detector sums up energies.
+
+    The file states the response to photons of the source. Scattered ones have lost energy, and those below the spectrum
+    are taken to be absorbed as those at its lower end are.
+    """
+    edges, response = spectra.edges, spectra.response
+    if spectra.units == "counts" or edges[0] <= LOWEST + STEP:
+        return edges, response
+    below = np.append(np.arange(LOWEST, edges[0], STEP), edges[0])
+    below = below[np.append(np.diff(below) > 1e-9, True)]
+    part = (below[:-1] + below[1:]) / 2 / spectra.energy[0]
+    return np.append(below[:-1], edges), np.concatenate([response[:, :1] * part, response], axis=1)
 
 
 def _bin_ends(spectra: Spectra) -> np.ndarray:

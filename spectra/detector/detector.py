@@ -68,6 +68,11 @@ class AnyDetector(ABC):
         return self.channels[0].lower
 
     @property
+    def lowest_scattered(self) -> float:
+        """Energy below which no photon is measured that has lost energy in the object [keV]."""
+        return self.lowest
+
+    @property
     @abstractmethod
     def breaks(self) -> tuple[float, ...]:
         """Energies where a response is not smooth [keV]."""

@@ -111,6 +111,11 @@ class EnergyIntegrating(AnyDetector):
         return "keV"
 
     @property
+    def lowest_scattered(self) -> float:
+        """Lowest energy of attenuation [keV], as `lowest` is where the photons of the source begin."""
+        return LOWEST_ENERGY
+
+    @property
     def breaks(self) -> tuple[float, ...]:
         """K edges of the scintillator [keV]."""
         return self.material.k_edges(self.lowest, self.channels[0].upper)

@@ -208,7 +208,7 @@ def _beam(scan: Scan, exposure: Exposure, source: Source, detector: AnyDetector,
     channels = exposure.channels - first
     if scan.pulses is not None:  # one source, and a channel for each group
         detector, channels = scan.pulses, np.arange(len(exposure.channels))
-    response = np.where(bins.nodes >= detector.lowest, detector.response(bins), 0.0)
+    response = np.where(bins.nodes >= detector.lowest_scattered, detector.response(bins), 0.0)
     measured = np.zeros((len(exposure.channels), len(table)))
     for group, channel in enumerate(channels):
         if 0 <= channel < len(response):

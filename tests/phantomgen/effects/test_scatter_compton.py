@@ -16,6 +16,7 @@ from phantomgen.simulation.forward_model.exposure import Exposure
 from phantomgen.simulation.forward_model.frames import Views
 from phantomgen.simulation.forward_model.scatter import SingleScatter
 from spectra.basis.basis import klein_nishina
+from spectra.detector.scintillator import EnergyIntegrating, absorbed
 from spectra.errors import SceneError
 from spectra.materials.electron_density import ELECTRON_RADIUS, electron_density
 
@@ -79,6 +80,19 @@ def test_a_small_object_scatters_what_its_electrons_do(center, cells, bend):
     np.testing.assert_allclose(found[0], wanted, rtol=1e-2)
     half = replace(scan, effects=replace(scan.effects, aperture=Aperture(0.5, 0.8)))
     np.testing.assert_allclose(single(half, Settings(scatter=(cells, 15))), 0.4 * found, rtol=1e-9)
+
+
+def test_a_detector_that_sums_up_energies_measures_photons_that_have_lost_some():
+    plain = ball(0.5, 1e-4, [20.0])
+    detector = EnergyIntegrating.behind(plain.source, "CsI")
+    scan = replace(plain, detector=detector)
+    cosine, _ = angles_and_pixels()
+    left = (ENERGY / (1 + ENERGY / REST * (1 - cosine))).ravel()
+    assert left.min() < detector.lowest
+    signal = left * absorbed(detector.material, detector.thickness, left)
+    settings = Settings(scatter=(4, 15))
+    found, counted = single(scan, settings)[0], single(plain, settings)[0]
+    np.testing.assert_allclose(found, counted * signal.reshape(found.shape), rtol=1e-3)
 
 
 def test_scattered_photons_are_counted_at_the_energy_that_is_left():

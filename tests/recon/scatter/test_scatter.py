@@ -72,6 +72,24 @@ def test_true_volumes_scatter_as_the_scene_does(folder, plain):
 
 
 @pytest.mark.slow
+def test_a_detector_that_sums_up_energies_measures_photons_that_have_lost_some(folder):
+    one = ["source={type: monochromatic, energy: 60, photons: 1e6}", "detector={type: energy_integrating}"]
+    one += ["noise=false", "panel={rows: 32, columns: 32, pitch: 12.8}"]
+    with (
+        scan(folder, "one", *one) as plain,
+        scan(folder, "one-scattered", *one, "effects.scatter={type: compton}") as dataset,
+    ):
+        truth = read_truth(dataset.path)
+        basis = dataset.spectra.basis
+        signal = compton_signal(dataset, truth.volumes[: len(basis.functions)], truth.grid)
+        bias, rms = errors(signal, dataset, plain)
+        corner = signal.image(0, 32, 32)[0, 0, 0] / (dataset.load([0]).astype(float) - plain.load([0]))[0, 0, 0, 0]
+    assert np.abs(bias).max() < 0.08
+    assert rms.max() < 0.12
+    assert corner == pytest.approx(1, abs=0.15)
+
+
+@pytest.mark.slow
 def test_reconstructed_volumes_scatter_so_too_and_a_kernel_is_inverted(scattered, plain):
     kind, dataset = scattered
     model = Compton() if kind == "compton" else ScatterKernel(0.3, 60.0)
