@@ -41,8 +41,8 @@ class RtkGeometry:
     ProjectionOffsetX, ProjectionOffsetY : of the panel's centre from the isocentre's foot, along columns and upwards
     OutOfPlaneAngle, InPlaneAngle : about x, then z
     SourceOffsetX, SourceOffsetY : of the source from the isocentre, along the same
-    RadiusCylindricalDetector : of a panel that is curved about an axis along its columns of pixels; 0 for a flat one.
-        The normal then passes the isocentre and that axis, and ProjectionOffsetX is the length of the arc from there
+    RadiusCylindricalDetector : of a panel that is curved about an axis along its columns of pixels, 0 for a flat one;
+        the normal then passes the isocentre and that axis, and ProjectionOffsetX is the length of the arc from there
     """
 
     SourceToIsocenterDistance: Numbers
