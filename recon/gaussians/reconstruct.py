@@ -23,7 +23,7 @@ from recon.gaussians.divided.first_gaussians import divided_gaussians
 from recon.gaussians.fitted_grid import read_with_coverage
 from recon.gaussians.initial.first_guess import Scan, first_guess, part_with_gaussians, plain_gaussians, start_method
 from recon.gaussians.model import GaussianModel
-from recon.gaussians.optimize import OnStep, fit
+from recon.gaussians.optimize import OnStep, Progress, fit
 from recon.gaussians.processes import LOCAL, Processes, Resources
 from recon.gaussians.recipe import Recipe
 from recon.gaussians.state import FitState, InterruptedFit
@@ -112,7 +112,8 @@ def reconstruct(
     recipe : settings
     bases : how many of the dataset's basis functions to use, default all
     on_stage : called with the name of each stage when it begins
-    on_step : called after each step of the fit, which ends where it returns True
+    on_step : called after each step of the fit, which ends where it returns True; then nothing is judged, and no
+        residual computed
     checkpoints : returns an interrupted fit, and stores what a new one starts from
     on_iteration : called after every pass over voxels, and after every evaluation of the fit to the volumes
     resources : processes that share the fit, of which the first one makes the start; device; where arrays are kept
@@ -143,17 +144,24 @@ def reconstruct(
     state, volumes = _shared(state, processes).to(device), processes.from_first(volumes)
     voxel = min(dataset.grid.spacing)
     prior = _prior_of(volumes, scan, fitted, recipe) if recipe.prior else None
+    ended: list[int] = []  # the step after which `on_step` ended the fit; what follows is for whole fits
+
+    def watched(progress: Progress) -> bool:
+        stop = bool(on_step(progress))
+        ended.extend([progress.step] if stop and progress.step < progress.steps else [])
+        return stop
+
     with stage("fit"):
-        gaussians = fit(state, fitted, voxel, recipe, on_step, held_out, prior, resources)
+        gaussians = fit(state, fitted, voxel, recipe, watched, held_out, prior, resources)
     notes, told = (), ()
-    if recipe.prior:
+    if recipe.prior and not ended:
         with stage("judge"):
             rays = UnseenRays.of(measured, voxel, recipe.dispersion, recipe.unseen_rays)
             gaussians, notes = rays.better_of(state.initial, gaussians, Voxels(volumes, grid, measured.basis_names))
     notes = (*saturation_notes(dataset.spectra.channels, measured.bounded), *notes)
     volumes = np.ascontiguousarray(volumes[:, *inner_box(dataset.grid, grid)])
     gaussians, unreliable, result = gaussians.to("cpu"), None, None
-    if recipe.residual.passes and processes.first:
+    if recipe.residual.passes and processes.first and not ended:
         with stage("residual"):
             gaussians, told = _with_residual(gaussians, scan, recipe, on_iteration, resources.device)
     if processes.first:
