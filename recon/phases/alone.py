@@ -8,6 +8,8 @@ all views, from which the phases start, have seen a part of these rays, which fa
 
 from collections.abc import Callable
 from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,7 @@ from phantomgen.dataset.reader import Dataset
 from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements
+from recon.gaussians.divided.model_file import load_model
 from recon.gaussians.likelihood import deviance_of_images
 from recon.gaussians.model import GaussianModel
 from recon.gaussians.recipe import Recipe
@@ -31,6 +34,8 @@ from spectra.errors import GeometryError
 
 # Weights that are sought within so much, and of less than that are none [no unit].
 _WEIGHT = 0.01
+# File of a fit, by the division of the views and the phase.
+_KEPT = "alone-{}-{}.safetensors"
 
 
 def with_unseen_rays_of_phases(
@@ -66,6 +71,7 @@ def with_phases_alone(
     grid: Grid,
     recipe: Recipe,
     on_phase: Callable[[int], object] = lambda phase: None,
+    folder: Path | None = None,
 ) -> PhaseGaussians:
     """Fit each phase alone as well, and weigh both by rays that took no part.
 
@@ -78,6 +84,8 @@ def with_phases_alone(
     grid : voxels of the scan
     recipe : of the fit of a phase
     on_phase : called with the number of a phase before it is fitted alone
+    folder : keeps the fits until `remove_kept`, so that an interrupted run goes on after the last one; None for no such
+        folder
 
     Returns
     -------
@@ -90,13 +98,37 @@ def with_phases_alone(
         own = measured[views]
         if not _determine_depth(own.geometry):
             continue
-        on_phase(phase)
-        gaussians = reconstruct(dataset.with_training_views(views), recipe).gaussians
+        kept = None if folder is None else folder / _KEPT.format(_digest(phase_of_view), phase)
+        if kept is not None and kept.is_file():
+            gaussians = load_model(kept)
+        else:
+            on_phase(phase)
+            gaussians = reconstruct(dataset.with_training_views(views), recipe).gaussians
+            if kept is not None:
+                whole = kept.with_suffix(".new")
+                gaussians.save(whole)
+                whole.replace(kept)
         rays = UnseenRays.of(own, min(grid.spacing), recipe.dispersion, recipe.unseen_rays)
         weight = best_weight(phases.at(phase), gaussians, rays)
         if weight >= _WEIGHT:
             alone[phase] = Alone(gaussians, weight)
     return replace(phases, alone=alone)
+
+
+def remove_kept(folder: Path) -> None:
+    """Remove the fits of phases that are kept in a folder.
+
+    Parameters
+    ----------
+    folder : of a run
+    """
+    for path in folder.glob(_KEPT.format("*", "*")):
+        path.unlink()
+
+
+def _digest(phase_of_view: Int[np.ndarray, " view"]) -> str:
+    """Name of a division of the views."""
+    return sha256(np.ascontiguousarray(phase_of_view, np.int64).tobytes()).hexdigest()[:12]
 
 
 def best_weight(together: GaussianModel, alone: GaussianModel, rays: UnseenRays) -> float:

@@ -22,7 +22,7 @@ from recon.gaussians.divided.model_file import load_model
 from recon.gaussians.fitted_grid import read_with_coverage
 from recon.gaussians.recipe import Recipe
 from recon.kedge.basis_names import named_basis
-from recon.phases.alone import with_phases_alone, with_unseen_rays_of_phases
+from recon.phases.alone import remove_kept, with_phases_alone, with_unseen_rays_of_phases
 from recon.phases.figures import draw_film, draw_phases
 from recon.phases.fit import PhaseProgress, fit_phases
 from recon.phases.model import PhaseGaussians
@@ -132,7 +132,7 @@ def fit_phases_of_run(
     on_stage("phases")
     found = fit_phases(model, measured, division.phase, division.cyclic, grid, recipe, settings, on_step)
     tell = partial(_tell_alone, on_stage, len(found))
-    found = with_phases_alone(found, named, measured, division.phase, grid, recipe, tell)
+    found = with_phases_alone(found, named, measured, division.phase, grid, recipe, tell, folder)
     volumes, static = found.volumes(dataset.grid), model.volume(dataset.grid)
     _write(folder / PHASES, found, volumes, dataset)
     scores: dict[str, Any] = {
@@ -149,6 +149,7 @@ def fit_phases_of_run(
             "static": _psnr(np.broadcast_to(static, true.shape), true, model.basis_names),
         }
     write_json(folder / PHASE_SCORES, scores)
+    remove_kept(folder)
     if figures:
         draw_phases(volumes, true, model.basis_names, dataset.grid, folder / "figures" / FIGURE)
         draw_film(volumes, true, model.basis_names, dataset.grid, folder / "figures" / FILM)

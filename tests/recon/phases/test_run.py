@@ -17,6 +17,7 @@ from phantomgen.scene.scan import load_scene
 from phantomgen.simulation.run import simulate
 from recon.cli.main import main
 from recon.gaussians.divided.model_file import load_model
+from recon.phases import alone
 from recon.phases.run import divide
 from recon.runs.run_folder import MODEL
 from spectra.errors import InputError
@@ -128,3 +129,28 @@ def test_a_scan_without_times_is_refused_before_any_work(tmp_path):
     assert shown.exit_code == 1
     assert "states no times of its views: --phases needs a scan with /entry/time" in shown.output
     assert not (tmp_path / "rest-run").exists()
+
+
+@pytest.mark.slow
+def test_an_interrupted_run_goes_on_after_the_last_phase(scan, tmp_path, monkeypatch):
+    fitted, real = [], alone.reconstruct
+
+    def counted(dataset, recipe):
+        fitted.append(len(fitted))
+        if len(fitted) == 3:
+            raise KeyboardInterrupt
+        return real(dataset, recipe)
+
+    def fit(name, *more):
+        arguments = ["fit", str(scan), "--phases", "auto", "-o", str(tmp_path / name), "--sweeps", "0.3", "-q"]
+        return CliRunner().invoke(main, [*arguments, "--no-figures", *more])
+
+    monkeypatch.setattr(alone, "reconstruct", counted)
+    assert fit("run").exit_code != 0
+    assert fit("run", "--resume").exit_code == 0
+    assert len(fitted) == 3 + 2
+    monkeypatch.setattr(alone, "reconstruct", real)
+    assert fit("whole").exit_code == 0
+    assert {p.name for p in (tmp_path / "run").iterdir()} == {p.name for p in (tmp_path / "whole").iterdir()}
+    for name in ("phases.h5", "model.safetensors"):
+        assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
