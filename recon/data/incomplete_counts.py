@@ -82,7 +82,7 @@ class LargestReadings:
             largest = values == top
             width = max(top**0.5, 1.0)
             self.times[c] += np.count_nonzero(largest)
-            self.below[c] += np.count_nonzero((values < top) & (values > top - width)) / width
+            self.below[c] += np.count_nonzero((values < top) & (values >= top - width)) / width
             self.of_air[c] += np.count_nonzero(np.abs(top - air[used][largest]) <= SAME * top)
 
     def limits(self) -> Float[np.ndarray, " channel"]:
