@@ -171,7 +171,7 @@ class Measurements:
         Rays close to each other get equal weights, and counts lower ones where their correction for partial volume is
         uncertain (`recon.data.partial_volume`). Scatter, whose noise is still in the counts, lowers weights by the part
         of the primary signal in the whole signal: the derivative of the likelihood is then that of Poisson counts with
-        scatter. Pixels that are left out get the weight 0.
+        scatter. Pixels that are left out get the weight 0, and lower bounds keep theirs.
 
         Parameters
         ----------
@@ -189,11 +189,11 @@ class Measurements:
             statistical_weights[view] = neighbourhood_weights(image, beam) * correction_weights(image, beam, dispersion)
             if self.scatter is not None:
                 statistical_weights[view] *= _primary_part(image, self.scattered(view))
-            if self.unseen_blocks is not None:
-                statistical_weights[view, :, touched(self.unseen_blocks[view], *image.shape[1:])] = 0
             if self.statistical_weights is not None:
                 bounds = self.statistical_weights[view]
                 statistical_weights[view] = np.where(bounds < 0, bounds, statistical_weights[view])
+            if self.unseen_blocks is not None:  # lower bounds there take no part either
+                statistical_weights[view, :, touched(self.unseen_blocks[view], *image.shape[1:])] = 0
 
         _in_parallel(fill, self.counts)
         release(statistical_weights)

@@ -1,5 +1,7 @@
 """Readings that end at the largest one of a channel: found in the counts, and lower bounds from then on."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -99,6 +101,8 @@ def test_blocks_of_pixels_keep_the_least_that_arrived(scans):
     weighted = coarse.weighted(0.02).statistical_weights
     np.testing.assert_array_equal(weighted[bound], coarse.statistical_weights[bound])
     assert (weighted[~bound] >= 0).all()
+    apart = np.ones((len(coarse), 1, 1), bool)
+    assert not replace(coarse, unseen_blocks=apart).weighted(0.02).statistical_weights.any()
 
 
 def test_a_saturated_scan_is_reconstructed_almost_as_a_whole_one(scans):
