@@ -28,10 +28,27 @@ def least_covariance(information: Float[np.ndarray, "... basis basis"]) -> Float
     scale = np.where(size > 0, size, 1.0)
     scale = scale[..., :, None] * scale[..., None, :]
     scaled = information / scale
-    lowest, highest = (np.linalg.eigvalsh(scaled)[..., i] for i in (0, -1))
-    known = (lowest > _SINGULAR * highest)[..., None, None]
-    inverse = np.linalg.inv(np.where(known, scaled, np.eye(information.shape[-1]))) / scale
-    return np.where(known, inverse, np.inf)
+    inverse = _inverse_of_regular(scaled)
+    if inverse is None:
+        eigenvalues = np.linalg.eigvalsh(scaled)
+        known = (eigenvalues[..., 0] > _SINGULAR * eigenvalues[..., -1])[..., None, None]
+        inverse = np.where(known, np.linalg.inv(np.where(known, scaled, np.eye(information.shape[-1]))), np.inf)
+    return inverse / scale
+
+
+def _inverse_of_regular(
+    matrices: Float[np.ndarray, "... basis basis"],
+) -> Float[np.ndarray, "... basis basis"] | None:
+    """Invert matrices, in half the time that their eigenvalues take; None where one may be singular.
+
+    The ratio of the eigenvalues is at most the product of the Frobenius norms of a matrix and its inverse.
+    """
+    try:
+        inverse = np.linalg.inv(matrices)
+    except np.linalg.LinAlgError:
+        return None
+    squares = [np.einsum("...mn,...mn->...", part, part) for part in (matrices, inverse)]
+    return inverse if np.sqrt(squares[0] * squares[1]).max(initial=0) < 1 / _SINGULAR else None
 
 
 def least_deviations(information: Float[np.ndarray, "... basis basis"]) -> Float[np.ndarray, "... basis"]:

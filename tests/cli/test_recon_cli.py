@@ -74,7 +74,7 @@ def complete(dataset, tmp_path_factory):
 @pytest.fixture
 def blank_figures(monkeypatch):
     """Files of figures that nothing is drawn into, as drawing takes longer than a fit."""
-    monkeypatch.setattr("matplotlib.figure.Figure.draw_without_rendering", lambda figure: None)
+    monkeypatch.setattr("phantomgen.display.figures.style._settle", lambda figure: None)
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, path, **options: path.touch())
 
 

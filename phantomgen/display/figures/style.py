@@ -122,9 +122,18 @@ def figure_file(path: Path | None, inches: tuple[float, float]) -> Iterator["Fig
     with styled_figure(inches, **(_SCALABLE if kind == "svg" else {})) as figure:
         yield figure
         Path(path).parent.mkdir(parents=True, exist_ok=True)
-        figure.draw_without_rendering()  # the layout settles in two rounds where aspect ratios are fixed
+        _settle(figure)
         with complete_file(Path(path), f".{kind}") as beside:
             figure.savefig(beside, format=kind, transparent=kind == "svg", metadata=dict.fromkeys(_STAMPS[kind]))
+
+
+def _settle(figure: "Figure") -> None:
+    """Make the layout, which settles in two rounds where aspect ratios are fixed, and keep it while it is drawn."""
+    engine = figure.get_layout_engine()
+    assert engine is not None
+    for _ in range(2):
+        engine.execute(figure)
+    figure.set_layout_engine("none")
 
 
 def write_csv(path: Path | None, columns: dict[str, np.ndarray]) -> None:

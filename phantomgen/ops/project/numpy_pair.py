@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from phantomgen.ops.project import cpu, pose_derivatives, z_aligned
-from spectra.threads import run_parallel
+from spectra.threads import run_parallel, thread_count
 
-# Layers of z per piece of work of the transpose; changes time, not results.
-_LAYERS = 32
+# Most layers of z per piece of work of the transpose; changes time, not results.
+_MOST_LAYERS = 64
 # Most components that are computed together; kernels are compiled once for each number of them.
 _MOST_LANES = 4
 
@@ -88,8 +88,8 @@ def backward(
     z_aligned_views = [cpu.VoxelView(view, parallel, spacing, strides) for view in views[stacked]]
     groups = _columns_side_by_side(images[stacked]) if stacked.any() else []
 
-    def piece(first: int) -> None:
-        last = min(first + _LAYERS, shape[0]) - 1
+    def piece(ends: tuple[int, int]) -> None:
+        first, last = ends[0], ends[1] - 1
         for image, view in zip(images[~stacked], views[~stacked], strict=True):
             seen = cpu.VoxelView(view, parallel, spacing, strides)
             cpu.backward(image, seen, first, last, cpu.BeamScratch.of(shape, components), flat)
@@ -97,7 +97,7 @@ def backward(
             layers = _z_aligned_layers(lanes, beside, z_aligned_views, (first, last))
             out[group, first : last + 1] += layers
 
-    for _ in run_parallel(piece, range(0, shape[0], _LAYERS)):
+    for _ in run_parallel(piece, _even_pieces(shape[0])):
         pass
     return out
 
@@ -133,6 +133,13 @@ def pose_gradient(
     for _ in run_parallel(view, range(len(views))):
         pass
     return out
+
+
+def _even_pieces(layers: int) -> list[tuple[int, int]]:
+    """First layers, and ones past the last, of pieces that keep all threads busy for as long."""
+    threads = thread_count()
+    count = min(threads * -(-layers // (threads * _MOST_LAYERS)), layers)
+    return list(pairwise(i * layers // count for i in range(count + 1)))
 
 
 def _groups(components: int) -> list[tuple[slice, tuple[np.float32, ...]]]:

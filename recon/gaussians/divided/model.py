@@ -1,6 +1,7 @@
 """The model with interfaces: Gaussians in space, each divided by a plane with other coefficients on either side."""
 
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, ClassVar
 
 import numpy as np
@@ -171,8 +172,10 @@ class DividedGaussians(GaussianModel):
 
 def _means_of_parts(fine: Float[np.ndarray, "basis z1 y1 x1"], n: int) -> Float[np.ndarray, "basis z y x"]:
     """Average n x n x n parts of every voxel."""
-    bases, depth, height, width = fine.shape
-    return fine.reshape(bases, depth // n, n, height // n, n, width // n, n).mean(axis=(2, 4, 6), dtype=np.float32)
+    for axis in (1, 2, 3):  # ten times sooner than a mean over three axes of small extent
+        before = (slice(None),) * axis
+        fine = reduce(np.add, [fine[(*before, slice(part, None, n))] for part in range(n)])
+    return fine * np.float32(1 / n**3)
 
 
 def _parts_of_voxels(grid: Grid) -> Grid:
