@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import Printing, debug_option, grouped, json_option, quiet_option
+from phantomgen.cli.common import Printing, debug_option, grouped, json_option, progress_options
 
 
 @click.command(
@@ -22,7 +22,7 @@ from phantomgen.cli.common import Printing, debug_option, grouped, json_option, 
 @click.option("--cluster", metavar="ADDRESS", help="Dask scheduler whose workers are used in place of processes.")
 @click.option("--shard", metavar="I/N", help="Make every N-th item only, beginning with the I-th.")
 @click.option("--overwrite", is_flag=True, help="Make all items anew.")
-@quiet_option
+@progress_options
 @json_option
 @debug_option
 @grouped(printing=Printing)
@@ -75,7 +75,7 @@ def batch(
 @click.option("--resume", is_flag=True, help="Make what a folder lacks.")
 @click.option("--overwrite", is_flag=True, help="Replace a folder that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
-@quiet_option
+@progress_options
 @json_option
 @debug_option
 def suite(

@@ -2,10 +2,12 @@
 
 import errno
 import json
+import logging
 import os
 import signal
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -29,6 +31,8 @@ _OF_FILES = {
 }  # fmt: skip
 
 
+# Packages of this project, which log by the names of their modules.
+PACKAGES = ("phantomgen", "recon", "spectra")
 _NOTHING_LEFT = "nothing was left half-written"
 
 
@@ -212,18 +216,60 @@ def debug_option(command: Callable) -> Callable:
     return click.option("--debug", is_flag=True, expose_value=False, callback=remember, help=help_text)(command)
 
 
-def quiet_option(command: Callable) -> Callable:
-    """Add the option ``--quiet`` to a command.
+def progress_options(command: Callable) -> Callable:
+    """Add the options ``--quiet`` and ``--verbose`` to a command.
 
     Parameters
     ----------
-    command : the command
+    command : gets ``quiet``
 
     Returns
     -------
     the command
     """
+    command = click.option(
+        "-v",
+        "--verbose",
+        is_flag=True,
+        expose_value=False,
+        callback=_log_to_stderr,
+        help="Log versions, and time and memory of each stage, on stderr.",
+    )(command)
     return click.option("-q", "--quiet", is_flag=True, help="No progress bar.")(command)
+
+
+class _OnStderr(logging.Handler):
+    """Writes what is logged to stderr, wherever that is at the moment."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        click.echo(self.format(record), err=True)
+
+
+def _log_to_stderr(ctx: click.Context, _: click.Parameter, value: bool) -> None:
+    """Write what the packages log to stderr while a command runs; a callback of click."""
+    if not value:
+        return
+    from phantomgen.runtime.stopwatch import peak_memory_mib
+    from phantomgen.runtime.versions import environment
+
+    handler = _OnStderr()
+    handler.setFormatter(logging.Formatter("%(asctime)s %(message)s", "%H:%M:%S"))
+    loggers = [logging.getLogger(name) for name in PACKAGES]
+    began = time.perf_counter()
+    for logger in loggers:
+        logger.setLevel(logging.INFO)
+        logger.addHandler(handler)
+
+    def end() -> None:
+        peak = peak_memory_mib()
+        memory = "" if peak is None else f", peak memory {peak:.0f} MiB"
+        loggers[0].info("%s: %.1f s in all%s", ctx.command_path, time.perf_counter() - began, memory)
+        for logger in loggers:
+            logger.removeHandler(handler)
+            logger.setLevel(logging.NOTSET)
+
+    ctx.call_on_close(end)
+    loggers[0].info("%s with %s", ctx.command_path, ", ".join(f"{k} {v}" for k, v in environment().items()))
 
 
 @contextmanager
@@ -278,7 +324,7 @@ def case_options(command: Callable) -> Callable:
             "-o", "--out", type=click.Path(path_type=Path), help="Folder for a table, a figure and a JSON file."
         ),
         click.option("--overwrite", is_flag=True, help="Replace a report that exists."),
-        quiet_option,
+        progress_options,
     )
     for option in reversed(options):
         command = option(command)

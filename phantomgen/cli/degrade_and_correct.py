@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from phantomgen.cli.common import FiniteRange, Printing, debug_option, grouped, json_option, quiet_option
+from phantomgen.cli.common import FiniteRange, Printing, debug_option, grouped, json_option, progress_options
 
 
 class Parsed(click.ParamType):
@@ -119,7 +119,7 @@ class _Output:
 @click.option("--compression", default="gzip", metavar="gzip|bitshuffle|none", help="Of large arrays [default: gzip].")
 @click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
-@quiet_option
+@progress_options
 @json_option
 @debug_option
 @grouped(output=_Output, printing=Printing)
@@ -194,7 +194,7 @@ def degrade(
     help="What is corrected [default: defects,drift,rings].",
 )
 @click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
-@quiet_option
+@progress_options
 @json_option
 @debug_option
 @grouped(printing=Printing)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import Printing, debug_option, grouped, json_option, quiet_option, views_bar
+from phantomgen.cli.common import Printing, debug_option, grouped, json_option, progress_options, views_bar
 
 # As in `phantomgen.exporters.scans.folder`, which takes time to import.
 PROGRAMS = [
@@ -68,7 +68,7 @@ class _Output:
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
 @flat_panel_option
 @click.option("--overwrite", is_flag=True, help="Replace a file or a folder that exists.")
-@quiet_option
+@progress_options
 @json_option
 @debug_option
 @grouped(scan=_Scan, output=_Output, printing=Printing)

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option, quiet_option, views_bar
+from phantomgen.cli.common import debug_option, json_option, progress_options, views_bar
 
 
 class Numbers(click.ParamType):
@@ -208,7 +208,7 @@ def _scan_command(name: str, argument: str, examples: tuple[str, ...], text: str
         *_WANTED,
         click.option("--title", help="Name of the scan."),
         click.option("--overwrite", is_flag=True, help="Replace a dataset that exists."),
-        quiet_option,
+        progress_options,
         json_option,
         debug_option,
     ]

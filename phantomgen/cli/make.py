@@ -17,7 +17,7 @@ from phantomgen.cli.common import (
     grouped,
     json_option,
     print_stages,
-    quiet_option,
+    progress_options,
 )
 from phantomgen.cli.preset_option import preset_option
 
@@ -82,7 +82,7 @@ class _Output:
 @click.option("--resume", is_flag=True, help="Go on where an interrupted run stopped.")
 @click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
-@quiet_option
+@progress_options
 @json_option
 @debug_option
 @grouped(scene=SceneChoice, shortcuts=_Shortcuts, reuse=_Reuse, output=_Output, printing=Printing)
@@ -179,7 +179,7 @@ def _make(
 
 
 @click.command("warm-up", epilog="\b\nExamples:\n  phantomgen warm-up\n  recon warm-up")
-@quiet_option
+@progress_options
 @debug_option
 def warm_up(quiet: bool) -> None:
     """Compile the kernels of scans ahead, which a machine does once.

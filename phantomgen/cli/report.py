@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import Printing, debug_option, grouped, json_option, quiet_option
+from phantomgen.cli.common import Printing, debug_option, grouped, json_option, progress_options
 
 
 @click.command(
@@ -15,7 +15,7 @@ from phantomgen.cli.common import Printing, debug_option, grouped, json_option, 
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Page to write [default: <dataset>-report.html].")
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
 @click.option("--overwrite", is_flag=True, help="Replace a page that exists.")
-@quiet_option
+@progress_options
 @json_option
 @debug_option
 @grouped(printing=Printing)

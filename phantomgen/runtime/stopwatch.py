@@ -1,13 +1,16 @@
-"""Stopwatch of stages, and peak memory."""
+"""Stopwatch of stages, which logs them, and peak memory."""
 
+import logging
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+_log = logging.getLogger(__name__)
+
 
 class Stopwatch:
-    """Stopwatch of named stages: ``with clock("fdk"): ...`` adds to ``clock.seconds``.
+    """Stopwatch of named stages: ``with clock("fdk"): ...`` adds to ``clock.seconds``, and logs a line.
 
     Parameters
     ----------
@@ -26,7 +29,12 @@ class Stopwatch:
         try:
             yield
         finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
+            seconds = time.perf_counter() - began
+            self.seconds[name] = self.seconds.get(name, 0.0) + seconds
+            if _log.isEnabledFor(logging.INFO):
+                peak = peak_memory_mib()
+                memory = "" if peak is None else f", peak memory so far {peak:.0f} MiB"
+                _log.info("%s: %.1f s%s", name, seconds, memory)
 
 
 def peak_memory_mib() -> float | None:

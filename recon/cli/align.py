@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import Printing, debug_option, grouped, json_option, quiet_option
+from phantomgen.cli.common import Printing, debug_option, grouped, json_option, progress_options
 
 
 @click.command(
@@ -23,7 +23,7 @@ from phantomgen.cli.common import Printing, debug_option, grouped, json_option, 
 @click.option("--air", metavar="ROWS,COLUMNS", help="Part of the panel that sees only air, in place of flats.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
 @click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
-@quiet_option
+@progress_options
 @json_option
 @debug_option
 @grouped(printing=Printing)

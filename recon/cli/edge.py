@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import Printing, debug_option, grouped, json_option, quiet_option
+from phantomgen.cli.common import Printing, debug_option, grouped, json_option, progress_options
 from recon.cli.common import ProgressBar
 
 
@@ -19,7 +19,7 @@ from recon.cli.common import ProgressBar
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw the profile.")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
-@quiet_option
+@progress_options
 @json_option
 @debug_option
 @grouped(printing=Printing)

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from phantomgen.cli.common import Printing, debug_option, grouped, json_option, quiet_option, views_bar
+from phantomgen.cli.common import Printing, debug_option, grouped, json_option, progress_options, views_bar
 from phantomgen.cli.export import PROGRAMS, flat_panel_option
 from recon.cli.run_argument import RunFolder
 
@@ -62,7 +62,7 @@ class _Output:
 @flat_panel_option
 @click.option("--overwrite", is_flag=True, help="Replace a folder that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
-@quiet_option
+@progress_options
 @json_option
 @debug_option
 @grouped(output=_Output, printing=Printing)

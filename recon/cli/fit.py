@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from phantomgen.cli.common import FiniteRange, Printing, debug_option, grouped, json_option, quiet_option
+from phantomgen.cli.common import FiniteRange, Printing, debug_option, grouped, json_option, progress_options
 from recon.cli.common import (
     ProgressBar,
     exit_where_failed,
@@ -264,7 +264,7 @@ def _fit_phases(
 @click.option("--resume", is_flag=True, help="Go on with a run that was interrupted, if there is one.")
 @click.option("--overwrite", is_flag=True, help="Replace a run folder that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
-@quiet_option
+@progress_options
 @json_option
 @debug_option
 @grouped(data=_Data, recipe=_RecipeOptions, approach=_Approach, resources=_Resources, output=_Output, printing=Printing)

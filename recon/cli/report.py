@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import debug_option, json_option, quiet_option
+from phantomgen.cli.common import debug_option, json_option, progress_options
 from recon.cli.common import stderr_printer
 from recon.cli.run_argument import RunFolder
 
@@ -23,7 +23,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--air", metavar="ROWS,COLUMNS", help="A part of the panel that sees only air, for lack of flats.")
 @click.option("--overwrite", is_flag=True, help="Replace a page that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
-@quiet_option
+@progress_options
 @json_option
 @debug_option
 def report(

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from phantomgen.cli.common import debug_option, grouped, json_option, quiet_option
+from phantomgen.cli.common import debug_option, grouped, json_option, progress_options
 from phantomgen.runtime.hdf5_signature import is_hdf5
 from spectra.errors import DatasetError
 
@@ -116,7 +116,7 @@ def repeated_run_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--air", metavar="ROWS,COLUMNS", help="Part of the panel that sees only air, for lack of flats."),
         click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the noise."),
         click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all]."),
-        quiet_option,
+        progress_options,
         json_option,
         debug_option,
     )

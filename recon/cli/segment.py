@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from phantomgen.cli.common import FiniteRange, Printing, debug_option, grouped, json_option, quiet_option
+from phantomgen.cli.common import FiniteRange, Printing, debug_option, grouped, json_option, progress_options
 from recon.cli.common import stderr_printer
 from recon.cli.run_argument import RunFolder, check_run_name
 
@@ -88,7 +88,7 @@ class _Output:
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the choice of samples.")
 @click.option("--overwrite", is_flag=True, help="Replace a folder that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
-@quiet_option
+@progress_options
 @json_option
 @debug_option
 @grouped(clusters=_Clusters, output=_Output, printing=Printing)

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from phantomgen.cli.common import FiniteRange, Printing, debug_option, grouped, json_option, quiet_option
+from phantomgen.cli.common import FiniteRange, Printing, debug_option, grouped, json_option, progress_options
 from recon.cli.common import refuse_options
 from recon.cli.run_argument import RunFolder
 
@@ -23,7 +23,7 @@ def _common(command: Callable) -> Callable:
     options = (
         click.option("--overwrite", is_flag=True, help="Replace a file that exists."),
         click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all]."),
-        quiet_option,
+        progress_options,
         json_option,
         debug_option,
     )

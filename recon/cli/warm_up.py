@@ -8,14 +8,14 @@ from tempfile import TemporaryDirectory
 
 import click
 
-from phantomgen.cli.common import debug_option, quiet_option
+from phantomgen.cli.common import debug_option, progress_options
 from spectra.errors import Error
 
 _SMALL = ("geometry.views=8", "geometry.test_views=1", "panel={rows: 24, columns: 24, pitch: 8.53}", "volume.voxels=16")
 
 
 @click.command("warm-up", epilog="\b\nExamples:\n  recon warm-up\n  phantomgen warm-up && recon warm-up")
-@quiet_option
+@progress_options
 @debug_option
 def warm_up(quiet: bool) -> None:
     """Compile the kernels of reconstructions ahead, which a machine does once.

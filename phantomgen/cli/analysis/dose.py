@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import Printing, SceneChoice, debug_option, grouped, json_option, quiet_option
+from phantomgen.cli.common import Printing, SceneChoice, debug_option, grouped, json_option, progress_options
 from phantomgen.cli.preset_option import preset_option
 
 
@@ -43,7 +43,7 @@ class _Outputs:
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the photons.")
 @click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
-@quiet_option
+@progress_options
 @json_option
 @debug_option
 @grouped(scene=SceneChoice, outputs=_Outputs, printing=Printing)

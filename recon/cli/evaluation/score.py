@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import Printing, debug_option, grouped, json_option, quiet_option
+from phantomgen.cli.common import Printing, debug_option, grouped, json_option, progress_options
 from recon.cli.common import ProgressBar, exit_where_failed, memory_text, seconds_text
 from recon.cli.run_argument import check_run_name
 
@@ -68,7 +68,7 @@ class _Output:
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
 @click.option("--overwrite", is_flag=True, help="Replace a folder that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads [default: all].")
-@quiet_option
+@progress_options
 @json_option
 @debug_option
 @grouped(stated=_Stated, output=_Output, printing=Printing)

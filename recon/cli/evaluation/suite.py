@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from phantomgen.cli.common import Printing, debug_option, grouped, json_option, quiet_option
+from phantomgen.cli.common import Printing, debug_option, grouped, json_option, progress_options
 from recon.cli.common import stderr_printer
 from recon.cli.run_argument import check_run_name
 
@@ -74,7 +74,7 @@ class _Output:
 @click.option("--resume", is_flag=True, help="Score what is missing in a folder that exists.")
 @click.option("--overwrite", is_flag=True, help="Replace a folder that exists.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads of each method [default: all].")
-@quiet_option
+@progress_options
 @json_option
 @debug_option
 @grouped(programs=_Programs, output=_Output, printing=Printing)
