@@ -7,7 +7,8 @@ Scenes: a cylinder of water, `metal-hip` and `kedge` with a single threshold, an
 mean attenuation of water), with a water correction (`fdk-water`), with normalised metal artefact reduction (`nmar`), a
 network behind a polychromatic model (`polyner`), published Gaussians with one material each behind the same model
 (`gaussian-poly`), one-step voxels along the standard curve of materials (`curve`), as
-`recon fit --bases curve --method one-step` has it, and the Gaussians of `--method gaussian` (`gaussian`).
+`recon fit --bases curve --method one-step` has it, and the Gaussians of `--method gaussian` (`gaussian`). Either with
+further materials on the curve: `curve+Au`.
 
 A row states the PSNR [dB] of the attenuation at 70 keV over all voxels; the same where the true attenuation is below
 0.1 per mm, which leaves out metal, with the attenuation of bone (0.05 per mm) as the peak; the root mean square error
@@ -89,13 +90,15 @@ def cupping(volume: Float[np.ndarray, "z y x"], grid: Grid) -> float:
     return float(100 * (outer - inner) / middle[away < 0.92].mean())
 
 
-def row_of(scene: str, method: str, dataset: Dataset) -> str:
+def row_of(scene: str, name: str, dataset: Dataset) -> str:
     """One line of the results."""
     truth = read_truth(dataset.path)
     assert truth is not None
     true = np.tensordot(dataset.spectra.basis.evaluate(np.array([ENERGY]))[:, 0], truth.volumes, axes=1)
-    smooth, _ = with_named(dataset, OnCurve())
-    curve = OnCurve().curve(smooth)
+    method, *more = name.split("+")
+    asked = OnCurve((*OnCurve().materials, *more))
+    smooth, _ = with_named(dataset, asked)
+    curve = asked.curve(smooth)
     at = smooth.spectra.basis.evaluate(np.array([ENERGY]))[:, 0]
     measured = read_measurements(smooth, smooth.splits["train"], separable=False)
     began = time.process_time()
@@ -113,7 +116,7 @@ def row_of(scene: str, method: str, dataset: Dataset) -> str:
     unit = curve.attenuations[curve.materials.index("water")] / 1000  # 1/mm, of a Hounsfield unit
     edges, away = (np.sqrt(error[part & (true > 0)].mean()) / unit for part in (soft, apart))
     cup = f"{cupping(found, dataset.grid):>13.2f}" if scene == "water" else f"{'-':>13}"
-    return f"{scene:<14}{method:<14}{whole:>10.2f}{without:>10.2f}{edges:>10.1f}{away:>12.1f}{cup}{seconds:>8.1f}"
+    return f"{scene:<14}{name:<14}{whole:>10.2f}{without:>10.2f}{edges:>10.1f}{away:>12.1f}{cup}{seconds:>8.1f}"
 
 
 @without_other_pools()
@@ -126,7 +129,7 @@ def main() -> None:
     if unknown := set(asked.scenes) - set(SCENES):
         parser.error(f"no scene {', '.join(sorted(unknown))}; there are {', '.join(SCENES)}")
     methods = asked.methods.split(",")
-    if unknown := set(methods) - set(METHODS):
+    if unknown := {method.split("+")[0] for method in methods} - set(METHODS):
         parser.error(f"no method {', '.join(sorted(unknown))}; there are {', '.join(METHODS)}")
     set_threads(asked.threads)
     print(HEADER)

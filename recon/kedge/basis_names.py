@@ -6,9 +6,10 @@ from typing import TypeAlias
 
 from phantomgen.dataset.reader import Dataset
 from recon.readouts.spectrum import detected_spectrum
-from spectra.basis.basis import Basis
+from spectra.basis.basis import Basis, BasisFunction
+from spectra.elements.attenuation import edge_energy, mass_fractions, symbol
 from spectra.errors import InputError
-from spectra.materials.material import Material
+from spectra.materials.material import SAME_EDGE, Material
 from spectra.materials.material_curve import MaterialCurve
 
 CURVE = "curve"  # word of ``--bases`` for `OnCurve`
@@ -36,9 +37,29 @@ class OnCurve:
         -------
         the curve
         """
-        spectra = dataset.spectra
+        spectra, energies = dataset.spectra, detected_spectrum(dataset.spectra.basis, dataset.spectra.transmission())
         materials = [Material(name, composition=name) for name in self.materials]
-        return MaterialCurve.of(materials, spectra.basis, *detected_spectrum(spectra.basis, spectra.transmission()))
+        return MaterialCurve.of(materials, spectra.basis, *energies)
+
+    def edges(self, stated: Basis, low: float, high: float) -> tuple[BasisFunction, ...]:
+        """Collect the functions that the K edges of the materials take.
+
+        Parameters
+        ----------
+        stated : basis of the dataset, whose functions are taken where they have the same edge
+        low, high : limits of the detected energies [keV]
+
+        Returns
+        -------
+        one function per edge within the limits, by energy
+        """
+        elements = {symbol(number) for material in self.materials for number, _ in mass_fractions(material)}
+        fitting = []
+        for edge, element in sorted((edge_energy(element), element) for element in elements):
+            if low < edge < high:
+                near = [f for f in stated.functions if f.edge_energy and abs(f.edge_energy - edge) < SAME_EDGE]
+                fitting.append(near[0] if near else BasisFunction("element", element=element))
+        return tuple(fitting)
 
 
 Asked: TypeAlias = int | Sequence[str] | OnCurve | None  # number, names, curve, or None: those that the data warrant
@@ -116,7 +137,8 @@ def with_named(dataset: Dataset, bases: Asked) -> tuple[Dataset, int | None]:
     Parameters
     ----------
     dataset : an open dataset
-    bases : number or names of functions, or a curve, which K edges have no part in
+    bases : number or names of functions, or a curve, which takes those without a K edge and those for the K edges of
+        its materials
 
     Returns
     -------
@@ -131,7 +153,8 @@ def with_named(dataset: Dataset, bases: Asked) -> tuple[Dataset, int | None]:
             raise InputError(
                 f"{dataset.path} has the bases {', '.join(stated.names)}: a curve needs two without a K edge"
             )
-        return dataset.with_basis(Basis(smooth, stated.reference_energy)), None
+        edges = bases.edges(stated, *dataset.spectra.edges[[0, -1]])
+        return dataset.with_basis(Basis((*smooth, *edges), stated.reference_energy)), None
     return dataset.with_basis(named_basis(dataset.spectra.basis, bases, dataset.path)), None
 
 

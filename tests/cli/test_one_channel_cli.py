@@ -59,6 +59,18 @@ def test_gaussians_are_fitted_on_a_curve_by_default(gaussian_run, tmp_path):
     assert CliRunner().invoke(recon, volume).exit_code == 0
 
 
+def test_a_material_with_a_k_edge_in_the_beam_adds_its_function(scan, tmp_path):
+    run = tmp_path / "run"
+    result = fit(scan, "--bases", "curve:water,Ti,Au", "--sweeps", "1", "-o", run)
+    assert result.exit_code == 0, result.output
+    names = json.loads((run / "scan.json").read_text())["basis"]["basis_name"]
+    assert names == ["photoelectric", "compton", "kedge_Au"]
+    image = ["volume", str(run), "--as", "hu", "--energy", "70", "-o", str(tmp_path / "hu.nii"), "-q"]
+    assert CliRunner().invoke(recon, image).exit_code == 0
+    replicates = ["uncertainty", str(run), "--dataset", str(scan), "--replicates", "2", "-q"]
+    assert CliRunner().invoke(recon, replicates).exit_code == 0
+
+
 @pytest.mark.parametrize("method", ["gaussian", "one-step"])
 def test_replicates_of_a_run_are_on_its_curve(scan, gaussian_run, tmp_path, method):
     folder = gaussian_run
