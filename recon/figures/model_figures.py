@@ -61,7 +61,7 @@ def draw_volumes(
     grid = dataset.grid if truth is None else truth.grid
     names, volumes = model.basis_names, model.volume(grid)
     true = None if truth is None else truth_of(truth, names)
-    for plane in ("axial", "coronal"):
+    for plane in ("axial", "coronal") if grid.shape[0] > 1 else ("axial",):
         with guard(f"drawing {plane}.png"):
             path = folder / f"{plane}.png"
             figures.basis_slices(volumes, true, names, grid, path, plane, left_out=left_out, unit=unit)

@@ -38,5 +38,5 @@ def _geometry_of(source: str | None, preset: str | None) -> tuple[Geometry, Grid
     from phantomgen.scene.geometry import scene_geometry  # noqa: PLC0415 - datasets need no scenes
 
     file = scene_of(source, preset)
-    geometry, volume = scene_geometry(file), file.model.volume
-    return geometry.nominal or geometry.true, Grid.cube(volume.voxels, volume.size)
+    geometry = scene_geometry(file)
+    return geometry.nominal or geometry.true, file.model.volume.grid

@@ -134,7 +134,9 @@ def part_with_gaussians(volumes: Float[np.ndarray, "basis z y x"], scan: Scan, r
     the part that is not empty, and the air around it
     """
     part = occupied_part(volumes, scan.coverage.grid, scan.air)
-    return in_air(part, recipe.surfaces.air) if recipe.kernel == "interface" else part
+    if recipe.kernel != "interface":
+        return part
+    return in_air(part, recipe.surfaces.air, alike=scan.measured.geometry.panel.rows == 1)
 
 
 def plain_gaussians(
@@ -196,13 +198,14 @@ def occupied_part(volumes: Float[np.ndarray, "basis z y x"], grid: Grid, air: in
     return OccupiedPart(np.ascontiguousarray(volumes[:, *box]), grid.part(box))
 
 
-def in_air(part: OccupiedPart, voxels: int) -> OccupiedPart:
+def in_air(part: OccupiedPart, voxels: int, alike: bool = False) -> OccupiedPart:
     """Add empty voxels around volumes.
 
     Parameters
     ----------
     part : volumes
     voxels : number to add on every side
+    alike : whether a single slice goes on above and below as it is, which a panel of one row cannot tell
 
     Returns
     -------
@@ -213,4 +216,8 @@ def in_air(part: OccupiedPart, voxels: int) -> OccupiedPart:
         return part
     origin = tuple(o - voxels * s for o, s in zip(grid.origin, grid.spacing, strict=True))
     larger = Grid(tuple(n + 2 * voxels for n in grid.shape), grid.spacing, origin)  # type: ignore[arg-type]
-    return OccupiedPart(np.pad(part.volumes, ((0, 0), *[(voxels, voxels)] * 3)), larger)
+    both = (voxels, voxels)
+    if alike and grid.shape[0] == 1:
+        stacked = np.pad(part.volumes, ((0, 0), both, (0, 0), (0, 0)), mode="edge")
+        return OccupiedPart(np.pad(stacked, ((0, 0), (0, 0), both, both)), larger)
+    return OccupiedPart(np.pad(part.volumes, ((0, 0), both, both, both)), larger)

@@ -32,7 +32,13 @@ from torch import Tensor
 
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements, matching_bin
-from recon.data.view_subsets import every_nth_view, golden_section_order, interleaved_subsets, view_groups
+from recon.data.view_subsets import (
+    count_complete_sets,
+    every_nth_view,
+    golden_section_order,
+    interleaved_subsets,
+    view_groups,
+)
 from recon.data.volume_edges import contrast_around, metal_without_agents, over_metal
 from recon.ops.nonnegative_newton import as_matrices, inverse_blocks, nonnegative_newton_step
 from recon.ops.total_variation import ascend, neighbour_sums
@@ -165,7 +171,7 @@ class OneStep:
         volumes, here = np.zeros((unknowns, *grid.shape), np.float32), grid
         if start is not None:
             volumes = start.astype(np.float32)
-        levels = [(factor, _passes(passes, len(measurements))) for factor, passes in self.levels]
+        levels = [(factor, _passes(passes, measurements)) for factor, passes in self.levels]
         report = Report(on_iteration, sum(passes for _, passes in levels))
         for number, (factor, passes) in enumerate(levels):
             level = coarser(grid, factor)
@@ -198,7 +204,7 @@ class OneStep:
         volumes of the bases, not negative [1/mm]
         """
         data = measurements.binned(matching_bin(measurements.geometry, self.pixel * min(grid.spacing)))
-        passes = _passes(self.levels[-1][1], len(measurements))
+        passes = _passes(self.levels[-1][1], measurements)
         report = Report(on_iteration, passes)
         return _descend(volumes, data.weighted(self.dispersion), grid, self, passes, report, around=True)
 
@@ -264,17 +270,18 @@ def _descend(
     field = _on_device(np.zeros((3, *first.shape), np.float32), settings)
     state = _State(first, field, around=first if around else None)
     ratio, best, least, metric = _view_ratio(data), first, np.inf, None
-    parts = min(round(ratio * settings.subsets), len(data))
+    parts = min(round(ratio * settings.subsets), _views_of_a_kind(data))
     last, most = np.inf, passes * (1 if least_fall is None else MOST_TIMES)
     for i in range(most):
         if metric is None or i == ceil(METRIC_RENEWED / ratio):
             metric = _metric(_as_array(state.volumes), data, inner, settings)
+        before = state.volumes
         deviance = _pass(state, data, inner, settings, metric, parts)
         if not deviance < DIVERGED * least and parts > 1:
             state = _State(best, 0.0 * state.field, around=state.around)
             parts = parts // 2 | 1
         elif deviance < least:
-            best, least = state.volumes, deviance
+            best, least = before, deviance  # the last steps of a pass may be those that diverge
         shown = _as_array(state.volumes)
         whole[:, *box] = shown if around else _voxel_means(shown, settings)
         report(settings.coefficients(whole), deviance / counts, grid)
@@ -298,16 +305,21 @@ def _as_array(values: Any) -> Float[np.ndarray, "..."]:
     return values.cpu().numpy() if isinstance(values, Tensor) else values
 
 
-def _passes(asked: int, views: int) -> int:
-    """Passes of a level, fewer than asked for with many views and more with few."""
-    if views < FEW_VIEWS:
-        return ceil(asked * sqrt(FEW_VIEWS / views))
-    return max(ceil(asked * min(MANY_VIEWS / views, 1.0)), min(asked, FEWEST_PASSES))
+def _passes(asked: int, data: Measurements) -> int:
+    """Passes of a level, fewer than asked for with many views of each kind and more with few views."""
+    if len(data) < FEW_VIEWS:
+        return ceil(asked * sqrt(FEW_VIEWS / len(data)))
+    return max(ceil(asked / _view_ratio(data)), min(asked, FEWEST_PASSES))
+
+
+def _views_of_a_kind(data: Measurements) -> int:
+    """Number of views of each kind: where the tube voltage switches, a step has so many fewer of each."""
+    return count_complete_sets(view_groups(data.exposure))
 
 
 def _view_ratio(data: Measurements) -> float:
-    """Views over `MANY_VIEWS`, at least 1: with so many times more subsets and fewer passes, steps stay as many."""
-    return max(len(data) / MANY_VIEWS, 1.0)
+    """Views of a kind over `MANY_VIEWS`, at least 1; so many times more subsets in fewer passes are as many steps."""
+    return max(_views_of_a_kind(data) / MANY_VIEWS, 1.0)
 
 
 def _voxel_means(volumes: Volumes, settings: OneStep) -> Volumes:
@@ -399,7 +411,7 @@ def _metric(volumes: Volumes, data: Measurements, grid: Grid, settings: OneStep)
     Metal holds no contrast agent, but no combination of bases attenuates as metal does, and the difference resembles a
     K edge. So K edges have a prior at 0 in metal, the stronger the denser the metal.
     """
-    step = min(CURVATURE_STEP, max(len(data) / LEAST_CURVATURE_VIEWS, 1.0))
+    step = min(CURVATURE_STEP, max(_views_of_a_kind(data) / LEAST_CURVATURE_VIEWS, 1.0))
     some = data[every_nth_view(view_groups(data.exposure), step)]
     share = len(data) / len(some)
     blocks, covariance, information = _curvature(volumes, some, grid, settings)
