@@ -14,7 +14,9 @@ from recon.gaussians.reconstruct import _prior_of
 
 def test_the_prior_reaches_as_far_as_gaussians_are_placed():
     grid, names = Grid.cube(8, 16.0), ("photoelectric", "compton")
-    scan = Scan(SimpleNamespace(basis_names=names), 0.0, SimpleNamespace(grid=grid), np.eye(2), 0)
+    geometry = SimpleNamespace(panel=SimpleNamespace(rows=8))
+    measured = SimpleNamespace(basis_names=names, geometry=geometry)
+    scan = Scan(measured, 0.0, SimpleNamespace(grid=grid), np.eye(2), 0)
     volumes = np.full((2, *grid.shape), 0.02, np.float32)
     part = part_with_gaussians(volumes, scan, FAST)
     prior = _prior_of(volumes, scan, Mock(spec=Measurements, exposure=np.ones((9, 1), np.float32)), FAST)
