@@ -30,8 +30,8 @@ class Remark:
 
     Parameters
     ----------
-    key : ``misfit``, ``misfit_marked``, ``truncated``, ``outside_grid``, ``starved``, ``unreliable``, ``few_views``,
-        ``note`` or ``bases_left_out``
+    key : ``misfit``, ``unchecked``, ``misfit_marked``, ``truncated``, ``outside_grid``, ``starved``, ``unreliable``,
+        ``few_views``, ``note`` or ``bases_left_out``
     sentence : the sentence for a user
     failed : whether a check failed; otherwise the sentence is a note
     """
@@ -42,6 +42,12 @@ class Remark:
 
 
 Verdict = tuple[Remark, ...]
+
+UNCHECKED = Remark(
+    "unchecked",
+    "No test views were scored, so that nothing tells whether the model explains the scan; a scan with some says more.",
+    failed=False,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +89,7 @@ def verdict_of(outcome: FitOutcome) -> Verdict:
     all remarks, failed checks and notes
     """
     channels, dispersion, coverage = outcome.channels, outcome.dispersion, outcome.coverage
-    found = [misfit(channels, dispersion)]
+    found = [misfit(channels, dispersion) if channels else UNCHECKED]
     if outcome.unreliable is not None:
         marked = outcome.unreliable.record()
         told = Remark("unreliable", which_unreliable(marked), failed=False)

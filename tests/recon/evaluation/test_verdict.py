@@ -78,6 +78,12 @@ def test_a_good_run_has_nothing_to_say():
     assert verdict_of(FitOutcome({"bin0": GOOD}, 0.02, ball(16), 20, ["a"], ["a"], WHOLE)) == ()
 
 
+def test_a_run_without_test_views_says_that_nothing_was_checked():
+    (said,) = verdict_of(FitOutcome({}, 0.02, ball(16), 20, ["a"], ["a"], WHOLE))
+    assert said.key == "unchecked"
+    assert not said.failed
+
+
 def test_every_fault_has_its_key_and_says_what_to_do():
     bad = replace(WHOLE, lateral=1.0, sides=(1.0, 0.0, 0.0, 0.0), outside=0.2, starved=0.1)
     channels = {"bin0": GOOD | {"chi_square_away": 774.0}, "bin1": GOOD}
