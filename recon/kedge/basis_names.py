@@ -54,12 +54,13 @@ class OnCurve:
         one function per edge within the limits, by energy
         """
         elements = {symbol(number) for material in self.materials for number, _ in mass_fractions(material)}
-        fitting = []
+        fitting = {}
         for edge, element in sorted((edge_energy(element), element) for element in elements):
             if low < edge < high:
                 near = [f for f in stated.functions if f.edge_energy and abs(f.edge_energy - edge) < SAME_EDGE]
-                fitting.append(near[0] if near else BasisFunction("element", element=element))
-        return tuple(fitting)
+                function = near[0] if near else BasisFunction("element", element=element)
+                fitting[function.name] = function
+        return tuple(fitting.values())
 
 
 Asked: TypeAlias = int | Sequence[str] | OnCurve | None  # number, names, curve, or None: those that the data warrant
