@@ -138,7 +138,7 @@ def pose_gradient(
 def _even_pieces(layers: int) -> list[tuple[int, int]]:
     """First layers, and ones past the last, of pieces that keep all threads busy for as long."""
     threads = thread_count()
-    count = min(threads * -(-layers // (threads * _MOST_LAYERS)), layers)
+    count = max(min(threads * -(-layers // (threads * _MOST_LAYERS)), layers), 1)
     return list(pairwise(i * layers // count for i in range(count + 1)))
 
 

@@ -1,5 +1,7 @@
 """Scans of one slice: a panel of one row, whose tube voltage switches from view to view."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -13,24 +15,14 @@ from recon.gaussians.reconstruct import reconstruct
 from recon.voxel.iterative.one_step import OneStep
 from recon.voxel.model import Voxels
 
-TUBE = "{{type: tube, kvp: {}, photons: 1.0e+6, filters: [{{composition: Al, thickness: 1}}]}}"
-SETTINGS = [
-    f"source={{type: switching, sources: {{low: {TUBE.format(50)}, high: {TUBE.format(80)}}}}}",
-    "detector={type: energy_integrating, composition: CsI}",
-    "basis=[{type: photoelectric}, {type: compton}]",
-    "materials={adipose: {composition: adipose}, gland: {composition: breast}}",
-    "objects=[{type: cylinder, material: adipose, radius: 70, length: 40}, "
-    "{type: cylinder, material: gland, center: [10, 10, 0], radius: 20, length: 40}]",
-    "geometry={type: circular, sod: 500, sdd: 1000, views: 256, test_views: 0}",
-    "panel={rows: 1, columns: 64, pitch: 5.72}",
-    "volume={voxels: 32, size: 180, slices: 1}",
-]
+SCENE = Path(__file__).parents[3] / "examples" / "switched_slice.yaml"
+SMALL = ["volume.voxels=32", "panel.columns=64", "panel.pitch=5.72", "geometry.test_views=0"]
 
 
 @pytest.fixture(scope="module")
 def scan(tmp_path_factory):
     path = tmp_path_factory.mktemp("flat") / "flat.h5"
-    with phantomgen.make(phantomgen.load("kedge-small", SETTINGS), out=path) as dataset:
+    with phantomgen.make(phantomgen.load(SCENE, SMALL), out=path) as dataset:
         yield dataset
 
 
