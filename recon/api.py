@@ -35,6 +35,7 @@ from recon.output.render_file import rendered, views_of_geometry
 from recon.output.report.page import report_figures as figures_of_report
 from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.paper.reconstruct import reconstruct_paper
+from recon.readouts.fractions import parse_material
 from recon.readouts.quantity import in_pieces, quantity
 from recon.readouts.readouts import Readouts
 from recon.readouts.spectrum import detected_spectrum
@@ -52,6 +53,7 @@ from recon.segmentation.segment import segment_subject
 from recon.segmentation.subject import Subject, open_subject
 from spectra.basis.basis import Basis, pretty
 from spectra.errors import InputError
+from spectra.materials.material import Material
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -78,13 +80,13 @@ class QuantityMap:
     Parameters
     ----------
     name : such as ``hounsfield_70_keV``
-    values : values in `unit`
+    values : values in `unit`; of a quantity with several maps with an axis for them before the others
     unit : ``1/mm``, ``HU``, ``mg/ml``, or ``1``
     grid : the voxels
     """
 
     name: str
-    values: Float[np.ndarray, "z y x"]
+    values: Float[np.ndarray, "*map z y x"]
     unit: str
     grid: Grid
 
@@ -367,20 +369,23 @@ def readout(
     energy: float | None = None,
     water: str | float | None = None,
     grid: Grid | None = None,
+    materials: Sequence[str | Material] = (),
 ) -> QuantityMap:
     """Compute a quantity of a finished fit, or of a run folder of any method, in every voxel.
 
     Parameters
     ----------
     run : a fit, or a folder
-    what : ``vmi``, ``hu``, ``vnc``, ``electron-density``, ``zeff``, or an element such as ``iodine``
+    what : ``vmi``, ``hu``, ``vnc``, ``electron-density``, ``zeff``, ``fractions``, or an element such as ``iodine``
     energy : energy of ``vmi``, ``hu`` and ``vnc`` [keV]; 70 where it is left out
     water : what 0 HU is: ``basis`` (the default), ``table``, or the attenuation of water at the energy [1/mm]
     grid : any grid; that of the dataset where it is left out
+    materials : of ``fractions``: compositions, where needed with a density, such as ``hydroxyapatite:2.9``, or
+        materials
 
     Returns
     -------
-    values with their unit
+    values with their unit; volume fractions have an axis for the materials before the others
 
     Raises
     ------
@@ -401,7 +406,8 @@ def readout(
     """
     stored = _stored(run) if isinstance(run, Fit) else open_model(Path(run))
     spectrum = detected_spectrum(stored.basis, stored.transmission)
-    chosen = quantity(Readouts.of(stored.basis, *spectrum), what, energy, water)
+    named = [parse_material(one) if isinstance(one, str) else one for one in materials]
+    chosen = quantity(Readouts.of(stored.basis, *spectrum), what, energy, water, named)
     if chosen.caution:
         warnings.warn(chosen.caution, stacklevel=2)
     place = grid or stored.grid

@@ -40,6 +40,7 @@ class _Shown:
     deviation: bool
     energy: float | None
     water: str | None
+    materials: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -68,11 +69,13 @@ class _Output:
     "  vnc               CT numbers at --energy without contrast agents [HU]\n"
     "  iodine, Gd, ...   concentration of an element that a basis function shows [mg/ml]\n"
     "  electron-density  over that of water, without contrast agents\n"
-    "  zeff              effective atomic number, without contrast agents\n\n"
+    "  zeff              effective atomic number, without contrast agents\n"
+    "  fractions         volume fractions of the materials that --material names, a map for each\n\n"
     "\b\nExamples:\n  recon volume kedge-run --voxel 0.5 --size 160 -o fine.h5\n"
     "  recon volume kedge-run --as hu --energy 60 -o hu60.nii.gz\n"
     "  recon volume vials-run --as iodine -o iodine.vti\n"
     "  recon volume vials-run --as vnc -o vnc-dicom\n"
+    "  recon volume run --as fractions --material adipose --material water --material hydroxyapatite:2.9\n"
     "  recon volume vials-run --as iodine --deviation -o sd.nii.gz"
 )
 @click.argument("run", type=_RUN)
@@ -86,7 +89,7 @@ class _Output:
     "--as",
     "what",
     metavar="QUANTITY",
-    help="In place of basis volumes: vmi, hu, vnc, electron-density, zeff, or an element such as iodine.",
+    help="In place of basis volumes: vmi, hu, vnc, electron-density, zeff, fractions, or an element such as iodine.",
 )
 @click.option("--deviation", is_flag=True, help="In place of the quantity its standard deviation, on the grid of RUN.")
 @click.option("--grid", metavar="N|Z,Y,X", help="Number of voxels along each axis.")
@@ -99,6 +102,13 @@ class _Output:
     "--water",
     metavar="basis|table|1/MM",
     help="What 0 HU is: water as the basis describes it, of tables, or its attenuation [default: basis].",
+)
+@click.option(
+    "--material",
+    "materials",
+    metavar="NAME[:G/CM^3]",
+    multiple=True,
+    help="A material of fractions: a named material, an element or a formula, where needed with a density; repeatable.",
 )
 @_common
 @grouped(shown=_Shown, place=_Place, output=_Output, printing=Printing)
@@ -117,7 +127,8 @@ def volume(
     uncertainty` made.
     """
     from recon.output.volume_file import checked_target, chosen_grid, deviation_of, write_volume
-    from recon.readouts.quantity import CT_NUMBERS, quantity
+    from recon.readouts.fractions import parse_material
+    from recon.readouts.quantity import CT_NUMBERS, FRACTIONS, quantity
     from recon.readouts.readouts import Readouts
     from recon.readouts.spectrum import detected_spectrum
     from recon.runs.read_run import open_model
@@ -133,12 +144,18 @@ def volume(
         )
     if asked is None and shown.water is not None:
         raise InputError("--water is for CT numbers: add --as hu or --as vnc")
+    if asked is None and shown.materials:
+        raise InputError(f"--material is for volume fractions: add --as {FRACTIONS}")
     target = checked_target(
         output.out or Path(f"{run.resolve().name}-volume.h5"), output.overwrite, asked in CT_NUMBERS
     )
     stored = open_model(run)
     spectrum = detected_spectrum(stored.basis, stored.transmission)
-    wanted = None if asked is None else quantity(Readouts.of(stored.basis, *spectrum), asked, shown.energy, shown.water)
+    wanted = None
+    if asked is not None:
+        materials = [parse_material(text) for text in shown.materials]
+        readouts = Readouts.of(stored.basis, *spectrum)
+        wanted = quantity(readouts, asked, shown.energy, shown.water, materials)
     chosen = chosen_grid(stored.grid, place.grid, place.voxel, place.size, place.center, place.like)
     if wanted is not None and wanted.caution:
         click.echo(f"Warning: {wanted.caution}.", err=True)

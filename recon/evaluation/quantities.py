@@ -2,7 +2,7 @@
 
 All follow exactly from the truth of a dataset, as all are linear in the volume fractions of its materials: basis
 coefficients as they are, attenuation at an energy as the sum of coefficients times basis functions, Hounsfield units
-from attenuation, and densities from those of the materials.
+from attenuation, and densities from those of the materials; volume fractions are there as they are.
 """
 
 import re
@@ -20,12 +20,18 @@ from spectra.elements.attenuation import HIGHEST_ENERGY, LOWEST_ENERGY, atomic_n
 from spectra.errors import InputError
 from spectra.materials.material import Material
 
-KINDS = "basis:NAME, mono:KEV, channel:NAME, hu:KEV or density:NAME"
+KINDS = "basis:NAME, mono:KEV, channel:NAME, hu:KEV, density:NAME or fraction:NAME"
 WATER = Material("water", composition="Water, Liquid")
-_GROUPS = {"basis": "basis", "mono": "attenuation", "channel": "attenuation", "hu": "attenuation", "density": "density"}
+_GROUPS = {
+    "basis": "basis", "mono": "attenuation", "channel": "attenuation", "hu": "attenuation", "density": "density",
+    "fraction": "fraction",
+}  # fmt: skip
+UNITS = {"basis": "1/mm", "attenuation": "1/mm", "density": "g/cm^3", "fraction": "1"}  # of the truth, by group
 _ATTENUATION = {"1/mm": 1.0, "1/cm": 0.1, "1/m": 1e-3}
 _DENSITY = {"g/cm^3": 1.0, "g/ml": 1.0, "mg/cm^3": 1e-3, "mg/ml": 1e-3, "kg/m^3": 1e-3}
+_FRACTION = {"1": 1.0, "%": 0.01}
 _HOUNSFIELD = {"hu": 1.0}
+_KNOWN_UNITS = {"basis": _ATTENUATION, "attenuation": _ATTENUATION, "density": _DENSITY, "fraction": _FRACTION}
 _ELEMENTS = {  # agents and metals by the names that people use
     "iodine": "I", "gadolinium": "Gd", "gold": "Au", "bismuth": "Bi", "barium": "Ba", "calcium": "Ca", "tungsten": "W",
     "ytterbium": "Yb", "tantalum": "Ta", "hafnium": "Hf", "iron": "Fe", "titanium": "Ti", "silver": "Ag",
@@ -38,7 +44,7 @@ class Quantity:
 
     Parameters
     ----------
-    kind : ``basis``, ``mono``, ``channel``, ``hu`` or ``density``
+    kind : ``basis``, ``mono``, ``channel``, ``hu``, ``density`` or ``fraction``
     item : name of a basis function, energy [keV], name or number of a channel, or name of a material
     """
 
@@ -50,7 +56,7 @@ class Quantity:
 
     @property
     def group(self) -> str:
-        """Section of ``metrics.json``: ``basis``, ``attenuation`` or ``density``."""
+        """Section of ``metrics.json``: ``basis``, ``attenuation``, ``density`` or ``fraction``."""
         return _GROUPS[self.kind]
 
     @property
@@ -71,10 +77,10 @@ class Quantities:
     Parameters
     ----------
     each : the quantities
-    truth : with the quantities in place of the basis functions, [1/mm] or [g/cm^3]
+    truth : with the quantities in place of the basis functions, in `unit`
     energies : at which attenuation is meant [keV]; None for others
     water : attenuation of water there [1/mm]; None for others than Hounsfield units
-    rows : what the basis coefficients of the dataset's truth are multiplied by; None for densities
+    rows : what the basis coefficients of the dataset's truth are multiplied by; None for densities and fractions
     """
 
     each: tuple[Quantity, ...]
@@ -85,13 +91,13 @@ class Quantities:
 
     @property
     def group(self) -> str:
-        """Section of ``metrics.json``: ``basis``, ``attenuation`` or ``density``."""
+        """Section of ``metrics.json``: ``basis``, ``attenuation``, ``density`` or ``fraction``."""
         return self.each[0].group
 
     @property
     def unit(self) -> str:
         """Unit of the truth."""
-        return "g/cm^3" if self.group == "density" else "1/mm"
+        return UNITS[self.group]
 
     def converted(self, values: np.ndarray, part: int, unit: str | None, where: str) -> Float[np.ndarray, "z y x"]:
         """Convert values of one part to the unit of the truth.
@@ -100,12 +106,12 @@ class Quantities:
         ----------
         values : as in the file
         part : index of the quantity
-        unit : of the values; Hounsfield units need none
+        unit : of the values; Hounsfield units and fractions need none
         where : name of the volume, for messages
 
         Returns
         -------
-        [1/mm] or [g/cm^3]
+        values in `unit`
 
         Raises
         ------
@@ -113,8 +119,9 @@ class Quantities:
             When the unit is unknown, or not one of the quantity.
         """
         water, plain = self.water[part], np.asarray(values, dtype=np.float64)
-        known = _HOUNSFIELD if water is not None else _DENSITY if self.group == "density" else _ATTENUATION
-        factor = known.get(_normal(unit)) if unit is not None else 1.0 if water is not None else None
+        known = _HOUNSFIELD if water is not None else _KNOWN_UNITS[self.group]
+        plain_number = water is not None or self.group == "fraction"
+        factor = known.get(_normal(unit)) if unit is not None else 1.0 if plain_number else None
         if factor is None:
             wanted = "HU" if water is not None else ", ".join(known)
             hint = ", or --as hu:KEV" if unit is not None and _normal(unit) in _HOUNSFIELD else ""
@@ -129,7 +136,8 @@ def parse_quantities(text: str) -> tuple[Quantity, ...]:
 
     Parameters
     ----------
-    text : such as ``basis:photoelectric,compton``, ``mono:60``, ``channel:bin1``, ``hu:60`` or ``density:iodine``
+    text : such as ``basis:photoelectric,compton``, ``mono:60``, ``channel:bin1``, ``hu:60`` ``density:iodine`` or
+        ``fraction:bone``
 
     Returns
     -------
@@ -160,7 +168,7 @@ def with_truth(
     each : quantities
     truth : of a dataset
     spectra : of the dataset, in its own basis functions
-    materials : of the truth, for densities
+    materials : of the truth, for densities and fractions
 
     Returns
     -------
@@ -177,12 +185,13 @@ def with_truth(
     if len({quantity.label for quantity in each}) < len(each):
         raise InputError(f"each quantity is scored once, got {', '.join(map(str, each))}")
     names = tuple(quantity.label for quantity in each)
-    if groups == ["density"]:
-        densities = np.array([_densities(quantity.item, materials) for quantity in each])  # quantity, material
-        scaled = (densities / FRACTION_SCALE).astype(np.float32)
+    if groups[0] in ("density", "fraction"):
+        find = _densities if groups == ["density"] else _shares
+        weights = np.array([find(quantity.item, materials) for quantity in each])  # quantity, material
+        scaled = (weights / FRACTION_SCALE).astype(np.float32)
         volumes = np.einsum("qm,mzyx->qzyx", scaled, truth.fractions, dtype=np.float32)
         nothing = (None,) * len(each)
-        true = replace(truth, basis_names=names, volumes=volumes, coefficients=densities.T)
+        true = replace(truth, basis_names=names, volumes=volumes, coefficients=weights.T)
         return Quantities(tuple(each), true, nothing, nothing)
     energies = [_energy_of(quantity, spectra) for quantity in each]
     rows = np.array([_weights(q, e, truth, spectra) for q, e in zip(each, energies, strict=True)])  # quantity, basis
@@ -274,6 +283,14 @@ def _densities(item: str, materials: Sequence[TrueMaterial]) -> list[float]:
             )
         found.append(material.density * dict(mass_fractions(material.composition)).get(number, 0.0))
     return found
+
+
+def _shares(item: str, materials: Sequence[TrueMaterial]) -> list[float]:
+    """Share of a material in each material of the truth: 1 in itself, 0 in others."""
+    names = [material.name for material in materials]
+    if item not in names:
+        raise InputError(f"the dataset has no material {item!r}: choose from {', '.join(names)}")
+    return [float(name == item) for name in names]
 
 
 def _normal(unit: str) -> str:

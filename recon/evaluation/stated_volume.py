@@ -177,8 +177,8 @@ def stated_volume(
         refuse_silent(name, volume, stated)
     read, each, from_run = _with_quantities(read, stated)
     order = _order(each, dataset.spectra.basis.names)
-    densities = read_true_materials(dataset.path) if any(q.kind == "density" for q in each) else ()
-    given = with_truth(each, truth, dataset.spectra, densities)
+    materials = read_true_materials(dataset.path) if any(q.kind in ("density", "fraction") for q in each) else ()
+    given = with_truth(each, truth, dataset.spectra, materials)
     parts, grid = [], None
     for name, volume in read:
         values, own = placed(name, volume, stated.place)
@@ -191,7 +191,7 @@ def stated_volume(
     covered = covered_part(grid, truth.grid)
     if covered <= 0:
         raise InputError(f"{read[0][0]} lies outside the truth of {dataset.path}: check --voxel-mm and --origin-mm")
-    quantities = with_truth([each[i] for i in order], truth, dataset.spectra, densities)
+    quantities = with_truth([each[i] for i in order], truth, dataset.spectra, materials)
     model = MeanVoxels(np.stack([parts[i] for i in order]), grid, quantities.truth.basis_names)
     record = {
         "files": [name for name, _ in read],

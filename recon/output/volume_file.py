@@ -182,7 +182,7 @@ def write_volume(
     if target.writer == "hdf5":
         _write_hdf5(target.path, stored, grid, chosen, on_slice)
         return
-    names = stored.basis.names if chosen is None else (chosen.name,)
+    names = stored.basis.names if chosen is None else chosen.maps
     whole = np.empty((len(names), *grid.shape), np.float32)
     for first, values in _slabs(stored, grid, chosen, on_slice):
         whole[:, first : first + values.shape[1]] = values
@@ -191,7 +191,8 @@ def write_volume(
     elif chosen is None:
         write_volumes(target.path, basis_volumes(grid, names, whole))
     else:
-        write_volumes(target.path, Volumes(grid, {chosen.name: whole[0]}, f"{chosen.about} [{chosen.unit}]"))
+        maps = dict(zip(chosen.maps, whole, strict=True))
+        write_volumes(target.path, Volumes(grid, maps, f"{chosen.about} [{chosen.unit}]"))
 
 
 def deviation_of(run: Path, stored: StoredModel, chosen: Quantity) -> tuple[StoredModel, Quantity]:
@@ -212,17 +213,19 @@ def deviation_of(run: Path, stored: StoredModel, chosen: Quantity) -> tuple[Stor
     DatasetError
         When the run has no replicates.
     """
-    found = stored_replicates(run).quantity(chosen).deviation[None].astype(np.float32)
-    about = f"standard deviation of {chosen.about}"
-    quantity = Quantity(f"{chosen.name}_deviation", chosen.unit, about, lambda values: values[0], chosen.caution)
-    return replace(stored, model=Voxels(found, stored.grid, (quantity.name,))), quantity
+    found = stored_replicates(run).quantity(chosen).deviation.astype(np.float32).reshape(-1, *stored.grid.shape)
+    names, about = tuple(f"{name}_deviation" for name in chosen.maps), f"standard deviation of {chosen.about}"
+    parts = names if chosen.parts else ()
+    values = (lambda values: values) if chosen.parts else (lambda values: values[0])
+    quantity = Quantity(names[0], chosen.unit, about, values, chosen.caution, parts)
+    return replace(stored, model=Voxels(found, stored.grid, names)), quantity
 
 
 def _write_hdf5(
     path: Path, stored: StoredModel, grid: Grid, chosen: Quantity | None, on_slice: Callable[[int, int], None]
 ) -> None:
     """Write an HDF5 file slab by slab."""
-    names, unit = (stored.basis.names, "1/mm") if chosen is None else ((chosen.name,), chosen.unit)
+    names, unit = (stored.basis.names, "1/mm") if chosen is None else (chosen.maps, chosen.unit)
     _, rows, columns = grid.shape
     with whole_file(path) as file:
         file.attrs.update({"NX_class": "NXroot", "default": "basis", "creator": "recon"})
@@ -252,7 +255,7 @@ def _slabs(
     for first in range(0, depth, slab):
         count = min(slab, depth - first)
         values = stored.model.volume(grid.slices(first, count))
-        yield first, values if chosen is None else in_pieces(chosen, values)[None]
+        yield first, values if chosen is None else in_pieces(chosen, values).reshape(-1, *values.shape[1:])
         on_slice(first + count, depth)
 
 

@@ -1,34 +1,38 @@
 """Quantities by name: what `recon volume --as` writes and `recon.readout` returns."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
+from recon.readouts.fractions import Decomposition
 from recon.readouts.readouts import Coefficients, Readouts, Volume, check_energies, tabulated_water
 from spectra.elements.attenuation import symbol
 from spectra.elements.named_materials import element_number
 from spectra.errors import InputError
+from spectra.materials.material import Material
 
 ENERGY = 70.0  # keV; of images at one energy where none is stated; reference energy of the bases
 WATERS = ("basis", "table")
 CT_NUMBERS = ("hu", "vnc")
 WITH_ENERGY = ("vmi", *CT_NUMBERS)
 NAMES = (*WITH_ENERGY, "electron-density", "zeff")
+FRACTIONS = "fractions"  # the quantity that asks for materials
 
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
-    """A physical quantity that follows from coefficients voxel by voxel.
+    """A physical quantity, or several in maps of their own, that follow from coefficients voxel by voxel.
 
     Parameters
     ----------
     name : of the volume in files
     unit : of its values
     about : what it is, in a few words
-    values : function from coefficients [1/mm], (basis, ...), to the quantity, (...)
+    values : function from coefficients [1/mm], (basis, ...), to the quantity, (...), or to its maps, (map, ...)
     caution : sentence on what the values cannot be relied on for; None where there is nothing to say
+    parts : names of the maps; empty for a quantity of one map
     """
 
     name: str
@@ -36,19 +40,32 @@ class Quantity:
     about: str
     values: Callable[[Coefficients], Volume]
     caution: str | None = None
+    parts: tuple[str, ...] = ()
+
+    @property
+    def maps(self) -> tuple[str, ...]:
+        """Names of the maps: those of the parts, or that of the quantity."""
+        return self.parts or (self.name,)
 
 
-def quantity(readouts: Readouts, name: str, energy: float | None = None, water: str | float | None = None) -> Quantity:
+def quantity(
+    readouts: Readouts,
+    name: str,
+    energy: float | None = None,
+    water: str | float | None = None,
+    materials: Sequence[Material] = (),
+) -> Quantity:
     """Return the quantity of a name.
 
     Parameters
     ----------
     readouts : conversion for the basis and the spectrum of the scan
     name : ``vmi`` (attenuation), ``hu`` (CT numbers), ``vnc`` (CT numbers without contrast agents),
-        ``electron-density``, ``zeff``, or an element such as ``iodine`` or ``I``, for its concentration
+        ``electron-density``, ``zeff``, ``fractions``, or an element such as ``iodine`` or ``I``, for its concentration
     energy : energy of ``vmi``, ``hu`` and ``vnc`` [keV]; 70 where it is None
     water : what 0 HU is: ``basis`` (the default), water as the basis describes it; ``table``, water at 1 g/cm^3; or
         its attenuation at the energy [1/mm]
+    materials : of ``fractions``, which are volume fractions (`recon.readouts.fractions`)
 
     Returns
     -------
@@ -59,6 +76,8 @@ def quantity(readouts: Readouts, name: str, energy: float | None = None, water: 
     InputError
         When there is no such quantity, or the basis cannot show it, or an energy or water is not possible.
     """
+    if materials and name != FRACTIONS:
+        raise InputError(f"--material is for --as {FRACTIONS}, not for {name}")
     if name in WITH_ENERGY:
         (at,) = check_energies((ENERGY if energy is None else energy,))
         return _at_energy(readouts, name, at, water)
@@ -66,6 +85,8 @@ def quantity(readouts: Readouts, name: str, energy: float | None = None, water: 
         raise InputError(f"--energy is for images at one energy ({', '.join(WITH_ENERGY)}), not for {name}")
     if water is not None:
         raise InputError(f"--water is for CT numbers (hu, vnc), not for {name}")
+    if name == FRACTIONS:
+        return _fractions(readouts, materials)
     if name in ("electron-density", "zeff"):
         if not readouts.tells_electrons:
             raise InputError(
@@ -85,6 +106,17 @@ def quantity(readouts: Readouts, name: str, energy: float | None = None, water: 
         f"concentration of {element}",
         lambda values: readouts.concentration(values, element),
     )
+
+
+def _fractions(readouts: Readouts, materials: Sequence[Material]) -> Quantity:
+    """Volume fractions, a map per material."""
+    if not materials:
+        raise InputError(
+            f"--as {FRACTIONS} needs the materials: add --material for each, such as --material adipose --material water"
+        )
+    found = Decomposition.of(materials, readouts.basis, *readouts.spectrum)
+    about = f"volume fractions of {', '.join(found.names)}"
+    return Quantity(FRACTIONS, "1", about, found.fractions, parts=found.names)
 
 
 def _at_energy(readouts: Readouts, name: str, energy: float, water: str | float | None) -> Quantity:
@@ -153,7 +185,7 @@ def attenuation_of_water(energy: float, water: str | float | None) -> float | No
 
 def in_pieces(
     chosen: Quantity, values: Float[np.ndarray, "basis z y x"], voxels: int = 1 << 20
-) -> Float[np.ndarray, "z y x"]:
+) -> Float[np.ndarray, "*map z y x"]:
     """Compute a quantity of volumes layer by layer, so that no intermediate result is as large as the volumes.
 
     Parameters
@@ -164,12 +196,13 @@ def in_pieces(
 
     Returns
     -------
-    the quantity in float32
+    the quantity in float32, (z, y, x); of several maps (map, z, y, x)
     """
     step = max(1, voxels // max(1, int(np.prod(values.shape[2:]))))
-    found = np.empty(values.shape[1:], np.float32)
+    maps = (len(chosen.parts),) if chosen.parts else ()
+    found = np.empty((*maps, *values.shape[1:]), np.float32)
     for first in range(0, values.shape[1], step):
-        found[first : first + step] = chosen.values(values[:, first : first + step])
+        found[..., first : first + step, :, :] = chosen.values(values[:, first : first + step])
     return found
 
 
@@ -181,5 +214,5 @@ def _element_of(name: str) -> str:
     if name.isalpha() and len(name) <= 2:
         return name.capitalize()
     raise InputError(
-        f"there is no quantity {name!r}: choose from {', '.join(NAMES)}, or name an element, such as iodine or Gd"
+        f"there is no quantity {name!r}: choose from {', '.join((*NAMES, FRACTIONS))}, or name an element, such as iodine or Gd"
     )

@@ -45,7 +45,7 @@ class Readouts:
     nameless : indices of K-edge functions without an element
     angles : arc tangent of photoelectric over Compton for each atomic number from 1 on, ascending [rad]
     per_electron : norm of the photoelectric and Compton coefficients at the electron density of water [1/mm]
-    span : lowest and highest energy among the nodes of the detected spectrum [keV]
+    spectrum : energies of the nodes [keV], and their detected photons
     """
 
     basis: Basis
@@ -55,7 +55,7 @@ class Readouts:
     nameless: tuple[int, ...]
     angles: Float[np.ndarray, " element"]
     per_electron: Float[np.ndarray, " element"]
-    span: tuple[float, float]
+    spectrum: tuple[Float[np.ndarray, " node"], Float[np.ndarray, " node"]]
 
     @classmethod
     def of(cls, basis: Basis, energy: Float[np.ndarray, " node"], weights: Float[np.ndarray, " node"]) -> "Readouts":
@@ -78,9 +78,13 @@ class Readouts:
         angles = np.maximum.accumulate(np.arctan2(table[:, 0], table[:, 1]))
         water = WATER.coefficients_in(basis, *spectrum)
         norms = np.linalg.norm(table, axis=1)
-        seen = energy[weights > 0]
-        span = float(seen.min()), float(seen.max())
-        return cls(basis, mechanisms, water, agents_of(basis, *spectrum), nameless, angles, norms, span)
+        return cls(basis, mechanisms, water, agents_of(basis, *spectrum), nameless, angles, norms, spectrum)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Lowest and highest energy of the detected spectrum [keV]."""
+        energy, weights = self.spectrum
+        return float(energy[weights > 0].min()), float(energy[weights > 0].max())
 
     @property
     def tells_electrons(self) -> bool:

@@ -15,6 +15,7 @@ from phantomgen.geometry.voxel_grid import Grid
 from phantomgen.runtime.disk import one_sentence
 from phantomgen.runtime.output_lock import acquire
 from phantomgen.runtime.outputs import check_name, check_output_folder, refuse_interrupted
+from recon.evaluation.quantities import UNITS
 from recon.runs.run_folder import MODEL, VIEWS, VOLUMES
 from recon.runs.unfinished_run import clear, is_partial
 from recon.voxel.unreliable import Unreliable
@@ -163,9 +164,9 @@ def score_table(metrics: dict[str, Any]) -> str:
 
     Returns
     -------
-    tables with a row per basis, or per volume of attenuation or density, and a row per channel; empty without scores
+    tables with a row per basis, or per volume of attenuation, density or fractions, and a row per channel; empty without scores
     """
-    volumes = (_basis_table(metrics, group) for group in ("basis", "attenuation", "density"))
+    volumes = (_basis_table(metrics, group) for group in UNITS)
     return "\n\n".join(part for part in (*volumes, _channel_table(metrics)) if part)
 
 
@@ -178,7 +179,7 @@ def _basis_table(metrics: dict[str, Any], group: str) -> str:
     start = metrics.get(method, {})
     shown = f"{method:>10}" if method else ""
     rest = any("psnr_elsewhere" in s for s in metrics[group].values())
-    unit = "g/cm^3" if group == "density" else "1/mm"
+    unit = UNITS[group]
     header = f"{group:<{wide}}{'PSNR':>8}{'elsewhere' if rest else '':>{11 * rest}}{'SSIM':>8}{shown}"
     header += f"{'zero volume':>13}{'bias':>12}{'RMSE':>11}"
     units = f"{'dB, ' * rest}dB, -, {'dB, ' if method else ''}dB, {unit}, {unit}"

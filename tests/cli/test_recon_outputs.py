@@ -17,9 +17,11 @@ from click.testing import CliRunner
 from support.gaussian_scenes import small_model
 from support.tiny_scans import make
 
+import recon as recon_package
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.geometry.config import read_geometry_file
 from phantomgen.geometry.voxel_grid import Grid
+from phantomgen.volume_files.read import read_volume
 from recon.cli.main import main as recon
 from recon.evaluation.scoring import held_out_views
 from recon.gaussians.reconstruct import reconstruct
@@ -98,6 +100,41 @@ def test_attenuation_at_an_energy_is_the_sum_over_bases(run, tmp_path):
         assert list(file["basis/basis_name"].asstr()) == ["attenuation_65_keV"]
         expected = np.einsum("m,mzyx->zyx", values, fitted.gaussians.volume(GRID))
         np.testing.assert_allclose(file["basis/data"][0], expected, rtol=1e-5, atol=1e-9)
+
+
+@pytest.mark.parametrize("slab", [1, 1000])
+@pytest.mark.parametrize("suffix", [".h5", ".vti"])
+def test_fractions_have_a_map_for_each_material(slab, suffix, run, tmp_path, monkeypatch):
+    monkeypatch.setattr("recon.output.volume_file.SLAB_VALUES", slab * 6 * 7 * 3)
+    target = tmp_path / f"fractions{suffix}"
+    named = ("--material", "water", "--material", "hydroxyapatite:2.9")
+    result = command("volume", run, "-o", target, "--as", "fractions", *named, "-q")
+    assert result.exit_code == 0, result.output
+    expected = recon_package.readout(run, "fractions", materials=("water", "hydroxyapatite:2.9"))
+    assert expected.values.shape == (2, *GRID.shape)
+    assert (expected.values >= 0).all()
+    volume = read_volume(str(target))
+    assert volume.names == ("water", "hydroxyapatite")
+    np.testing.assert_array_equal(volume.values, expected.values)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--as", "fractions"), "--as fractions needs the materials: add --material for each"),
+        (("--as", "hu", "--material", "water"), "--material is for --as fractions, not for hu"),
+        (("--material", "water"), "--material is for volume fractions: add --as fractions"),
+        (("--as", "fractions", "--material", "unobtainium"), "unobtainium"),
+        (("--as", "fractions", "--material", "C5H8O2"), "needs a density in g/cm^3"),
+        (("--as", "fractions", "--material", "water", "--material", "H2O:0.5"), "name fewer materials"),
+    ],
+)
+def test_fractions_that_make_no_sense_are_one_sentence(options, words, run, tmp_path):
+    result = command("volume", run, "-o", tmp_path / "v.h5", *options)
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert words in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_grids_are_asked_for_by_voxels_or_by_size(dataset):

@@ -134,20 +134,21 @@ def test_all_that_a_volume_may_hold_scores_perfectly_for_the_truth(scan, truth, 
         "channel:bin1": (at_channel, "1/mm"),
         "hu:70": (1000 * (at_70 / water - 1), "HU"),
         "density:iodine": (10.0 * truth.fractions[1] / 65535, "mg/ml"),
+        "fraction:iodine": (truth.fractions[1] / 655.35, "%"),
     }
     for what, (values, unit) in volumes.items():
         path, out = tmp_path / f"{what.replace(':', '-')}.npy", tmp_path / what.replace(":", "-")
         np.save(path, values)
         stated = ("--truth", scan, "--as", what, "--axes", "zyx", "--same-grid", "--units", unit, "-o", out)
         found = scores(path, *stated)
-        group = "density" if "density" in what else "attenuation"
+        group = what.split(":")[0] if what.startswith(("density", "fraction")) else "attenuation"
         ((_, row),) = found[group].items()
         assert row["rmse"] < 2e-6 * np.abs(values).max(), what
         assert row["psnr"] is None or row["psnr"] > 80
         if what.startswith("hu"):
             assert abs(row["bias_hu"]) < 0.01
-    pictured = score(tmp_path / "density-iodine.npy", *stated, "--overwrite")
-    assert "density_iodine" in pictured.stdout
+    pictured = score(tmp_path / "fraction-iodine.npy", *stated, "--overwrite")
+    assert "fraction_iodine" in pictured.stdout
     assert {p.name for p in (out / "figures").iterdir()} >= {"axial.png", "profiles.png", "spectrum.png"}
 
 
@@ -224,7 +225,11 @@ ALL = ("--as", "basis:compton", *ON_GRID)
 @pytest.mark.parametrize(
     ("name", "options", "words"),
     [
-        ("v.npy", (), "state --as (basis:NAME, mono:KEV, channel:NAME, hu:KEV or density:NAME), --axes, --voxel-mm, "),
+        (
+            "v.npy",
+            (),
+            "state --as (basis:NAME, mono:KEV, channel:NAME, hu:KEV, density:NAME or fraction:NAME), --axes, --voxel-mm, ",
+        ),
         (
             "v.npy",
             ("--as", "mono:60", "--axes", "zyx", "--same-grid"),

@@ -92,6 +92,18 @@ def test_the_deviation_of_ct_numbers_is_that_of_the_replicates(folder, stated, t
     assert 0 < np.median(written[4:-4, 4:-4, 4:-4]) < np.ptp(np.asarray(one))
 
 
+def test_each_map_of_fractions_has_a_deviation(folder, stated, tmp_path):
+    del stated
+    target = tmp_path / "sd.h5"
+    named = ("--as", "fractions", "--material", "water", "--material", "cortical bone")
+    result = call("volume", folder / "run", *named, "--deviation", "-o", target, "-q")
+    assert result.exit_code == 0, result.output
+    with h5py.File(target) as file:
+        names, written = file["basis/basis_name"].asstr()[...].tolist(), file["basis/data"][...]
+    assert names == ["water_deviation", "cortical bone_deviation"]
+    assert (written.max(axis=(1, 2, 3)) > 0).all()
+
+
 def test_a_report_shows_the_deviations(folder, stated, tmp_path):
     del stated
     run = open_finished_run(folder / "run")

@@ -23,6 +23,9 @@ _DESCRIBED = 8
 def coverage_warnings(scan: Scan) -> list[str]:
     """Return sentences about objects that are empty, contain the source, or are cut off by panel or volume.
 
+    A panel of one row sees a slice of an object, and a volume of one slice asks for no more: objects may reach beyond
+    both along the axis.
+
     Parameters
     ----------
     scan : the scan to check
@@ -83,7 +86,8 @@ def _panel_warnings(scan: Scan) -> Iterator[str]:
     flat = panel.curvature is None
     suspects = reaching(scan, _panel_planes(geometry.ray_frames(), panel)) if flat else range(len(scan.scene.objects))
     axis = helix_axis(geometry)
-    if axis is not None:  # which every object leaves above and below, as it should
+    sideways = axis is not None or panel.rows == 1  # every object leaves both above and below, as it should
+    if axis is not None:
         yield from _helix_warning(scan, suspects, axis)
     described = 0
     for rank, i in enumerate(suspects):
@@ -92,15 +96,15 @@ def _panel_warnings(scan: Scan) -> Iterator[str]:
             return
         shape, material = scan.scene.objects[i]
         inside, surface = points_of(shape, _POINTS)
-        outside, beyond = _missed(geometry, surface, axis is None)
+        outside, beyond = _missed(geometry, surface, not sideways)
         if not outside.any():
             continue
         described += 1
-        share = _missed(geometry, inside, axis is None)[0].any(axis=0).mean()
+        share = _missed(geometry, inside, not sideways)[0].any(axis=0).mean()
         views = outside.any(axis=1).mean()
         yield (
             f"object {i} ({_name(scan, material)}) leaves the panel's field of view in {views:.0%} of "
-            f"the views{'' if axis is None else ' sideways'}: {share:.1%} of its volume is cut off in some view, by up "
+            f"the views{' sideways' if sideways else ''}: {share:.1%} of its volume is cut off in some view, by up "
             f"to {beyond:.3g} mm on the panel"
         )
 
@@ -127,6 +131,8 @@ def _volume_warnings(scan: Scan) -> Iterator[str]:
     grid = scan.grid
     low = np.array([grid.origin[i] - grid.spacing[i] / 2 for i in (2, 1, 0)])
     high = low + np.array([grid.shape[i] * grid.spacing[i] for i in (2, 1, 0)])
+    if grid.shape[0] == 1:
+        low[2], high[2] = -np.inf, np.inf
     suspects = reaching(scan, (np.concatenate([np.eye(3), -np.eye(3)])[None], np.concatenate([-low, high])[None]))
     described = 0
     for rank, i in enumerate(suspects):

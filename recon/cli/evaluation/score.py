@@ -44,10 +44,10 @@ class _Output:
     "quantities",
     metavar="WHAT[,...]",
     multiple=True,
-    help="What the volume holds: basis:NAME, mono:KEV, channel:NAME, hu:KEV or density:NAME [default: what the file "
-    "says].",
+    help="What the volume holds: basis:NAME, mono:KEV, channel:NAME, hu:KEV, density:NAME or fraction:NAME [default: "
+    "what the file says].",
 )
-@click.option("--units", metavar="UNIT", help="Unit of the values, such as 1/mm, 1/cm, HU or mg/ml.")
+@click.option("--units", metavar="UNIT", help="Unit of the values, such as 1/mm, 1/cm, HU, mg/ml or %.")
 @click.option(
     "--axes",
     metavar="LETTERS",

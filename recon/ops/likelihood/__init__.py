@@ -44,11 +44,15 @@ class Likelihood(NamedTuple):
     gradient : derivative of half the deviance in the line integrals
     curvatures : (J / Y)^T diag(M / (1 + dispersion^2 M)) (J / Y) of each ray, with J the derivatives of the expected
         counts Y and M the larger of y and Y; upper triangle row by row; None where not requested
+    residual_curvatures : what the residuals of counts below the expected ones add to these: the sum over channels of
+        the second derivatives of Y times the derivative of half the deviance in Y, where that is positive; as
+        curvatures
     """
 
     deviances: Float[np.ndarray, " view"]
     gradient: Float[np.ndarray, "basis view row column"]
     curvatures: Float[np.ndarray, "pair view row column"] | None
+    residual_curvatures: Float[np.ndarray, "pair view row column"] | None
 
 
 def likelihood(
@@ -63,7 +67,9 @@ def likelihood(
     The variance of counts Y is Y + (dispersion Y)^2. A channel whose gain or exposure is 0 contributes nothing.
     Curvatures are Fisher matrices where the counts are the expected ones. Where more counts arrive, as behind metal
     that is too thick in the model, the curvatures are those of the measured counts, so that steps by their inverse stay
-    bounded.
+    bounded. Where fewer arrive, the second derivatives of the expected counts add to the curvature of the deviance:
+    little where a channel sees nearly one energy, many times the Fisher matrix in the direction that broad spectra
+    hardly tell apart.
 
     Parameters
     ----------
@@ -75,7 +81,7 @@ def likelihood(
 
     Returns
     -------
-    deviances, gradient and curvatures
+    deviances, gradient and both curvatures
 
     Raises
     ------
@@ -98,16 +104,17 @@ def likelihood(
     )
     nodes = EnergyNodes(transmission.columns, transmission.weights, transmission.starts)
     gradient = np.empty((bases, views, pixels), np.float32)
-    fisher = np.empty((bases * (bases + 1) // 2 if information else 0, views, pixels), np.float32)
+    pairs = bases * (bases + 1) // 2 if information else 0
+    fisher, residual = (np.empty((pairs, views, pixels), np.float32) for _ in range(2))
 
     def one_view(v: int) -> float:
-        room = np.empty((2 + bases, BLOCK))
-        return cpu.likelihood(rays, v, nodes, float(dispersion), LEAST, room, gradient, fisher)
+        room = np.empty((3 + bases, BLOCK))
+        return cpu.likelihood(rays, v, nodes, float(dispersion), LEAST, room, (gradient, fisher, residual))
 
     deviances = np.array(list(run_parallel(one_view, range(views))), dtype=np.float64)
     shape = (views, rows, columns)
-    curvatures = fisher.reshape(-1, *shape) if information else None
-    return Likelihood(deviances, gradient.reshape(bases, *shape), curvatures)
+    curvatures = [part.reshape(-1, *shape) if information else None for part in (fisher, residual)]
+    return Likelihood(deviances, gradient.reshape(bases, *shape), *curvatures)
 
 
 def flat(values: Float[np.ndarray, "..."] | None, *shape: int) -> Float[np.ndarray, "..."]:

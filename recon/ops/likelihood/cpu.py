@@ -96,6 +96,36 @@ def _transmit(rays, view, nodes, channel, start, count, room):
                 room[1 + m, i] -= factor * exponents[i]
 
 
+@njit(forceinline=True, fastmath=FLAGS, error_model="numpy")
+@no_type_check
+def _add_second_derivatives(rays, view, nodes, channel, start, count, room, found):
+    """Add the second derivatives of the expected counts, times the last row of `room`, for the rays of `_transmit`."""
+    lengths, known, columns, weights = rays.lengths, rays.known, nodes.columns, nodes.weights
+    bases = lengths.shape[0]
+    exponents, factors = room[1 + bases], room[2 + bases]
+    for k in range(nodes.starts[channel], nodes.starts[channel + 1]):
+        for i in range(count):
+            exponents[i] = 0.0
+        for m in range(bases):
+            factor = columns[m, k]
+            for i in range(count):
+                exponents[i] -= factor * lengths[m, view, start + i]
+        for p in range(known.shape[0]):
+            factor = columns[bases + p, k]
+            for i in range(count):
+                exponents[i] -= factor * known[p, start + i]
+        weight = weights[k]
+        for i in range(count):
+            exponents[i] = factors[i] * weight * fast_exp(smaller(exponents[i], LARGEST_EXPONENT))
+        pair = 0
+        for m in range(bases):
+            for n in range(m, bases):
+                factor = columns[m, k] * columns[n, k]
+                for i in range(count):
+                    found[pair, view, start + i] += factor * exponents[i]
+                pair += 1
+
+
 @inlined
 @no_type_check
 def _noise_deviance(expected, dispersion, table):
@@ -162,7 +192,7 @@ def data_term(rays, part, nodes, dispersion, least, table, room, written):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def likelihood(rays, view, nodes, dispersion, least, room, gradient, fisher):
+def likelihood(rays, view, nodes, dispersion, least, room, written):
     """Compute the deviance of one view, its gradient and its curvature.
 
     Parameters
@@ -172,14 +202,15 @@ def likelihood(rays, view, nodes, dispersion, least, room, gradient, fisher):
     nodes : `recon.ops.arguments.EnergyNodes`
     dispersion : relative model error
     least : counts; where fewer are expected, the deviance is that of `least`, and gradient and curvature are 0
-    room : scratch, (2 + basis, rays at once): expected counts, slopes, exponents
-    gradient : written, derivative of half the deviance in the line integrals, (basis, view, ray)
-    fisher : written, (pair, view, ray); no pairs where the information is not requested
+    room : scratch, (3 + basis, rays at once): expected counts, slopes, exponents, factors of second derivatives
+    written : derivative of half the deviance in the line integrals, (basis, view, ray); curvatures and residual
+        curvatures as in `recon.ops.likelihood.Likelihood`, (pair, view, ray); no pairs where they are not requested
 
     Returns
     -------
     deviance of the view, each count times its share
     """
+    gradient, fisher, residual = written
     counts, statistical_weights, gains, exposure = rays.counts, rays.statistical_weights, rays.gains, rays.exposure
     bases, _, size = rays.lengths.shape
     squared = dispersion * dispersion
@@ -192,9 +223,11 @@ def likelihood(rays, view, nodes, dispersion, least, room, gradient, fisher):
                 gradient[m, view, start + i] = 0.0
             for p in range(fisher.shape[0]):
                 fisher[p, view, start + i] = 0.0
+                residual[p, view, start + i] = 0.0
         for c in range(nodes.starts.size - 1):
             _transmit(rays, view, nodes, c, start, count, room)
             for i in range(count):
+                room[2 + bases, i] = 0.0
                 scale = gains[c, start + i] * exposure[view, c]
                 share = statistical_weights[view, c, start + i] if statistical_weights.shape[0] > 0 else 1.0
                 expected, counted = scale * room[0, i], float(counts[view, c, start + i])
@@ -212,6 +245,7 @@ def likelihood(rays, view, nodes, dispersion, least, room, gradient, fisher):
                     continue
                 precision = share * scale / (expected * (1.0 + squared * expected))
                 to_value = (expected - counted) * precision
+                room[2 + bases, i] = max(to_value, 0.0)
                 most = max(expected, counted)
                 precision = whole * scale * scale * most
                 precision /= expected * expected * (1.0 + squared * most)
@@ -223,4 +257,6 @@ def likelihood(rays, view, nodes, dispersion, least, room, gradient, fisher):
                         for n in range(m, bases):
                             fisher[pair, view, start + i] += precision * room[1 + m, i] * room[1 + n, i]
                             pair += 1
+            if fisher.shape[0] > 0:
+                _add_second_derivatives(rays, view, nodes, c, start, count, room, residual)
     return total

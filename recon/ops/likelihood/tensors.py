@@ -1,5 +1,6 @@
 """Likelihood for torch tensors, on their device, with the meaning of `recon.ops.likelihood.likelihood`, in float64."""
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -20,12 +21,13 @@ class DeviceLikelihood(NamedTuple):
     ----------
     deviances : sum over each view
     gradient : derivative of half the deviance in the line integrals
-    curvatures : of each ray, upper triangle row by row; None where not requested
+    curvatures, residual_curvatures : of each ray, upper triangle row by row; None where not requested
     """
 
     deviances: Float[Tensor, " view"]
     gradient: Float32[Tensor, "basis view row column"]
     curvatures: Float32[Tensor, "pair view row column"] | None
+    residual_curvatures: Float32[Tensor, "pair view row column"] | None
 
 
 def likelihood(
@@ -44,7 +46,7 @@ def likelihood(
 
     Returns
     -------
-    deviances, gradient and curvatures, on the device of the line integrals
+    deviances, gradient and both curvatures, on the device of the line integrals
     """
 
     def on_device(values: np.ndarray) -> Tensor:
@@ -70,11 +72,30 @@ def likelihood(
     safe = torch.where(used, expected, 1.0)
     to_counts = torch.where(used, shares * (safe - counts) / (safe * (1 + dispersion**2 * safe)), 0.0)
     gradient = torch.einsum("vrkc,vrkcm->mvrk", to_counts, slopes)
-    curvatures = None
+    curvatures = residual = None
     if information:
         most = torch.maximum(safe, counts)
         precision = torch.where(used, weights * most / (safe**2 * (1 + dispersion**2 * most)), 0.0)
         blocks = (slopes * precision[..., None]).mT @ slopes
         rows, columns = np.triu_indices(bases)
         curvatures = blocks[..., rows, columns].movedim(-1, 0).float().contiguous()
-    return DeviceLikelihood(per_count.sum(dim=(1, 2, 3)), gradient.float().contiguous(), curvatures)
+        residual = _residual_curvatures(along, to_counts.clamp(min=0) * scale, transmission, bases)
+    return DeviceLikelihood(per_count.sum(dim=(1, 2, 3)), gradient.float().contiguous(), curvatures, residual)
+
+
+def _residual_curvatures(
+    along: Float[Tensor, "view row column part"],
+    factors: Float[Tensor, "view row column channel"],
+    transmission: Transmission,
+    bases: int,
+) -> Float32[Tensor, "pair view row column"]:
+    """Second derivatives of the expected counts times factors of their channels, node by node, which bounds memory."""
+    rows, columns = np.triu_indices(bases)
+    found = along.new_zeros(len(rows), *along.shape[:-1])
+    functions = torch.from_numpy(transmission.columns).to(along)
+    for channel, (first, last) in enumerate(pairwise(transmission.starts.tolist())):
+        for node in range(first, last):
+            left = factors[..., channel] * torch.exp(-along @ functions[:, node]) * float(transmission.weights[node])
+            for pair, (m, n) in enumerate(zip(rows, columns, strict=True)):
+                found[pair] += left * (functions[m, node] * functions[n, node])
+    return found.float()

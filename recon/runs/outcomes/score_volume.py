@@ -24,7 +24,7 @@ from recon.runs.run_folder import VOLUMES
 from recon.runs.write_run import RunFolder, write_volumes
 from spectra.threads import without_other_pools
 
-_DRAWN_IN = "mg cm$^{-3}$"  # thousandth of g/cm^3
+_DRAWN_IN = {"density": "mg cm$^{-3}$", "fraction": "10$^{-3}$"}  # thousandths
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,8 @@ class ScoredVolume:
         if self.found.complete:
             self.outcome.draw(read_truth(self.dataset.path), folder, guard)
             return
-        unit = {"unit": _DRAWN_IN} if self.found.quantities.group == "density" else {}
+        group = self.found.quantities.group
+        unit = {"unit": _DRAWN_IN[group]} if group in _DRAWN_IN else {}
         draw_volumes(self.dataset, self.found.quantities.truth, self.found.model, folder, guard=guard, **unit)
 
 

@@ -52,7 +52,7 @@ def deviance_and_gradient(volumes: Any, measurements: Measurements, grid: Grid, 
     """
     total, gradient = 0.0, torch.zeros_like(volumes) if isinstance(volumes, Tensor) else np.zeros_like(volumes)
     for some in _portions(measurements):
-        deviances, ray_gradients, _ = _likelihood(forward(volumes, some.geometry, grid), some, dispersion, False)
+        deviances, ray_gradients, *_ = _likelihood(forward(volumes, some.geometry, grid), some, dispersion, False)
         total += float(deviances.sum())
         gradient += transpose(ray_gradients, some.geometry, grid)
     return total, gradient
@@ -70,7 +70,9 @@ def curvature(
 
     With a_ri the length of ray r in voxel i, F_r the Fisher matrix of the line integrals of the ray and s_i the step
     scale of voxel i, the block of voxel i is sum_r a_ri (sum_j a_rj s_j) F_r / s_i: steps by its inverse reduce the
-    deviance and do not depend on the choice of the basis. This holds for any positive step scales; voxels with larger
+    deviance and do not depend on the choice of the basis. Where fewer counts arrive than expected, F_r includes the
+    curvature of the expected counts: two broad spectra tell photoelectric from Compton attenuation by so little that
+    steps without it overshoot and diverge. This holds for any positive step scales; voxels with larger
     ones than the others along their rays take longer steps. Step scales are the changes that are expected, times the
     density of voxels denser than the typical one; otherwise small pieces of metal would be the last to converge.
 
@@ -142,8 +144,8 @@ def _sums(
     weighted, even, own = np.zeros(len(blocks)), np.zeros((bases, *grid.shape), np.float32), _own(bases)
     for some in _portions(measurements):
         lengths, (through, signs, scaled, *plain) = (forward(v, some.geometry, grid) for v in (volumes, probes))
-        _, _, fisher = _likelihood(lengths, some, dispersion, True)
-        blocks += transpose(fisher * scaled, some.geometry, grid)
+        _, _, fisher, residual = _likelihood(lengths, some, dispersion, True)
+        blocks += transpose((fisher + residual) * scaled, some.geometry, grid)
         if plain:
             even += transpose(fisher[own] * plain[0], some.geometry, grid)
         weighted += np.einsum("pvrc,vrc->p", fisher, through if empty else lengths.sum(axis=0), dtype=np.float64)
@@ -167,8 +169,8 @@ def _sums_on_device(
     even, own = values.new_zeros(bases, *grid.shape), torch.from_numpy(_own(bases)).to(device)
     for some in _portions(measurements):
         lengths, (through, signs, scaled, *plain) = (forward(v, some.geometry, grid) for v in (values, tests))
-        _, _, fisher = _likelihood(lengths, some, dispersion, True)
-        blocks += transpose(fisher * scaled, some.geometry, grid)
+        _, _, fisher, residual = _likelihood(lengths, some, dispersion, True)
+        blocks += transpose((fisher + residual) * scaled, some.geometry, grid)
         if plain:
             even += transpose(fisher[own] * plain[0], some.geometry, grid)
         along = through if empty else lengths.sum(dim=0)
@@ -215,8 +217,8 @@ def _portions(measurements: Measurements) -> Iterator[Measurements]:
         yield measurements[slice(first, first + VIEWS_AT_ONCE)]
 
 
-def _likelihood(lengths: Any, data: Measurements, dispersion: float, information: bool) -> tuple[Any, Any, Any]:
-    """Compute deviances, gradient and curvatures, arrays or tensors as the line integrals are."""
+def _likelihood(lengths: Any, data: Measurements, dispersion: float, information: bool) -> tuple[Any, Any, Any, Any]:
+    """Compute deviances, gradient and both curvatures, arrays or tensors as the line integrals are."""
     counts = MeasuredCounts(data.counts, data.gains, data.exposure, data.profile, data.statistical_weights)
     if isinstance(lengths, Tensor):
         return tensors.likelihood(lengths, counts, data.transmission, dispersion, information)

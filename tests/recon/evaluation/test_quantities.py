@@ -116,6 +116,7 @@ def test_units(agents, text, unit, factor):
             "density:wood",
             "no material 'wood': choose from soft_tissue, bone, contrast_high, contrast_low, or an element",
         ),
+        ("fraction:wood", "no material 'wood': choose from soft_tissue, bone, contrast_high, contrast_low"),
         ("mono:60,60", "each quantity is scored once"),
     ],
 )

@@ -50,10 +50,10 @@ def test_value_and_gradient_are_those_of_the_reference(bases, dispersion, column
     model = spectral_model(bases)
     rays = some_rays(model, bases, columns=columns)
     value, gradient = by_reference(*rays, model, dispersion)
-    deviances, found, fisher = likelihood(rays[0], MeasuredCounts(*rays[1:]), model, dispersion)
+    deviances, found, *curvatures = likelihood(rays[0], MeasuredCounts(*rays[1:]), model, dispersion)
     np.testing.assert_allclose(deviances.sum() / 2, value, rtol=TOLERANCES["likelihood"])
     np.testing.assert_allclose(found, gradient, atol=TOLERANCES["likelihood"] * np.abs(gradient).max())
-    assert fisher is None
+    assert curvatures == [None, None]
 
 
 @pytest.mark.parametrize("kernel", ["cpu", "tensors"])
@@ -90,7 +90,7 @@ def test_a_known_profile_adds_to_every_ray():
     profile = np.random.default_rng(2).uniform(0, 1, (1, 3, 40))
     rays = some_rays(whole, 2, columns=40)
     value, gradient = by_reference(*rays, whole, 0.01, profile)
-    deviances, found, _ = likelihood(rays[0], MeasuredCounts(*rays[1:], profile), whole, 0.01)
+    deviances, found, *_ = likelihood(rays[0], MeasuredCounts(*rays[1:], profile), whole, 0.01)
     np.testing.assert_allclose(deviances.sum() / 2, value, rtol=TOLERANCES["likelihood"])
     np.testing.assert_allclose(found, gradient, atol=TOLERANCES["likelihood"] * np.abs(gradient).max())
 
@@ -98,13 +98,48 @@ def test_a_known_profile_adds_to_every_ray():
 def test_information_is_the_expected_square_of_the_gradient_where_counts_are_as_expected():
     model = spectral_model(3)
     lengths, counts, gains, exposure = some_rays(model, 3, columns=5)
-    _, _, fisher = likelihood(lengths, MeasuredCounts(counts, gains, exposure), model, 0.02, information=True)
+    fisher = likelihood(lengths, MeasuredCounts(counts, gains, exposure), model, 0.02, information=True).curvatures
     expected, slopes = model.expected_and_jacobian(np.moveaxis(lengths, 0, -1).astype(float))
     scale = np.moveaxis(gains * exposure[:, :, None, None], 1, -1)
     y = expected * scale
     most = np.maximum(y, np.moveaxis(counts, 1, -1))
     right = np.einsum("...c,...cm,...cn->...mn", (scale / y) ** 2 * most / (1 + 0.02**2 * most), slopes, slopes)
     np.testing.assert_allclose(as_matrices(fisher), right, rtol=1e-5)
+
+
+@pytest.mark.parametrize("dispersion", [0.0, 0.02])
+@pytest.mark.parametrize("parts", [0, 1])
+@pytest.mark.parametrize("missing", [0.0, 0.5])
+def test_both_curvatures_are_the_second_derivatives_where_fewer_counts_arrive(missing, parts, dispersion):
+    """Without residuals the Fisher matrix alone is; with them, both together are at least that."""
+    bases, model = 2, spectral_model(2 + parts)
+    lengths, _, gains, exposure = some_rays(model, bases, columns=4)
+    profile = np.random.default_rng(2).uniform(0, 1, (parts, *gains.shape[1:])) if parts else None
+    known = np.broadcast_to(np.zeros((0, 2, 3, 4)) if profile is None else profile[:, None], (parts, 2, 3, 4))
+    along = np.moveaxis(np.concatenate([lengths, known]), 0, -1).astype(float)
+    scale = np.moveaxis(gains * exposure[:, :, None, None], 1, -1).astype(float)
+    counts = (1 - missing) * model.expected(along) * scale
+    measured = MeasuredCounts(np.moveaxis(counts, -1, 1).astype(np.float32), gains, exposure, profile)
+    found = likelihood(lengths, measured, model, dispersion, information=True)
+    both = as_matrices(found.curvatures + found.residual_curvatures)
+    arrays = [torch.from_numpy(a) for a in (model.columns, model.weights)]
+
+    def half(line, y, gain):
+        return half_deviance(line[None], y[None], gain[None], *arrays, model.starts.tolist(), dispersion)
+
+    rays = [torch.from_numpy(part.reshape(-1, part.shape[-1])) for part in (along, counts, scale)]
+    right = np.array(
+        [torch.autograd.functional.hessian(lambda x, y=y, g=g: half(x, y, g), x) for x, y, g in zip(*rays, strict=True)]
+    )
+    right = right[:, :bases, :bases].reshape(both.shape)
+    if missing == 0:
+        np.testing.assert_allclose(found.residual_curvatures, 0, atol=1e-3 * np.abs(found.curvatures).max())
+        np.testing.assert_allclose(both, right, rtol=2e-3)
+    else:
+        assert (np.linalg.eigvalsh(both - right) > -1e-5 * np.abs(right).max()).all()
+    if dispersion == 0:
+        exact = as_matrices((1 - missing) * found.curvatures + found.residual_curvatures)
+        np.testing.assert_allclose(exact, right, rtol=2e-3)
 
 
 @pytest.mark.parametrize("blind", ["gain", "exposure"])
