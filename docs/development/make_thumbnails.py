@@ -48,6 +48,7 @@ WINDOWS = {
     "chest": (0, 1.6),
     "clinical-helix": (0.8, 1.6),
     "contrast-vials": (0.8, 3.0),
+    "dl-spectral-breast": (0.8, 1.2),
     "forbild-head": (0.95, 1.15),
     "head": (0.9, 1.4),
     "metal-hip": (0, 4),
@@ -62,7 +63,7 @@ FRONT = (("foam", "shepp-logan-3d"), ("aorta", "bird-chest"))
 
 def slices(scan: Scan, at: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Attenuation [1/mm] in an axial and a coronal plane through a point, top rows first."""
-    size = scan.grid.shape[0] * scan.grid.spacing[0]
+    size = scan.grid.shape[2] * scan.grid.spacing[2]
     step = size / PIXELS
     first = (step - size) / 2
     axial = Grid((1, PIXELS, PIXELS), (step, step, step), (at[2], first, first))

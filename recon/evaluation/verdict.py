@@ -326,10 +326,15 @@ def lines(metrics: Mapping[str, Any]) -> list[str]:
 
     Returns
     -------
-    one line per remark, and a last line where no check failed; none for a run without a verdict
+    one line per remark, and a last line where no check failed, which says whether the fit was checked; none for a run
+    without a verdict
     """
     if "verdict" not in metrics:
         return []
     remarks = metrics["verdict"]
     shown = [f"{'Warning' if remark['failed'] else 'Note'}: {remark['sentence']}" for remark in remarks]
-    return shown if failed(metrics) else [*shown, "Verdict: no check of the scan and the fit failed."]
+    if failed(metrics):
+        return shown
+    if any(remark["key"] == UNCHECKED.key for remark in remarks):
+        return [*shown, "Verdict: no check of the scan failed; the fit could not be checked."]
+    return [*shown, "Verdict: no check of the scan and the fit failed."]

@@ -75,7 +75,7 @@ class Decomposition:
         if not names or len(set(names)) < len(names):
             raise InputError(f"fractions are of one or more different materials, got {', '.join(names) or 'none'}")
         root = np.sqrt(weights / np.sum(weights))
-        metric = np.linalg.qr((basis.evaluate(energy) * root).T, mode="r")
+        _, metric = np.linalg.qr((basis.evaluate(energy) * root).T)
         found = [material.coefficients_in(basis, energy, weights) for material in materials]
         corners = np.array([*found, np.zeros(len(basis))]) @ metric.T
         return cls(names, metric, corners, _simplices(names, corners))
@@ -99,7 +99,7 @@ class Decomposition:
             if len(simplex) <= len(places):  # no volume: near it is not in it
                 held &= self._distance(simplex, shares, places) <= _INSIDE * np.abs(self.corners).max()
             found[:, held] = 0.0
-            found[np.ix_(simplex, held)] = shares[:, held]
+            found[np.array(simplex)[:, None], np.flatnonzero(held)] = shares[:, held]
         outside = ~found.any(axis=0)
         if outside.any():
             found[:, outside] = self._nearest(places[:, outside])
@@ -128,7 +128,7 @@ class Decomposition:
             closer = (shares >= 0).all(axis=0) & (distance < nearest)
             nearest[closer] = distance[closer]
             found[:, closer] = 0.0
-            found[np.ix_(face, closer)] = shares[:, closer]
+            found[np.array(face)[:, None], np.flatnonzero(closer)] = shares[:, closer]
         return found
 
 

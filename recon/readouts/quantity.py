@@ -61,7 +61,8 @@ def quantity(
     ----------
     readouts : conversion for the basis and the spectrum of the scan
     name : ``vmi`` (attenuation), ``hu`` (CT numbers), ``vnc`` (CT numbers without contrast agents),
-        ``electron-density``, ``zeff``, ``fractions``, or an element such as ``iodine`` or ``I``, for its concentration
+        ``electron-density``, ``zeff``, ``fractions``, or an element such as ``iodine`` or ``I``, for its
+        concentration
     energy : energy of ``vmi``, ``hu`` and ``vnc`` [keV]; 70 where it is None
     water : what 0 HU is: ``basis`` (the default), water as the basis describes it; ``table``, water at 1 g/cm^3; or
         its attenuation at the energy [1/mm]
@@ -112,7 +113,7 @@ def _fractions(readouts: Readouts, materials: Sequence[Material]) -> Quantity:
     """Volume fractions, a map per material."""
     if not materials:
         raise InputError(
-            f"--as {FRACTIONS} needs the materials: add --material for each, such as --material adipose --material water"
+            f"--as {FRACTIONS} needs the materials: add --material for each, such as --material water --material Al"
         )
     found = Decomposition.of(materials, readouts.basis, *readouts.spectrum)
     about = f"volume fractions of {', '.join(found.names)}"
@@ -214,5 +215,6 @@ def _element_of(name: str) -> str:
     if name.isalpha() and len(name) <= 2:
         return name.capitalize()
     raise InputError(
-        f"there is no quantity {name!r}: choose from {', '.join((*NAMES, FRACTIONS))}, or name an element, such as iodine or Gd"
+        f"there is no quantity {name!r}: choose from {', '.join((*NAMES, FRACTIONS))}, or name an element, such as "
+        "iodine or Gd"
     )

@@ -164,7 +164,8 @@ def score_table(metrics: dict[str, Any]) -> str:
 
     Returns
     -------
-    tables with a row per basis, or per volume of attenuation, density or fractions, and a row per channel; empty without scores
+    tables with a row per basis, or per volume of attenuation, density or fractions, and a row per channel; empty
+    without scores
     """
     volumes = (_basis_table(metrics, group) for group in UNITS)
     return "\n\n".join(part for part in (*volumes, _channel_table(metrics)) if part)

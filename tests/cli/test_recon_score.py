@@ -228,7 +228,7 @@ ALL = ("--as", "basis:compton", *ON_GRID)
         (
             "v.npy",
             (),
-            "state --as (basis:NAME, mono:KEV, channel:NAME, hu:KEV, density:NAME or fraction:NAME), --axes, --voxel-mm, ",
+            "state --as (basis:NAME, mono:KEV, channel:NAME, hu:KEV, density:NAME or fraction:NAME), --axes",
         ),
         (
             "v.npy",

@@ -103,6 +103,8 @@ def _add_second_derivatives(rays, view, nodes, channel, start, count, room, foun
     lengths, known, columns, weights = rays.lengths, rays.known, nodes.columns, nodes.weights
     bases = lengths.shape[0]
     exponents, factors = room[1 + bases], room[2 + bases]
+    if found.shape[0] == 0:
+        return
     for k in range(nodes.starts[channel], nodes.starts[channel + 1]):
         for i in range(count):
             exponents[i] = 0.0
@@ -257,6 +259,5 @@ def likelihood(rays, view, nodes, dispersion, least, room, written):
                         for n in range(m, bases):
                             fisher[pair, view, start + i] += precision * room[1 + m, i] * room[1 + n, i]
                             pair += 1
-            if fisher.shape[0] > 0:
-                _add_second_derivatives(rays, view, nodes, c, start, count, room, residual)
+            _add_second_derivatives(rays, view, nodes, c, start, count, room, residual)
     return total

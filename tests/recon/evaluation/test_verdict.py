@@ -19,6 +19,7 @@ from recon.evaluation.verdict import (
     FitOutcome,
     bases_left_out,
     few_views,
+    lines,
     misfit,
     record,
     starved,
@@ -82,6 +83,7 @@ def test_a_run_without_test_views_says_that_nothing_was_checked():
     (said,) = verdict_of(FitOutcome({}, 0.02, ball(16), 20, ["a"], ["a"], WHOLE))
     assert said.key == "unchecked"
     assert not said.failed
+    assert lines({"verdict": record((said,))})[-1].endswith("the fit could not be checked.")
 
 
 def test_every_fault_has_its_key_and_says_what_to_do():

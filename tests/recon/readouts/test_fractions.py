@@ -28,7 +28,7 @@ def coefficients(names: tuple[str, ...], basis: Basis) -> np.ndarray:
     return np.array([parse_material(name).coefficients_in(basis, ENERGY, WEIGHTS) for name in names])
 
 
-@pytest.mark.parametrize("basis, names", [(TWO, TISSUES), (IODINE, (*TISSUES, "I:0.01", "Ti"))])
+@pytest.mark.parametrize(("basis", "names"), [(TWO, TISSUES), (IODINE, (*TISSUES, "I:0.01", "Ti"))])
 def test_pure_materials_and_empty_space(basis: Basis, names: tuple[str, ...]) -> None:
     found = decomposition(names, basis).fractions(np.append(coefficients(names, basis), [np.zeros(len(basis))], 0).T)
     np.testing.assert_allclose(found, np.eye(len(names), len(names) + 1), atol=1e-9)
@@ -94,7 +94,7 @@ def test_one_function_tells_materials_in_one_line(names: tuple[str, ...]) -> Non
 
 
 @pytest.mark.parametrize(
-    "names, sentence",
+    ("names", "sentence"),
     [
         ((), "one or more different materials"),
         (("water", "water"), "one or more different materials, got water, water"),
@@ -116,7 +116,7 @@ def test_a_material_between_others_is_a_corner_where_the_basis_shows_it() -> Non
 
 
 @pytest.mark.parametrize(
-    "text, sentence", [("water:x", "such as hydroxyapatite:2.9, got 'water:x'"), ("C5H8O2", "density")]
+    ("text", "sentence"), [("water:x", "such as hydroxyapatite:2.9, got 'water:x'"), ("C5H8O2", "density")]
 )
 def test_text_of_a_material(text: str, sentence: str) -> None:
     with pytest.raises(InputError, match=sentence):

@@ -16,7 +16,7 @@ def test_objects_may_be_longer_than_a_slice(orbit: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize(
-    "columns, size, said",
+    ("columns", "size", "said"),
     [
         (256, 180, ["leaves the panel's field of view in 100% of the views sideways"]),
         (512, 120, ["reaches 10 mm beyond the volume"]),
