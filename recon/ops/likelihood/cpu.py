@@ -67,64 +67,60 @@ def _at_bound(counted, share, expected, dispersion):
 
 @njit(forceinline=True, fastmath=FLAGS, error_model="numpy")
 @no_type_check
+def _arrive(rays, view, nodes, k, start, count, arriving):
+    """Write what arrives of node `k`, for gain 1, of `count` rays from `start` on."""
+    lengths, known, columns = rays.lengths, rays.known, nodes.columns
+    bases = lengths.shape[0]
+    for i in range(count):
+        arriving[i] = 0.0
+    for m in range(bases):
+        factor = columns[m, k]
+        for i in range(count):
+            arriving[i] -= factor * lengths[m, view, start + i]
+    for p in range(known.shape[0]):
+        factor = columns[bases + p, k]
+        for i in range(count):
+            arriving[i] -= factor * known[p, start + i]
+    weight = nodes.weights[k]
+    for i in range(count):
+        arriving[i] = weight * fast_exp(smaller(arriving[i], LARGEST_EXPONENT))
+
+
+@njit(forceinline=True, fastmath=FLAGS, error_model="numpy")
+@no_type_check
 def _transmit(rays, view, nodes, channel, start, count, room):
     """Write expected counts and their slopes, for gain 1, of `count` rays from `start` on into the rows of `room`."""
-    lengths, known, columns, weights = rays.lengths, rays.known, nodes.columns, nodes.weights
-    bases = lengths.shape[0]
+    bases = rays.lengths.shape[0]
+    arriving = room[1 + bases]
     for row in range(1 + bases):
         for i in range(count):
             room[row, i] = 0.0
     for k in range(nodes.starts[channel], nodes.starts[channel + 1]):
-        exponents = room[1 + bases]
+        _arrive(rays, view, nodes, k, start, count, arriving)
         for i in range(count):
-            exponents[i] = 0.0
+            room[0, i] += arriving[i]
         for m in range(bases):
-            factor = columns[m, k]
+            factor = nodes.columns[m, k]
             for i in range(count):
-                exponents[i] -= factor * lengths[m, view, start + i]
-        for p in range(known.shape[0]):
-            factor = columns[bases + p, k]
-            for i in range(count):
-                exponents[i] -= factor * known[p, start + i]
-        weight = weights[k]
-        for i in range(count):
-            exponents[i] = weight * fast_exp(smaller(exponents[i], LARGEST_EXPONENT))
-            room[0, i] += exponents[i]
-        for m in range(bases):
-            factor = columns[m, k]
-            for i in range(count):
-                room[1 + m, i] -= factor * exponents[i]
+                room[1 + m, i] -= factor * arriving[i]
 
 
 @njit(forceinline=True, fastmath=FLAGS, error_model="numpy")
 @no_type_check
 def _add_second_derivatives(rays, view, nodes, channel, start, count, room, found):
     """Add the second derivatives of the expected counts, times the last row of `room`, for the rays of `_transmit`."""
-    lengths, known, columns, weights = rays.lengths, rays.known, nodes.columns, nodes.weights
-    bases = lengths.shape[0]
-    exponents, factors = room[1 + bases], room[2 + bases]
+    bases = rays.lengths.shape[0]
+    arriving, factors = room[1 + bases], room[2 + bases]
     if found.shape[0] == 0:
         return
     for k in range(nodes.starts[channel], nodes.starts[channel + 1]):
-        for i in range(count):
-            exponents[i] = 0.0
-        for m in range(bases):
-            factor = columns[m, k]
-            for i in range(count):
-                exponents[i] -= factor * lengths[m, view, start + i]
-        for p in range(known.shape[0]):
-            factor = columns[bases + p, k]
-            for i in range(count):
-                exponents[i] -= factor * known[p, start + i]
-        weight = weights[k]
-        for i in range(count):
-            exponents[i] = factors[i] * weight * fast_exp(smaller(exponents[i], LARGEST_EXPONENT))
+        _arrive(rays, view, nodes, k, start, count, arriving)
         pair = 0
         for m in range(bases):
             for n in range(m, bases):
-                factor = columns[m, k] * columns[n, k]
+                factor = nodes.columns[m, k] * nodes.columns[n, k]
                 for i in range(count):
-                    found[pair, view, start + i] += factor * exponents[i]
+                    found[pair, view, start + i] += factor * factors[i] * arriving[i]
                 pair += 1
 
 
@@ -154,7 +150,7 @@ def data_term(rays, part, nodes, dispersion, least, table, room, written):
     dispersion : relative model error
     least : counts; where fewer are expected, the deviance is that of `least`, and the gradient is 0
     table : `recon.ops.deviance.PoissonMeans`
-    room : scratch, (2 + basis, rays at once): expected counts, slopes, exponents
+    room : scratch, (2 + basis, rays at once): expected counts, slopes, what arrives
     written : derivative of half the deviance in the line integrals, (basis, 1, ray); sums, added to, (4, channel):
         deviance, that of noise alone, chi-square, that of noise alone
     """
@@ -204,7 +200,8 @@ def likelihood(rays, view, nodes, dispersion, least, room, written):
     nodes : `recon.ops.arguments.EnergyNodes`
     dispersion : relative model error
     least : counts; where fewer are expected, the deviance is that of `least`, and gradient and curvature are 0
-    room : scratch, (3 + basis, rays at once): expected counts, slopes, exponents, factors of second derivatives
+    room : scratch, (3 + basis, rays at once): expected counts, slopes, what arrives of a node, factors of second
+        derivatives
     written : derivative of half the deviance in the line integrals, (basis, view, ray); curvatures and residual
         curvatures as in `recon.ops.likelihood.Likelihood`, (pair, view, ray); no pairs where they are not requested
 
