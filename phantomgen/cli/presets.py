@@ -18,7 +18,7 @@ def presets(ctx: click.Context) -> None:
     from phantomgen.scene.file.scene_file import preset_summaries
 
     for name, summary in preset_summaries().items():
-        click.echo(f"{name:<18}{summary}")
+        click.echo(f"{name:<20}{summary}")
 
 
 @presets.command(

@@ -134,7 +134,7 @@ def test_all_that_a_volume_may_hold_scores_perfectly_for_the_truth(scan, truth, 
         "channel:bin1": (at_channel, "1/mm"),
         "hu:70": (1000 * (at_70 / water - 1), "HU"),
         "density:iodine": (10.0 * truth.fractions[1] / 65535, "mg/ml"),
-        "fraction:iodine": (truth.fractions[1] / 655.35, "%"),
+        "fraction:iodine_10": (truth.fractions[1] / 655.35, "%"),
     }
     for what, (values, unit) in volumes.items():
         path, out = tmp_path / f"{what.replace(':', '-')}.npy", tmp_path / what.replace(":", "-")
@@ -147,8 +147,8 @@ def test_all_that_a_volume_may_hold_scores_perfectly_for_the_truth(scan, truth, 
         assert row["psnr"] is None or row["psnr"] > 80
         if what.startswith("hu"):
             assert abs(row["bias_hu"]) < 0.01
-    pictured = score(tmp_path / "fraction-iodine.npy", *stated, "--overwrite")
-    assert "fraction_iodine" in pictured.stdout
+    pictured = score(tmp_path / "fraction-iodine_10.npy", *stated, "--overwrite")
+    assert "fraction_iodine_10" in pictured.stdout
     assert {p.name for p in (out / "figures").iterdir()} >= {"axial.png", "profiles.png", "spectrum.png"}
 
 
