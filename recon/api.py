@@ -35,7 +35,7 @@ from recon.output.render_file import rendered, views_of_geometry
 from recon.output.report.page import report_figures as figures_of_report
 from recon.published_methods.paper.recipe import PaperRecipe
 from recon.published_methods.paper.reconstruct import reconstruct_paper
-from recon.readouts.fractions import parse_material
+from recon.readouts.fractions import named_materials
 from recon.readouts.quantity import in_pieces, quantity
 from recon.readouts.readouts import Readouts
 from recon.readouts.spectrum import detected_spectrum
@@ -406,8 +406,7 @@ def readout(
     """
     stored = _stored(run) if isinstance(run, Fit) else open_model(Path(run))
     spectrum = detected_spectrum(stored.basis, stored.transmission)
-    named = [parse_material(one) if isinstance(one, str) else one for one in materials]
-    chosen = quantity(Readouts.of(stored.basis, *spectrum), what, energy, water, named)
+    chosen = quantity(Readouts.of(stored.basis, *spectrum), what, energy, water, named_materials(materials))
     if chosen.caution:
         warnings.warn(chosen.caution, stacklevel=2)
     place = grid or stored.grid

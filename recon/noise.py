@@ -1,6 +1,6 @@
 """Interface for Python programs: what noise does to a run, by reconstructing it anew."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from phantomgen.dataset.reader import Dataset, open_dataset
@@ -9,12 +9,14 @@ from recon.api import QuantityMap
 from recon.detectability.classes import reconstruct_classes
 from recon.detectability.image_quality import ImageQuality, measure
 from recon.detectability.insert import Insert
+from recon.readouts.fractions import named_materials
 from recon.readouts.quantity import quantity
 from recon.readouts.readouts import Readouts
 from recon.readouts.spectrum import detected_spectrum
 from recon.runs.interfaces import Unwatched
 from recon.runs.read_run import open_model
 from recon.uncertainty.estimate import RepeatableRun, Uncertainty, estimate, stored_replicates
+from spectra.materials.material import Material
 
 
 def estimate_uncertainty(
@@ -96,13 +98,19 @@ def estimate_detectability(
     return measure(classes, shown)
 
 
-def deviation(run: Path | str, what: str, energy: float | None = None, water: str | float | None = None) -> QuantityMap:
+def deviation(
+    run: Path | str,
+    what: str,
+    energy: float | None = None,
+    water: str | float | None = None,
+    materials: Sequence[str | Material] = (),
+) -> QuantityMap:
     """Compute the standard deviation of a quantity in every voxel, from the replicates of a run.
 
     Parameters
     ----------
     run : run folder, for which `estimate_uncertainty` was called
-    what, energy, water : the quantity, as for `readout`
+    what, energy, water, materials : the quantity, as for `readout`
 
     Returns
     -------
@@ -118,6 +126,6 @@ def deviation(run: Path | str, what: str, energy: float | None = None, water: st
     folder = Path(run)
     stored = open_model(folder)
     spectrum = detected_spectrum(stored.basis, stored.transmission)
-    chosen = quantity(Readouts.of(stored.basis, *spectrum), what, energy, water)
+    chosen = quantity(Readouts.of(stored.basis, *spectrum), what, energy, water, named_materials(materials))
     replicates = stored_replicates(folder)
     return QuantityMap(f"{chosen.name}_deviation", replicates.quantity(chosen).deviation, chosen.unit, replicates.grid)

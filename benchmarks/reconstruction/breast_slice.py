@@ -43,10 +43,8 @@ HEADER = (
 )
 
 
-def overrides(shape: str, truth: Truth | None, folder: Path) -> list[str]:
+def as_pixels(truth: Truth, folder: Path) -> list[str]:
     """What makes the preset a scan of pixels: a map of the volume fractions of its truth."""
-    if shape == "solids" or truth is None:
-        return []
     files = []
     for name, part in zip(truth.material_names, truth.fractions, strict=True):
         np.save(folder / f"{name}.npy", (part / np.float64(FRACTION_SCALE)).astype(np.float32))
@@ -61,7 +59,9 @@ def volumes_of(method: str, dataset: Dataset, threads: int) -> np.ndarray:
         return np.zeros((len(dataset.spectra.basis), *dataset.grid.shape), np.float32)
     run = dataset.path.parent / method
     command = [sys.executable, "-m", "recon", "fit", str(dataset.path), "--method", method, "-o", str(run)]
-    subprocess.run([*command, "--overwrite", "--quiet", "--threads", str(threads)], check=True)
+    subprocess.run(
+        [*command, "--overwrite", "--quiet", "--threads", str(threads)], check=True, stdout=subprocess.DEVNULL
+    )
     return read_run(run).volumes
 
 
@@ -92,14 +92,13 @@ def row_of(shape: str, method: str, dataset: Dataset, truth: Truth) -> str:
 def measure(objects: Sequence[str], methods: Sequence[str]) -> None:
     """Measure and store the rows."""
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        drawn = phantomgen.load(PRESET)
-        truth = None
-        for shape in OBJECTS:
-            scene = phantomgen.load(PRESET, overrides(shape, truth, folder)) if truth else drawn
+        folder, changes = Path(name), list[str]()
+        for shape in OBJECTS:  # pixels are those of the truth of the solids
+            scene = phantomgen.load(PRESET, changes)
             with phantomgen.make(scene, out=folder / f"{shape}.h5", overwrite=True) as dataset:
                 truth = read_truth(dataset.path)
                 assert truth is not None
+                changes = as_pixels(truth, folder)
                 for method in methods if shape in objects else ():
                     row = row_of(shape, method, dataset, truth)
                     store(TABLE, [f"{platform.machine()}, {thread_count()} threads", HEADER], row, NAMED)

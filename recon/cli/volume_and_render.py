@@ -127,7 +127,7 @@ def volume(
     uncertainty` made.
     """
     from recon.output.volume_file import checked_target, chosen_grid, deviation_of, write_volume
-    from recon.readouts.fractions import parse_material
+    from recon.readouts.fractions import named_materials
     from recon.readouts.quantity import CT_NUMBERS, FRACTIONS, quantity
     from recon.readouts.readouts import Readouts
     from recon.readouts.spectrum import detected_spectrum
@@ -153,7 +153,7 @@ def volume(
     spectrum = detected_spectrum(stored.basis, stored.transmission)
     wanted = None
     if asked is not None:
-        materials = [parse_material(text) for text in shown.materials]
+        materials = named_materials(shown.materials)
         readouts = Readouts.of(stored.basis, *spectrum)
         wanted = quantity(readouts, asked, shown.energy, shown.water, materials)
     chosen = chosen_grid(stored.grid, place.grid, place.voxel, place.size, place.center, place.like)

@@ -159,6 +159,20 @@ def parse_material(text: str) -> Material:
     return Material(name, number, name)
 
 
+def named_materials(materials: Sequence[str | Material]) -> list[Material]:
+    """Read the materials that are given as text, see `parse_material`.
+
+    Parameters
+    ----------
+    materials : materials, or their texts
+
+    Returns
+    -------
+    materials
+    """
+    return [parse_material(one) if isinstance(one, str) else one for one in materials]
+
+
 def _simplices(names: tuple[str, ...], corners: Float[np.ndarray, "corner place"]) -> tuple[tuple[int, ...], ...]:
     """Simplices that fill the hull of the corners; one of all corners where there are too few to fill space."""
     count, axes = corners.shape

@@ -102,6 +102,8 @@ def test_each_map_of_fractions_has_a_deviation(folder, stated, tmp_path):
         names, written = file["basis/basis_name"].asstr()[...].tolist(), file["basis/data"][...]
     assert names == ["water_deviation", "cortical bone_deviation"]
     assert (written.max(axis=(1, 2, 3)) > 0).all()
+    expected = package.deviation(folder / "run", "fractions", materials=["water", "cortical bone"])
+    np.testing.assert_allclose(written, expected, rtol=1e-5, atol=1e-9)
 
 
 def test_a_report_shows_the_deviations(folder, stated, tmp_path):

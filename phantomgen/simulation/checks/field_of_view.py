@@ -131,7 +131,7 @@ def _volume_warnings(scan: Scan) -> Iterator[str]:
     grid = scan.grid
     low = np.array([grid.origin[i] - grid.spacing[i] / 2 for i in (2, 1, 0)])
     high = low + np.array([grid.shape[i] * grid.spacing[i] for i in (2, 1, 0)])
-    if grid.shape[0] == 1:
+    if grid.shape[0] == 1:  # a slice asks for no truth above and below it
         low[2], high[2] = -np.inf, np.inf
     suspects = reaching(scan, (np.concatenate([np.eye(3), -np.eye(3)])[None], np.concatenate([-low, high])[None]))
     described = 0

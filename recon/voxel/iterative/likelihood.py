@@ -72,9 +72,9 @@ def curvature(
     scale of voxel i, the block of voxel i is sum_r a_ri (sum_j a_rj s_j) F_r / s_i: steps by its inverse reduce the
     deviance and do not depend on the choice of the basis. Where fewer counts arrive than expected, F_r includes the
     curvature of the expected counts: two broad spectra tell photoelectric from Compton attenuation by so little that
-    steps without it overshoot and diverge. This holds for any positive step scales; voxels with larger
-    ones than the others along their rays take longer steps. Step scales are the changes that are expected, times the
-    density of voxels denser than the typical one; otherwise small pieces of metal would be the last to converge.
+    steps without it overshoot and diverge. This holds for any positive step scales; voxels with larger ones than the
+    others along their rays take longer steps. Step scales are the changes that are expected, times the density of
+    voxels denser than the typical one; otherwise small pieces of metal would be the last to converge.
 
     Noise of the counts gives the gradient of voxel i the covariance sum_r a_ri^2 F_r. The function returns its mean
     over voxels, each weighted by its attenuation. Along a ray, the sum of a_ri^2 is assumed proportional to that of
