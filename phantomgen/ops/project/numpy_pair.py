@@ -6,11 +6,13 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-from phantomgen.ops.project import cpu, pose_derivatives, z_aligned
+from phantomgen.ops.project import cpu, one_slice, pose_derivatives, z_aligned
 from spectra.threads import run_parallel, thread_count
 
 # Most layers of z per piece of work of the transpose; changes time, not results.
 _MOST_LAYERS = 64
+# Parts of the views whose sums the transpose of one slice takes side by side; as many whatever the threads.
+_PARTS = 8
 # Most components that are computed together; kernels are compiled once for each number of them.
 _MOST_LANES = 4
 
@@ -39,6 +41,8 @@ def forward(
     """
     stacked = _are_z_aligned(views, rows, columns, parallel)
     volume = np.asarray(volume, dtype=np.float32)
+    if volume.shape[1] == rows == 1 and stacked.all():
+        return _forward_slice(volume, _seen(views, parallel, spacing, volume.shape[1:]), columns)
     components, *shape = volume.shape
     strides = _strides(shape)
     flat = np.ascontiguousarray(volume).reshape(components, -1) if not stacked.all() else None
@@ -83,9 +87,11 @@ def backward(
     components, _, rows, columns = images.shape
     images = np.ascontiguousarray(np.moveaxis(images, 1, 0), dtype=np.float32)
     stacked = _are_z_aligned(views, rows, columns, parallel)
+    if shape[0] == rows == 1 and stacked.all():
+        return _backward_slice(images, _seen(views, parallel, spacing, shape), shape)
     out = np.zeros((components, *shape), dtype=np.float32)
     flat, strides = out.reshape(components, -1), _strides(shape)
-    z_aligned_views = [cpu.VoxelView(view, parallel, spacing, strides) for view in views[stacked]]
+    z_aligned_views = _seen(views[stacked], parallel, spacing, shape)
     groups = _columns_side_by_side(images[stacked]) if stacked.any() else []
 
     def piece(ends: tuple[int, int]) -> None:
@@ -193,6 +199,61 @@ def _z_aligned_layers(
     for image, view in zip(images, views, strict=True):
         z_aligned.backward(lanes, image, view, first, last, scratch, narrow, volume)
     return np.moveaxis(volume.reshape(height, width + 1, layers, len(lanes))[:, :width], (3, 2), (0, 1))
+
+
+def _forward_slice(
+    volume: Float32[np.ndarray, "component 1 y x"], views: list[cpu.VoxelView], columns: int
+) -> Float32[np.ndarray, "component view 1 column"]:
+    """Compute line integrals of one slice, for one row of pixels."""
+    out = np.empty((len(volume), len(views), 1, columns), dtype=np.float32)
+    ends = ((0, 0), (0, one_slice.PADDING), (0, 0))
+    for group, lanes in _groups(len(volume)):
+        voxels = np.moveaxis(volume[group, 0], 0, -1)
+        along_x, along_y = (np.pad(lines, ends).reshape(-1) for lines in (voxels, voxels.swapaxes(0, 1)))
+
+        def view(i: int, lanes=lanes, group=group, along_x=along_x, along_y=along_y) -> None:
+            image = np.empty(columns * len(lanes), dtype=np.float32)
+            scratch = one_slice.SliceScratch.of(volume.shape[1:])
+            one_slice.forward(lanes, along_x, along_y, views[i], scratch, image)
+            out[group, i, 0] = image.reshape(columns, -1).T
+
+        for _ in run_parallel(view, range(len(views))):
+            pass
+    return out
+
+
+def _backward_slice(
+    images: Float32[np.ndarray, "view component 1 column"], views: list[cpu.VoxelView], shape: tuple[int, int, int]
+) -> Float32[np.ndarray, "component 1 y x"]:
+    """Sum one row of pixels in one slice."""
+    _, height, width = shape
+    out = np.zeros((images.shape[1], *shape), dtype=np.float32)
+    pieces = [part for part in np.array_split(np.arange(len(views)), _PARTS) if len(part)]
+    for group, lanes, beside in _columns_side_by_side(images):
+
+        def piece(part: np.ndarray, lanes=lanes, beside=beside) -> Float32[np.ndarray, "lane y x"]:
+            along_x, along_y = (
+                np.zeros((lines, voxels + one_slice.PADDING, len(lanes)), dtype=np.float32)
+                for lines, voxels in ((height, width), (width, height))
+            )
+            scratch = one_slice.SliceScratch.of(shape)
+            for i in part:
+                one_slice.backward(
+                    lanes, beside[i].reshape(-1), views[i], scratch, along_x.reshape(-1), along_y.reshape(-1)
+                )
+            return np.moveaxis(along_x[:, :width] + along_y[:, :height].swapaxes(0, 1), -1, 0)
+
+        for summed in run_parallel(piece, pieces):
+            out[group, 0] += summed
+    return out
+
+
+def _seen(
+    views: Float[np.ndarray, "view 4 3"], parallel: bool, spacing: Float[np.ndarray, " 3"], shape: Sequence[int]
+) -> list[cpu.VoxelView]:
+    """Views of a grid."""
+    strides = _strides(shape)
+    return [cpu.VoxelView(view, parallel, spacing, strides) for view in views]
 
 
 def _strides(shape: Sequence[int]) -> np.ndarray:

@@ -53,6 +53,39 @@ def test_both_ways_are_those_of_the_matrix(frames: np.ndarray, parallel: bool) -
     np.testing.assert_allclose(found.reshape(2, -1), images.reshape(2, -1) @ matrix, rtol=1e-6, atol=1e-6)
 
 
+def fan(pitch: float, height: float = 1.0, rise: float = 0.0) -> np.ndarray:
+    """Rays to nine pixels of one row on a circle, `rise` mm higher at the panel than at the source."""
+    frames = Geometry.circular(15.0, 30.0, np.arange(11) * 0.6, Panel(1, 9, (height, pitch))).ray_frames()
+    frames[:, 1, 2] += rise
+    return frames
+
+
+SLICE = Grid((1, 6, 7), (1.3, 0.9, 1.1), (0.1, -3.0, -2.5))
+ROWS = {
+    "narrow": (fan(0.8), False),
+    "wide": (fan(2.3), False),
+    "widest": (fan(7.0, 4.0), False),
+    "rising": (fan(1.4, 1.9, 1.5), False),
+    "beside": (fan(1.4, 0.5, 3.0), False),
+    "inside": (INSIDE, False),
+    "parallel": (np.array([[[-30.0, 9, 0.5], [12.0, -7, -0.2], [0.3, 1.2, 0], [0, 0, 0.8]]]), True),
+    "upright": (np.array([[[9.0, 30, 0], [-7, -12, 0.2], [1.9, 0.3, 0], [0, 0, 0.8]]]), True),
+}
+one_row = pytest.mark.parametrize(("frames", "parallel"), ROWS.values(), ids=ROWS)
+
+
+@one_row
+def test_one_row_through_one_slice_is_the_matrix(frames: np.ndarray, parallel: bool) -> None:
+    rng, columns = np.random.default_rng(5), 9
+    volume, images = rng.random((5, *SLICE.shape)), rng.random((5, len(frames), 1, columns))
+    matrix = np.concatenate([matrix_of_view(frame, 1, columns, SLICE, parallel) for frame in frames])
+    assert matrix.sum() > 3  # the views do meet the slice
+    found = project(volume, SLICE, frames, 1, columns, parallel)
+    np.testing.assert_allclose(found.reshape(5, -1), volume.reshape(5, -1) @ matrix.T, rtol=1e-6, atol=1e-6)
+    found = project_transpose(images, SLICE, frames, parallel)
+    np.testing.assert_allclose(found.reshape(5, -1), images.reshape(5, -1) @ matrix, rtol=1e-6, atol=1e-6)
+
+
 @pytest.mark.parametrize("components", [1, 2, 3, 4, 5, 10])
 @pytest.mark.parametrize(("frames", "parallel"), [VIEWS["circle"], VIEWS["widest"], VIEWS["tilted"]])
 def test_components_are_projected_as_each_alone(frames: np.ndarray, parallel: bool, components: int) -> None:
@@ -75,12 +108,13 @@ def test_one_is_the_transpose_of_the_other(frames: np.ndarray, parallel: bool) -
 
 
 def test_same_numbers_whatever_the_threads() -> None:
-    rng, frames = np.random.default_rng(4), np.concatenate([CIRCLE, TILTED])
-    x, y = rng.random((2, *GRID.shape)), rng.random((2, 7, 6, 8))
+    rng, frames, rows = np.random.default_rng(4), np.concatenate([CIRCLE, TILTED]), fan(2.3)
+    x, y, row = rng.random((2, *GRID.shape)), rng.random((2, 7, 6, 8)), rng.random((2, len(rows), 1, 9))
     results = []
     for threads in (1, 3):
         set_threads(threads)
-        results.append((project(x, GRID, frames, 6, 8), project_transpose(y, GRID, frames)))
+        both_ways = project(x, GRID, frames, 6, 8), project_transpose(y, GRID, frames)
+        results.append((*both_ways, project(x[:, :1], SLICE, rows, 1, 9), project_transpose(row, SLICE, rows)))
     set_threads(None)
     for one, other in zip(*results, strict=True):
         np.testing.assert_array_equal(one, other)
