@@ -5,12 +5,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Real
+from jaxtyping import Bool, Float, Int, Real
 
 from phantomgen.dataset.reader import Dataset
 from phantomgen.dataset.truth import Truth
 from phantomgen.geometry.voxel_grid import Grid
 from recon.data.measurements import Measurements, read_measurements
+from recon.data.view_subsets import evenly_spread_views, view_groups
 from recon.evaluation.count_noise import CountNoise
 from recon.evaluation.metrics import (
     HeldOutView,
@@ -28,6 +29,7 @@ from spectra.threads import run_parallel
 
 FULL_FRACTION = 65535  # value of a voxel that one material fills, in the truth of a dataset
 VIEWS_AT_ONCE = 2  # views; predicted together, which bounds the memory
+FITTED_VIEWS = 8  # views; of those of a fit, compared with its prediction where there are no test views
 
 
 def held_out_views(
@@ -45,10 +47,17 @@ def held_out_views(
     ------
     measured and expected counts of each view
     """
-    test, noise = dataset.splits["test"], CountNoise.of(dataset)
-    for first in range(0, len(test), VIEWS_AT_ONCE):
-        views = test[first : first + VIEWS_AT_ONCE]
-        measured = read_measurements(dataset, views, len(model.basis_names), separable=False)
+    yield from _predicted(dataset, model, dataset.splits["test"], unreliable)
+
+
+def _predicted(
+    dataset: Dataset, model: GaussianModel | Voxels, views: Int[np.ndarray, " view"], unreliable: Unreliable | None
+) -> Iterator[HeldOutView]:
+    """Predict views, one after the other."""
+    noise = CountNoise.of(dataset)
+    for first in range(0, len(views), VIEWS_AT_ONCE):
+        some = views[first : first + VIEWS_AT_ONCE]
+        measured = read_measurements(dataset, some, len(model.basis_names), separable=False)
         yield from run_parallel(lambda view: view(), _predict(measured, model, unreliable, noise))
 
 
@@ -102,6 +111,24 @@ def score_test_views(
     scores by channel, see `recon.evaluation.metrics.score_projections`
     """
     return score_projections(held_out_views(dataset, model, unreliable), dataset.spectra.channels)
+
+
+def score_fitted_views(
+    dataset: Dataset, model: GaussianModel | Voxels, unreliable: Unreliable | None = None
+) -> dict[str, Any]:
+    """Score the predictions of some training views: a fit that does not even explain these has failed.
+
+    Parameters
+    ----------
+    dataset, model, unreliable : as in `score_test_views`
+
+    Returns
+    -------
+    scores by channel, of `FITTED_VIEWS` views, evenly spread, and at least one of each set of channels
+    """
+    train = dataset.splits["train"]
+    views = train[evenly_spread_views(view_groups(dataset.exposure[train]), FITTED_VIEWS)]
+    return score_projections(_predicted(dataset, model, views, unreliable), dataset.spectra.channels)
 
 
 def score_truth(

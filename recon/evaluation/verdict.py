@@ -4,7 +4,7 @@ Each sentence has a key that stays the same, for programs. A run passes if no se
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from math import pi, sqrt
 from typing import Any
 
@@ -45,7 +45,8 @@ Verdict = tuple[Remark, ...]
 
 UNCHECKED = Remark(
     "unchecked",
-    "No test views were scored, so that nothing tells whether the model explains the scan; a scan with some says more.",
+    "No test views were scored, so that nothing tells whether the model explains rays beside those that it was fitted "
+    "to; a scan with some says more.",
     failed=False,
 )
 
@@ -56,7 +57,7 @@ class FitOutcome:
 
     Parameters
     ----------
-    channels : scores on test views, see `recon.evaluation.metrics.score_projections`
+    channels : scores on test views, see `recon.evaluation.metrics.score_projections`; empty where none were scored
     dispersion : relative model error that the recipe concedes [no unit]
     volumes : the result on the requested grid [1/mm]
     views : number of views that were fitted
@@ -64,6 +65,7 @@ class FitOutcome:
     coverage : coverage of the object by the scan; None where it was not computed
     unreliable : voxels whose bases the counts do not determine; None where there are none
     notes : sentences of the fit
+    fitted_channels : the same scores on some fitted views, which tell where there are no others
     """
 
     channels: Mapping[str, Mapping[str, Any]]
@@ -75,6 +77,7 @@ class FitOutcome:
     coverage: Coverage | None = None
     unreliable: Unreliable | None = None
     notes: Sequence[str] = ()
+    fitted_channels: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 def verdict_of(outcome: FitOutcome) -> Verdict:
@@ -89,7 +92,8 @@ def verdict_of(outcome: FitOutcome) -> Verdict:
     all remarks, failed checks and notes
     """
     channels, dispersion, coverage = outcome.channels, outcome.dispersion, outcome.coverage
-    found = [misfit(channels, dispersion) if channels else UNCHECKED]
+    views = "test views" if channels else "views that it was fitted to"
+    found = [misfit(channels or outcome.fitted_channels, dispersion, views), None if channels else UNCHECKED]
     if outcome.unreliable is not None:
         marked = outcome.unreliable.record()
         told = Remark("unreliable", which_unreliable(marked), failed=False)
@@ -101,16 +105,17 @@ def verdict_of(outcome: FitOutcome) -> Verdict:
     return tuple(remark for remark in (*found, *notes) if remark is not None)
 
 
-def misfit(channels: Mapping[str, Mapping[str, Any]], dispersion: float) -> Remark | None:
-    """Check whether noise and the conceded model error explain the test views away from edges.
+def misfit(channels: Mapping[str, Mapping[str, Any]], dispersion: float, views: str = "test views") -> Remark | None:
+    """Check whether noise and the conceded model error explain views away from edges.
 
     There, chi-square has the mean 1 + dispersion^2 Y for counts Y whose variance is Y + (dispersion Y)^2, and for n
     rays a standard deviation of sqrt(2 / n) times that.
 
     Parameters
     ----------
-    channels : scores on test views
+    channels : scores on these views
     dispersion : relative model error that the recipe concedes [no unit]
+    views : what the views are called
 
     Returns
     -------
@@ -122,7 +127,7 @@ def misfit(channels: Mapping[str, Mapping[str, Any]], dispersion: float) -> Rema
     named = ", ".join(f"{value:.3g} in {name}" for name, value in far)
     return Remark(
         "misfit",
-        f"The model does not explain the test views: away from edges chi-square is {named}, where noise leaves 1; "
+        f"The model does not explain the {views}: away from edges chi-square is {named}, where noise leaves 1; "
         "do not trust the volumes before the cause is found (truncation, scatter, motion, "
         "pixels that saturate, or a wrong spectrum).",
     )
@@ -336,5 +341,5 @@ def lines(metrics: Mapping[str, Any]) -> list[str]:
     if failed(metrics):
         return shown
     if any(remark["key"] == UNCHECKED.key for remark in remarks):
-        return [*shown, "Verdict: no check of the scan failed; the fit could not be checked."]
+        return [*shown, "Verdict: no check failed; the fit was checked on its own views only."]
     return [*shown, "Verdict: no check of the scan and the fit failed."]

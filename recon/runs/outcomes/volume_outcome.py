@@ -19,7 +19,13 @@ from phantomgen.runtime.versions import environment
 from recon.data.coverage import Coverage, seen_by_all_views
 from recon.data.volume_edges import occupied_voxels
 from recon.evaluation import verdict
-from recon.evaluation.scoring import psnr_of_bases, score_start, score_test_views, score_truth
+from recon.evaluation.scoring import (
+    psnr_of_bases,
+    score_fitted_views,
+    score_start,
+    score_test_views,
+    score_truth,
+)
 from recon.figures.model_figures import draw_model
 from recon.gaussians.model import GaussianModel
 from recon.gaussians.recipe import Recipe
@@ -211,6 +217,7 @@ class VolumeOutcome:
         """
         fitted, views = self.model.basis_names, len(self.dataset.splits["train"])
         stated = (*fitted, *self.left_out)
+        known = {} if channels else score_fitted_views(self.dataset, self.in_views or self.model, self.unreliable)
         outcome = verdict.FitOutcome(
             channels,
             Recipe().dispersion,
@@ -221,6 +228,7 @@ class VolumeOutcome:
             self.coverage,
             self.unreliable,
             self.notes,
+            known,
         )
         return verdict.verdict_of(outcome)
 

@@ -83,7 +83,16 @@ def test_a_run_without_test_views_says_that_nothing_was_checked():
     (said,) = verdict_of(FitOutcome({}, 0.02, ball(16), 20, ["a"], ["a"], WHOLE))
     assert said.key == "unchecked"
     assert not said.failed
-    assert lines({"verdict": record((said,))})[-1].endswith("the fit could not be checked.")
+    assert lines({"verdict": record((said,))})[-1].endswith("the fit was checked on its own views only.")
+
+
+def test_a_run_that_does_not_even_explain_what_it_was_fitted_to_fails():
+    bad = {"bin0": GOOD | {"chi_square_away": 600.0}, "bin1": GOOD}
+    said = verdict_of(FitOutcome({}, 0.02, ball(16), 20, ["a"], ["a"], WHOLE, fitted_channels=bad))
+    assert [remark.key for remark in said] == ["misfit", "unchecked"]
+    assert "the views that it was fitted to: away from edges chi-square is 600 in bin0," in said[0].sentence
+    good = FitOutcome({}, 0.02, ball(16), 20, ["a"], ["a"], WHOLE, fitted_channels={"bin0": GOOD})
+    assert [remark.key for remark in verdict_of(good)] == ["unchecked"]
 
 
 def test_every_fault_has_its_key_and_says_what_to_do():
