@@ -24,6 +24,8 @@ MassFractions = tuple[tuple[int, float], ...]
 LOWEST_ENERGY, HIGHEST_ENERGY = 1.0, 800.0
 # xraylib's tables jump up to 4 eV beside the edge energies that it reports.
 _EDGE_UNCERTAINTY = 0.005
+# Attenuations of elements that are kept: materials share elements, and a scene asks at few sets of energies.
+_KEPT = 512
 # Atomic number of the heaviest element of xraylib's tables, californium.
 _HEAVIEST = 98
 
@@ -181,10 +183,19 @@ def mass_attenuation(composition: Composition, energy: Float[np.ndarray, " energ
         raise InputError(
             f"attenuation is known from {LOWEST_ENERGY:g} to {HIGHEST_ENERGY:g} keV, not at {energy[bad][0]:g} keV"
         )
-    total = np.zeros_like(energy)
+    total, energies = np.zeros_like(energy), energy.tobytes()
     for number, fraction in mass_fractions(composition):
-        total += fraction * xraylib_np.CS_Total(np.array([number]), _off_the_edge(energy, number))[0]
+        total += fraction * _of_element(number, energies)
     return total
+
+
+@lru_cache(maxsize=_KEPT)
+def _of_element(number: int, energies: bytes) -> Float[np.ndarray, " energy"]:
+    """Total mass attenuation of an element at float64 energies [keV], which are hashed by their bytes [cm^2/g]."""
+    energy = np.frombuffer(energies)
+    found = xraylib_np.CS_Total(np.array([number]), _off_the_edge(energy, number))[0]
+    found.setflags(write=False)
+    return found
 
 
 def linear_attenuation(
