@@ -1,6 +1,8 @@
 """YAML text to plain values, within limits: no aliases without end, no deep nesting, no types but plain ones."""
 
+from copy import deepcopy
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import yaml
@@ -10,6 +12,7 @@ from spectra.errors import shortened
 DEEPEST = 60  # lists and mappings in each other
 MOST_VALUES = 2_000_000  # with aliases written out
 MOST_CHARACTERS = 200_000_000
+KEPT_CHARACTERS = 100_000  # texts up to this length are parsed once: a scene is asked for its values and its lines
 _PLAIN = {f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str", "seq", "map", "merge")}
 
 
@@ -50,7 +53,7 @@ def parse_yaml(text: str) -> YamlText:
 
     Returns
     -------
-    nodes and values
+    nodes, which callers do not change, and values, which are theirs
 
     Raises
     ------
@@ -59,6 +62,14 @@ def parse_yaml(text: str) -> YamlText:
     """
     if len(text) > MOST_CHARACTERS:
         raise YamlTextError(f"the text has {len(text)} characters, at most {MOST_CHARACTERS} are read")
+    if len(text) > KEPT_CHARACTERS:
+        return _parsed(text)
+    kept = _kept(text)
+    return YamlText(kept.root, deepcopy(kept.values))
+
+
+def _parsed(text: str) -> YamlText:
+    """Parse a text that is not too long."""
     try:
         root = yaml.compose(text, Loader=yaml.SafeLoader)
         if root is not None and _size(root, {}, 1) > MOST_VALUES:
@@ -74,6 +85,9 @@ def parse_yaml(text: str) -> YamlText:
         raise YamlTextError(f"lists and mappings lie more than {DEEPEST} deep in each other") from None
     except (ValueError, TypeError, AttributeError, KeyError, OverflowError) as error:
         raise YamlTextError(f"a value cannot be read: {shortened(repr(error))}") from None
+
+
+_kept = lru_cache(maxsize=16)(_parsed)
 
 
 def _size(node: yaml.Node, known: dict[int, int], depth: int) -> int:

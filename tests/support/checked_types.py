@@ -21,7 +21,7 @@ Kind = TypeVar("Kind", bound=type)
 SETTINGS = BeartypeConf(is_pep484_tower=True, violation_type=TypeError)
 # Functions that are called often get few new kinds of arguments: of so many calls all are checked, then one of so many.
 # Checks of all calls take a third of the time of the tests.
-ALL_OF, ONE_OF = 100, 50
+ALL_OF, ONE_OF = 30, 50
 DECORATOR = f"__import__({__name__!r}, fromlist=['']).{{}}"
 
 
@@ -30,16 +30,16 @@ TYPING_ONLY: dict[str, list[ast.stmt]] = {}  # by module: what stands under `if 
 
 def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     """Check arguments and results, of all calls at first and later of some, unless `jaxtyping.config` says not to."""
-    checking = None
+    checking, calls = None, 0
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         __tracebackhide__ = True
-        nonlocal checking
+        nonlocal checking, calls
+        calls += 1
         if config.jaxtyping_disable or sys.is_finalizing():
             return function(*args, **kwargs)
-        call.calls += 1
-        if call.calls > ALL_OF and call.calls % ONE_OF:
+        if calls > ALL_OF and calls % ONE_OF:
             with jaxtyped("context"):  # what it calls has no names of axes in common with what called it
                 return function(*args, **kwargs)
         if checking is None:  # in the first call, as annotations may name what is defined further below
@@ -47,7 +47,6 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
         with jaxtyped("context"):  # an axis of the same name has the same length within one call
             return checking(*args, **kwargs)
 
-    call.calls = 0
     return call
 
 
