@@ -182,11 +182,14 @@ def _digests(group: h5py.Group) -> dict[str, str]:
 
 def _add(digest: Any, group: h5py.Group, name: str, depth: int) -> None:
     """Add one thing of a group to a digest."""
-    link = group.get(name, getlink=True)
-    _add_text(digest, name, type(link).__name__)
-    if isinstance(link, h5py.SoftLink | h5py.ExternalLink):
-        _add_text(digest, link.path, getattr(link, "filename", ""))
-        return
+    if group.id.links.get_info(name.encode()).type == h5py.h5l.TYPE_HARD:
+        _add_text(digest, name, h5py.HardLink.__name__)
+    else:
+        link = group.get(name, getlink=True)
+        _add_text(digest, name, type(link).__name__)
+        if isinstance(link, h5py.SoftLink | h5py.ExternalLink):
+            _add_text(digest, link.path, getattr(link, "filename", ""))
+            return
     item = group[name]
     _add_attributes(digest, item)
     if isinstance(item, h5py.Group):

@@ -344,6 +344,8 @@ def _found(parent: h5py.Group, name: str) -> Any:
     path = full_name(parent, name)
     parts, top = [part for part in path.split("/") if part], ""
     node: Any = parent.file
+    if (found := _along_hard_links(node, parts)) is not None:
+        return found
     done: list[str] = []
     followed = 0
     while parts:
@@ -375,6 +377,19 @@ def _found(parent: h5py.Group, name: str) -> Any:
         done.append(part)
         top = done[0]
     return node
+
+
+def _along_hard_links(file: h5py.File, parts: list[str]) -> Any:
+    """Find the item at a path whose links are all hard, as most are; None where one is not, or nothing is there."""
+    links, path = file.id.links, ""
+    try:
+        for part in parts:
+            path += f"/{part}"
+            if links.get_info(path.encode()).type != h5py.h5l.TYPE_HARD:
+                return None
+        return file[path] if path else None
+    except DAMAGE:
+        return None
 
 
 def _outside(array: h5py.Dataset) -> str:
