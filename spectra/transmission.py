@@ -17,7 +17,7 @@ from spectra.cramer_rao import least_covariance
 from spectra.energy.node_reduction import ReducedNodes, choose_nodes, compress_channel
 from spectra.errors import InputError
 from spectra.ops.transmit import expected_and_jacobian, expected_counts, log_counts_and_slopes
-from spectra.threads import run_parallel
+from spectra.threads import run_parallel, without_other_pools
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,6 +214,7 @@ class Transmission:
         """
         return least_covariance(self.fisher(lengths, dispersion))
 
+    @without_other_pools()
     def compress(
         self,
         box_low: Float[np.ndarray, " basis"],

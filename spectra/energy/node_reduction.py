@@ -35,8 +35,6 @@ _HOPELESS = 100.0
 # Levenberg-Marquardt: damping of the first step, and that at which a fit ends, relative to the diagonal; what is added
 # to the diagonal, so that it is never singular. No unit.
 _DAMPING, _HIGHEST_DAMPING, _TINY = 1e-3, 1e8, 1e-14
-# Products (rows x columns x columns) up to which OpenBLAS stays on one thread.
-_ONE_THREAD = 262144
 
 
 class Nodes(NamedTuple):
@@ -293,7 +291,7 @@ def _refined(
         gradient = np.einsum("rp,r->p", slopes, error)
         blocked = _blocked(nodes, gradient, limits)
         slopes[:, blocked], gradient[blocked] = 0.0, 0.0
-        normal = _gram(slopes)
+        normal = slopes.T @ slopes
         normal[np.diag_indices_from(normal)] *= 1 + damping
         normal[np.diag_indices_from(normal)] += _TINY
         trial = _moved(nodes, np.linalg.solve(normal, gradient), limits)
@@ -316,16 +314,6 @@ def _blocked(
         (nodes.columns >= limits[1]) & (node_gradient >= 0)
     )
     return np.concatenate([np.zeros((len(columns), 1), dtype=bool), columns], axis=1).ravel()
-
-
-def _gram(matrix: Float[np.ndarray, "ray parameter"]) -> Float[np.ndarray, "parameter parameter"]:
-    """``matrix.T @ matrix`` in pieces that BLAS keeps on one thread: waking others takes longer than the work."""
-    rays, parameters = matrix.shape
-    rows = max(1, _ONE_THREAD // parameters**2)
-    padded = np.zeros((-(-rays // rows) * rows, parameters))
-    padded[:rays] = matrix
-    pieces = padded.reshape(-1, rows, parameters)
-    return (pieces.transpose(0, 2, 1) @ pieces).sum(axis=0)
 
 
 def _moved(
