@@ -36,15 +36,16 @@ demo: $(VENV)/installed
 test: $(VENV)/installed-test
 	$(PYTEST) -m "not slow" $(TESTS)
 
+# Types of arguments are checked by `make test`: checks take a quarter of the time of tests.
 test-slow: $(VENV)/installed-test
-	$(PYTEST) -m slow $(TESTS)
+	CHECKED_TYPES= $(PYTEST) -m slow $(TESTS)
 
 coverage: $(VENV)/installed-test
 	$(PYTEST) --cov --cov-report=term:skip-covered $(TESTS)
 
 test-isa: $(VENV)/installed-test
 	set -e; for setting in $(INSTRUCTIONS); do echo "$$setting"; \
-		env NUMBA_CPU_NAME=$${setting%/*} ATEN_CPU_CAPABILITY=$${setting#*/} $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile -m "not slow" --ignore-glob="*gpu*" $(ISA_TESTS); done
+		env CHECKED_TYPES= NUMBA_CPU_NAME=$${setting%/*} ATEN_CPU_CAPABILITY=$${setting#*/} $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile -m "not slow" --ignore-glob="*gpu*" $(ISA_TESTS); done
 	$(BIN)/python -m benchmarks.reconstruction.processors
 
 # Old libraries warn of what newer ones changed, so that warnings are no errors here; types are checked by `make test`.
