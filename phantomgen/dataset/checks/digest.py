@@ -15,7 +15,16 @@ from typing import Any
 import h5py
 import numpy as np
 
-from phantomgen.dataset.checks.door import DAMAGE, DEEPEST, check_stored, find_group, names_in, readable, shows_own
+from phantomgen.dataset.checks.door import (
+    DAMAGE,
+    DEEPEST,
+    check_stored,
+    find_group,
+    is_hard_link,
+    names_in,
+    readable,
+    shows_own,
+)
 from phantomgen.dataset.checks.fletcher import fletcher32
 from spectra.errors import DatasetError
 
@@ -182,7 +191,7 @@ def _digests(group: h5py.Group) -> dict[str, str]:
 
 def _add(digest: Any, group: h5py.Group, name: str, depth: int) -> None:
     """Add one thing of a group to a digest."""
-    if group.id.links.get_info(name.encode()).type == h5py.h5l.TYPE_HARD:
+    if is_hard_link(group, name):
         _add_text(digest, name, h5py.HardLink.__name__)
     else:
         link = group.get(name, getlink=True)

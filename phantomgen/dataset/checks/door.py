@@ -16,6 +16,7 @@ import numpy as np
 from spectra.errors import DatasetError, Error
 
 _MOST_LINKS = 16  # soft links one after the other, as many as HDF5 follows
+_HARD = 0  # H5L_TYPE_HARD of HDF5
 DEEPEST = 32  # groups inside each other that are looked into
 # What h5py raises on bytes that are not HDF5, and on sizes that no memory holds.
 DAMAGE = (
@@ -379,13 +380,33 @@ def _found(parent: h5py.Group, name: str) -> Any:
     return node
 
 
+def is_hard_link(group: h5py.Group, path: str) -> bool:
+    """Tell whether a path ends at an item of this file itself, which HDF5 says faster than h5py.
+
+    Parameters
+    ----------
+    group : where the path begins
+    path : the path, whose links but for the last are followed
+
+    Returns
+    -------
+    False for soft and external links
+
+    Raises
+    ------
+    KeyError
+        When nothing is there.
+    """
+    return group.id.links.get_info(path.encode()).type == _HARD
+
+
 def _along_hard_links(file: h5py.File, parts: list[str]) -> Any:
     """Find the item at a path whose links are all hard, as most are; None where one is not, or nothing is there."""
-    links, path = file.id.links, ""
+    path = ""
     try:
         for part in parts:
             path += f"/{part}"
-            if links.get_info(path.encode()).type != h5py.h5l.TYPE_HARD:
+            if not is_hard_link(file, path):
                 return None
         return file[path] if path else None
     except DAMAGE:

@@ -134,8 +134,9 @@ def backward(lanes, image, view, scratch, along_x, along_y):
 
     Parameters
     ----------
-    lanes, view, scratch : as in `forward`
+    lanes : as in `forward`
     image : pixels (column and component)
+    view, scratch : as in `forward`
     along_x, along_y : volumes of which the sum is meant, laid out as in `forward`, added to
     """
     together, places, shares = len(lanes), scratch.places, scratch.shares
