@@ -24,8 +24,9 @@ MassFractions = tuple[tuple[int, float], ...]
 LOWEST_ENERGY, HIGHEST_ENERGY = 1.0, 800.0
 # xraylib's tables jump up to 4 eV beside the edge energies that it reports.
 _EDGE_UNCERTAINTY = 0.005
-# Attenuations of elements that are kept: materials share elements, and a scene asks at few sets of energies.
-_KEPT = 512
+# Attenuations of elements that are kept, as materials share elements and a scene asks at few sets of energies; and most
+# energies of such a set.
+_KEPT, _MOST_KEPT = 256, 10_000
 # Atomic number of the heaviest element of xraylib's tables, californium.
 _HEAVIEST = 98
 
@@ -184,8 +185,9 @@ def mass_attenuation(composition: Composition, energy: Float[np.ndarray, " energ
             f"attenuation is known from {LOWEST_ENERGY:g} to {HIGHEST_ENERGY:g} keV, not at {energy[bad][0]:g} keV"
         )
     total, energies = np.zeros_like(energy), energy.tobytes()
+    of_element = _of_element if energy.size <= _MOST_KEPT else _of_element.__wrapped__
     for number, fraction in mass_fractions(composition):
-        total += fraction * _of_element(number, energies)
+        total += fraction * of_element(number, energies)
     return total
 
 

@@ -43,6 +43,16 @@ def test_mass_fractions_weigh_the_elements():
     assert sum(part for _, part in mass_fractions({"H": 0.1118, "O": 0.8885})) == pytest.approx(1, abs=1e-15)
 
 
+@pytest.mark.parametrize("count", [100, 20_000])
+def test_what_is_kept_does_not_change_under_the_hands_of_callers(count):
+    energies = np.linspace(20, 120, count)
+    first = mass_attenuation("I", energies)
+    expected = first.copy()
+    first[:] = 0.0
+    np.testing.assert_array_equal(mass_attenuation("I", energies), expected)
+    np.testing.assert_array_equal(mass_attenuation("I", energies[:50]), expected[:50])
+
+
 def test_linear_attenuation_is_in_per_mm():
     np.testing.assert_allclose(linear_attenuation("H2O", 1.0, np.array([60.0])), 0.02059, rtol=1e-3)
 
