@@ -30,16 +30,16 @@ TYPING_ONLY: dict[str, list[ast.stmt]] = {}  # by module: what stands under `if 
 
 def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     """Check arguments and results, of all calls at first and later of some, unless `jaxtyping.config` says not to."""
-    checking, calls = None, 0
+    checking = None
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         __tracebackhide__ = True
-        nonlocal checking, calls
-        calls += 1
+        nonlocal checking
         if config.jaxtyping_disable or sys.is_finalizing():
             return function(*args, **kwargs)
-        if calls > ALL_OF and calls % ONE_OF:
+        call.calls += 1
+        if call.calls > ALL_OF and call.calls % ONE_OF:
             with jaxtyped("context"):  # what it calls has no names of axes in common with what called it
                 return function(*args, **kwargs)
         if checking is None:  # in the first call, as annotations may name what is defined further below
@@ -47,6 +47,7 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
         with jaxtyped("context"):  # an axis of the same name has the same length within one call
             return checking(*args, **kwargs)
 
+    call.calls = 0
     return call
 
 
