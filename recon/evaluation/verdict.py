@@ -92,12 +92,12 @@ def verdict_of(outcome: FitOutcome) -> Verdict:
     all remarks, failed checks and notes
     """
     channels, dispersion, coverage = outcome.channels, outcome.dispersion, outcome.coverage
-    views = "test views" if channels else "views that it was fitted to"
-    found = [misfit(channels or outcome.fitted_channels, dispersion, views), None if channels else UNCHECKED]
+    views, scores = ("test views", channels) if channels else ("views that it was fitted to", outcome.fitted_channels)
+    found = [misfit(scores, dispersion, views), None if channels else UNCHECKED]
     if outcome.unreliable is not None:
         marked = outcome.unreliable.record()
         told = Remark("unreliable", which_unreliable(marked), failed=False)
-        found += [misfit_marked(channels, marked, dispersion), told]
+        found += [misfit_marked(scores, marked, dispersion, views), told]
     found += [few_views(outcome.volumes, outcome.views), bases_left_out(outcome.fitted, outcome.stated)]
     if coverage is not None:
         found = [truncated(coverage), outside_grid(coverage), starved(coverage), *found]
@@ -134,7 +134,7 @@ def misfit(channels: Mapping[str, Mapping[str, Any]], dispersion: float, views: 
 
 
 def misfit_marked(
-    channels: Mapping[str, Mapping[str, Any]], marked: Mapping[str, Any], dispersion: float
+    channels: Mapping[str, Mapping[str, Any]], marked: Mapping[str, Any], dispersion: float, views: str = "test views"
 ) -> Remark | None:
     """Check whether noise and the conceded model error explain the rays through marked voxels.
 
@@ -143,9 +143,10 @@ def misfit_marked(
 
     Parameters
     ----------
-    channels : scores on test views
+    channels : scores on these views
     marked : summary of the marked voxels, `Unreliable.record`
     dispersion : relative model error that the recipe concedes [no unit]
+    views : what the views are called
 
     Returns
     -------
@@ -158,7 +159,7 @@ def misfit_marked(
     which = " or ".join(word for key, word in (("metal", "metal"), ("starved", "few photons")) if marked[key])
     return Remark(
         "misfit_marked",
-        f"The model does not explain the test views through the {marked['voxels']} voxels of {which}: chi-square of "
+        f"The model does not explain the {views} through the {marked['voxels']} voxels of {which}: chi-square of "
         f"these rays is up to {worst:.3g} ({name}), where noise leaves 1; what is missing there becomes "
         "streaks and wrong bases beside them: do not trust values near them, and take smaller pixels and voxels to "
         "come closer.",
@@ -341,5 +342,5 @@ def lines(metrics: Mapping[str, Any]) -> list[str]:
     if failed(metrics):
         return shown
     if any(remark["key"] == UNCHECKED.key for remark in remarks):
-        return [*shown, "Verdict: no check failed; the fit was checked on its own views only."]
+        return [*shown, "Verdict: no check failed; rays beside those of the fit were not checked."]
     return [*shown, "Verdict: no check of the scan and the fit failed."]

@@ -397,7 +397,7 @@ def is_hard_link(group: h5py.Group, path: str) -> bool:
     KeyError
         When nothing is there.
     """
-    return group.id.links.get_info(path.encode()).type == _HARD
+    return group.id.links.get_info(path.encode("utf-8", "surrogateescape")).type == _HARD
 
 
 def _along_hard_links(file: h5py.File, parts: list[str]) -> Any:

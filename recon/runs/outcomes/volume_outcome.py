@@ -217,7 +217,9 @@ class VolumeOutcome:
         """
         fitted, views = self.model.basis_names, len(self.dataset.splits["train"])
         stated = (*fitted, *self.left_out)
-        known = {} if channels else score_fitted_views(self.dataset, self.in_views or self.model, self.unreliable)
+        known = {}
+        if not len(self.dataset.splits["test"]):
+            known = score_fitted_views(self.dataset, self.in_views or self.model, self.unreliable)
         outcome = verdict.FitOutcome(
             channels,
             Recipe().dispersion,

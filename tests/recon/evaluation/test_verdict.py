@@ -15,6 +15,7 @@ from phantomgen.geometry.voxel_grid import Grid
 from recon.cli.main import main
 from recon.data.coverage import Coverage, coverage, inner_box
 from recon.data.measurements import read_measurements
+from recon.evaluation.scoring import score_fitted_views
 from recon.evaluation.verdict import (
     FitOutcome,
     bases_left_out,
@@ -29,6 +30,7 @@ from recon.evaluation.verdict import (
 from recon.gaussians.recipe import Stage
 from recon.output.report.page import run_report
 from recon.voxel.iterative.one_step import OneStep
+from recon.voxel.model import Voxels
 
 GRID = Grid.cube(16, 128.0)
 WHOLE = Coverage((0.0,) * 4, 0.0, 0.0, 0.0, 0.0, 20, GRID)
@@ -83,7 +85,7 @@ def test_a_run_without_test_views_says_that_nothing_was_checked():
     (said,) = verdict_of(FitOutcome({}, 0.02, ball(16), 20, ["a"], ["a"], WHOLE))
     assert said.key == "unchecked"
     assert not said.failed
-    assert lines({"verdict": record((said,))})[-1].endswith("the fit was checked on its own views only.")
+    assert lines({"verdict": record((said,))})[-1].endswith("rays beside those of the fit were not checked.")
 
 
 def test_a_run_that_does_not_even_explain_what_it_was_fitted_to_fails():
@@ -93,6 +95,14 @@ def test_a_run_that_does_not_even_explain_what_it_was_fitted_to_fails():
     assert "the views that it was fitted to: away from edges chi-square is 600 in bin0," in said[0].sentence
     good = FitOutcome({}, 0.02, ball(16), 20, ["a"], ["a"], WHOLE, fitted_channels={"bin0": GOOD})
     assert [remark.key for remark in verdict_of(good)] == ["unchecked"]
+
+
+def test_fitted_views_tell_a_failure_from_the_truth(tmp_path):
+    with open_dataset(make(tmp_path / "alone.h5", "--views", "9", "--test-views", "0", voxels=64)) as dataset:
+        truth = read_truth(dataset.path)
+        for part, fails in ((1.0, False), (0.9, True)):
+            model = Voxels((part * truth.volumes).astype(np.float32), truth.grid, truth.basis_names)
+            assert (misfit(score_fitted_views(dataset, model), 0.02) is not None) == fails
 
 
 def test_every_fault_has_its_key_and_says_what_to_do():
