@@ -26,6 +26,8 @@ _SAMPLES, _FRESH = 400, 2000
 _STEPS = 60
 # Most steps of the non-negative fit per node; wide ranges of attenuation take more than the 3 of SciPy.
 _NNLS_TURNS = 30
+# Longer sets are thinned in blocks of so many neighbours first: the time of a non-negative fit grows with their square.
+_LONG, _BLOCK = 2000, 400
 # Numbers of nodes that are tried until one meets the tolerance, and most nodes of a set from which nodes are taken
 # away: bounds of time.
 _TRIED = (*range(1, 17), 20, 24, 29, 35, 42)
@@ -256,17 +258,32 @@ def _merged(
 
 
 def _sparse(full: Nodes, rays: Float[np.ndarray, "ray basis"], wanted: Float[np.ndarray, " ray"]) -> Nodes:
-    """Few of the given nodes with new weights, by non-negative least squares on the relative counts.
+    """Few of the given nodes with new weights, by non-negative least squares on the relative counts."""
+    if len(full.weights) > _LONG:
+        starts = range(0, len(full.weights), _BLOCK)
+        blocks = [Nodes(*(part[first : first + _BLOCK] for part in full)) for first in starts]
+        thinned = [_selected(block, rays, wanted, np.exp(log_counts(block, rays) - wanted)) for block in blocks]
+        full = Nodes(*(np.concatenate(parts) for parts in zip(*thinned, strict=True)))
+    return _selected(full, rays, wanted, np.ones(len(rays)))
+
+
+def _selected(
+    nodes: Nodes,
+    rays: Float[np.ndarray, "ray basis"],
+    scale: Float[np.ndarray, " ray"],
+    counts: Float[np.ndarray, " ray"],
+) -> Nodes:
+    """Some of the nodes with new weights, whose counts are `counts` times the exponential of `scale`.
 
     All of them where the fit goes round in circles, as it may when nodes are almost equal.
     """
-    relative = np.exp(-_attenuation(full, rays) - wanted[:, None]) * full.weights.max()
+    relative = np.exp(-_attenuation(nodes, rays) - scale[:, None]) * nodes.weights.max()
     try:
-        weights = nnls(relative, np.ones(len(rays)), maxiter=_NNLS_TURNS * len(full.weights))[0]
+        weights = nnls(relative, counts, maxiter=_NNLS_TURNS * len(nodes.weights))[0]
     except RuntimeError:
-        return full
+        return nodes
     chosen = weights > 0
-    return Nodes(weights[chosen] * full.weights.max(), full.columns[chosen])
+    return Nodes(weights[chosen] * nodes.weights.max(), nodes.columns[chosen])
 
 
 def _refined(

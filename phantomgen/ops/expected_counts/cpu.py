@@ -250,7 +250,7 @@ def _fill_open_beam(profile, beam, one):
 @no_type_check
 def _classify(outline, background, rules, local, classes):
     """Raise the class of each pixel as far as bounds and silhouettes decide it."""
-    forms, shapes, roots, bounds, _ = outline
+    forms, shapes, roots, bounds, _, _ = outline
     reach, aperture = rules.reach, rules.aperture
     rows, columns = classes.shape
     if background >= 0:
@@ -292,6 +292,34 @@ def _mark_creases(creases, classes):
 
 @inlined
 @no_type_check
+def _add_ring(rings, f, aperture, local, i):
+    """Write a silhouette of a torus as a conic of the pixel it belongs to."""
+    for k in range(6):
+        local[i, k] = rings.forms[f, k]
+    local[i, 6], local[i, 7] = 0.0, 1.0
+    _narrow(local, i, aperture)
+
+
+@inlined
+@no_type_check
+def _mark_rings(rings, rules, local, classes):
+    """Raise the class of pixels that silhouettes of tori pass, or pass near."""
+    columns, row_0 = classes.shape[1], np.int64(0)
+    for row in range(classes.shape[0]):
+        for column in range(columns):
+            cell = row * columns + column
+            for f in range(rings.starts[cell], rings.starts[cell + 1]):
+                _add_ring(rings, f, rules.aperture, local, row_0)
+                if may_vanish(local, row_0):
+                    classes[row, column] = max(classes[row, column], CROSSED)
+                elif _is_near(local, row_0, 1.0, rules.reach):
+                    classes[row, column] = max(classes[row, column], NEAR)
+            if rings.creased[row, column]:
+                classes[row, column] = INTERSECTED
+
+
+@inlined
+@no_type_check
 def _mark_maps(numbers, bounds, classes):
     """Class of the pixels that a voxel map projects to, where no stronger rule is needed anyway."""
     for s in range(numbers.size):
@@ -306,8 +334,10 @@ def _mark_maps(numbers, bounds, classes):
 
 @inlined
 @no_type_check
-def _mark(creases, maps, bounds, classes):
-    """Raise the class of pixels because of meshes and voxel maps."""
+def _mark(rings, creases, maps, bounds, rules, local, classes):
+    """Raise the class of pixels because of tori, meshes and voxel maps."""
+    if rings is not None:
+        _mark_rings(rings, rules, local, classes)
     if creases is not None:
         _mark_creases(creases, classes)
     if maps is not None:
@@ -335,11 +365,29 @@ def _crossed_level(level, conics, strongest, maps, bounds, u, v):
 
 @inlined
 @no_type_check
+def _gather_rings(rings, rules, row, column, local):
+    """Collect silhouettes of tori of a pixel; return how many."""
+    found = np.int64(0)
+    if rings is not None:
+        cell = row * rings.creased.shape[1] + column
+        for f in range(rings.starts[cell], rings.starts[cell + 1]):
+            _add_ring(rings, f, rules.aperture, local, found)
+            if may_vanish(local, found) or _is_near(local, found, 1.0, rules.reach):
+                found += 1
+                if found > CONICS:
+                    return found
+    return found
+
+
+@inlined
+@no_type_check
 def _gather(outline, tiles, rules, row, column, active, local):
     """Collect the conics that cross a pixel, and the tangents that pass near it; return how many."""
     forms, roots, reach, aperture = outline.forms, outline.roots, rules.reach, rules.aperture
     firsts, u, v = tiles.firsts, float(column), float(row)
-    found = np.int64(0)
+    found = _gather_rings(outline.rings, rules, row, column, local)
+    if found > CONICS:
+        return found
     for i in range(list_active(tiles, row, column, active)):
         for f in range(firsts[active[i]], firsts[active[i] + 1]):
             shift_form(forms, f, u, v, local, found)
@@ -470,7 +518,7 @@ def expected_counts_of_view(view, outline, rules, scratch, out):  # noqa: PLR091
     for s in range(table.shape[0]):
         set_origin(table, s, frame[0, 0], frame[0, 1], frame[0, 2])
     _classify(outline, solids.background, rules, local, guess)
-    _mark(outline.creases, solids.maps, tiles.bounds, guess)
+    _mark(outline.rings, outline.creases, solids.maps, tiles.bounds, rules, local, guess)
     # The first round sends rays through centres, the second one completes the pixels that need more.
     for completing in range(1 if sub_rays == 1 else 2):
         target = out.counts if completing or sub_rays == 1 else centres

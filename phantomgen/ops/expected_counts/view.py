@@ -11,8 +11,10 @@ from phantomgen.ops.expected_counts.pixel_classes import CLASSES
 from phantomgen.ops.expected_counts.rectangles import RayList, RectangleScratch
 from phantomgen.ops.mesh import mesh_view
 from phantomgen.ops.mesh.cpu import TracedMeshes
+from phantomgen.ops.primitives import TORUS
 from phantomgen.ops.silhouette.forms import Silhouettes, cone_bounds, cone_silhouettes, no_silhouettes
 from phantomgen.ops.silhouette.quadrature import Room, Rules, make_room, make_rules
+from phantomgen.ops.silhouette.rings import RingForms, ring_forms
 from phantomgen.ops.silhouette.tiles import Tiles
 from phantomgen.ops.solids import Solids
 from phantomgen.ops.trace.cpu import RayScratch
@@ -63,6 +65,7 @@ class Outline(NamedTuple):
     ----------
     forms, shapes, roots, bounds : as in `phantomgen.ops.silhouette.forms.Silhouettes`
     creases : whether a silhouette or a crease of a mesh passes each pixel; None without meshes
+    rings : silhouettes of tori; None without any
     """
 
     forms: Float[np.ndarray, "form 6"]
@@ -70,6 +73,7 @@ class Outline(NamedTuple):
     roots: Float[np.ndarray, " form"]
     bounds: Float[np.ndarray, "shape 4"]
     creases: UInt8[np.ndarray, "row column"] | None
+    rings: RingForms | None
 
 
 class PixelRules(NamedTuple):
@@ -189,6 +193,7 @@ def prepare_view(
         tolerance=0.0 if sampling.sub_rays else float(sampling.intersection_tolerance),
         aperture=(float(sampling.aperture[0]), float(sampling.aperture[1])),
     )
+    rings = _rings(frame, pixels, solids, outline, rules.reach) if outlined else None
     room, shape = make_room(gauss), (spectrum.channels, *pixels)
     scratch = ViewScratch(
         one=_ray_counts(solids, spectrum, pieces),
@@ -201,7 +206,7 @@ def prepare_view(
     )
     out = ExpectedCounts(np.empty(shape), np.empty(pixels, dtype=np.uint8), np.zeros(CLASSES, dtype=np.int64))
     view = _view(frame, pixels, solids, spectrum, background, mesh, outline)
-    return PreparedView(view, Outline(*outline, creases), rules, scratch, out)
+    return PreparedView(view, Outline(*outline, creases, rings), rules, scratch, out)
 
 
 def prepare_grid(
@@ -247,6 +252,16 @@ def _outline(frame: Float[np.ndarray, "4 3"], solids: Solids, with_forms: bool) 
         return outline
     plain = solids.voxels.numbers[outline.shapes] < 0
     return Silhouettes(outline.forms[plain], outline.shapes[plain], outline.roots[plain], outline.bounds)
+
+
+def _rings(
+    frame: Float[np.ndarray, "4 3"], pixels: tuple[int, int], solids: Solids, outline: Silhouettes, reach: float
+) -> RingForms | None:
+    """Silhouettes of the tori; None without any."""
+    tori = solids.kinds == TORUS
+    if not tori.any():
+        return None
+    return ring_forms(frame, pixels, solids.locals_[tori], solids.tubes[tori], outline.bounds[tori], reach)
 
 
 def _view(

@@ -14,7 +14,7 @@ cone       mx^2 + my^2 - mz^2                                          a ray tou
 cone       dz^2 - (dx - my)^2 - (dy + mx)^2                            a ray meets the rim
 =========  ==========================================================  ============================================
 
-Half-spaces have no silhouette, and that of a torus is no conic.
+Half-spaces have no silhouette, and that of a torus is a conic within a pixel only (`rings`).
 
 (Plücker coordinates: two lines meet where the mixed product of directions and moments vanishes.) Inside the first two,
 path lengths grow like the square root of the form; the others mark kinks, or steps where a face is seen edge on.

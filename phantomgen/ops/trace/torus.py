@@ -1,11 +1,11 @@
 """Where a ray runs inside a torus.
 
 Along a ray of unit direction, measured from the point nearest to the centre, the implicit quartic has no cubic term.
-Its extrema bracket the roots; these are then sought on the distance from the ring, ``(h - R)^2 + z^2 - r^2``, which
-does not cancel like the quartic does.
+Its extrema, roots of a cubic, bracket the roots; these are then sought on the distance from the ring,
+``(h - R)^2 + z^2 - r^2``, which does not cancel like the quartic does.
 """
 
-from math import sqrt
+from math import acos, cos, pi, sqrt
 from typing import no_type_check
 
 from phantomgen.ops.kernel_decorators import called, inlined
@@ -14,6 +14,10 @@ from phantomgen.ops.kernel_decorators import called, inlined
 _MARGIN = 1e-9
 # Safeguarded Newton iterations; bisection alone would reach the rounding of a float64 (53 bits) with as many.
 _STEPS = 60
+# In local units, where the torus has the radius 1: a step that is only rounding, and one below which steps that do not
+# get shorter are.
+_ROUNDING, _CLOSE = 4e-16, 1e-6
+_THIRD_OF_A_TURN = 2.0 * pi / 3.0
 
 
 @inlined
@@ -26,34 +30,60 @@ def _depth(tube, x, y, z):
 
 @inlined
 @no_type_check
-def _extremum(p, q, low, high):
-    """Zero of ``4 t^3 + 2 p t + q`` between `low` and `high`, where it changes sign."""
-    rising = (4.0 * high * high + 2.0 * p) * high + q > 0.0
-    t = 0.5 * (low + high)
-    for _ in range(_STEPS):
-        value = (4.0 * t * t + 2.0 * p) * t + q
-        if (value > 0.0) == rising:
-            high = t
-        else:
-            low = t
-        slope = 12.0 * t * t + 2.0 * p
-        step = t - value / slope if slope != 0.0 else low
-        if not low < step < high:
-            step = 0.5 * (low + high)
-        if step == t:
-            break
-        t = step
-    return t
+def _polished(p, q, t):
+    """Zero of ``4 t^3 + 2 p t + q`` near `t`, by one step of Newton's method."""
+    slope = 12.0 * t * t + 2.0 * p
+    return t - ((4.0 * t * t + 2.0 * p) * t + q) / slope if slope != 0.0 else t
+
+
+@inlined
+@no_type_check
+def _extrema(p, q, reach):
+    """Extrema of ``t^4 + p t^2 + q t`` between -reach and reach, ascending; those missing are `reach`."""
+    third_of_linear, half_constant = p / 6.0, q / 8.0  # of the cubic t^3 + 3 (p / 6) t + 2 (q / 8)
+    discriminant = half_constant * half_constant + third_of_linear * third_of_linear * third_of_linear
+    if discriminant > 0.0:
+        larger = (abs(half_constant) + sqrt(discriminant)) ** (1.0 / 3.0)
+        t = larger - third_of_linear / larger
+        t = _polished(p, q, -t if half_constant > 0.0 else t)
+        return (t, reach, reach) if -reach < t < reach else (reach, reach, reach)
+    radius = sqrt(-third_of_linear)
+    cosine = -half_constant / (radius * radius * radius) if radius > 0.0 else 1.0
+    angle = acos(min(1.0, max(-1.0, cosine))) / 3.0
+    last = _polished(p, q, 2.0 * radius * cos(angle))
+    first = _polished(p, q, 2.0 * radius * cos(angle + _THIRD_OF_A_TURN))
+    middle = -first - last
+    if first <= -reach:  # move those inside before those that are not
+        first, middle, last = middle, last, reach
+    if first <= -reach:
+        first, middle = middle, reach
+    if first <= -reach:
+        first = reach
+    return min(first, reach), min(middle, reach), min(last, reach)
 
 
 @called
 @no_type_check
 def _surface(tube, point, direction, low, high):
-    """Where the ray crosses the surface between `low` and `high`, of which one lies inside."""
+    """Where the ray crosses the surface between `low` and `high`, of which one lies inside, by Newton's method.
+
+    It begins where the squared distance from the ring, as a parabola at the end inside, reaches the surface; half of
+    what is left replaces steps that leave it.
+    """
     x, y, z = point
     dx, dy, dz = direction
+    across, t, last_step = dx * dx + dy * dy, 0.5 * (low + high), high - low
     inside_first = _depth(tube, x + low * dx, y + low * dy, z + low * dz) < 0.0
-    t = 0.5 * (low + high)
+    begin = low if inside_first else high
+    px, py, pz = x + begin * dx, y + begin * dy, z + begin * dz
+    h, along = sqrt(px * px + py * py), px * dx + py * dy
+    if h > 0.0:
+        bend = dz * dz + along * along / (h * h) + (h - (1.0 - tube)) * (across - along * along / (h * h)) / h
+        depth = _depth(tube, px, py, pz)
+        if bend > 0.0 and depth < 0.0:
+            guess = begin + sqrt(-depth / bend) if inside_first else begin - sqrt(-depth / bend)
+            if low < guess < high:
+                t = guess
     for _ in range(_STEPS):
         px, py, pz = x + t * dx, y + t * dy, z + t * dz
         h = sqrt(px * px + py * py)
@@ -66,35 +96,14 @@ def _surface(tube, point, direction, low, high):
         if h > 0.0:
             slope += 2.0 * (h - (1.0 - tube)) * (px * dx + py * dy) / h
         step = t - value / slope if slope != 0.0 else low
+        change = abs(step - t)
+        if change <= _ROUNDING or (change < _CLOSE and change > 0.5 * last_step):
+            break
+        last_step = change
         if not low < step < high:
             step = 0.5 * (low + high)
-        if step == t or not low < step < high:
-            break
         t = step
     return t
-
-
-@inlined
-@no_type_check
-def _extrema(p, q, reach):
-    """Extrema of ``t^4 + p t^2 + q t`` between -reach and reach, ascending; those missing are `reach`."""
-    turn = sqrt(-p / 6.0) if p < 0.0 else 0.0  # the slope itself has its extrema at -turn and turn
-    bends = (-reach, -min(turn, reach), min(turn, reach), reach)
-    first = second = third = reach
-    for i in range(3):
-        low, high = bends[i], bends[i + 1]
-        if low < high and ((4.0 * low * low + 2.0 * p) * low + q > 0.0) != (
-            (4.0 * high * high + 2.0 * p) * high + q > 0.0
-        ):
-            first, second, third = second, third, _extremum(p, q, low, high)
-    if third == reach:
-        return first, second, third
-    # Those found stand last: move the places that stayed empty behind them.
-    if second == reach:
-        return third, reach, reach
-    if first == reach:
-        return second, third, reach
-    return first, second, third
 
 
 @inlined
