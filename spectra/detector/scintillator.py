@@ -23,9 +23,6 @@ from spectra.source.source import Source
 
 # Energies are measured from where less than this part of the open-beam signal lies below.
 _NEGLIGIBLE = 1e-6
-# Signals are drawn from Poisson counts in so many groups of equal energy width. A photon of a group adds the group's
-# mean energy, which moves less than its width when the beam hardens: variances err by less than 0.5 %.
-GROUPS = 12
 
 
 @dataclass(frozen=True)
@@ -177,29 +174,6 @@ def usual_scintillator(name: str) -> Scintillator:
             f"unknown scintillator {name!r}: choose from {_listed(SCINTILLATORS)}, or give density and thickness"
         )
     return SCINTILLATORS[name]
-
-
-def energy_groups(
-    energy: Float[np.ndarray, " energy"], weights: Float[np.ndarray, " energy"], groups: int = GROUPS
-) -> tuple[Float[np.ndarray, "group energy"], Float[np.ndarray, " group"]]:
-    """Split an open-beam signal by energy, so that its noise can be drawn.
-
-    Parameters
-    ----------
-    energy : of each bin [keV]
-    weights : open-beam signal of each bin [keV]
-    groups : how many groups of equal width; empty ones are left out
-
-    Returns
-    -------
-    the weights of each group, zero outside it, which sum to `weights`; and the signal of one photon of each group,
-    sum w E / sum w [keV], such that mean and variance of the open-beam signal are exact
-    """
-    seen = energy[weights > 0]
-    cuts = np.linspace(seen[0], seen[-1], groups + 1)[1:-1]
-    rows = np.where(np.searchsorted(cuts, energy, side="right") == np.arange(groups)[:, None], weights, 0.0)
-    rows = rows[rows.any(axis=1)]
-    return rows, rows @ energy / rows.sum(axis=1)
 
 
 def _listed(names: Iterable[str]) -> str:

@@ -5,13 +5,16 @@ only gets bins and basis functions. Where all materials are explicit coefficient
 basis functions, which has fewer dimensions, and then translated.
 """
 
+from collections.abc import Iterable
 from dataclasses import replace
 from itertools import pairwise
 from math import ceil
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int64
 from scipy.linalg import block_diag
+from scipy.optimize import lsq_linear
 
 from phantomgen.dataset.beam_profile import StoredProfile
 from phantomgen.dataset.spectral_model import Spectra
@@ -19,7 +22,6 @@ from phantomgen.dataset.truth import CoefficientFit
 from phantomgen.scene.scan import Scan
 from spectra.detector.detector import AnyDetector
 from spectra.detector.pile_up import PulseResponse
-from spectra.detector.scintillator import energy_groups
 from spectra.energy.grid import Energies
 from spectra.energy.interpolative_decomposition import interpolative_decomposition
 from spectra.transmission import Transmission
@@ -45,6 +47,31 @@ _SPANNING_RAYS = 2000
 _SPECTRUM_RAYS = 300
 # Sampled rays may miss the longest path of all.
 _MARGIN = 1.1
+# Signals of energies are drawn from Poisson counts in at most so many groups of photons, by equal steps of energy.
+_PHOTON_GROUPS = 12
+# Rays that the signals of photons are found on.
+_GROUP_RAYS = 400
+# Keeps quotients finite [1/mm].
+_TINY = 1e-300
+# Signals of photons are drawn to the energies of their nodes by this part of the squared relative error of variances.
+_TO_NODES = 1e-4
+# Rays that less than this part of the signal passes have no noise to speak of; room around limits. No unit.
+_DARK, _ROUNDING = 1e-12, 1e-9
+
+
+class PhotonGroups(NamedTuple):
+    """Groups of photons whose numbers are drawn to make the noise of a summed signal.
+
+    Parameters
+    ----------
+    signals : path lengths to the expected signal of each group
+    channels : channel of each group, ascending
+    quanta : signal of one photon of each group [keV]
+    """
+
+    signals: Transmission
+    channels: Int64[np.ndarray, " group"]
+    quanta: Float[np.ndarray, " group"]
 
 
 def fine_transmission(
@@ -58,8 +85,7 @@ def fine_transmission(
     ----------
     scan : what is simulated
     cuts : where bins end besides [keV], see `fine_cuts`
-    grouped : whether energy-integrating channels are split into the groups of `photon_quanta`, and counters where
-        pulses pile up into groups of heights, one channel each
+    grouped : whether counters where pulses pile up are split into groups of heights, one channel each
     step : bin width [keV]
 
     Returns
@@ -171,8 +197,80 @@ def compressed_transmission(
     return Transmission(coefficients @ small.columns, small.weights, small.starts, small.channel_names), error
 
 
+def photon_groups(
+    scan: Scan,
+    transmission: Transmission,
+    lengths: Float[np.ndarray, "ray material"],
+    cuts: Float[np.ndarray, " cut"] = NO_CUTS,
+) -> PhotonGroups | None:
+    """Divide the energy nodes of summed signals into groups of photons.
+
+    The number of photons of a group is Poisson, and each adds the same signal. These signals are near the energies of
+    the nodes, and such that variances are those of all energies, within 0.2 %; third cumulants err by up to 2 %. Both
+    depend on the longest lengths only, as nodes do: more views of a scan do not change the noise of the others.
+
+    Parameters
+    ----------
+    scan : what is simulated
+    transmission : path lengths to signals of channels, with few nodes
+    lengths : path lengths of rays that meet every object [mm]
+    cuts : of the bins that the nodes replace [keV]
+
+    Returns
+    -------
+    the groups; None where photons are counted
+    """
+    energies, weights = _weights(scan, STEP, cuts)
+    if scan.detector.variance(energies) is None:
+        return None
+    rays = _rays_of_box(_with_profile_lengths(scan, lengths))
+    curves = _curves(scan, energies.nodes)
+    left, node_energy = np.exp(-rays @ curves), _nearest_energies(scan, transmission, cuts, range(len(weights)))
+    order, starts, channels, quanta = [], [0], [], []
+    for c, (first, last) in enumerate(pairwise(transmission.starts)):
+        own, seen = node_energy[first:last], energies.nodes[weights[c] > 0]
+        steps = np.linspace(seen[0], seen[-1], _PHOTON_GROUPS + 1)[1:-1]
+        group = np.searchsorted(steps, own, side="right")
+        signals = transmission.weights[first:last] * np.exp(-rays @ transmission.columns[:, first:last])
+        members = [np.flatnonzero(group == number) for number in np.unique(group)]
+        grouped = np.stack([signals[:, some].sum(axis=1) for some in members], axis=1)
+        means = np.array([signals[:, some].sum(axis=0) @ own[some] for some in members]) / grouped.sum(axis=0)
+        quanta.append(_quanta(grouped, left @ (weights[c] * energies.nodes), means, (seen[0], seen[-1])))
+        channels += [c] * len(members)
+        order += [first + some for some in members]
+        starts += [len(some) for some in members]
+    nodes = np.concatenate(order)
+    names = tuple(f"group{i}" for i in range(len(channels)))
+    signals = Transmission(transmission.columns[:, nodes], transmission.weights[nodes], np.cumsum(starts), names)
+    return PhotonGroups(signals, np.array(channels), np.concatenate(quanta))
+
+
+def _rays_of_box(lengths: Float[np.ndarray, "ray column"]) -> Float[np.ndarray, "fewer_rays column"]:
+    """Rays with some part of the extreme lengths in each material, from none of all to all of all."""
+    rng = np.random.default_rng(0)
+    low, high = (_MARGIN * bound for bound in (lengths.min(axis=0, initial=0.0), lengths.max(axis=0, initial=0.0)))
+    parts = rng.random((_GROUP_RAYS, lengths.shape[1]))
+    inside = np.linspace(0.0, 1.0, _GROUP_RAYS)[:, None] * (low + parts * (high - low))
+    return np.concatenate([inside, [low, high]])
+
+
+def _quanta(
+    signals: Float[np.ndarray, "ray group"],
+    variance: Float[np.ndarray, " ray"],
+    means: Float[np.ndarray, " group"],
+    limits: tuple[float, float],
+) -> Float[np.ndarray, " group"]:
+    """Signals of one photon of each group [keV], whose sum has the variance of each ray; near the means of groups."""
+    lit = variance > _DARK * variance.max()
+    signals, variance = signals[lit], variance[lit]
+    share = np.sqrt(_TO_NODES * len(signals) * (signals / signals.sum(axis=1, keepdims=True)).mean(axis=0))
+    system = np.concatenate([signals / variance[:, None], np.diag(share / means)])
+    bounds = (1 - _ROUNDING) * limits[0], (1 + _ROUNDING) * limits[1]  # apart for a single energy, too
+    return lsq_linear(system, np.concatenate([np.ones(len(signals)), share]), bounds=bounds).x
+
+
 def node_energies(
-    scan: Scan, transmission: Transmission, cuts: Float[np.ndarray, " cut"]
+    scan: Scan, transmission: Transmission, rows: Int64[np.ndarray, " channel"], cuts: Float[np.ndarray, " cut"]
 ) -> Float[np.ndarray, " node"]:
     """Find the energy of each node that `compressed_transmission` chose without refinement.
 
@@ -183,19 +281,27 @@ def node_energies(
     ----------
     scan : what is simulated
     transmission : with the chosen nodes
+    rows : channel of the detector, or group of heights that pile up, that each channel of `transmission` belongs to
     cuts : of the bins that the nodes were chosen from [keV]
 
     Returns
     -------
     energies [keV]
     """
+    return _nearest_energies(scan, transmission, cuts, rows.tolist())
+
+
+def _nearest_energies(
+    scan: Scan, transmission: Transmission, cuts: Float[np.ndarray, " cut"], rows: Iterable[int]
+) -> Float[np.ndarray, " node"]:
+    """Energies [keV] of the bins of a row each whose attenuation is closest to that of a node."""
     energies, weights, _ = _rows(scan, STEP, cuts, grouped=True)
     curves = np.stack([m.attenuation(energies.nodes, scan.basis) for m in scan.scene.materials])
     found = []
-    for row, (first, last) in zip(weights > 0, pairwise(transmission.starts), strict=True):
-        own = transmission.columns[: len(curves), first:last]
-        apart = np.abs(own[:, None] / curves[:, row, None] - 1).max(axis=0)
-        found.append(energies.nodes[row][apart.argmin(axis=0)] if last > first else np.empty(0))
+    for row, (first, last) in zip(rows, pairwise(transmission.starts), strict=True):
+        own, seen = transmission.columns[: len(curves), first:last], weights[row] > 0
+        apart = np.abs(own[:, None] - curves[:, seen, None]) / np.maximum(curves[:, seen, None], _TINY)
+        found.append(energies.nodes[seen][apart.max(axis=0).argmin(axis=0)] if last > first else np.empty(0))
     return np.concatenate(found)
 
 
@@ -217,24 +323,6 @@ def photons_behind(
     rays = _with_profile_lengths(scan, np.concatenate([air, lengths[:: max(1, len(lengths) // _SPECTRUM_RAYS)]]))
     energies, photons, _ = _sampled(scan, ceil(_range(scan)), scan.basis.breaks)
     return energies, photons * np.exp(-rays @ _curves(scan, energies.nodes))
-
-
-def photon_quanta(scan: Scan, cuts: Float[np.ndarray, " cut"] = NO_CUTS) -> list[Float[np.ndarray, " group"]] | None:
-    """Compute the signal of one photon in each group of energies, channel by channel.
-
-    Parameters
-    ----------
-    scan : what is simulated
-    cuts : of the bins that are grouped [keV]
-
-    Returns
-    -------
-    signals [keV] of each channel's groups; None where photons are counted
-    """
-    energies, weights = _weights(scan, STEP, cuts)
-    if scan.detector.variance(energies) is None:
-        return None
-    return [energy_groups(energies.nodes, row)[1] for row in weights]
 
 
 def reconstructor_spectra(scan: Scan) -> Spectra:
@@ -351,14 +439,10 @@ def _weights(
 def _rows(
     scan: Scan, step: float, cuts: Float[np.ndarray, " cut"], grouped: bool
 ) -> tuple[Energies, Float[np.ndarray, "row energy"], tuple[str, ...]]:
-    """Bins, open-beam counts per bin of each channel, or of each group of photons, and their names."""
+    """Bins, open-beam counts per bin of each channel, or of each group of heights, and their names."""
     if grouped and scan.pulses is not None:
         return *_weights(scan, step, cuts, scan.pulses), scan.pulses.names
-    energies, weights = _weights(scan, step, cuts)
-    if not grouped or scan.detector.variance(energies) is None:
-        return energies, weights, scan.detector.names
-    rows = np.concatenate([energy_groups(energies.nodes, row)[0] for row in weights])
-    return energies, rows, tuple(f"group{i}" for i in range(len(rows)))
+    return *_weights(scan, step, cuts), scan.detector.names
 
 
 def _curves(scan: Scan, energy: Float[np.ndarray, " energy"]) -> Float[np.ndarray, "material energy"]:

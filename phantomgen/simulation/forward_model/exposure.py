@@ -7,7 +7,7 @@ from jaxtyping import Float, Int, Shaped
 
 from phantomgen.effects.random_streams import Stream
 from phantomgen.scene.scan import Scan
-from phantomgen.simulation.forward_model.energy_grids import NO_CUTS, compressed_transmission, photon_quanta
+from phantomgen.simulation.forward_model.energy_grids import NO_CUTS, compressed_transmission, photon_groups
 from phantomgen.simulation.forward_model.photon_noise import compound_signal, dead_time_counts, poisson_counts
 from spectra.detector.dead_time import DeadTime
 from spectra.detector.pile_up import PileUp, edges_of
@@ -24,7 +24,7 @@ class Exposure:
     Parameters
     ----------
     groups : path lengths to expected signals; one channel for each channel of the detector where photons are counted,
-        one for each group of energies where their energy is summed up, or for each group of heights that pile up
+        one for each group of photons where their energy is summed up, or for each group of heights that pile up
     names : of the detector's channels
     channels : of the detector, that each group belongs to
     quanta : signal of one photon of each group [keV]; None where photons are counted
@@ -63,19 +63,19 @@ class Exposure:
         the exposure, and the worst error of log signals
         """
         groups, error = compressed_transmission(scan, lengths, tolerance, cuts, refine, grouped=True)
-        quanta, aperture = photon_quanta(scan, cuts), scan.effects.aperture
+        channels, quanta = np.arange(len(scan.detector)), None
+        if (photons := photon_groups(scan, groups, lengths, cuts)) is not None:
+            groups, channels, quanta = photons
+        aperture = scan.effects.aperture
         if aperture is not None:
             groups = replace(groups, weights=groups.weights * aperture.area)
         if scan.effects.grid is not None:
             groups = replace(groups, weights=groups.weights * scan.effects.grid.primary)
-        if quanta is None:
-            pile_up, channels = None, np.arange(len(scan.detector))
-            if scan.pulses is not None and scan.dead_time is not None:
-                pile_up = PileUp(scan.dead_time, scan.detector.thresholds, edges_of(scan.pulses))
-                channels = pile_up.channels
-            return cls(groups, scan.detector.names, channels, None, scan.dead_time, pile_up), error
-        channels = np.repeat(np.arange(len(quanta)), [len(own) for own in quanta])
-        return cls(groups, scan.detector.names, channels, np.concatenate(quanta)), error
+        pile_up = None
+        if scan.pulses is not None and scan.dead_time is not None:
+            pile_up = PileUp(scan.dead_time, scan.detector.thresholds, edges_of(scan.pulses))
+            channels = pile_up.channels
+        return cls(groups, scan.detector.names, channels, quanta, scan.dead_time, pile_up), error
 
     @property
     def firsts(self) -> Int[np.ndarray, " channel"]:

@@ -209,7 +209,8 @@ class ProjectionCache:
         exposure, error = Exposure.of(scan, lengths, (1 - BINS) * share, refine=False, cuts=cuts)
         groups, old = exposure.groups, len(scan.scene.materials)
         counts = " + ".join(str(n) for n in np.diff(exposure.transmission.starts))
-        shares = self.energies.matrix(node_energies(scan, groups, cuts)).T
+        rows = np.arange(len(groups)) if exposure.quanta is None else exposure.channels
+        shares = self.energies.matrix(node_energies(scan, groups, rows, cuts)).T
         through = attenuation(scan, self.energies.nodes) @ shares
         groups = replace(groups, columns=np.concatenate([through, groups.columns[old:]]))
         choices = (Choice("energies", f"{counts} nodes", bins + error, share), *self._choices(tolerance))

@@ -12,6 +12,8 @@ from phantomgen.dataset.reader import open_dataset
 from phantomgen.dataset.validate import validate
 from phantomgen.scene.file.scene_file import SceneFile
 from phantomgen.scene.scan import load_scene
+from phantomgen.simulation.forward_model.energy_grids import STEP, fine_transmission
+from phantomgen.simulation.forward_model.exposure import Exposure
 from phantomgen.simulation.forward_model.photon_noise import compound_signal
 from phantomgen.simulation.run import simulate
 from recon.data.measurements import read_measurements
@@ -37,6 +39,16 @@ flats: 6
 
 def toy(*overrides):
     return load_scene(SceneFile("toy.yaml", SCENE, overrides))
+
+
+def fine_energies(scan):
+    """Energies of the nodes of `fine_transmission`, which leaves out those without photons."""
+    count = np.ceil((scan.source.maximum - scan.detector.lowest) / STEP)
+    grid = scan.source.grid(
+        scan.detector.lowest, int(max(count, 1 / STEP)), (*scan.detector.breaks, *scan.basis.breaks)
+    )
+    energies, photons = scan.source.sampled(grid)
+    return energies.nodes[photons * scan.detector.response(energies)[0] > 0]
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +84,38 @@ def test_drawn_signals_have_the_first_three_moments_of_a_compound_sum():
     assert skewness == pytest.approx(cumulants[2] / cumulants[1] ** 1.5, abs=5 * np.sqrt(6 / signal.size))
     starved = compound_signal(np.broadcast_to(means[:, None, None] / 10, (3, 500, 500)), quanta, 1, 1, 0)
     assert (starved == 0).mean() == pytest.approx(np.exp(-(means / quanta).sum() / 10), rel=0.02)
+
+
+@pytest.mark.parametrize("refine", [True, False])
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        (),
+        ("materials.water.composition=Fe", "materials.water.density=7.87", "objects.0.size=[5,5,5]"),
+        ("source={type: monochromatic, energy: 60, photons: 2000}",),
+        ("source={type: lines, lines: {30: 1, 60: 2, 100: 1}, photons: 2000}",),
+        ("source.bowtie={composition: Al, angles: [0, 6], thickness: [1, 20]}", "panel.pitch=4"),
+    ],
+    ids=["water", "iron", "one energy", "lines", "bowtie"],
+)
+def test_groups_of_photons_have_the_moments_of_all_energies(overrides, refine):
+    scan, rng = toy(*overrides), np.random.default_rng(5)
+    lengths = rng.uniform(0, 200 if "Fe" not in str(overrides) else 5, (300, 1))
+    exposure, error = Exposure.of(scan, lengths, 2e-4, refine=refine)
+    fine = fine_transmission(scan)
+    rays = rng.permutation(lengths)[:50]
+    if scan.profile is not None:
+        parts = scan.profile.lengths.reshape(len(scan.profile.names), -1).T
+        rays = np.hstack([rays, parts[rng.integers(len(parts), size=50)]])
+    energies, left = fine_energies(scan), fine.weights * np.exp(-rays @ fine.columns)
+    groups = exposure.groups.expected(rays)
+    exact = [(left * energies**power).sum(axis=1) for power in range(3)]
+    found = [(groups * exposure.quanta**power).sum(axis=1) for power in range(3)]
+    assert error < 2e-4
+    np.testing.assert_allclose(found[0], exact[0], rtol=4e-4)
+    np.testing.assert_allclose(found[1], exact[1], rtol=2e-3)
+    np.testing.assert_allclose(found[2], exact[2], rtol=2e-2)
+    assert len(exposure.groups) <= 12
 
 
 def test_the_mean_is_the_sum_of_energies(path):
