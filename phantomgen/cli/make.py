@@ -60,7 +60,7 @@ class _Output:
 @click.option("-o", "--out", type=click.Path(dir_okay=False), help="Output [default: <name of the scene>.h5].")
 @click.option("--views", type=click.IntRange(min=1), help="Number of training views.")
 @click.option("--test-views", type=click.IntRange(min=0), help="Number of test views.")
-@click.option("--voxels", type=click.IntRange(min=1), help="Voxels along each edge of the volume.")
+@click.option("--voxels", type=click.IntRange(min=1), help="Voxels along the longest edge of the volume.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the noise, and of a scene's random values.")
 @click.option("--tol", type=FiniteRange(), help="Worst error of log projections that is wanted [default: 1e-3].")
 @click.option("--noise/--no-noise", default=None, help="Poisson counts, or their means.")

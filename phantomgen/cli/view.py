@@ -29,7 +29,7 @@ class _Outputs:
 @click.option("--html", type=click.Path(dir_okay=False), help="Write one page to turn in a browser; needs no display.")
 @click.option("--geometry", type=click.Path(dir_okay=False), help="Draw the orbit in plan: PNG, PDF or SVG.")
 @click.option("--at", metavar="X,Y,Z", help="Where the slices cut, in mm [default: the centre].")
-@click.option("--voxels", type=click.IntRange(min=1), help="Voxels along each edge of the volume of a scene.")
+@click.option("--voxels", type=click.IntRange(min=1), help="Voxels along the longest edge of the volume of a scene.")
 @click.option("--size", metavar="WIDTHxHEIGHT", help="Pixels [default: 1600x1000, wider for many bases].")
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @debug_option

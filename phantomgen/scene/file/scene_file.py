@@ -362,7 +362,8 @@ def _sentence(error: Any) -> str:
             return f"{name} needs {DISTRIBUTIONS[name]}, got {got[name]!r}"
         if isinstance(got[name], list):
             return f"unknown distribution {name!r}{closest(name, DISTRIBUTIONS)}"
-    text = error["msg"][0].lower() + error["msg"][1:]
+    text = error["msg"].removeprefix("Value error, ")
+    text = text[0].lower() + text[1:]
     if kind == "too_short":
         text = f"needs at least {error['ctx']['min_length']}, got {error['ctx']['actual_length']}"
     if kind in ("list_type", "tuple_type"):
@@ -390,13 +391,21 @@ def _fields() -> set[str]:
 
 
 def _hint(location: Location) -> str:
-    """A hint at the key that is meant: of the type that is described there, else of any."""
-    key, tag = str(location[-1]), location[-2] if len(location) > 1 else None
-    owners = [m for m in _models() if "type" in m.model_fields and tag in get_args(m.model_fields["type"].annotation)]
+    """A hint at the key that is meant: of the section or type that is described there, with all keys, else of any."""
+    key, place = str(location[-1]), location[-2] if len(location) > 1 else None
+    owners = [m for m in _models() if "type" in m.model_fields and place in get_args(m.model_fields["type"].annotation)]
+    owners = owners or list({m for m in _models() for f in _models() if _is_section(f, place, m)})
     if len(owners) == 1:
-        return closest(key, owners[0].model_fields)
+        hint, keys = closest(key, owners[0].model_fields), ", ".join(owners[0].model_fields)
+        return hint if hint.endswith(keys) else f"{hint} The keys are {keys}"
     near = difflib.get_close_matches(key, _fields() - {key}, 1)
     return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def _is_section(owner: type[BaseModel], name: Any, model: type[BaseModel]) -> bool:
+    """Whether a model has a section of that name which another model describes, maybe an optional one."""
+    field = owner.model_fields.get(name) if isinstance(name, str) else None
+    return field is not None and (field.annotation is model or model in get_args(field.annotation))
 
 
 def _override(values: dict[str, Any], override: str) -> None:
