@@ -8,6 +8,7 @@ its middle.
 """
 
 from dataclasses import dataclass
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +35,9 @@ WIDEST_RAY = 0.995  # quantile of the distances of attenuated rays from the axis
 ENDS = (0.002, 0.998)  # quantiles of the heights of attenuated rays that are the ends of the object along z
 NEAR = 0.1  # rad; least difference in azimuth at which a view counts as opposite
 LARGEST = 2.0  # times the field of view; largest radius that is assumed for an object
+NEIGHBOURS = 1.5  # times the angle to the nearest view; directions that are closer to those seen by a view are seen
+_FINEST = 0.05  # rad; angle below which directions are not told apart
+_DIRECTIONS, _MOST_RAYS = 2000, 1000  # of interfaces that are examined; views
 _BLOCK = 2  # voxels along each side of a block that is seen whole or not at all
 SIDES = ("left", "right", "top", "bottom")
 
@@ -50,6 +54,7 @@ class Coverage:
     starved : part of the rays through the object with hardly any counts in all channels together
     views : number of views that were examined
     grid : the smallest grid that holds the object, with the same voxels; the requested grid where that holds it
+    unseen : part of the directions that an interface can face which no view sees, see `unseen_directions`
     """
 
     sides: tuple[float, ...]
@@ -59,6 +64,7 @@ class Coverage:
     starved: float
     views: int
     grid: Grid
+    unseen: float = 0.0
 
     @property
     def truncated(self) -> bool:
@@ -100,7 +106,39 @@ def coverage(measured: Measurements, grid: Grid) -> Coverage:
         float((seen & blocks.starved).sum() / count),
         len(some),
         grown_to(grid, radius if lateral or beside > FEW_RAYS else 0.0, ends),
+        unseen_directions(measured.geometry, grid),
     )
+
+
+def unseen_directions(geometry: Geometry, grid: Grid) -> float:
+    """Find the part of all directions which interfaces in the middle of a grid can face without being seen by a view.
+
+    An interface is seen by rays along it, so that a view sees the directions at right angles to its ray (Tuy 1983,
+    SIAM J. Appl. Math. 43, 546-552). Directions between two views that are neighbours count as seen.
+
+    Parameters
+    ----------
+    geometry : poses of the views
+    grid : the voxels
+
+    Returns
+    -------
+    part of the directions, 0 for a circle around the object or a helix
+    """
+    middle = np.array([grid.axis(name)[[0, -1]].mean() for name in "xyz"])
+    rays = geometry.source[:: -(-len(geometry) // _MOST_RAYS)] - middle
+    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    if len(rays) < 2:
+        return 1.0
+    cosines = rays @ rays.T
+    np.fill_diagonal(cosines, -1.0)
+    between = max(NEIGHBOURS * float(np.median(np.arccos(np.clip(cosines.max(axis=1), -1.0, 1.0)))), _FINEST)
+    number = np.arange(_DIRECTIONS) + 0.5
+    height, turn = number / _DIRECTIONS, np.pi * (1 + sqrt(5)) * number  # a spiral over half a sphere, evenly dense
+    around = np.sqrt(1 - height**2)
+    facing = np.stack([around * np.cos(turn), around * np.sin(turn), height], axis=1)
+    nearest = np.arcsin(np.clip(np.abs(facing @ rays.T).min(axis=1), 0.0, 1.0))
+    return float((nearest > between).mean())
 
 
 def seen_by_all_views(geometry: Geometry, grid: Grid) -> Bool[np.ndarray, "z y x"]:

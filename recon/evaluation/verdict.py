@@ -18,6 +18,7 @@ from recon.voxel.unreliable import sentence as which_unreliable
 # standard deviations by which chi-square must exceed its expectation; chosen by hand, so that noise fails no run
 CERTAIN = 5.0
 STARVED = 0.01  # of the rays through the object; more with hardly any counts fail the check; chosen by hand
+UNSEEN = 0.05  # of the directions that interfaces can face; more that no view sees fail the check; chosen by hand
 # no unit; rays of a voxel's width over voxels in a slice of the object; fewer fail the check; chosen by hand
 SPARSE = 0.5
 # no unit, over the mean density of the denser voxels; voxels with more belong to the object; chosen by hand
@@ -30,8 +31,8 @@ class Remark:
 
     Parameters
     ----------
-    key : ``misfit``, ``unchecked``, ``misfit_marked``, ``truncated``, ``outside_grid``, ``starved``, ``unreliable``,
-        ``few_views``, ``note`` or ``bases_left_out``
+    key : ``misfit``, ``unchecked``, ``misfit_marked``, ``truncated``, ``outside_grid``, ``starved``, ``limited_angle``,
+        ``unreliable``, ``few_views``, ``note`` or ``bases_left_out``
     sentence : the sentence for a user
     failed : whether a check failed; otherwise the sentence is a note
     """
@@ -100,7 +101,7 @@ def verdict_of(outcome: FitOutcome) -> Verdict:
         found += [misfit_marked(scores, marked, dispersion, views), told]
     found += [few_views(outcome.volumes, outcome.views), bases_left_out(outcome.fitted, outcome.stated)]
     if coverage is not None:
-        found = [truncated(coverage), outside_grid(coverage), starved(coverage), *found]
+        found = [truncated(coverage), outside_grid(coverage), starved(coverage), limited_angle(coverage), *found]
     notes = (Remark("note", note) for note in outcome.notes)
     return tuple(remark for remark in (*found, *notes) if remark is not None)
 
@@ -239,6 +240,26 @@ def starved(coverage: Coverage) -> Remark | None:
         "starved",
         f"Hardly any photon arrives on {100 * coverage.starved:.1f} % of the rays through the object: what lies there "
         "is guessed from other directions; more exposure or a harder spectrum would help.",
+    )
+
+
+def limited_angle(coverage: Coverage) -> Remark | None:
+    """Check whether views from enough sides see the object.
+
+    Parameters
+    ----------
+    coverage : coverage of the object by the scan
+
+    Returns
+    -------
+    a remark where interfaces may face more than `UNSEEN` of all directions unseen
+    """
+    if coverage.unseen <= UNSEEN:
+        return None
+    return Remark(
+        "limited_angle",
+        f"No view looks along interfaces that face {100 * coverage.unseen:.0f} % of all directions: these are blurred "
+        "or missing in the volumes, however well the test views are explained; views from other sides are needed.",
     )
 
 

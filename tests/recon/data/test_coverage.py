@@ -1,4 +1,6 @@
-"""Voxels that all views of a scan see."""
+"""Voxels that all views of a scan see, and interfaces that none does."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,8 +8,10 @@ from support.tiny_scans import make
 
 from phantomgen.dataset.reader import open_dataset
 from phantomgen.geometry.curved_panel import sees
+from phantomgen.geometry.panel import Panel
+from phantomgen.geometry.poses import Geometry
 from phantomgen.geometry.voxel_grid import Grid
-from recon.data.coverage import seen_by_all_views
+from recon.data.coverage import seen_by_all_views, unseen_directions
 
 
 @pytest.mark.parametrize(
@@ -34,3 +38,28 @@ def test_they_are_on_the_panel_with_all_their_corners(panel, tmp_path):
     for axis in range(3):
         inner = np.logical_and.reduce([np.roll(inner, shift, axis) for shift in (-2, -1, 0, 1, 2)])
     assert not (inner[2:-2, 2:-2, 2:-2] & ~found).any()
+
+
+def around(degrees, tilt=0.0):
+    """Views from so many angles, which look down on the middle by a tilt [degree]."""
+    circle = Geometry.circular(1e6, 1e6 + 300, np.radians(degrees), Panel(8, 8, 1.0))
+    down = np.array([np.cos(np.radians(tilt)), np.cos(np.radians(tilt)), 1.0])
+    return replace(circle, source=circle.source * down + [0, 0, 1e6 * np.sin(np.radians(tilt))])
+
+
+@pytest.mark.parametrize("views", [3, 4, 15, 360])
+def test_a_circle_sees_all_interfaces(views):
+    assert unseen_directions(around(np.arange(views) * 360 / views), Grid.cube(4, 8.0)) == 0
+
+
+@pytest.mark.parametrize("arc", [30.0, 60.0, 120.0, 179.0])
+def test_an_arc_does_not_see_what_faces_the_wedge_it_lacks(arc):
+    # The part (180 - arc) / 180 of all directions lies in the wedge; those that views nearly look along count as seen.
+    found = unseen_directions(around(np.linspace(0, arc, 721)), Grid.cube(4, 8.0))
+    assert max(1 - arc / 180 - 0.06, 0) <= found <= 1 - arc / 180
+
+
+def test_a_tilted_circle_does_not_see_what_faces_its_axis():
+    # The directions within the tilt of the axis: a cap of the sphere.
+    found = unseen_directions(around(np.arange(720) / 2, tilt=40.0), Grid.cube(4, 8.0))
+    assert found == pytest.approx(1 - np.cos(np.radians(40.0 - np.degrees(0.05))), abs=0.01)

@@ -20,6 +20,7 @@ from recon.evaluation.verdict import (
     FitOutcome,
     bases_left_out,
     few_views,
+    limited_angle,
     lines,
     misfit,
     record,
@@ -106,16 +107,17 @@ def test_fitted_views_tell_a_failure_from_the_truth(tmp_path):
 
 
 def test_every_fault_has_its_key_and_says_what_to_do():
-    bad = replace(WHOLE, lateral=1.0, sides=(1.0, 0.0, 0.0, 0.0), outside=0.2, starved=0.1)
+    bad = replace(WHOLE, lateral=1.0, sides=(1.0, 0.0, 0.0, 0.0), outside=0.2, starved=0.1, unseen=0.6)
     channels = {"bin0": GOOD | {"chi_square_away": 774.0}, "bin1": GOOD}
     notes = ["The fit is less likely than its start."]
     said = verdict_of(FitOutcome(channels, 0.02, ball(64), 5, ["a"], ["a", "b"], bad, notes=notes))
     assert [r.key for r in said] == [
-        "truncated", "outside_grid", "starved", "misfit", "few_views", "bases_left_out", "note"
+        "truncated", "outside_grid", "starved", "limited_angle", "misfit", "few_views", "bases_left_out", "note"
     ]  # fmt: skip
     assert [r.key for r in said if not r.failed] == ["bases_left_out"]
-    assert "774 in bin0" in said[3].sentence
-    assert "bin1" not in said[3].sentence
+    assert "60 % of all directions" in said[3].sentence
+    assert "774 in bin0" in said[4].sentence
+    assert "bin1" not in said[4].sentence
     assert all(remark.sentence.endswith(".") for remark in said)
     assert json.loads(json.dumps(record(said)))[0]["key"] == "truncated"
 
@@ -138,6 +140,7 @@ def test_views_are_few_for_a_grid_that_is_fine():
 def test_what_is_not_there_is_not_said():
     assert truncated(WHOLE) is None
     assert starved(replace(WHOLE, starved=0.005)) is None
+    assert limited_angle(replace(WHOLE, unseen=0.03)) is None
     assert bases_left_out(["a", "b"], ["a", "b"]) is None
 
 
