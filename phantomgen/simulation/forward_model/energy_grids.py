@@ -383,7 +383,7 @@ def material_fit(scan: Scan) -> CoefficientFit:
 
 
 def fit_warnings(scan: Scan, fit: CoefficientFit) -> list[str]:
-    """Return sentences about materials that the basis cannot describe.
+    """Return sentences about materials that the basis cannot describe, and about a basis of too many functions.
 
     Parameters
     ----------
@@ -394,7 +394,12 @@ def fit_warnings(scan: Scan, fit: CoefficientFit) -> list[str]:
     -------
     sentences
     """
-    return [
+    bases, channels = len(scan.basis), len(scan.detector)
+    crowded = (
+        f"{channels} channels cannot tell the {bases} basis functions {', '.join(scan.basis.names)} apart: "
+        f"fit such a scan by recon fit --bases {min(channels, 3)}, or add channels"
+    )
+    return [crowded] * (1 < channels < bases) + [
         f"the basis describes material {material.name!r} with an rms relative error of {error:.0%} only: the truth of "
         "its coefficients means little; does its K edge lack a basis function, or lie below the lowest threshold?"
         for material, error in zip(scan.scene.materials, fit.errors, strict=True)

@@ -47,6 +47,13 @@ def test_every_preset_is_whole(name: str) -> None:
     assert (lengths > 0).any(axis=1).mean() > 0.2
 
 
+def test_a_basis_of_more_functions_than_channels_is_said() -> None:
+    scan = load_scene("kedge", ("detector.thresholds=[20, 65]",))
+    (sentence,) = fit_warnings(scan, material_fit(scan))
+    assert "2 channels cannot tell the 3 basis functions photoelectric, compton, kedge_63.3 apart" in sentence
+    assert "recon fit --bases 2" in sentence
+
+
 def _parts(material: MaterialModel) -> list[str]:
     """Materials that another one consists of."""
     inflow, solution = material.inflow, material.solution
