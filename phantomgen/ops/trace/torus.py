@@ -64,8 +64,8 @@ def _extrema(p, q, reach):
 
 @called
 @no_type_check
-def _surface(tube, point, direction, low, high):
-    """Where the ray crosses the surface between `low` and `high`, of which one lies inside, by Newton's method.
+def _surface(tube, point, direction, low, high, inside_first):
+    """Where the ray crosses the surface between `low` and `high`, one of which lies inside, by Newton's method.
 
     It begins where the squared distance from the ring, as a parabola at the end inside, reaches the surface; half of
     what is left replaces steps that leave it.
@@ -73,7 +73,6 @@ def _surface(tube, point, direction, low, high):
     x, y, z = point
     dx, dy, dz = direction
     across, t, last_step = dx * dx + dy * dy, 0.5 * (low + high), high - low
-    inside_first = _depth(tube, x + low * dx, y + low * dy, z + low * dz) < 0.0
     begin = low if inside_first else high
     px, py, pz = x + begin * dx, y + begin * dy, z + begin * dz
     h, along = sqrt(px * px + py * py), px * dx + py * dy
@@ -82,8 +81,7 @@ def _surface(tube, point, direction, low, high):
         depth = _depth(tube, px, py, pz)
         if bend > 0.0 and depth < 0.0:
             guess = begin + sqrt(-depth / bend) if inside_first else begin - sqrt(-depth / bend)
-            if low < guess < high:
-                t = guess
+            t = min(max(guess, low), high)
     for _ in range(_STEPS):
         px, py, pz = x + t * dx, y + t * dy, z + t * dz
         h = sqrt(px * px + py * py)
@@ -100,8 +98,8 @@ def _surface(tube, point, direction, low, high):
         if change <= _ROUNDING or (change < _CLOSE and change > 0.5 * last_step):
             break
         last_step = change
-        if not low < step < high:
-            step = 0.5 * (low + high)
+        if not low <= step <= high:
+            step, last_step = 0.5 * (low + high), high - low
         t = step
     return t
 
@@ -176,7 +174,7 @@ def torus_intervals(tube, origin, direction, row, hits, events):
         high = ends[i]
         inside = i < 3 and high < reach and _depth(tube, x + high * dx, y + high * dy, z + high * dz) < 0.0
         if inside != within:
-            at = (_surface(tube, (x, y, z), (dx, dy, dz), low, high) + nearest) / length
+            at = (_surface(tube, (x, y, z), (dx, dy, dz), low, high, within) + nearest) / length
             if inside:
                 entered = at
             elif max(entered, 0.0) < min(at, 1.0):

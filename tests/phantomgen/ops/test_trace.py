@@ -128,6 +128,14 @@ def test_torus_chords() -> None:
 
 
 @settings(max_examples=50)
+@given(beside=st.floats(0.0, 41.9))
+def test_chords_in_the_plane_of_a_ring_end_on_its_equator(beside: float) -> None:
+    found = lengths_of([(Torus((0, 0, 0), 30.0, 12.0), 0)], (-100, beside, 0), (100, beside, 0))[0]
+    hole = np.sqrt(18**2 - beside**2) if beside < 18 else 0.0
+    assert found == pytest.approx(2 * (np.sqrt(42**2 - beside**2) - hole), rel=1e-12)
+
+
+@settings(max_examples=50)
 @given(height=st.floats(0.01, 49.9), slope=st.floats(-0.4, 0.4))
 def test_cone_chord(height: float, slope: float) -> None:
     # Across the axis in the plane y = 0: the mantle x = +-z 30 / 50 cuts the line z = height + slope x.
