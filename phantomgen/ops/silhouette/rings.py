@@ -17,6 +17,8 @@ from scipy.ndimage import binary_dilation
 # Most distance [pixel] between the silhouette and the conic that stands for it; pixels where it may be more, as at
 # cusps, are creased.
 _MISPLACED = 3e-3
+# Pixels that are computed together, which bounds memory.
+_BAND = 1 << 15
 # Keeps quotients finite, no unit.
 _TINY = 1e-300
 # Places of a pixel that rays pass, in half pixels (down, right) from its centre; the last four are its corners.
@@ -72,12 +74,17 @@ def ring_forms(
     for to_local, tube, (u_low, u_high, v_low, v_high) in zip(locals_, tubes, bounds, strict=True):
         left, right = _range(u_low, u_high, columns)
         top, bottom = _range(v_low, v_high, rows)
-        for gap in _gaps(frame, to_local, tube, (left, right), (top, bottom)) if left < right else ():
-            own, crooked = _conics(gap, reach)
-            creased[top:bottom, left:right] |= crooked
-            v, u = np.nonzero(np.isfinite(own[0]))
-            cells.append((v + top) * columns + u + left)
-            forms.append(own[:, v, u].T)
+        height = max(_BAND // max(right - left, 1), 1)
+        for first in range(top, bottom, height) if left < right else ():
+            last = min(first + height, bottom)
+            above, below = max(first - 1, top), min(last + 1, bottom)  # a pixel may be creased by one beside it
+            inner = slice(first - above, last - above)
+            for gap in _gaps(frame, to_local, tube, (left, right), (above, below)):
+                own, crooked = (part[..., inner, :] for part in _conics(gap, reach))
+                creased[first:last, left:right] |= crooked
+                v, u = np.nonzero(np.isfinite(own[0]))
+                cells.append((v + first) * columns + u + left)
+                forms.append(own[:, v, u].T)
     cell = np.concatenate(cells)
     order = np.argsort(cell, kind="stable")
     starts = np.searchsorted(cell[order], np.arange(rows * columns + 1)).astype(np.int64)
