@@ -14,6 +14,7 @@ from phantomgen.simulation.checks.collisions import check_collisions
 from phantomgen.simulation.checks.field_of_view import coverage_warnings
 from phantomgen.simulation.checks.verification import full_check, quick_check
 from phantomgen.simulation.forward_model.energy_grids import (
+    basis_warnings,
     fit_warnings,
     material_fit,
     reconstructor_spectra,
@@ -75,8 +76,9 @@ def _simulate(scan: Scan, out: Path | str, options: SimulationOptions) -> Summar
         scan = plan.scan
         views = Views(scan, plan.exposure, plan.settings, cached=cached_views.primary if cached_views else None)
         cache_writer = CacheWriter.of(plan) if options.keep_paths else None
-        warnings = [*plan.warnings, *coverage_warnings(scan), *fit_warnings(scan, material_fit(scan))]
-        warnings += [*scan.detector.model_warnings, *plan.exposure.warnings, *views.detector.warnings]
+        warnings = [*plan.warnings, *coverage_warnings(scan), *basis_warnings(scan)]
+        warnings += [*fit_warnings(scan, material_fit(scan)), *scan.detector.model_warnings]
+        warnings += [*plan.exposure.warnings, *views.detector.warnings]
     nominal = scan.nominal or scan.geometry
     stored = options.stored if kept is None else {**options.stored, "projections": kept.identity}
     same = identity(scan, plan.settings, plan.exposure.groups, stored)

@@ -22,7 +22,6 @@ _BAND = 1 << 15
 # Keeps quotients finite, no unit.
 _TINY = 1e-300
 # Places of a pixel that rays pass, in half pixels (down, right) from its centre; the last four are its corners.
-_MIDDLE, _LEFT, _RIGHT, _ABOVE, _BELOW = range(5)
 _PLACES = ((0, 0), (0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (-1, 1), (1, -1), (1, 1))
 _CORNERS = slice(5, 9)
 # Beside a pixel where a maximum and a minimum of the distance become one, path lengths are not smooth either.
@@ -37,7 +36,7 @@ class RingForms(NamedTuple):
     starts : pixel ``row * columns + column`` has the forms ``starts[pixel]`` to ``starts[pixel + 1]``
     forms : (a, b, c, d, e, f) of q = a + b u + c v + d u^2 + e u v + f v^2 relative to the pixel's centre [pixel];
         path lengths grow like sqrt(q) inside (q > 0)
-    creased : 1 for pixels where a silhouette may pass that is no conic
+    creased : True for pixels where a silhouette may pass that is no conic
     """
 
     starts: Int64[np.ndarray, " pixel_plus_1"]

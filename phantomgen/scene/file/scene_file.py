@@ -397,7 +397,7 @@ def _hint(location: Location) -> str:
     owners = owners or list({m for m in _models() for f in _models() if _is_section(f, place, m)})
     if len(owners) == 1:
         hint, keys = closest(key, owners[0].model_fields), ", ".join(owners[0].model_fields)
-        return hint if hint.endswith(keys) else f"{hint} The keys are {keys}"
+        return f"{hint} (keys: {keys})" if "did you mean" in hint else hint
     near = difflib.get_close_matches(key, _fields() - {key}, 1)
     return f"; did you mean {near[0]!r}?" if near else ""
 

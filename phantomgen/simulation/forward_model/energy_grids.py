@@ -5,7 +5,6 @@ only gets bins and basis functions. Where all materials are explicit coefficient
 basis functions, which has fewer dimensions, and then translated.
 """
 
-from collections.abc import Iterable
 from dataclasses import replace
 from itertools import pairwise
 from math import ceil
@@ -225,7 +224,7 @@ def photon_groups(
         return None
     rays = _rays_of_box(_with_profile_lengths(scan, lengths))
     curves = _curves(scan, energies.nodes)
-    left, node_energy = np.exp(-rays @ curves), _nearest_energies(scan, transmission, cuts, range(len(weights)))
+    left, node_energy = np.exp(-rays @ curves), node_energies(scan, transmission, np.arange(len(weights)), cuts)
     order, starts, channels, quanta = [], [0], [], []
     for c, (first, last) in enumerate(pairwise(transmission.starts)):
         own, seen = node_energy[first:last], energies.nodes[weights[c] > 0]
@@ -272,29 +271,22 @@ def _quanta(
 def node_energies(
     scan: Scan, transmission: Transmission, rows: Int64[np.ndarray, " channel"], cuts: Float[np.ndarray, " cut"]
 ) -> Float[np.ndarray, " node"]:
-    """Find the energy of each node that `compressed_transmission` chose without refinement.
+    """Find the energy of each node: that of the bin whose attenuation is closest to that of the node.
 
-    It is found by the attenuation at the node. Energies at which all materials have equal attenuation cannot be
-    separated, and need not be.
+    Where nodes were chosen without refinement, it is the one they were chosen from. Energies at which all materials
+    have equal attenuation cannot be separated, and need not be.
 
     Parameters
     ----------
     scan : what is simulated
-    transmission : with the chosen nodes
+    transmission : with few nodes
     rows : channel of the detector, or group of heights that pile up, that each channel of `transmission` belongs to
-    cuts : of the bins that the nodes were chosen from [keV]
+    cuts : of the bins that the nodes replace [keV]
 
     Returns
     -------
     energies [keV]
     """
-    return _nearest_energies(scan, transmission, cuts, rows.tolist())
-
-
-def _nearest_energies(
-    scan: Scan, transmission: Transmission, cuts: Float[np.ndarray, " cut"], rows: Iterable[int]
-) -> Float[np.ndarray, " node"]:
-    """Energies [keV] of the bins of a row each whose attenuation is closest to that of a node."""
     energies, weights, _ = _rows(scan, STEP, cuts, grouped=True)
     curves = np.stack([m.attenuation(energies.nodes, scan.basis) for m in scan.scene.materials])
     found = []
@@ -383,7 +375,7 @@ def material_fit(scan: Scan) -> CoefficientFit:
 
 
 def fit_warnings(scan: Scan, fit: CoefficientFit) -> list[str]:
-    """Return sentences about materials that the basis cannot describe, and about a basis of too many functions.
+    """Return sentences about materials that the basis cannot describe.
 
     Parameters
     ----------
@@ -394,16 +386,33 @@ def fit_warnings(scan: Scan, fit: CoefficientFit) -> list[str]:
     -------
     sentences
     """
-    bases, channels = len(scan.basis), len(scan.detector)
-    crowded = (
-        f"{channels} channels cannot tell the {bases} basis functions {', '.join(scan.basis.names)} apart: "
-        f"fit such a scan by recon fit --bases {min(channels, 3)}, or add channels"
-    )
-    return [crowded] * (1 < channels < bases) + [
+    return [
         f"the basis describes material {material.name!r} with an rms relative error of {error:.0%} only: the truth of "
         "its coefficients means little; does its K edge lack a basis function, or lie below the lowest threshold?"
         for material, error in zip(scan.scene.materials, fit.errors, strict=True)
         if error > _POOR_FIT
+    ]
+
+
+def basis_warnings(scan: Scan) -> list[str]:
+    """Return a sentence where several channels are fewer than the basis functions.
+
+    A single channel is no spectral scan.
+
+    Parameters
+    ----------
+    scan : what is simulated
+
+    Returns
+    -------
+    no or one sentence
+    """
+    bases, channels = len(scan.basis), len(scan.detector)
+    if not 1 < channels < bases:
+        return []
+    return [
+        f"{channels} channels cannot tell the {bases} basis functions {', '.join(scan.basis.names)} apart: "
+        f"fit such a scan by recon fit --bases {min(channels, 3)}, or add channels"
     ]
 
 

@@ -135,7 +135,7 @@ def test_a_k_edge_function_that_no_object_needs_is_left_out(overrides):
         ("radius: 5", "radius: -5", "toy.yaml:12:45: objects.0.radius - input should be greater than 0, got -5"),
         ("radius: 5", "radus: 5", "toy.yaml:12:44: objects.0.radus - unknown key; did you mean 'radius'?"),
         ("radius: 5", "size: 5", "objects.0.size - unknown key"),
-        ("radius: 5", "outer_radius: 5", "unknown key; did you mean 'radius'? The keys are material, center,"),
+        ("radius: 5", "outer_radius: 5", "unknown key; did you mean 'radius'? (keys: material, center,"),
         ("voxels:", "spacing: 1, voxels:", "volume.spacing - unknown key: choose from voxels, size, slices, center"),
         (", radius: 5", "", "objects.0.radius - is missing"),
         ("material: water", "material: watr", "objects.0.material - unknown material 'watr'; did you mean 'water'?"),
